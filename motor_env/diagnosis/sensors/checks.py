@@ -234,10 +234,13 @@ def _swapped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
 def _is_of_it(seen: Seen, expected: Seen) -> bool:
     """Whether all channels move as expected, and about as far."""
     return all(
-        _likeness(shown, healthy) > _ALIKE
-        and 1.0 / _SAME_SIZE < _size(shown) / max(_size(healthy), 1e-300) < _SAME_SIZE
+        _likeness(shown, healthy) > _ALIKE and _of_a_size(shown, healthy)
         for _, _, shown, healthy in _channels(seen, expected)
     )
+
+
+def _of_a_size(shown: FloatArray, healthy: FloatArray) -> bool:
+    return 1.0 / _SAME_SIZE < _size(shown) / max(_size(healthy), 1e-300) < _SAME_SIZE
 
 
 def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
@@ -249,6 +252,8 @@ def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure 
     current_at_most, current_agreed = max(current, by_both), _likeness(expected.current_a, by_speed) > _ALIKE
     speed_at_most = max(_likeness(*_speeds(seen, expected)), _likeness(seen.speed_rad_s, by_current))
     speed_agreed = _likeness(expected.speed_rad_s, by_current) > _ALIKE
+    # What a speed in another unit says of the current is nothing, and the other way round.
+    sizes = {name: _of_a_size(shown, healthy) for name, _, shown, healthy in _channels(seen, expected)}
     against = (current_agreed and current_at_most < _AGAINST) or (by_both < _OPPOSITE and current < -_AGAINST)
     shown = {
         ("voltage_polarity", "current and speed both go against the voltage of the healthy motor"): (
@@ -260,10 +265,10 @@ def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure 
         ),
         ("current_polarity", "the current goes against voltage and speed"): speed > _ALIKE and against,
         ("swapped", "the current is not that of the motor that has this voltage and speed"): (
-            speed > _ALIKE and current_agreed and current_at_most < _APART
+            speed > _ALIKE and sizes["speed"] and current_agreed and current_at_most < _APART
         ),
         ("swapped", "the speed is not that of the motor that has this voltage and current"): (
-            current > _ALIKE and speed_agreed and speed_at_most < _APART
+            current > _ALIKE and sizes["current"] and speed_agreed and speed_at_most < _APART
         ),
     }
     return next(

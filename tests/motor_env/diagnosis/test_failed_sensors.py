@@ -255,15 +255,15 @@ def commanded(seed: int) -> Recording:
     return replace(start, voltage_v=np.where(start.time_s >= 0.02, 12.0, 0.0))
 
 
-def test_a_log_in_milliampere_is_not_off_at_rest() -> None:
+def test_a_unit_is_no_failed_sensor() -> None:
     log = at_work(np.random.default_rng(3))
     assert log.current_a is not None
     off = replace(log, current_a=log.current_a + 1.5)
     found = failed_sensor(off, SHEET, at_work=True)
     assert found is not None
     assert found.fault_kind == "current_offset"
-    for factor in (1.0, 1e3):
-        assert failed_sensor(scaled(log, current_a=factor), SHEET, at_work=True) is None
+    for read in ({}, {"current_a": 1e3}, {"speed_rad_s": 0.03 / np.pi}):
+        assert failed_sensor(scaled(log, **read), SHEET, at_work=True) is None
 
 
 def test_a_probe_that_was_turned_when_the_motor_was_learned_is_no_failure() -> None:
