@@ -129,7 +129,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=300, help="of fitting")
     given = parser.parse_args()
     torch.set_num_threads(1)
-    torch.manual_seed(0)
+    torch.manual_seed(0)  # the seed of this script, a process of its own
     fitted = collect(given.recipe, given.episodes, seed=100)
     network = fit(fitted, given.rounds)
     price = price_of(network, fitted)

@@ -24,7 +24,7 @@ def tarp(truth: torch.Tensor, draws: torch.Tensor) -> tuple[float, float]:
 
     `check_tarp` compares two curves as if they were samples; here the share of draws nearer than the truth is tested.
     """
-    torch.manual_seed(SEED)
+    torch.manual_seed(SEED)  # sbi draws from the global generator; a process of its own
     references = get_tarp_references(truth)
     area, _ = check_tarp(*_run_tarp(draws, truth, references, z_score_theta=True))
     span = truth.max(dim=0).values - truth.min(dim=0).values
