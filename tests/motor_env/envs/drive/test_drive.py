@@ -518,3 +518,18 @@ def test_what_linear_algebra_gives_has_twelve_digits(control: str) -> None:
     assert len(names) == 12
     for name in names:
         assert getattr(task, name) == float(f"{getattr(task, name):.12g}")
+
+
+def test_a_decision_is_drawn_as_long_as_it_lasts() -> None:
+    """After 80 of 800 periods the curves reach a tenth of the screen further than after 8."""
+    ends = []
+    for repeats in (1, 10):
+        env = DriveEnv(control="decision", steps_per_decision=repeats, render_mode="rgb_array")
+        env.reset(seed=4)
+        frames = []
+        for _ in range(8):
+            env.step(0)
+            frames.append(np.asarray(env.render()))
+        below = frames[-1][40:420] != frames[0][40:420]  # without the head, which says the time
+        ends.append(int(np.flatnonzero(below.any(axis=(0, 2))).max()))
+    assert 40 < ends[1] - ends[0] < 65
