@@ -55,8 +55,8 @@ TABLE = (
     Row(DRIVE, "waits", 4096, 0.5, title="Drive-v0"),
     Row(DRIVE, "6 % ends", 4096, 0.2, title="Drive-v0"),
     Row(DRIVE, "waits", 1, 1.0, title="Drive-v0"),
-    Row(MAINTAIN, "waits", 4096, 0.14, title="Maintain-v0"),
-    Row(MAINTAIN, "random", 4096, 0.14, title="Maintain-v0"),
+    Row(MAINTAIN, "waits", 4096, 0.25, title="Maintain-v0"),
+    Row(MAINTAIN, "random", 4096, 0.24, title="Maintain-v0"),
     Row(MAINTAIN, "waits", 1, 1.0, title="Maintain-v0"),
 )
 

@@ -19,6 +19,7 @@ from motor_env.motor.parameters import FloatArray, MotorParameters, require
 from motor_env.simulation.random_streams import philox
 from motor_env.simulation.recipes import FACTORS
 
+_CACHE_LINE = 64  # bytes
 _SIZES = ("n_classes", "n_observed", "n_levels")
 _SUPPLY = ("supply_v", "load_n_m", "dt_s", "is_running", "is_known")
 _STARTS = ("starts_per_motor", "healthy_starts", "healthy_class")
@@ -128,6 +129,18 @@ def unpack_task(numbers: FloatArray, prior: FloatArray) -> TaskNumbers:
     )
 
 
+def aligned_zeros(shape: tuple[int, ...], dtype: Any = np.float64) -> NDArray[Any]:
+    """Zeros that begin where a line of the cache does.
+
+    numpy begins 16 bytes behind it. Then every load of 64 bytes takes two lines, and sums take half as long again.
+    """
+    length = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    room = np.zeros(length + _CACHE_LINE, dtype=np.uint8)
+    begin = -room.ctypes.data % _CACHE_LINE
+    aligned: NDArray[Any] = room[begin : begin + length].view(dtype).reshape(shape)
+    return aligned
+
+
 def empty_streams(count: int) -> tuple[WordArray, BoolArray]:
     """Words and flags of lanes that run no episode yet; all environments have them."""
     words, flags = np.zeros((4, count), dtype=np.uint32), np.zeros((KNOWN + 1, count), dtype=np.bool_)
@@ -187,7 +200,7 @@ def random_words(
 
 def empty_lanes(blocks: int, lanes: int, precision: str) -> LaneArrays:
     """Lanes that run no episode yet."""
-    state = np.zeros(blocks * kernel.BLOCK, dtype=precision)
+    state = aligned_zeros((blocks * kernel.BLOCK,), precision)
     by_name = state.view(kernel.block_type(precision))
     by_name["onset"] = by_name["next_change"] = kernel.NEVER  # lanes that fill the last block
     marks = np.zeros((ROW + 1, lanes), dtype=np.int32)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.layout import BoolArray, WordArray, empty_streams
+from motor_env.envs.layout import BoolArray, WordArray, aligned_zeros, empty_streams
 from motor_env.motor.exponentials import ROOM
 from motor_env.motor.parameters import FloatArray
 
@@ -173,7 +173,7 @@ def empty_lanes(ahead: NDArray[np.int64], n_steps: int, count: int) -> Lanes:
     """Lanes that run no episode yet."""
     blocks = -(-count // LANES)
     block = block_type(len(ahead))
-    state = np.zeros(blocks, dtype=block)
-    work = np.zeros(1, dtype=work_type(block.itemsize // (8 * LANES)))
+    state = aligned_zeros((blocks,), block)
+    work = aligned_zeros((1,), work_type(block.itemsize // (8 * LANES)))
     words, flags = empty_streams(count)
     return Lanes(ahead, state, work, words, flags, np.zeros((count, n_steps + int(ahead.max()) + 1)))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from motor_env.envs.compiling import inlined
-from motor_env.envs.maintain.options import LEVELS
+from motor_env.envs.maintain.options import LEVELS, NOTHING
 from motor_env.motor.parameters import FloatArray
 
 AT_ONCE = 4
@@ -68,27 +71,45 @@ def _wear_belief(
 
 
 @inlined
-def believe(growths: FloatArray, lowest: int, belief: FloatArray, room: FloatArray, wearing: int) -> None:
-    """The belief of a block after the day's wear and its estimate; of a motor that stands nothing changes."""
+def _stand(wears: FloatArray, width: int, belief: FloatArray, after: FloatArray) -> None:
+    """The belief after a day is that before it, of each motor that does not wear."""
+    for j in range(width):
+        if wears[j] == 0.0:
+            for i in range(j, LEVELS * width, width):
+                after[i] = belief[i]
+
+
+@inlined
+def believe(
+    growths: FloatArray,
+    lowest: int,
+    told: FloatArray,
+    belief: FloatArray,
+    room: FloatArray,
+    seen: NDArray[np.uint32],
+    wearing: int,
+) -> None:
+    """The belief of a block after the day's wear, and after what was seen: column `seen[j]` of `told`."""
     width = belief.shape[2]
-    before, after, likelihood, marks = room[0], room[1], room[2], room[3]
-    wears, stands, total = marks[:width], marks[width : 2 * width], marks[2 * width : 3 * width]
+    before, after, wears, total = room[0], room[1], room[2, :width], room[2, width : 2 * width]
     for j in range(width):
         total[j] = 0.0
     for rate in range(belief.shape[0]):
         flat = belief[rate].reshape(LEVELS * width)
         if wearing > 0:
             _wear_belief(growths[rate], lowest, width, flat, before, after)
-        for level in range(LEVELS):
-            now, then = flat[level * width : (level + 1) * width], after[level * width :]
-            told = likelihood[level * width :]
+        _stand(wears, width, flat, after)
+        for level in range(0, LEVELS, 2):  # two at a time halve the reading and writing of the sums
+            lower, upper = belief[rate, level], belief[rate, level + 1]
+            worn, more = after[level * width :], after[(level + 1) * width :]
+            here, above = told[level], told[level + 1]
             for j in range(width):
-                now[j] = (then[j] if wears[j] > 0.0 else now[j]) * told[j]
-                total[j] += now[j]
+                lower[j], upper[j] = worn[j] * here[seen[j]], more[j] * above[seen[j]]
+                total[j] = total[j] + lower[j] + upper[j]
     for j in range(width):
-        total[j] = 1.0 if stands[j] > 0.0 else total[j]
+        total[j] = 1.0 if seen[j] == NOTHING else 1.0 / total[j]
     for rate in range(belief.shape[0]):
-        for level in range(LEVELS):
-            now = belief[rate, level]
+        for level in range(0, LEVELS, 2):
+            lower, upper = belief[rate, level], belief[rate, level + 1]
             for j in range(width):
-                now[j] /= total[j]
+                lower[j], upper[j] = lower[j] * total[j], upper[j] * total[j]

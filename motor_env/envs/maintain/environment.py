@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from motor_env.envs.base import Info, Observation, StreamEnv, whole_action
-from motor_env.envs.layout import KNOWN, TERMINATED, BoolArray, MarkArray, empty_streams
+from motor_env.envs.layout import KNOWN, TERMINATED, BoolArray, MarkArray, aligned_zeros, empty_streams
 from motor_env.envs.maintain import kernel
 from motor_env.envs.maintain.belief import AT_ONCE
 from motor_env.envs.maintain.kernel import FEATURES, PARTS
@@ -31,6 +31,7 @@ def _chances(options: MaintainOptions, tables: Tables) -> kernel.Chances:
     missing = -tables.wear.shape[1] % AT_ONCE
     sums = tables.wear.cumsum(axis=1)[:, :-1]
     behind = -sums.shape[1] % kernel.COMPARED
+    estimate = np.where(tables.estimate < IMPOSSIBLE, 0.0, tables.estimate)
     return kernel.Chances(
         tables.weights,
         tables.weights.cumsum()[:-1],
@@ -38,7 +39,7 @@ def _chances(options: MaintainOptions, tables: Tables) -> kernel.Chances:
         np.ascontiguousarray(np.pad(tables.wear, ((0, 0), (0, missing)))[:, ::-1]),
         np.pad(sums, ((0, 0), (0, behind)), constant_values=2.0),
         tables.failing,
-        np.where(tables.estimate < IMPOSSIBLE, 0.0, tables.estimate),
+        np.concatenate([estimate.T, np.eye(LEVELS), np.ones((LEVELS, 1))], axis=1),
         np.array(
             [
                 *(tables.lowest, options.days, options.estimate_std / (options.limit / LEVELS)),
@@ -64,19 +65,22 @@ class Motors:
         self._chances = _chances(options, self.tables)
         width = min(count, kernel.MOTORS)
         shape = (-(-count // width), len(self.tables.rates), LEVELS, width)
-        motors = kernel.Motors(
+        self._motors = kernel.Motors(
             self.words,
             self.marks,
             self.flags,
-            np.zeros(shape),
+            aligned_zeros(shape),
             kernel.room_for(self._chances.growths.shape[1], width),
+            aligned_zeros((4, width), np.uint32),
+            aligned_zeros((width,), np.float32),
+            aligned_zeros((width,), np.uint32),
         )
-        self._arrays = (*self._chances, *motors)
+        self._arrays = (*self._chances, *self._motors)
 
     @property
     def belief(self) -> FloatArray:
         """Probability of each rate and level of wear, given all that was seen, shape (n_motors, n_rates, LEVELS)."""
-        blocks = np.moveaxis(self._arrays[-2], 3, 1)
+        blocks = np.moveaxis(self._motors.belief, 3, 1)
         return np.array(blocks.reshape(-1, *blocks.shape[2:])[: self.marks.shape[1]])
 
     def observation_space(self) -> spaces.Space[Observation]:

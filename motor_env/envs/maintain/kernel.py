@@ -16,9 +16,9 @@ from motor_env.envs import layout
 from motor_env.envs.compiling import compiled, inlined
 from motor_env.envs.layout import BoolArray, MarkArray, WordArray
 from motor_env.envs.maintain.belief import believe
-from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, N_ESTIMATES
+from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, N_ESTIMATES, NOTHING
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.random_streams import Stream, box_muller
+from motor_env.simulation.random_streams import Stream, box_muller, philox
 
 RUN, INSPECT, REPLACE = range(3)
 LEVEL, RATE, DAY, AGE, ESTIMATE, FAILED = range(6)
@@ -26,12 +26,13 @@ LEVEL, RATE, DAY, AGE, ESTIMATE, FAILED = range(6)
 last estimate in levels; whether the bearing failed on the last day."""
 FEATURES = ("estimate", "mean", "std", "risk", "rate", "age", "days_left")
 PARTS = ("reward_failure", "reward_replacement", "reward_inspection")
-MOTORS = 16
+MOTORS = 32
 """Motors of a block: their beliefs fit into the first-level cache."""
 COMPARED = 32
 """Summed probabilities that are compared in one go."""
 _STREAM = np.uint32(Stream.WEAR)
 _TO_UNIT = 2.0**-32
+_ROUNDING = 1e-13  # of a mean square: a variance below is a difference of roundings
 
 
 class Chances(NamedTuple):
@@ -46,7 +47,8 @@ class Chances(NamedTuple):
         growth_sums: of the growths from the smallest up, summed up to each but the last, shape (n_rates, n); behind
             them twos, so that there is a multiple of `COMPARED`.
         failing: that the bearing fails on a day that begins at a level, shape (n_rates, LEVELS).
-        estimate: of each estimate, given the level, shape (N_ESTIMATES, LEVELS).
+        told: a column for everything that a day can tell, its probability given the level: each estimate, each level
+            that an inspection finds, nothing. Shape (LEVELS, NOTHING + 1).
         numbers: smallest growth in levels, days, standard deviation of an estimate in levels, and the costs of a
             failure, an inspection and a replacement.
     """
@@ -57,7 +59,7 @@ class Chances(NamedTuple):
     growths: FloatArray
     growth_sums: FloatArray
     failing: FloatArray
-    estimate: FloatArray
+    told: FloatArray
     numbers: FloatArray
 
 
@@ -70,6 +72,9 @@ class Motors(NamedTuple):
         flags: shape (4, n_motors).
         belief: probability of each rate and level, shape (n_blocks, n_rates, LEVELS, motors of a block).
         room: for the sums of a block, see `room_for`.
+        drawn: a day's random words of a block, shape (4, motors of a block).
+        normal: and its standard normals, shape (motors of a block,).
+        seen: what each motor of a block was told today, a column of `Chances.told`, shape (motors of a block,).
     """
 
     words: WordArray
@@ -77,11 +82,15 @@ class Motors(NamedTuple):
     flags: BoolArray
     belief: FloatArray
     room: FloatArray
+    drawn: WordArray
+    normal: NDArray[np.float32]
+    seen: NDArray[np.uint32]
 
 
 def room_for(n_growths: int, width: int) -> FloatArray:
-    """Room for the sums of a block of so many motors, four parts of equal length, and of the features' sums."""
-    return np.zeros((5, (LEVELS + n_growths) * width))
+    """Room for the sums of a block of so many motors: belief before and after the day, who wears, features."""
+    lines = -(-(LEVELS + n_growths) * width // 8)
+    return layout.aligned_zeros((4, 8 * lines))  # so that each part begins where a line of the cache does
 
 
 @inlined
@@ -114,10 +123,21 @@ def _begin_episode(chances: Chances, motors: Motors, n: int) -> None:
 
 
 @inlined
-def _live(
-    chances: Chances, motors: Motors, n: int, action: int, likelihood: FloatArray, parts: FloatArray
-) -> bool:
-    """A day of motor n but for its belief, of which `likelihood` is told; whether it wears."""
+def _draw(motors: Motors, first: int, count: int) -> None:
+    """The random numbers of a block's day, all lanes with one instruction: two words and a normal for each."""
+    low, high = motors.words[layout.CASE_LOW, first:], motors.words[layout.CASE_HIGH, first:]
+    k0, k1 = motors.words[layout.SEED_LOW, first:], motors.words[layout.SEED_HIGH, first:]
+    day, m0, m1 = motors.marks[DAY, first:], motors.drawn[0], motors.drawn[1]
+    m2, m3, normal = motors.drawn[2], motors.drawn[3], motors.normal
+    for j in range(count):
+        m0[j], m1[j], m2[j], m3[j] = philox(np.uint32(day[j] + 1), _STREAM, low[j], high[j], k0[j], k1[j])
+    for j in range(count):
+        normal[j] = box_muller(m2[j], m3[j])[0]
+
+
+@inlined
+def _live(chances: Chances, motors: Motors, n: int, action: int, parts: FloatArray) -> tuple[bool, int]:
+    """A day of motor n but for its belief: whether it wears, and the column of `told` that says what was seen."""
     marks, width = motors.marks, motors.belief.shape[3]
     j, numbers = n % width, chances.numbers
     marks[DAY, n] += 1
@@ -126,10 +146,8 @@ def _live(
     if action == INSPECT:
         parts[2, n] = -numbers[4]
         marks[ESTIMATE, n] = marks[LEVEL, n]
-        for level in range(LEVELS):
-            likelihood[level * width + j] = 1.0 if level == marks[LEVEL, n] else 0.0
-        return False
-    growth, rate, first, second = layout.random_words(_STREAM, marks[DAY, n], motors.words, n)
+        return False, N_ESTIMATES + marks[LEVEL, n]
+    growth, rate = motors.drawn[0, j], motors.drawn[1, j]
     if action == REPLACE:
         parts[1, n] = -numbers[5]
         _new_bearing(chances, rate * _TO_UNIT, motors, n)
@@ -140,14 +158,10 @@ def _live(
         parts[0, n] = -numbers[3]
         marks[FAILED, n] = 1
         _new_bearing(chances, rate * _TO_UNIT, motors, n)
-    deviation, _ = box_muller(first, second)
-    read = round(marks[LEVEL, n] + numbers[2] * deviation) - LOWEST_ESTIMATE
+    read = round(marks[LEVEL, n] + numbers[2] * motors.normal[j]) - LOWEST_ESTIMATE
     read = min(max(read, 0), N_ESTIMATES - 1)
     marks[ESTIMATE, n] = read + LOWEST_ESTIMATE
-    told = chances.estimate[read]
-    for level in range(LEVELS):
-        likelihood[level * width + j] = told[level]
-    return not fails
+    return not fails, read
 
 
 @inlined
@@ -155,7 +169,7 @@ def _observe_block(
     chances: Chances, motors: Motors, first: int, count: int, out: NDArray[np.float32]
 ) -> None:
     width, days, marks = motors.belief.shape[3], chances.numbers[1], motors.marks
-    belief, room = motors.belief[first // width], motors.room[4]
+    belief, room = motors.belief[first // width], motors.room[3]
     mean, square = room[:width], room[width : 2 * width]
     risk, pace = room[2 * width : 3 * width], room[3 * width : 4 * width]
     for j in range(4 * width):
@@ -164,18 +178,21 @@ def _observe_block(
         share = chances.shares[rate]
         for level in range(0, LEVELS, 2):  # two at a time halve the reading and writing of the sums
             lower, upper = belief[rate, level], belief[rate, level + 1]
-            here, above = chances.failing[rate, level], chances.failing[rate, level + 1]
             for j in range(width):
                 m0, m1 = lower[j], upper[j]
                 mean[j] = mean[j] + m0 * level + m1 * (level + 1)
-                square[j] = square[j] + m0 * level * level + m1 * (level + 1) * (level + 1)
-                risk[j] = risk[j] + m0 * here + m1 * above
-                pace[j] = pace[j] + m0 * share + m1 * share
+                square[j] = square[j] + m0 * (level * level) + m1 * ((level + 1) * (level + 1))
+                pace[j] = pace[j] + (m0 + m1) * share
+        for level in range(LEVELS):
+            fails, masses = chances.failing[rate, level], belief[rate, level]
+            for j in range(width if fails > 0.0 else 0):
+                risk[j] += masses[j] * fails
     for j in range(count):
         n = first + j
         out[0, n] = marks[ESTIMATE, n] / LEVELS
         out[1, n] = mean[j] / LEVELS
-        out[2, n] = np.sqrt(max(square[j] - mean[j] * mean[j], 0.0)) / LEVELS
+        variance = square[j] - mean[j] * mean[j]
+        out[2, n] = np.sqrt(variance) / LEVELS if variance > _ROUNDING * square[j] else 0.0
         out[3, n] = min(risk[j], 1.0)
         out[4, n] = pace[j]
         out[5, n] = marks[AGE, n] / days
@@ -221,16 +238,15 @@ def step(
     """
     chances, motors = _unpacked(arrays)
     n_over, width, count = 0, motors.belief.shape[3], len(actions)
-    likelihood, marks, numbers = motors.room[2], motors.room[3], chances.numbers
+    wears, numbers = motors.room[2], chances.numbers
     for n in range(count):
         if not 0 <= actions[n] <= REPLACE:
             return -1
     for first in range(0, count, width):
         here, wearing = min(width, count - first), 0
-        for i in range(LEVELS * width):
-            likelihood[i] = 1.0
         for j in range(width):
-            marks[j], marks[width + j] = 0.0, 1.0
+            wears[j], motors.seen[j] = 0.0, NOTHING
+        _draw(motors, first, here)
         for j in range(here):
             n = first + j
             parts[0, n], parts[1, n], parts[2, n] = 0.0, 0.0, 0.0
@@ -238,11 +254,14 @@ def step(
             if restart and motors.flags[layout.TERMINATED, n]:
                 _begin_episode(chances, motors, n)
                 continue
-            wears = _live(chances, motors, n, actions[n], likelihood, parts)
-            marks[j], marks[width + j] = 1.0 if wears else 0.0, 0.0
-            wearing += 1 if wears else 0
+            worn, motors.seen[j] = _live(chances, motors, n, actions[n], parts)
+            wears[j] = 1.0 if worn else 0.0
+            wearing += 1 if worn else 0
             motors.flags[layout.TERMINATED, n] = motors.marks[DAY, n] >= numbers[1]
             n_over += motors.flags[layout.TERMINATED, n]
-        believe(chances.growths, int(numbers[0]), motors.belief[first // width], motors.room, wearing)
+        believe(
+            *(chances.growths, int(numbers[0]), chances.told),
+            *(motors.belief[first // width], motors.room, motors.seen, wearing),
+        )
         _observe_block(chances, motors, first, here, out)
     return n_over

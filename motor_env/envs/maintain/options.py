@@ -15,6 +15,8 @@ LEVELS = 50
 N_ESTIMATES = 2 * LEVELS + 1
 """An estimate is counted in the same unit, from half the limit below 0 to one and a half times the limit."""
 LOWEST_ESTIMATE = -LEVELS // 2
+NOTHING = N_ESTIMATES + LEVELS
+"""What a day tells is numbered: the estimates, the levels that an inspection finds, nothing."""
 _RATES = 5
 _REACH = 6.0  # standard deviations of a day's wear that are followed
 
