@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, least_squares
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.truncated_normal import TruncatedNormal
@@ -125,7 +125,8 @@ def best_fit(model: ClassModel, measured: FloatArray, begin: FloatArray) -> Line
 
 
 def _effective(log_weights: FloatArray) -> float:
-    return float(np.exp(2.0 * logsumexp(log_weights) - logsumexp(2.0 * log_weights)))
+    weights = np.exp(log_weights - log_weights.max())
+    return float(weights.sum() ** 2 / (weights @ weights))
 
 
 def _tempered(log_weights: FloatArray, wanted: float) -> FloatArray:
@@ -133,7 +134,7 @@ def _tempered(log_weights: FloatArray, wanted: float) -> FloatArray:
     power = 1.0
     if _effective(log_weights) < wanted:
         power = brentq(lambda p: _effective(p * log_weights) - wanted, 0.0, 1.0, xtol=1e-3)
-    weights: FloatArray = np.exp(power * log_weights - logsumexp(power * log_weights))
+    weights: FloatArray = softmax(power * log_weights)
     return weights
 
 
