@@ -23,6 +23,7 @@ from tables import keep_table
 from motor_classifiers.contest.tasks import load_task
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.severity_density import severity_recipe
+from motor_classifiers.estimators.reference_starts import referenced_starts
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.scoring.ranks import (
@@ -32,7 +33,6 @@ from motor_classifiers.scoring.ranks import (
     severity_ranks,
     severity_shares,
 )
-from motor_classifiers.scoring.task import judged_starts
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
@@ -84,7 +84,8 @@ def of_classes(name: str, n_cases: int, n_draws: int) -> Iterator[Posterior]:
     A right posterior is right given what it saw, and where it is sure, a rank is but a random number.
     """
     model, recipe = network(name)
-    cases = judged_starts(recipe, SEED, FIRST, _LOOKED_AT * n_cases)
+    numbers = FIRST + np.arange(_LOOKED_AT * n_cases)
+    cases = referenced_starts(recipe, SEED, numbers, model.n_references)
     probabilities = in_recipe_order(model, model.predict_proba(cases.X), recipe)
     unsure = np.flatnonzero(probabilities.max(axis=1) < SURE)[:n_cases]
     probabilities, n_cases = probabilities[unsure], len(unsure)
