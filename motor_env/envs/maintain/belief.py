@@ -9,7 +9,7 @@ from motor_env.envs.compiling import inlined
 from motor_env.envs.maintain.options import LEVELS, NOTHING
 from motor_env.motor.parameters import FloatArray
 
-AT_ONCE = 4
+AT_ONCE = 7
 """Growths that are added in one go."""
 _NEGLIGIBLE = 1e-15  # a share that rounding takes away anyway
 
@@ -52,11 +52,14 @@ def _wear_belief(
     least, most = _copied(below, len(growths), width, belief, before, after)
     for place in range(0, len(growths), AT_ONCE):
         p0, p1, p2, p3 = growths[place], growths[place + 1], growths[place + 2], growths[place + 3]
+        p4, p5, p6 = growths[place + 4], growths[place + 5], growths[place + 6]
         begin, end = max(below + least - place - AT_ONCE + 1, 0), min(below + most - place + 1, LEVELS)
         at, sums = (place + begin) * width, after[begin * width :]  # slices: their indices begin at 0
         b0, b1, b2, b3 = before[at:], before[at + width :], before[at + 2 * width :], before[at + 3 * width :]
+        b4, b5, b6 = before[at + 4 * width :], before[at + 5 * width :], before[at + 6 * width :]
         for i in range((end - begin) * width):
-            sums[i] = sums[i] + b0[i] * p0 + b1[i] * p1 + b2[i] * p2 + b3[i] * p3
+            four = sums[i] + b0[i] * p0 + b1[i] * p1 + b2[i] * p2 + b3[i] * p3
+            sums[i] = four + b4[i] * p4 + b5[i] * p5 + b6[i] * p6
     new = before[below * width :]
     for place in range(least, -lowest):  # what would fall below 0, from the deepest fall up
         fallen = after[size : size + width]

@@ -112,7 +112,7 @@ class Motors:
         """Severity, drift a day and failure of each motor, for those who score."""
         return {
             "severity": self.marks[kernel.LEVEL] * (self.options.limit / LEVELS),
-            "drift_per_day": self.tables.rates[self.marks[kernel.RATE]],
+            "drift_per_day": self.tables.rates.take(self.marks[kernel.RATE]),
             "failed": self.marks[kernel.FAILED] > 0,
         }
 

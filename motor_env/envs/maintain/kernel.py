@@ -192,7 +192,8 @@ def _observe_block(
         out[0, n] = marks[ESTIMATE, n] / LEVELS
         out[1, n] = mean[j] / LEVELS
         variance = square[j] - mean[j] * mean[j]
-        out[2, n] = np.sqrt(variance) / LEVELS if variance > _ROUNDING * square[j] else 0.0
+        variance = variance if variance > _ROUNDING * square[j] else 0.0
+        out[2, n] = np.sqrt(variance) / LEVELS
         out[3, n] = min(risk[j], 1.0)
         out[4, n] = pace[j]
         out[5, n] = marks[AGE, n] / days
