@@ -88,11 +88,19 @@ class DriveEnv(StreamEnv[DriveOptions]):
         self._lanes = _empty_lanes(self.setup, 1)
         self._words, self._flags = self._lanes.words, self._lanes.flags
         self._arrays = (np.array(self.setup.task), *self._lanes)
-        self._truth = {name: self._lanes.state[name].reshape(-1) for name in _TOLD}
         self._parts, self._reward = np.zeros((len(PARTS), 1)), np.zeros(1)
-        self._part_values = self._parts.reshape(-1)  # a view, made once: views take a tenth of a step
+        self._make_views()
         self._screen = DriveScreen(self.setup) if self.render_mode is not None else None
         return _spaces(self.setup)
+
+    def _make_views(self) -> None:
+        # Once and not in each step, where they would take a tenth of the time.
+        self._truth = {name: self._lanes.state[name].reshape(-1) for name in _TOLD}
+        self._part_values = self._parts.reshape(-1)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._make_views()  # a copy of a view is none: it would go on telling of the moment of copying
 
     def _begin(self) -> tuple[Observation, Info]:
         kernel.begin(EVERYWHERE, *self._arrays)

@@ -1,5 +1,6 @@
 """Options: every environment that can be made can be stepped to its end, or refuses with one sentence."""
 
+import copy
 import math
 import pickle
 import re
@@ -223,15 +224,32 @@ def test_an_unknown_option_is_named_and_the_known_ones_listed() -> None:
         MonitorEnv(horizn_s=1.0)
 
 
+@pytest.mark.parametrize("name", ["Monitor", "Probe", "ProbeContinuous", "Maintain", "Drive", "DriveDecide"])
+def test_a_copy_in_the_middle_of_an_episode_goes_on_alike(name: str) -> None:
+    """Search by simulation copies environments; what info tells must be the copy's own."""
+    env = gym.make(f"motor_env/{name}-v0")
+    env.reset(seed=1)
+    action = np.array([0.5, -1.0]) if name == "Drive" else env.action_space.sample() * 0
+    for _ in range(3):
+        env.step(action)
+    copies = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]  # noqa: S301  # our own bytes
+    for _ in range(5):
+        expected = env.step(action)
+        for each in copies:
+            observation, *others = each.step(action)
+            np.testing.assert_array_equal(observation, expected[0])
+            assert others == list(expected[1:])
+
+
 @pytest.mark.parametrize("make", [MonitorEnv, ProbeEnv, ProbeContinuousEnv, MonitorVectorEnv, ProbeVectorEnv])
 def test_environments_and_options_survive_pickling(make: Any) -> None:
     env = make()
     env.reset(seed=4)
-    copy = pickle.loads(pickle.dumps(env))  # noqa: S301  # our own bytes
+    other = pickle.loads(pickle.dumps(env))  # noqa: S301  # our own bytes
     rng = np.random.default_rng(0)
     for _ in range(20):
         action = np.clip(env.action_space.sample(), 0, 0) if rng.random() < 0.5 else env.action_space.sample()
-        mine, theirs = env.step(action), copy.step(action)
+        mine, theirs = env.step(action), other.step(action)
         np.testing.assert_array_equal(mine[0], theirs[0])
         np.testing.assert_array_equal(mine[1], theirs[1])
         if np.ndim(mine[2]) == 0 and mine[2]:
