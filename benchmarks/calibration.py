@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +33,10 @@ from motor_classifiers.scoring.ranks import (
     severity_ranks,
     severity_shares,
 )
+from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
+from motor_env.inference.refined import refined_probabilities
+from motor_env.inference.work_features import work_fit
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
 
@@ -43,7 +46,8 @@ SEED, FIRST = 47, 3_000_000_000
 ERROR = 0.001
 """Probability that right posteriors leave any of the bands of one run."""
 
-SHIPPED = "shipped"
+SHIPPED, WORK = "shipped", "operation"
+NETWORKS = (SHIPPED, "field", "bench-full", "reference", WORK)
 SURE, _LOOKED_AT = 0.99, 4
 _FEWEST = 100  # starts of a class whose coverage is told
 
@@ -78,18 +82,40 @@ def network(name: str) -> tuple[PosteriorNetwork, Recipe]:
     return network_of(task.recipe, getattr(task, "n_references", 0)), task.recipe
 
 
+Answers = tuple[Dataset, FloatArray, Callable[[FloatArray], FloatArray]]
+"""Cases, the probability of each class, and what a method sees of cases."""
+
+
+def of_network(name: str, count: int) -> Answers:
+    """By the network of a task."""
+    model, recipe = network(name)
+    cases = referenced_starts(recipe, SEED, FIRST + np.arange(count), model.n_references)
+
+    def sight(X: FloatArray) -> FloatArray:
+        seen: FloatArray = model.posterior_.space(torch.from_numpy(X.reshape(len(X), -1))).numpy()
+        return seen
+
+    return cases, in_recipe_order(model, model.predict_proba(cases.X), recipe), sight
+
+
+def at_work(name: str, count: int) -> Answers:
+    """Of motors at work by the fit, refined by the exact likelihood."""
+    recipe = load_task(name).recipe
+    cases = generate_arrays(recipe, SEED, FIRST + np.arange(count))
+    probabilities, _ = refined_probabilities(recipe, cases.X.astype(np.float64), np.random.default_rng(SEED))
+    return cases, probabilities, lambda X: work_fit(recipe, X).values
+
+
 def of_classes(name: str, n_cases: int, n_draws: int) -> Iterator[Posterior]:
     """Class, and confidence, of the first starts in which a network is not sure.
 
     A right posterior is right given what it saw, and where it is sure, a rank is but a random number.
     """
-    model, recipe = network(name)
-    numbers = FIRST + np.arange(_LOOKED_AT * n_cases)
-    cases = referenced_starts(recipe, SEED, numbers, model.n_references)
-    probabilities = in_recipe_order(model, model.predict_proba(cases.X), recipe)
+    cases, probabilities, sight = (at_work if name == WORK else of_network)(name, _LOOKED_AT * n_cases)
+    recipe = cases.recipe
     unsure = np.flatnonzero(probabilities.max(axis=1) < SURE)[:n_cases]
     probabilities, n_cases = probabilities[unsure], len(unsure)
-    X, truth = cases.X[unsure].reshape(n_cases, -1).astype(np.float64), cases.class_index[unsure]
+    X, truth = cases.X[unsure].astype(np.float64), cases.class_index[unsure]
     generator = np.random.default_rng(SEED)
     uniform = (generator.permutation(n_cases) + 0.5) / n_cases  # even: chance in these numbers tells nothing
     n_classes = probabilities.shape[1]
@@ -113,7 +139,7 @@ def of_classes(name: str, n_cases: int, n_draws: int) -> Iterator[Posterior]:
         for n, label in enumerate(recipe.class_names)
         if (truth == n).sum() >= _FEWEST
     }
-    seen = model.posterior_.space(torch.from_numpy(X)).numpy()
+    seen = sight(X)
     truths, draws = spread(truth), spread(drawn)
     yield Posterior(
         f"{name}: class", class_ranks(probabilities, truth, uniform), covered, truths, draws, seen
@@ -173,8 +199,8 @@ def by_sbi(posteriors: list[Posterior]) -> dict[str, dict[str, float]]:
     return {one.name: row for one, row in zip(told, found, strict=True)}
 
 
-def main(*, networks: tuple[str, ...] = (SHIPPED,), cases: int = 2_000, draws: int = 200) -> None:
-    """Check the severities of the shipped network and the classes of these: `shipped`, or names of tasks."""
+def main(*, networks: tuple[str, ...] = NETWORKS, cases: int = 2_000, draws: int = 200) -> None:
+    """Check the severities of the shipped network and the classes of these: `shipped`, `operation`, or other tasks."""
     posteriors = [
         *of_severities(cases, draws),
         *(one for name in networks for one in of_classes(name, cases, draws)),

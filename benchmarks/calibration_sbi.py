@@ -36,6 +36,7 @@ def tarp(truth: torch.Tensor, draws: torch.Tensor) -> tuple[float, float]:
 
 def lc2st(truth: torch.Tensor, draws: torch.Tensor, seen: torch.Tensor) -> float:
     """Share of observed cases in which the classifier tells truth from draws at a level of 5 %."""
+    torch.manual_seed(SEED)  # of the permutations; the classifiers have a state of their own
     train = slice(OBSERVED, None)
     test = LC2ST(
         prior_samples=truth[train],
@@ -44,7 +45,12 @@ def lc2st(truth: torch.Tensor, draws: torch.Tensor, seen: torch.Tensor) -> float
         seed=SEED,
         num_trials_null=TRIALS,
         z_score=True,
-        classifier_kwargs={"hidden_layer_sizes": (32, 32), "max_iter": 60, "early_stopping": True},
+        classifier_kwargs={
+            "hidden_layer_sizes": (32, 32),
+            "max_iter": 60,
+            "early_stopping": True,
+            "random_state": SEED,
+        },
     )
     test.train_on_observed_data(verbosity=0).train_under_null_hypothesis(verbosity=0)
     told = [test.p_value(draws[:, n], seen[n]) < LEVEL for n in range(OBSERVED)]
