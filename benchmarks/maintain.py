@@ -17,9 +17,8 @@ from cyclopts import run
 from maintain_bounds import clairvoyant_value, maintenance_bound
 
 from motor_env.envs import MaintainOptions, MaintainVectorEnv, PlannedUpkeep, ReplaceFrom
-from motor_env.envs.baselines.evaluation import interval
+from motor_env.envs.baselines.evaluation import interval, returns_of
 from motor_env.envs.baselines.policies import Policy
-from motor_env.envs.maintain.policies import returns_of
 
 RESULTS = Path(__file__).resolve().parent / "results" / "maintain.json"
 TASKS = {"Maintain-v0": MaintainOptions(), "MaintainUnknownRate-v0": MaintainOptions(rate_spread=0.5)}

@@ -26,8 +26,9 @@ from cyclopts import run
 from numpy.typing import NDArray
 from reference_policies import REFERENCES
 
-from motor_env.envs.baselines.evaluation import interval
-from motor_env.envs.offline.behaviours import Player, Uniform
+from motor_env.envs.baselines.evaluation import interval, returns_of
+from motor_env.envs.baselines.policies import Player
+from motor_env.envs.offline.behaviours import Uniform
 from motor_env.motor.parameters import FloatArray
 
 RESULTS = Path(__file__).resolve().parent / "results" / "reference"
@@ -88,18 +89,6 @@ class Agent:
 def vector(name: str, count: int, **options: Any) -> Any:
     """So many sub-environments of an id."""
     return gym.make_vec(f"motor_env/{name}", num_envs=count, **options).unwrapped
-
-
-def returns_of(envs: Any, policy: Player, seed: int) -> FloatArray:
-    """Return of one episode of each sub-environment."""
-    observations, _ = envs.reset(seed=seed)
-    policy.start(envs.num_envs)
-    total, alive = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=np.bool_)
-    while alive.any():
-        observations, rewards, over, _, _ = envs.step(policy.act(observations))
-        total += rewards * alive
-        alive &= ~over
-    return total
 
 
 def constants(space: Any) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from .baselines.belief import (
     ProbeBelief as ProbeBelief,
 )
 from .baselines.evaluation import (
+    returns_of as returns_of,
     run_episodes as run_episodes,
     score as score,
     sweep as sweep,
@@ -52,7 +53,6 @@ from .maintain.options import (
 from .maintain.policies import (
     PlannedUpkeep as PlannedUpkeep,
     ReplaceFrom as ReplaceFrom,
-    returns_of as returns_of,
 )
 from .monitor import (
     MonitorEnv as MonitorEnv,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.baselines.policies import Actions, Policy, ThresholdPolicy
-from motor_env.envs.vector import MotorVectorEnv
+from motor_env.envs.baselines.policies import Actions, Player, Policy, ThresholdPolicy
+from motor_env.envs.vector import MotorVectorEnv, StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
 
@@ -63,6 +63,18 @@ class Score:
     def as_row(self) -> dict[str, float]:
         """The fields by name."""
         return asdict(self)
+
+
+def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
+    """Return of one episode of a policy in each sub-environment, of any family."""
+    observations, _ = envs.reset(seed=seed)
+    policy.start(envs.num_envs)
+    returns, alive = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=np.bool_)
+    while alive.any():
+        observations, rewards, terminated, truncated, _ = envs.step(policy.act(observations))
+        returns += rewards * alive
+        alive &= ~(terminated | truncated)
+    return returns
 
 
 def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:

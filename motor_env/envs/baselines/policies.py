@@ -10,6 +10,7 @@ in the observation. So an environment for these baselines observes `BASELINE_FEA
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,16 @@ def column(setup: Setup, name: str) -> int:
     names = list(setup.observed)
     require(name in names, f"this policy needs the feature {name}; observed are {', '.join(names)}")
     return names.index(name)
+
+
+class Player(Protocol):
+    """What acts in many sub-environments at once."""
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+
+    def act(self, observations: Observations) -> NDArray[Any]:
+        """One action for each."""
 
 
 class Policy(ABC):

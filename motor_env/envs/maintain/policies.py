@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs.baselines.policies import Actions, Observations, Policy
-from motor_env.envs.maintain.environment import MaintainVectorEnv
 from motor_env.envs.maintain.kernel import FEATURES, INSPECT, REPLACE, RUN
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
 from motor_env.motor.parameters import FloatArray
@@ -146,14 +145,3 @@ def _plan(options: MaintainOptions, tables: Tables) -> FloatArray:
             worth[left, INSPECT, rate] = beliefs @ _between(value[rate], exact) - options.inspection_cost
         worth[left, REPLACE] = tables.weights @ worth[left, RUN, :, 0] - options.replacement_cost
     return worth
-
-
-def returns_of(envs: MaintainVectorEnv, policy: Policy, seed: int) -> FloatArray:
-    """Maintain: return of one episode of a policy in each sub-environment."""
-    observations, _ = envs.reset(seed=seed)
-    policy.start(envs.num_envs)
-    returns = np.zeros(envs.num_envs)
-    for _ in range(envs.options.days):
-        observations, rewards, _, _, _ = envs.step(policy.act(observations))
-        returns += rewards
-    return returns

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from motor_env.detection.rules import Cusum
-from motor_env.envs.baselines.policies import Observations, RulePolicy, baseline_features
+from motor_env.envs.baselines.policies import Observations, Player, RulePolicy, baseline_features
 from motor_env.envs.baselines.posterior_policies import BayesPolicy
 from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, WorthTest
 from motor_env.envs.drive.policies import Lqg
@@ -26,16 +26,6 @@ class Behaviour(StrEnum):
     RULE = "rule"
     BEST = "best"
     MIXED = "mixed"
-
-
-class Player(Protocol):
-    """What acts in many sub-environments at once."""
-
-    def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
-
-    def act(self, observations: Observations) -> NDArray[Any]:
-        """One action for each."""
 
 
 class Uniform:

@@ -13,7 +13,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.offline.behaviours import TASKS, Behaviour, Player, Uniform
+from motor_env.envs.baselines.policies import Player
+from motor_env.envs.offline.behaviours import TASKS, Behaviour, Uniform
 from motor_env.errors import InputError, require_extra
 from motor_env.files import filling
 from motor_env.motor.parameters import FloatArray

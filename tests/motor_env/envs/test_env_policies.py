@@ -32,6 +32,7 @@ from motor_env.envs import (
     WorthTest,
     baseline_features,
     kernel,
+    returns_of,
     run_episodes,
     score,
     sweep,
@@ -65,6 +66,14 @@ def test_silence_costs_what_the_truth_says() -> None:
     np.testing.assert_allclose(runs.returns, wanted, atol=1e-4)  # float32 sums 500 costs
     found = score(envs, runs)
     assert found.detected_share == found.false_alarm_share == 0.0
+
+
+def test_returns_are_those_of_the_first_episode_alone_in_every_family() -> None:
+    envs = monitor()
+    policy = RulePolicy(envs.setup, Cusum(0.5, two_sided=True), threshold=8.0)
+    wanted = run_episodes(monitor(), policy, 3)
+    assert 0 < (wanted.steps > 0).sum() < envs.num_envs  # some begin a second episode, some do not end early
+    np.testing.assert_allclose(returns_of(envs, policy, 3), wanted.returns, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["bank", "bank at once", "cusum", "bayes", "open loop", "on demand"])
