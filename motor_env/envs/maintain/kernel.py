@@ -27,7 +27,7 @@ last estimate in levels; whether the bearing failed on the last day."""
 FEATURES = ("estimate", "mean", "std", "risk", "rate", "age", "days_left")
 PARTS = ("reward_failure", "reward_replacement", "reward_inspection")
 MOTORS = 32
-"""Motors of a block: their beliefs fit into the first-level cache."""
+"""Motors of a block. Measured: fewer make the loops short, more make the sums leave the fastest cache."""
 COMPARED = 32
 """Summed probabilities that are compared in one go."""
 _STREAM = np.uint32(Stream.WEAR)
@@ -124,7 +124,10 @@ def _begin_episode(chances: Chances, motors: Motors, n: int) -> None:
 
 @inlined
 def _draw(motors: Motors, first: int, count: int) -> None:
-    """The random numbers of a block's day, all lanes with one instruction: two words and a normal for each."""
+    """The random numbers of a block's day, all lanes with one instruction: two words and a normal for each.
+
+    Rows of the words one by one, not `random_words`: else the compiler does not see that they lie side by side.
+    """
     low, high = motors.words[layout.CASE_LOW, first:], motors.words[layout.CASE_HIGH, first:]
     k0, k1 = motors.words[layout.SEED_LOW, first:], motors.words[layout.SEED_HIGH, first:]
     day, m0, m1 = motors.marks[DAY, first:], motors.drawn[0], motors.drawn[1]

@@ -68,7 +68,7 @@ def test_silence_costs_what_the_truth_says() -> None:
     assert found.detected_share == found.false_alarm_share == 0.0
 
 
-def test_returns_are_those_of_the_first_episode_alone_in_every_family() -> None:
+def test_returns_are_those_of_the_first_episode_alone() -> None:
     envs = monitor()
     policy = RulePolicy(envs.setup, Cusum(0.5, two_sided=True), threshold=8.0)
     wanted = run_episodes(monitor(), policy, 3)

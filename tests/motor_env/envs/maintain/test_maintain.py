@@ -35,6 +35,31 @@ def test_gymnasium_has_nothing_to_say(name: str) -> None:
     assert envs.observation_space.contains(np.ascontiguousarray(observations))
 
 
+def test_a_motor_of_a_later_block_is_a_single_motor_to_the_bit() -> None:
+    count = 2 * kernel.MOTORS + 3  # the last block is not full
+    envs, picked = MaintainVectorEnv(count, SPREAD), [kernel.MOTORS - 1, kernel.MOTORS, count - 1]
+    singles = [MaintainEnv(SPREAD) for _ in picked]
+    observations, _ = envs.reset(seed=8)
+    ours = [env.reset(seed=8, options={"index": n})[0] for n, env in zip(picked, singles, strict=True)]
+    np.testing.assert_array_equal(observations[picked], ours)
+    for actions in np.random.default_rng(1).integers(0, 3, (40, count)):
+        observations = envs.step(actions)[0]
+        ours = [env.step(actions[n])[0] for n, env in zip(picked, singles, strict=True)]
+        np.testing.assert_array_equal(observations[picked], ours)
+
+
+@pytest.mark.parametrize("options", [MaintainOptions(), SPREAD])
+def test_nothing_is_unsure_after_an_inspection(options: MaintainOptions) -> None:
+    envs = MaintainVectorEnv(100, options)
+    envs.reset(seed=6)
+    for _ in range(20):
+        seen = envs.step(np.full(100, kernel.RUN))[0]
+    assert (seen[:, kernel.FEATURES.index("std")] > 0.01).all()
+    seen = envs.step(np.full(100, kernel.INSPECT))[0]
+    assert (seen[:, kernel.FEATURES.index("std")] == 0.0).all()
+    np.testing.assert_allclose(seen[:, 1], seen[:, 0], atol=1e-7)  # mean and estimate
+
+
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 def test_a_vector_is_so_many_single_motors_to_the_bit(mode: str) -> None:
     options, rng = MaintainOptions(days=30, rate_spread=0.5, limit=0.2), np.random.default_rng(0)
