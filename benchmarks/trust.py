@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from cyclopts import run
-from shifts import shift_scores, textbook_shifts, trained_power
+from shifts import shift_scores, textbook_shifts, trained_power, work_shifts
 from sklearn.base import BaseEstimator
 from tables import keep_table
 
@@ -102,6 +102,12 @@ def _moved() -> Iterable[tuple[Recipe, dict[str, Recipe]]]:
     alone = replace(field, timing=replace(field.timing, sampling_rate_hz=1_000.0))
     yield bench(1_000.0), textbook_shifts(bench(1_000.0))
     yield alone, {shift.name: alone.shifted(shift.name) for shift in alone.shifts}
+    work = replace(named_recipe("operation"), starts_per_motor=1, healthy_starts=0)
+    yield work, work_shifts(work)
+
+
+_FIRST = {"field": ("network",), "operation": ("physical-logistic",)}
+"""Methods of the table of shifts, on recipes without a network of their own."""
 
 
 def shifts(n_cases: int) -> Iterable[Iterable[str]]:
@@ -109,13 +115,15 @@ def shifts(n_cases: int) -> Iterable[Iterable[str]]:
     for recipe, conditions in _moved():
         known = cases(recipe, CALIBRATE, n_cases)
         detector = OutsideDetector(recipe).fit()
-        first = (
-            {"network": trained("network", recipe, 8000)}
-            if recipe.field is not None
-            else {"posterior network": network(recipe)}
-        )
-        others = {name: trained(name, recipe, 8000) for name in ("residual-qda", "physical-lda")}
-        for name, model in (first | others).items():
+        at_work, quick = recipe.duty is not None, {}
+        if not at_work:
+            quick = {name: trained(name, recipe, 8000) for name in ("residual-qda", "physical-lda")}
+        first = {name: trained(name, recipe, 8000) for name in _FIRST.get(recipe.name, ())}
+        if not first:
+            first = {"posterior network": network(recipe)}
+        # The best of our quick methods stands for the limit where there is none in closed form.
+        best = partial(trained, "physical-logistic" if at_work else "physical-lda", count=5000)
+        for name, model in (first | quick).items():
             columns = np.searchsorted(model.classes_, known.class_name)
             sets = ConformalSets.calibrate(model.predict_proba(known.X), columns)
             scores = shift_scores(
@@ -124,8 +132,7 @@ def shifts(n_cases: int) -> Iterable[Iterable[str]]:
                 {"as in training": recipe, **conditions},
                 sets=sets,
                 detector=detector,
-                # The best of our quick methods stands for the limit where there is none in closed form.
-                reference=lambda changed: trained("physical-lda", changed, 5000),
+                reference=best,
                 seed=SEED,
                 cases=np.arange(n_cases) + TEST,
             )
@@ -142,6 +149,8 @@ def powers(n_cases: int) -> Iterable[Iterable[str]]:
     """What the detector refuses under each shift, beside a test trained for it, and what it takes to be off."""
     for recipe, conditions in _moved():
         detector = OutsideDetector(recipe).fit()
+        if recipe.duty is not None:
+            n_cases //= 5  # each is a fit
         for name, changed in {"as in training": recipe, **conditions}.items():
             off = detector.what_is_off(cases(changed, TEST, n_cases).X)
             trained = trained_power(recipe, changed, SEED, np.arange(n_cases) + CALIBRATE)

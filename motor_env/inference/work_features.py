@@ -18,7 +18,8 @@ from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
-_STEPS = 6
+_MOST_STEPS = 16
+_ARRIVED = 3.0  # gain of a step, in the objective, below which a fit ends
 _FIRST_DAMPING = 1.0  # relative to the information
 _LEAST_DAMPING = 0.1  # after a step that failed
 _PACE = 0.01  # of differences, relative to a range or a standard deviation
@@ -35,19 +36,19 @@ def _kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
 
 
 def _severities(recipe: Recipe) -> FloatArray:
-    """Severity of each class and kind, in the middle of its range, shape (n_classes, n_kinds)."""
+    """Smallest and largest severity of each class and kind, shape (2, n_classes, n_kinds)."""
     kinds = _kinds(recipe)
-    table = np.zeros((len(recipe.classes), len(kinds)))
-    for row, fault_class in zip(table, recipe.classes, strict=True):
+    table = np.zeros((2, len(recipe.classes), len(kinds)))
+    for row, fault_class in enumerate(recipe.classes):
         for part in fault_class.parts:
             if part.kind in kinds:
-                row[kinds.index(part.kind)] = 0.5 * (part.severity + part.largest_severity)
+                table[:, row, kinds.index(part.kind)] = part.severity, part.largest_severity
     return table
 
 
-def _any_fault(recipe: Recipe) -> FaultClass:
+def any_fault(recipe: Recipe) -> FaultClass:
     """All kinds at once, each of a severity to be found."""
-    largest = _RANGE * _severities(recipe).max(axis=0)
+    largest = _RANGE * _severities(recipe).mean(axis=0).max(axis=0)
     parts = [
         FaultClass(kind, 0.0, severity_to=float(top))
         for kind, top in zip(_kinds(recipe), largest, strict=True)
@@ -55,9 +56,17 @@ def _any_fault(recipe: Recipe) -> FaultClass:
     return replace(parts[0], also=tuple(parts[1:]))
 
 
+def class_positions(recipe: Recipe) -> tuple[FloatArray, FloatArray]:
+    """Severities of each class as coordinates of a fit, and widths of their ranges, both (n_classes, n_kinds)."""
+    tops = np.array([part.largest_severity for part in any_fault(recipe).parts])
+    # The severities stand last, the last part's first.
+    low, high = (_severities(recipe) / tops)[..., ::-1]
+    return 0.5 * (low + high), high - low
+
+
 def work_feature_names(recipe: Recipe) -> tuple[str, ...]:
     """Names of the columns of `work_features`."""
-    names = ClassModel(recipe, _any_fault(recipe)).names
+    names = ClassModel(recipe, any_fault(recipe)).names
     stds = (f"log_std_{name}" for name in names[len(names) - len(_kinds(recipe)) :])
     return (*names, *stds, *(f"log_probability_{name}" for name in recipe.class_names), "log1p_chi2")
 
@@ -92,6 +101,8 @@ class WorkFit(NamedTuple):
 
     Attributes:
         values: most probable coordinates, the severities last, shape (n_cases, size).
+        simulated: where the motor was made linear for them: the best of those simulated, all within their box, shape
+            (n_cases, size).
         covariance: theirs, shape (n_cases, size, size).
         chi2: mean square of what is left over, shape (n_cases,).
         positions: severities of each class in the same coordinates, shape (n_classes, n_kinds).
@@ -99,6 +110,7 @@ class WorkFit(NamedTuple):
     """
 
     values: FloatArray
+    simulated: FloatArray
     covariance: FloatArray
     chi2: FloatArray
     positions: FloatArray
@@ -107,18 +119,27 @@ class WorkFit(NamedTuple):
 
 def work_fit(recipe: Recipe, cases: FloatArray) -> WorkFit:
     """Fit cases, all side by side; arguments as of `work_features`."""
-    fault, n = _any_fault(recipe), len(cases)
-    measured, voltage = cases[:, :-1].reshape(n, -1), cases[:, -1]
-    found, covariance, chi2 = _fitted(recipe, fault, measured, voltage)
+    fault, n = any_fault(recipe), len(cases)
+    model = ClassModel(recipe, fault)
+    size = len(model.names)
+    precision = np.where(np.arange(size) < len(FACTORS), 1.0, _UNIFORM)
+    centre = model.prior[0].copy()
+    centre[-len(fault.parts) :], precision[-len(fault.parts) :] = _BEGIN, _FLAT
+    measured = cases[:, :-1].reshape(n, -1)
+    begin = np.tile(centre, (n, 1))
+    at, information, pull, left = most_probable(
+        model, measured, cases[:, -1], begin=begin, centre=centre, precision=precision, box=model.box
+    )
+    whole = information + np.diag(precision)
+    found = at + np.linalg.solve(whole, (pull + precision * (centre - at))[..., None])[..., 0]
+    covariance = np.linalg.inv(whole)
     kinds = slice(-len(fault.parts), None)
-    tops = np.array([part.largest_severity for part in fault.parts])
-    # The severities stand last, the last part's first.
-    positions = (_severities(recipe) / tops)[:, ::-1]
+    positions, _ = class_positions(recipe)
     away = found[:, None, kinds] - positions
     distance = np.einsum("nci,nij,ncj->nc", away, np.linalg.inv(covariance[:, kinds, kinds]), away)
     with np.errstate(divide="ignore"):  # a class that is never drawn
         logs = log_softmax(np.log(recipe.class_probabilities) - 0.5 * distance, axis=1)
-    return WorkFit(found, covariance, chi2, positions, logs)
+    return WorkFit(found, at, covariance, np.square(left).mean(axis=1), positions, logs)
 
 
 def _features(recipe: Recipe, cases: FloatArray) -> FloatArray:
@@ -129,34 +150,73 @@ def _features(recipe: Recipe, cases: FloatArray) -> FloatArray:
     return np.column_stack([fitted.values, np.log(stds), logs, np.log1p(fitted.chi2)])
 
 
-def _fitted(
-    recipe: Recipe, fault: FaultClass, measured: FloatArray, voltage_v: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coordinates (n, size), their covariance (n, size, size), and mean square of what is left over (n,)."""
-    model, n = ClassModel(recipe, fault), len(measured)
-    size, severities = len(model.names), slice(-len(fault.parts), None)
-    precision = np.where(np.arange(size) < len(FACTORS), 1.0, _UNIFORM)
-    centre = model.prior[0].copy()
-    centre[severities], precision[severities] = _BEGIN, _FLAT
+class Fit(NamedTuple):
+    """Motors at their most probable coordinates.
+
+    Attributes:
+        at: of those simulated, all within the box, the most probable ones, shape (n, size).
+        information: of the readings alone, of a motor linear there, shape (n, size, size).
+        pull: slope of the log likelihood there, shape (n, size).
+        left: what is left over there, in units of the noise, shape (n, n_values).
+    """
+
+    at: FloatArray
+    information: FloatArray
+    pull: FloatArray
+    left: FloatArray
+
+
+def most_probable(
+    model: ClassModel,
+    measured: FloatArray,
+    voltage_v: FloatArray,
+    *,
+    begin: FloatArray,
+    centre: FloatArray,
+    precision: FloatArray,
+    box: FloatArray,
+    most_steps: int = _MOST_STEPS,
+) -> Fit:
+    """Damped Gauss-Newton steps to the most probable coordinates under an independent normal prior.
+
+    Args:
+        model: readings as a function of the coordinates.
+        measured: shape (n, n_values).
+        voltage_v: what was applied, shape (n, n_samples).
+        begin: first coordinates, shape (n, size).
+        centre: means of the prior, shape (size,).
+        precision: inverse variances of the prior, shape (size,).
+        box: smallest and largest coordinates that can be simulated, shape (2, size).
+        most_steps: simulations of each case at the most; one only makes the motor linear.
+    """
+    n, size = begin.shape
     noise = model.whole_noise
     beside = np.concatenate([np.zeros((1, size)), _PACE * np.eye(size)])
-    each = replace(model, voltage_v=np.repeat(voltage_v, len(beside), axis=0))
-    at = trial = np.tile(centre, (n, 1))
-    damping, best = np.full(n, 10.0 * _FIRST_DAMPING), np.full(n, np.inf)
-    left, slopes = np.zeros_like(measured), np.zeros((n, size, measured.shape[1]))
-    for _ in range(_STEPS):
-        read = each.readings((trial[:, None] + beside).reshape(-1, size)).reshape(n, len(beside), -1)
-        error = (measured - read[:, 0]) / noise
-        objective = np.square(error).sum(axis=1) + (precision * np.square(trial - centre)).sum(axis=1)
-        better = objective < best
-        damping = np.where(better, 0.1 * damping, np.maximum(10.0 * damping, _LEAST_DAMPING))
-        at, best = np.where(better[:, None], trial, at), np.minimum(best, objective)
-        left = np.where(better[:, None], error, left)
-        change = (read[:, 1:] - read[:, :1]) / (_PACE * noise)
-        slopes = np.where(better[:, None, None], change, slopes)
-        information = slopes @ slopes.swapaxes(1, 2) + np.diag(precision)
-        pull = np.einsum("njk,nk->nj", slopes, left) + precision * (centre - at)
-        damped = information * (1.0 + damping[:, None, None] * np.eye(size))
-        trial = np.clip(at + np.linalg.solve(damped, pull[..., None])[..., 0], *model.box)
-    found = at + np.linalg.solve(information, pull[..., None])[..., 0]
-    return found, np.linalg.inv(information), np.square(left).mean(axis=1)
+    at, information, pull = begin.copy(), np.zeros((n, size, size)), np.zeros((n, size))
+    trial, best, damping = begin.copy(), np.full(n, np.inf), np.full(n, 10.0 * _FIRST_DAMPING)
+    left = np.zeros_like(measured)
+    going = np.arange(n)
+    for _ in range(most_steps):
+        each = replace(model, voltage_v=np.repeat(voltage_v[going], len(beside), axis=0))
+        read = each.readings((trial[going, None] + beside).reshape(-1, size))
+        read = read.reshape(len(going), len(beside), -1)
+        error = (measured[going] - read[:, 0]) / noise
+        objective = np.square(error).sum(axis=1) + np.square(centre - trial[going]) @ precision
+        gain = best[going] - objective
+        better = gain > 0.0
+        damping[going] = np.where(
+            better, 0.1 * damping[going], np.maximum(10.0 * damping[going], _LEAST_DAMPING)
+        )
+        nearer = going[better]
+        at[nearer], best[nearer], left[nearer] = trial[nearer], objective[better], error[better]
+        slopes = (read[better, 1:] - read[better, :1]) / (_PACE * noise)
+        information[nearer] = slopes @ slopes.swapaxes(1, 2)
+        pull[nearer] = np.einsum("njk,nk->nj", slopes, error[better])
+        whole = information[going] + np.diag(precision)
+        damped = whole * (1.0 + damping[going, None, None] * np.eye(size))
+        force = pull[going] + precision * (centre - at[going])
+        trial[going] = np.clip(at[going] + np.linalg.solve(damped, force[..., None])[..., 0], *box)
+        going = going[~better | (gain > _ARRIVED)]
+        if not len(going):
+            break
+    return Fit(at, information, pull, left)

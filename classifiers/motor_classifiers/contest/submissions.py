@@ -36,7 +36,8 @@ class Card:
         draw: name of the split that is answered (`Task.draw_id`).
         method: name in the table.
         authors: who made the method.
-        about: what it is, and what it learned from.
+        about: what it is.
+        learned_from: what it has seen: "2,000 starts", say.
         link: where its code is.
     """
 
@@ -46,6 +47,7 @@ class Card:
     method: str
     authors: str
     about: str = ""
+    learned_from: str = ""
     link: str = ""
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}
@@ -58,7 +60,7 @@ def write_submission(folder: Path | str, task: DrawnTask, answers: ArrayLike, ca
         folder: of the two files.
         task: that is answered.
         answers: shape (n_test, n_columns) in the order of `task.columns`, of the test cases in their order.
-        card: `method` and `authors`, perhaps `about` and `link`.
+        card: `method` and `authors`, perhaps `about`, `learned_from` and `link`.
 
     Raises:
         InputError: answers that would be refused.

@@ -53,11 +53,11 @@ def _identity(train: Dataset, test: Dataset) -> dict[str, NDArray[Any]]:
     }
 
 
-def export_starts(train: Dataset, test: Dataset, path: Path) -> None:
-    """Write starts to learn from and starts to be judged, as plain arrays."""
+def export_starts(train: Dataset, test: Dataset, path: Path, **more: NDArray[Any]) -> None:
+    """Write starts to learn from and starts to be judged, as plain arrays, and what else a peer learns from."""
     with replacing(path) as temporary:
         facts = {"n_classes": len(test.class_names), "recipe": test.recipe.name, "seed": test.seed}
-        arrays = {name: np.array(value) for name, value in facts.items()} | _identity(train, test)
+        arrays = {name: np.array(value) for name, value in facts.items()} | _identity(train, test) | more
         np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
 
 

@@ -101,7 +101,7 @@ class OpenSetClassifier(ClassifierWrapper):
         off = self.detector_.what_is_off(flat)
         beyond, severity = np.zeros(len(flat), dtype=np.bool_), np.full(len(flat), np.nan)
         recipe, cases = measured_cases(self, flat)
-        if recipe.field is None:
+        if recipe.field is None and recipe.duty is None:
             family = family_fit(recipe, cases)
             beyond = family.out_of_range & (family.distance < _SAME_FAMILY)
             label[beyond], severity[beyond] = family.kind[beyond], family.severity[beyond]

@@ -1,23 +1,25 @@
 """Whether a start is of the world that a recipe knows, and if not, what is off.
 
 Along the few directions in which starts can differ, the recipe's own starts are one normal cloud a class (plus the
-noise), and outside these directions they are noise alone. The distance is the log likelihood ratio of any motor, in any
-surroundings and of any noise above the known one, to the recipe (Neyman & Pearson 1933). Its threshold is the quantile
-of fresh starts of the recipe. What is off is the one departure that, added to the recipe, explains the start best.
+noise), and outside these directions they are noise alone. Of motors at work the same is true around the fit of each
+record (`work_world`). The distance is the log likelihood ratio of any motor, in any surroundings and of any noise above
+the known one, to the recipe (Neyman & Pearson 1933). Its threshold is the quantile of fresh starts of the recipe. What
+is off is the one departure that, added to the recipe, explains the start best.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, OutlierMixin
 
 from motor_classifiers.estimators.cases import fitting_recipe, flat_cases, measured_cases, values_of_start
-from motor_classifiers.wrappers.world import CLOUD, Coordinates, Levels, World, noise_variances, single_starts
+from motor_classifiers.wrappers.work_world import WorkWorld
+from motor_classifiers.wrappers.world import Levels, World
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
 
@@ -34,7 +36,27 @@ ADVICE = {
 }
 """What can be off, and what to do."""
 
-_CALIBRATION = 10_000
+
+class Knowledge(Protocol):
+    """What is known of a recipe: `World` for starts, `WorkWorld` for motors at work, each with its own coordinates."""
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the energy."""
+
+    def coordinates(self, flat: FloatArray) -> Any:
+        """A named tuple of arrays, one row a case, `energy` among them."""
+
+    def fresh(self, level: float) -> Any:
+        """The same of fresh cases of the recipe at so many times the noise's variance."""
+
+    def distance(self, at: Any, levels: Levels) -> FloatArray:
+        """How foreign, shape (n,); `levels` of the noise's variance are those that the recipe allows."""
+
+    def off(self, at: Any, levels: Levels) -> NDArray[Any]:
+        """What is off, shape (n,)."""
+
+
 _QUIETEST = 1e-6
 _LEVELS = 8  # of a noise that is not known
 
@@ -62,7 +84,7 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         """Set the threshold on the given starts of the known classes, or on fresh ones of the recipe.
 
         Raises:
-            ValueError: a rate outside (0, 1), a recipe of motors at work, or starts of another length.
+            ValueError: a rate outside (0, 1), or starts of another length.
         """
         rate = self.false_alarm_rate
         require(0.0 < rate < 1.0, f"false_alarm_rate must lie between 0 and 1, got {rate:g}")
@@ -73,7 +95,7 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         low, high = self._variances
         levels = np.geomspace(low, high, 1 if low == high else _LEVELS)
         self.levels_ = np.log(levels)
-        starts = map(self._fresh, levels) if given is None else (self._at(given) for _ in levels)
+        starts = map(self._world.fresh, levels) if given is None else (self._at(given) for _ in levels)
         distances = [self._world.distance(own, (low, high)) for own in starts]
         self.offset_ = np.array([np.quantile(-distance, rate) for distance in distances])
         return self
@@ -96,10 +118,10 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         foreign = self._over(at) < 0.0
         names = np.full(len(foreign), "", dtype=object)
         if foreign.any():
-            names[foreign] = self._world.off(Coordinates(*(part[foreign] for part in at)), self._variances)
+            names[foreign] = self._world.off(type(at)(*(part[foreign] for part in at)), self._variances)
         return names
 
-    def _over(self, at: Coordinates) -> FloatArray:
+    def _over(self, at: Any) -> FloatArray:
         level = np.maximum(at.energy / self._world.freedom, _QUIETEST)
         threshold = np.interp(np.log(level), self.levels_, self.offset_)
         over: FloatArray = -self._world.distance(at, self._variances) - threshold
@@ -111,22 +133,14 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         return low**2, high**2
 
     @property
-    def _world(self) -> World:
+    def _world(self) -> Knowledge:
         return _world(fitting_recipe(self.recipe, self.n_features_in_))
 
-    def _at(self, X: Any) -> Coordinates:
+    def _at(self, X: Any) -> Any:
         _, cases = measured_cases(self, X)
         return self._world.coordinates(cases.reshape(len(cases), -1))
 
-    def _fresh(self, level: float) -> Coordinates:
-        """Starts of the recipe, other ones than those of the clouds, at so many times the noise's variance."""
-        recipe = fitting_recipe(self.recipe, self.n_features_in_)
-        single = single_starts(recipe)
-        silent, class_index = self._world.silent(single, CLOUD, _CALIBRATION)
-        noise = noise_variances(single)[class_index]
-        return self._world.noisy(silent, level * noise)
-
 
 @lru_cache(maxsize=4)
-def _world(recipe: Recipe) -> World:
-    return World.from_recipe(recipe)
+def _world(recipe: Recipe) -> Knowledge:
+    return World.from_recipe(recipe) if recipe.duty is None else WorkWorld.from_recipe(recipe)

@@ -19,11 +19,12 @@ from motor_env.simulation.disturbances import PRIORS, Field
 from motor_env.simulation.drawing import apply_factors
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe, Spread
 
-_SEED = 0xFA318  # of the clouds and of the threshold; no data set is drawn with it
+SEED = 0xFA318  # of the clouds and of the threshold; no data set is drawn with it
 CLOUD = 6_000  # starts behind the clouds
-_ANYWHERE = 0.1  # variance of any surroundings, relative to that of the departures that are named
-_WIDER = 4.0  # variance of any motor, relative to that of all the recipe's starts
-_SIZES = {"offset": 0.005, "gain": 0.02, "warmth": 20.0, "load": 0.5, "severity": 0.10, "another motor": 0.10}
+_CALIBRATION = 10_000
+ANYWHERE = 0.1  # variance of any surroundings, relative to that of the departures that are named
+WIDER = 4.0  # variance of any motor, relative to that of all the recipe's starts
+SIZES = {"offset": 0.005, "gain": 0.02, "warmth": 20.0, "load": 0.5, "severity": 0.10, "another motor": 0.10}
 _RAMP = 5.0  # electrical time constants
 _HEALTHY = FaultClass()
 
@@ -81,6 +82,7 @@ class World:
     """What a recipe's starts look like, and what starts look like where something is off.
 
     Attributes:
+        recipe: what motors are drawn from, one start each.
         nominal: start of the nominal motor, shape (n_values,).
         noise: standard deviation of each value's noise, shape (n_values,).
         directions: orthonormal in units of the noise, shape (n_directions, n_values).
@@ -89,6 +91,7 @@ class World:
         departures: the recipe's starts with one departure, by its name.
     """
 
+    recipe: Recipe
     nominal: FloatArray
     noise: FloatArray
     directions: FloatArray
@@ -101,9 +104,10 @@ class World:
         """The clouds of so many simulated starts.
 
         Raises:
-            ValueError: a recipe of motors at work, or of failed sensors.
+            ValueError: a recipe of motors at work (`work_world`), or of failed sensors.
         """
         recipe.require_motor_faults()
+        recipe.require_step()
         single = single_starts(recipe)
         space = SignalSpace.from_recipe(single, None, sees_noise=True)
         nominal, noise, directions = (
@@ -114,11 +118,11 @@ class World:
             left = row - directions.T @ (directions @ row)
             if len(directions) < len(noise) - 1 and np.linalg.norm(left) > 1e-6 * np.linalg.norm(row):
                 directions = np.vstack([directions, left / np.linalg.norm(left)])
-        first = cls(nominal, noise, directions, *(_NO_CLOUD,) * 2, {})
+        first = cls(single, nominal, noise, directions, *(_NO_CLOUD,) * 2, {})
         (at, _), family = first.silent(single, 0, CLOUD)
         own = clouds(single, at, family)
         spread = {name: (rows @ directions.T).T @ (rows @ directions.T) for name, rows in signatures.items()}
-        wide = _WIDER * np.atleast_2d(np.cov(at.T)) + _ANYWHERE * sum(spread.values())
+        wide = WIDER * np.atleast_2d(np.cov(at.T)) + ANYWHERE * sum(spread.values())
         one = np.zeros(1)
         anything = Cloud(one, at.mean(axis=0)[None], wide[None], own.noise.min() + one)
         departures = {name: own._replace(covariance=own.covariance + extra) for name, extra in spread.items()}
@@ -126,7 +130,7 @@ class World:
 
     def silent(self, recipe: Recipe, begin: int, count: int) -> tuple[Coordinates, NDArray[np.int64]]:
         """Starts of the recipe without noise, and their classes."""
-        family = generate_arrays(_silent(recipe), _SEED, np.arange(begin, begin + count))
+        family = generate_arrays(_silent(recipe), SEED, np.arange(begin, begin + count))
         return self.coordinates(family.X.reshape(count, -1).astype(np.float64)), family.class_index
 
     def coordinates(self, flat: FloatArray) -> Coordinates:
@@ -155,12 +159,14 @@ class World:
         found: NDArray[Any] = names[np.argmax(ratios, axis=0)]
         return found
 
-    def noisy(self, silent: Coordinates, noise: FloatArray) -> Coordinates:
-        """Coordinates of silent starts with a noise of this variance, shape (n,), relative to the recipe's.
+    def fresh(self, level: float) -> Coordinates:
+        """Starts of the recipe, other ones than those of the clouds, at so many times the noise's variance.
 
         White noise is white along the directions; outside them only its squares matter.
         """
-        generator = np.random.default_rng(_SEED)
+        silent, class_index = self.silent(self.recipe, CLOUD, _CALIBRATION)
+        noise = level * noise_variances(self.recipe)[class_index]
+        generator = np.random.default_rng(SEED)
         std = np.sqrt(noise)
         along = silent.along + std[:, None] * generator.standard_normal(silent.along.shape)
         first = np.sqrt(silent.energy) + std * generator.standard_normal(len(std))
@@ -217,19 +223,19 @@ def _signatures(recipe: Recipe) -> dict[str, FloatArray]:
             classes=(fault,),
             field=replace(calm, **values),  # type: ignore[arg-type]  # names of ranges
         )
-        return generate_arrays(other, _SEED, 1).X.reshape(1, -1).astype(np.float64)
+        return generate_arrays(other, SEED, 1).X.reshape(1, -1).astype(np.float64)
 
     usual = start()
-    faults = [FaultClass(kind, _SIZES["severity"]) for kind in recipe.kinds if kind.motor_powers]
+    faults = [FaultClass(kind, SIZES["severity"]) for kind in recipe.kinds if kind.motor_powers]
     signatures = {
-        "offset": start(sensor_offset_a=_SIZES["offset"] * float(np.abs(usual).max())),
-        "gain": start(sensor_gain=_SIZES["gain"]),
+        "offset": start(sensor_offset_a=SIZES["offset"] * float(np.abs(usual).max())),
+        "gain": start(sensor_gain=SIZES["gain"]),
         "ramp": start(ramp_s=_RAMP * float(recipe.motor.inductance_h / recipe.motor.resistance_ohm)),
-        "warmth": start(temperature_rise_k=_SIZES["warmth"]),
-        "load": start(load_ratio=_SIZES["load"]),
+        "warmth": start(temperature_rise_k=SIZES["warmth"]),
+        "load": start(load_ratio=SIZES["load"]),
         "severity": np.concatenate([usual, *(start(fault=fault) for fault in faults)])[1:],
         "another motor": np.concatenate(
-            [start(1.0 + _SIZES["another motor"] * row) for row in np.eye(len(FACTORS))]
+            [start(1.0 + SIZES["another motor"] * row) for row in np.eye(len(FACTORS))]
         ),
     }
     return {name: rows - usual for name, rows in signatures.items()}

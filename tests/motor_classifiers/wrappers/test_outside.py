@@ -32,7 +32,7 @@ def test_a_cloud_is_a_normal_distribution_of_whole_starts() -> None:
     covariance = factor @ factor.swapaxes(1, 2)
     noise, nominal = rng.uniform(0.5, 2.0, 7), rng.normal(size=7)
     cloud = Cloud(np.log([0.3, 0.7]), mean, covariance, np.array([1.0, 1.5]))
-    world = World(nominal, noise, directions, cloud, cloud, {})
+    world = World(BENCH, nominal, noise, directions, cloud, cloud, {})
     X = nominal + noise * rng.normal(size=(5, 7))
     level = 2.0
     joint = [

@@ -1,0 +1,123 @@
+"""Error against the number of starts learned from, peers with an hour each among them: `python benchmarks/scaling.py`.
+
+`enter [TASK/METHOD/N ...]` trains, answers and scores, as anybody's submission is scored; what is kept in
+benchmarks/results/scaling is not done again. Networks and MiniRocket need `make .venv-bench/.ready peers`. `page` draws
+the picture and writes the table. N counts the first training starts of the task, however many there are; the largest
+N of a peer takes an hour of CPU time or what memory holds.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from cyclopts import run
+from peers import command, environment
+
+from motor_classifiers.contest.submissions import score_submission, write_submission
+from motor_classifiers.contest.tasks import load_task
+from motor_classifiers.scoring.judging import judge
+from motor_classifiers.scoring.peers import PEERS, export_starts
+from motor_classifiers.scoring.task import ClassTask
+from motor_datasets.arrays import Dataset
+from motor_env.files import replacing, write_text
+from motor_env.motor.parameters import FloatArray
+
+FOLDER = Path(__file__).resolve().parent
+KEPT = FOLDER / "results" / "scaling"
+TASKS = ("bench", "field", "operation")
+SIZES = (500, 2_000, 8_000, 32_000)
+CPU_S = dict(zip(SIZES, (40, 120, 240, 600), strict=True))
+HOUR_S = 3600
+ABOUT = {
+    "npe": (
+        "sbi",
+        "Mixed neural posterior estimation of sbi, its embedding network chosen on starts held back",
+    ),
+    "convolution": ("torch", "Residual convolutional network in torch, chosen on starts held back"),
+    "minirocket": ("aeon", PEERS["minirocket"]),
+    "support_vectors": ("scikit-learn", "20 principal components, support vector machine."),
+    "physical-logistic": ("motor-env", "Fitted motor parameters and residual, logistic regression"),
+}
+MOST = {"npe": 200_000, "convolution": 200_000, "minirocket": 32_000}
+"""Starts of the largest training of each peer."""
+
+
+def entries() -> list[str]:
+    """Every entry as TASK/METHOD/N, the largest ones first."""
+    large = [f"{task}/{method}/{MOST[method]}" for task in reversed(TASKS) for method in MOST]
+    small = [f"{task}/{method}/{n}" for n in SIZES for task in TASKS for method in ABOUT]
+    return list(dict.fromkeys([*large, *small]))
+
+
+def _theta(train: Dataset) -> FloatArray:
+    """What NPE estimates beside the class: where the faults sit."""
+    names = ("resistance_ohm", "viscous_friction_n_m_s_per_rad")
+    return np.log(np.column_stack([train.parameters[name] for name in names]))
+
+
+def _apart(task: ClassTask, method: str) -> tuple[FloatArray, dict[str, Any]]:
+    """Answers of a peer in its own environment, and what they took."""
+    with tempfile.TemporaryDirectory() as folder:
+        cases, target = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
+        train = task.train()
+        export_starts(train, task.starts(), cases, theta=_theta(train))
+        del train
+        call = command(cases, target, method)
+        if method != "minirocket":
+            seconds = CPU_S.get(task.n_train, HOUR_S)
+            script = [FOLDER.parent / ".venv-bench" / "bin" / "python", FOLDER / "network_peers.py"]
+            call = [str(each) for each in (*script, cases, target, method, seconds)]
+        subprocess.run(call, env=environment(), check=True)
+        with np.load(target) as arrays:
+            facts: dict[str, Any] = json.loads(str(arrays["facts"]))
+            if method == "minirocket":
+                return arrays[method].astype(np.float64), facts["methods"][method]
+            return arrays["probabilities"].astype(np.float64), facts
+
+
+def enter(entry: str) -> None:
+    """Make one entry: answers, and their score."""
+    name, method, n = entry.split("/")
+    path = KEPT / name / f"{method}-{n}.json"
+    if path.is_file():
+        return
+    whole = load_task(name)
+    assert isinstance(whole, ClassTask)
+    task, facts = replace(whole, n_train=int(n)), dict[str, Any]()
+    if method in MOST:
+        shares, facts = _apart(task, method)
+    else:
+        full = method if method == "physical-logistic" else f"{FOLDER / 'sklearn_methods.py'}:{method}"
+        answer = judge(full, task, 0)
+        shares, facts = answer.probabilities, {"cpu_s": round(answer.train.seconds)}
+    authors, about = ABOUT[method]
+    shares = shares / shares.sum(axis=1, keepdims=True)
+    card = {"method": method, "authors": authors, "about": about, "learned_from": f"{int(n):,} starts"}
+    if int(n) > whole.n_train:
+        card["method"] += f", {int(n):,} starts"
+    with tempfile.TemporaryDirectory() as folder:
+        write_submission(folder, whole, shares, card)
+        scored = score_submission(folder) | {"n_train": int(n), "training": facts}
+    if int(n) == MOST.get(method):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path.with_suffix(".npz")) as temporary:
+            np.savez_compressed(temporary, probabilities=shares.astype(np.float16))
+    write_text(path, json.dumps(scored, indent=1) + "\n")
+    print(f"{entry}: {scored['value']:.2f}", file=sys.stderr, flush=True)
+
+
+def main(what: Literal["enter"], /, *entry: str) -> None:
+    """Make the entries that are missing."""
+    for each in entry or entries():
+        enter(each)
+
+
+if __name__ == "__main__":
+    run(main)
