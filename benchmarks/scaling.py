@@ -18,7 +18,9 @@ from typing import Any, Literal
 
 import numpy as np
 from cyclopts import run
+from matplotlib.figure import Figure
 from peers import command, environment
+from tables import keep_table
 
 from motor_classifiers.contest.submissions import score_submission, write_submission
 from motor_classifiers.contest.tasks import load_task
@@ -28,6 +30,7 @@ from motor_classifiers.scoring.task import ClassTask
 from motor_datasets.arrays import Dataset
 from motor_env.files import replacing, write_text
 from motor_env.motor.parameters import FloatArray
+from motor_env.plotting import drawing, save
 
 FOLDER = Path(__file__).resolve().parent
 KEPT = FOLDER / "results" / "scaling"
@@ -45,8 +48,11 @@ ABOUT = {
     "support_vectors": ("scikit-learn", "20 principal components, support vector machine."),
     "physical-logistic": ("motor-env", "Fitted motor parameters and residual, logistic regression"),
 }
+PICTURE = FOLDER.parent / "docs" / "images" / "scaling.svg"
+TICKS = (5, 10, 20, 40, 80)
+Scored = dict[str, Any]
 MOST = {"npe": 200_000, "convolution": 200_000, "minirocket": 32_000}
-"""Starts of the largest training of each peer."""
+"""Starts of the largest training of each peer: those that an hour shows often enough, or that memory holds."""
 
 
 def entries() -> list[str]:
@@ -113,8 +119,101 @@ def enter(entry: str) -> None:
     print(f"{entry}: {scored['value']:.2f}", file=sys.stderr, flush=True)
 
 
-def main(what: Literal["enter"], /, *entry: str) -> None:
-    """Make the entries that are missing."""
+def kept() -> dict[str, dict[str, dict[int, Scored]]]:
+    """What is kept, by task, method and number of starts."""
+    found: dict[str, dict[str, dict[int, Scored]]] = {}
+    for path in sorted(KEPT.glob("*/*.json")):
+        scored = json.loads(path.read_bytes())
+        method = path.stem.rpartition("-")[0]
+        found.setdefault(scored["task"], {}).setdefault(method, {})[scored["n_train"]] = scored
+    return found
+
+
+def board_rows() -> dict[str, list[Scored]]:
+    """What belongs on the leaderboard, by task: the training starts of the task, and the most of each peer."""
+    frozen = {name: load_task(name) for name in TASKS}
+    return {
+        name: [
+            scored
+            for method, by_size in methods.items()
+            for n, scored in by_size.items()
+            if method in MOST and n in (frozen[name].n_train, MOST[method])
+        ]
+        for name, methods in kept().items()
+    }
+
+
+def best_possible(name: str) -> tuple[float, float]:
+    """Between which errors the best possible lies, %, and the error of the posterior network where it has a score."""
+    task = load_task(name)
+    known = json.loads((FOLDER / "leaderboard" / "bench" / "posterior-network.json").read_bytes())
+    return task.bracket or (known["limit"], known["limit"])
+
+
+def draw(path: Path) -> None:
+    """Error against the number of starts, a panel a task."""
+    every = kept()
+    with drawing():
+        figure = Figure(figsize=(12.0, 4.6), layout="constrained")
+        panels = figure.subplots(1, len(every), squeeze=False)[0]
+        for panel, (name, methods) in zip(panels, every.items(), strict=True):
+            for method in ABOUT:
+                sizes = sorted(methods.get(method, {}))
+                rows = [methods[method][n] for n in sizes]
+                values = [row["value"] for row in rows]
+                reach = [
+                    [row["value"] - row["low"] for row in rows],
+                    [row["high"] - row["value"] for row in rows],
+                ]
+                panel.errorbar(sizes, values, reach, marker="o", markersize=3.5, linewidth=1.6, label=method)
+            low, high = best_possible(name)
+            panel.axhspan(low - 0.1, high + 0.1, color="0.6", label="best possible")
+            panel.set(xscale="log", yscale="log", title=name, xlabel="starts learned from")
+            panel.set_yticks(TICKS, [f"{tick:g}" for tick in TICKS], minor=False)
+            panel.minorticks_off()
+            panel.set_ylim(0.85 * low, 85.0)
+        panels[0].set_ylabel("error rate, %")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=len(labels), frameon=False, fontsize="small"
+        )
+        save(figure, path)
+
+
+def page() -> None:
+    """Draw the picture, and keep the table of the largest trainings."""
+    draw(PICTURE)
+    rows = []
+    for name, methods in kept().items():
+        low, high = best_possible(name)
+        for method, n in MOST.items():
+            if n in methods.get(method, {}):
+                one = methods[method][n]
+                facts = one["training"]
+                value = f"{one['value']:.2f} ({one['low']:.2f} to {one['high']:.2f})"
+                rows.append(
+                    [
+                        name, method, f"{n:,}", f"{facts.get('cpu_s', facts.get('train_s')) / 60.0:.0f}", value,
+                        f"{low:.2f}" if low == high else f"{low:.2f} to {high:.2f}", facts.get("chosen", ""),
+                    ]
+                )  # fmt: skip
+    header = (
+        "task",
+        "peer",
+        "starts",
+        "CPU minutes",
+        "error rate, %",
+        "best possible",
+        "chosen on starts held back",
+    )
+    keep_table("leaderboard", "hour", header, rows)
+
+
+def main(what: Literal["enter", "page"], /, *entry: str) -> None:
+    """Make the entries that are missing, or the picture and the table of what is there."""
+    if what == "page":
+        page()
+        return
     for each in entry or entries():
         enter(each)
 

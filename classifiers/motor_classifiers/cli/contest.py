@@ -94,7 +94,14 @@ def submit(
     with Console(stderr=True).status(f"training {method}"):
         answers = judge(method, asked, seed).probabilities
     name = method.rpartition(":")[2]
-    card = {"method": name, "authors": authors, "about": about or chosen.title, "link": link}
+    seen = "fresh starts of the recipe" if chosen.from_stream else f"{asked.n_train:,} starts"
+    card = {
+        "method": name,
+        "authors": authors,
+        "about": about or chosen.title,
+        "learned_from": seen,
+        "link": link,
+    }
     write_submission(out, asked, answers, card)
     print(f"{name} on task {task}: {len(answers)} cases answered: {out}")
     return 0

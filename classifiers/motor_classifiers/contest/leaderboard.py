@@ -82,6 +82,7 @@ def page(scores: dict[str, list[Scored]]) -> str:
             "by",
             task.metric,
             *(["above the best possible"] if known else []),
+            "learned from",
             "what it is",
         ]
         parts.append(f"## {name}\n\n{task.title}. {task.n_test} cases, motor-bench {VERSION}.{best}\n")
@@ -90,7 +91,15 @@ def page(scores: dict[str, list[Scored]]) -> str:
             value = f"{one['value']:.2f} ({one['low']:.2f} to {one['high']:.2f})"
             names = ("above_limit", "above_limit_low", "above_limit_high")
             above = ["{:.2f} ({:.2f} to {:.2f})".format(*(one[each] for each in names))] if known else []
-            cells = [str(rank), one["method"], one["authors"], value, *above, one["about"]]
+            cells = [
+                str(rank),
+                one["method"],
+                one["authors"],
+                value,
+                *above,
+                one["learned_from"],
+                one["about"],
+            ]
             parts.append(f"| {' | '.join(_plain(cell) for cell in cells)} |")
         parts.append("")
     return "\n".join(parts).replace("-0.00", "0.00")

@@ -1,6 +1,7 @@
 """Records of motors at work that a recipe does not explain are refused, and what is off in them is named."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe
 
 OPERATION = replace(load_recipe("operation"), starts_per_motor=1, healthy_starts=0)
+assert OPERATION.field is not None
+FIELD = OPERATION.field
 WORLD = WorkWorld.from_recipe(OPERATION)
 KNOWN = generate_arrays(OPERATION, 31, 600)
 
@@ -87,9 +90,8 @@ def test_the_recipe_and_its_departures() -> None:
 
 
 def test_a_recipe_that_knows_offsets_does_not_refuse_them() -> None:
-    assert OPERATION.field is not None
     knows = WorkWorld.from_recipe(
-        replace(OPERATION, field=replace(OPERATION.field, sensor_offset_a=(-0.05, 0.05)), shifts=())
+        replace(OPERATION, field=replace(FIELD, sensor_offset_a=(-0.05, 0.05)), shifts=())
     )
     assert knows.known[list(knows.model.names).index("sensor_offset_a")]
 
@@ -104,16 +106,16 @@ def test_one_in_a_hundred_of_its_own_records_is_refused(detector: OutsideDetecto
     ("off", "changes", "least"),
     [
         ("noise", {"sensor": OPERATION.sensor.with_noise(2.0)}, 0.95),
-        ("offset", {"field": {"sensor_offset_a": (0.02, 0.02)}}, 0.95),
-        ("gain", {"field": {"sensor_gain": (1.03, 1.03)}}, 0.6),
-        ("load", {"field": {"load_ratio": (1.5, 2.0)}}, 0.5),
+        ("offset", {"field": replace(FIELD, sensor_offset_a=(0.02, 0.02))}, 0.95),
+        ("gain", {"field": replace(FIELD, sensor_gain=(1.03, 1.03))}, 0.6),
+        ("load", {"field": replace(FIELD, load_ratio=(1.5, 2.0))}, 0.5),
         ("another motor", {"classes": (FaultClass(FaultKind.WINDING_SHORT, 0.10),)}, 0.9),
     ],
     ids=lambda part: part if isinstance(part, str) else "",
 )
-def test_what_is_off_is_named(detector: OutsideDetector, off: str, changes: dict, least: float) -> None:
-    if isinstance(changes.get("field"), dict):
-        changes = {"field": replace(OPERATION.field, **changes["field"])}
+def test_what_is_off_is_named(
+    detector: OutsideDetector, off: str, changes: dict[str, Any], least: float
+) -> None:
     named = detector.what_is_off(generate_arrays(replace(OPERATION, **changes), 6, 120).X)
     assert (named == off).mean() >= least
     assert set(named.tolist()) <= {"", *ADVICE}
