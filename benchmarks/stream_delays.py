@@ -7,9 +7,11 @@ streams are those of the task; its score weighs both by one price, the curves le
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 from cyclopts import run
+from matplotlib.figure import Figure
 from tables import keep_table
 
 from motor_classifiers.contest.questions import StreamTask
@@ -19,10 +21,13 @@ from motor_classifiers.scoring.score import score
 from motor_env import Cusum, Glr, TolerantFilter
 from motor_env.detection.rules.base import Rule, first_above
 from motor_env.motor.parameters import FloatArray
+from motor_env.plotting import drawing, save
 
 RULES: dict[str, Rule] = {"CUSUM": Cusum(0.2), "CUSUM, larger shift": Cusum(0.5), "GLR": Glr(10, 700)}
 SHARES = (0.01, 0.02, 0.05, 0.10)
 N_LEVELS = 400
+PICTURE = Path(__file__).parents[1] / "docs" / "images" / "stream_delays.svg"
+DRAWN, TICKS = (0.005, 0.25), (0.5, 1, 2, 5, 10, 20)
 
 Curves = dict[str, tuple[FloatArray, FloatArray]]
 """Thresholds, and what `judged` says at each, by rule."""
@@ -70,11 +75,30 @@ def at_equal_false_alarms(task: StreamTask, curves: Curves) -> Iterable[list[str
             ]  # fmt: skip
 
 
+def draw(curves: Curves, path: Path) -> None:
+    """Delay of the right alarms, and faults without one, against the share of false alarms."""
+    with drawing():
+        figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+        delay, missed = figure.subplots(1, 2)
+        for name, (_, told) in curves.items():
+            shown = (told[:, 0] >= DRAWN[0]) & (told[:, 0] <= DRAWN[1])
+            percent = 100.0 * told[shown, 0]
+            delay.plot(percent, 1e3 * told[shown, 1], label=name)
+            missed.plot(percent, 100.0 * told[shown, 2])
+        for axis, label in ((delay, "mean delay, ms"), (missed, "faults without an alarm in time, %")):
+            axis.set(xscale="log", xlabel="streams with a false alarm, %", ylabel=label)
+            axis.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
+            axis.set_ylim(bottom=0.0)
+        figure.legend(loc="outside lower center", ncols=len(curves), frameon=False)
+        save(figure, path)
+
+
 def main() -> None:
-    """Write the table."""
+    """Draw the curves, and write the table."""
     task = load_task("stream")
     assert isinstance(task, StreamTask)
     curves = {name: curve(task, rule) for name, rule in RULES.items()}
+    draw(curves, PICTURE)
     header = ("false alarms", "rule", "mean delay", "no alarm in time", "score of the task")
     keep_table("calibration", "stream", header, at_equal_false_alarms(task, curves))
 

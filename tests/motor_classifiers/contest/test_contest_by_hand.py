@@ -226,10 +226,12 @@ def test_a_page_has_what_stands_above_the_limit(tmp_path: Path, monkeypatch: pyt
     costs = (np.arange(120) % 10 == 0).astype(float)
     text = page({"bench": [kept("mine", costs, **above)]})
     assert "120 cases, motor-bench 1.0. The best possible on the same cases: 4.50." in text
-    assert "| rank | method | by | error rate, % | above the best possible | what it is |" in text
-    assert "| 1 | mine | who | 10.00 (9.00 to 11.50) | 5.25 (0.00 to 7.12) | what |" in text
+    assert (
+        "| rank | method | by | error rate, % | above the best possible | learned from | what it is |" in text
+    )
+    assert "| 1 | mine | who | 10.00 (9.00 to 11.50) | 5.25 (0.00 to 7.12) | 2,000 starts | what |" in text
     plain = page({"bench": [kept("mine", costs)]})
-    assert "| 1 | mine | who | 10.00 (9.00 to 11.50) | what |" in plain
+    assert "| 1 | mine | who | 10.00 (9.00 to 11.50) | 2,000 starts | what |" in plain
     assert "above the best" not in plain
     bracketed = {"bench": replace(load_task("bench"), bracket=(4.0, 5.0))}
     with monkeypatch.context() as patch:

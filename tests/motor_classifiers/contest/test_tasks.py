@@ -257,6 +257,7 @@ def test_commands_make_answer_and_score_a_sealed_split(
     assert "the best possible on the same cases" in capsys.readouterr().out
     scored = json.loads((kept / "bench" / "residual-qda.json").read_text())
     assert scored["value"] < 40.0
+    assert scored["learned_from"] == f"{sealed.n_train:,} starts"
     assert main(["score", str(mine), *options, "--json"]) == 0
     printed = capsys.readouterr().out
     follows("motor-classifiers score", printed)
