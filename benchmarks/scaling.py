@@ -51,7 +51,7 @@ ABOUT = {
 PICTURE = FOLDER.parent / "docs" / "images" / "scaling.svg"
 TICKS = (5, 10, 20, 40, 80)
 Scored = dict[str, Any]
-MOST = {"npe": 200_000, "convolution": 200_000, "minirocket": 32_000}
+MOST = {"npe": 1_000_000, "convolution": 1_000_000, "minirocket": 32_000}
 """Starts of the largest training of each peer: those that an hour shows often enough, or that memory holds."""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -206,7 +207,7 @@ def trained_power(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.
 
 def _power_at_work(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.int64]) -> float:
     (own, own_test), (theirs, test) = (
-        [_work_features(recipe, one, seed, cases + first) for first in (0, 1_000_000)]
+        [_work_features(recipe, one, seed, int(cases[0]) + first, len(cases)) for first in (0, 1_000_000)]
         for one in (recipe, changed)
     )
     powers = []
@@ -220,8 +221,9 @@ def _power_at_work(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np
     return max(powers)
 
 
-def _work_features(recipe: Recipe, drawn: Recipe, seed: int, cases: NDArray[np.int64]) -> FloatArray:
-    X = generate_arrays(drawn, seed, cases).X.astype(np.float64)
+@cache
+def _work_features(recipe: Recipe, drawn: Recipe, seed: int, first: int, count: int) -> FloatArray:
+    X = generate_arrays(drawn, seed, np.arange(first, first + count)).X.astype(np.float64)
     return np.clip(work_features(recipe, X), -30.0, 30.0)
 
 
