@@ -32,7 +32,7 @@ def _tasks() -> dict[str, DrawnTask]:
         ClassTask("bench", "Which of five classes: tolerances, current alone, 10 kHz", recipe=bench),
         ClassTask("bench-full", "Which of nine classes: all kinds of faults", recipe=full),
         ClassTask("field", friction, bracket=(16.29, 16.97), recipe=field),
-        ClassTask("operation", at_work, bracket=(18.72, 20.17), recipe=operation),
+        ClassTask("operation", at_work, bracket=(18.68, 20.16), recipe=operation),
         ReferenceTask(
             "reference", "Which class, with one healthy start of the same motor", 2000, recipe=bench
         ),

@@ -27,7 +27,8 @@ _SURE = 1e-6  # variance of a coordinate that is known
 _UNIFORM = 1.0 / 12.0  # variance of a uniform coordinate
 _UNEXPLAINED = 1.5  # mean square of what is left, above which a record is fitted as any motor's
 _WHITE = 0.3  # correlation of neighbours, above which what is left is no noise
-_REACH = 12.0  # of such a fit, in standard deviations
+_REACH = 4.0  # of such a fit, in standard deviations
+_LEAST = 0.05  # of a parameter that can be simulated, relative to the nominal one
 _CALIBRATION = 4_000
 _AT_ONCE = 64
 _UNITS = {
@@ -94,6 +95,7 @@ class WorkWorld:
         recipe: what motors are drawn from.
         model: its motors with any fault, and with the coordinates of all departures.
         known: which coordinates the recipe's own motors have, shape (size,).
+        box: smallest and largest coordinates of any motor that is simulated, shape (2, size).
         own: the recipe's motors.
         anything: any motor in any surroundings.
         departures: the recipe's motors with one departure, by its name.
@@ -102,6 +104,7 @@ class WorkWorld:
     recipe: Recipe
     model: ClassModel
     known: NDArray[np.bool_]
+    box: FloatArray
     own: Prior
     anything: Prior
     departures: Mapping[str, Prior]
@@ -133,8 +136,8 @@ class WorkWorld:
             own = Prior(np.log(single.class_probabilities), mean, variance)
         widths = {name: np.zeros(len(names)) for name in (*_UNITS, "severity", "another motor")}
         for departure, name in ((d, n) for d, priors in _UNITS.items() for n in priors if n in names):
-            low, high = wide.priors[name]
-            widths[departure][names.index(name)] = sizes[departure] / (high - low)
+            begin, end = wide.priors[name]
+            widths[departure][names.index(name)] = sizes[departure] / (end - begin)
         tops = np.array([part.largest_severity for part in fault.parts])[::-1]
         widths["severity"][kinds] = sizes["severity"] / tops
         spread = single.spread.std
@@ -144,9 +147,17 @@ class WorkWorld:
         extras = {name: np.square(width) for name, width in widths.items() if width.any()}
         middle = single.class_probabilities @ mean
         every = single.class_probabilities @ (variance + np.square(mean - middle))
-        anyhow = WIDER * every + ANYWHERE * sum(extras.values())
-        anything = Prior(np.zeros(1), middle[None], anyhow[None])
-        return cls(single, model, known, own, anything, {name: own.wider(e) for name, e in extras.items()})
+        departed = np.array([*extras.values()]).sum(axis=0)
+        anything = Prior(np.zeros(1), middle[None], (WIDER * every + ANYWHERE * departed)[None])
+        reach = _REACH * np.sqrt(WIDER * every + departed)
+        low, high = middle - reach, middle + reach
+        # Frictions and drops cannot be negative, parameters not zero, and severities have the box of their fit.
+        signed = np.isin(names, (*FACTORS, *_UNITS["warmth"], *_UNITS["load"]))
+        low = np.where(known & ~signed, 0.0, low)
+        low[factors] = np.maximum(low[factors], (_LEAST - 1.0) / np.maximum(spread, _SURE))
+        low[kinds], high[kinds] = 0.0, 1.0
+        departures = {name: own.wider(extra) for name, extra in extras.items()}
+        return cls(single, model, known, np.array([low, high]), own, anything, departures)
 
     @property
     def freedom(self) -> int:
@@ -173,8 +184,6 @@ class WorkWorld:
     def _linear(self, cases: FloatArray, values: FloatArray, **effort: int) -> WorkCoordinates:
         """Motors made linear, after steps to the most probable one of all motors."""
         (mean,), (variance,) = self.anything.mean, self.anything.variance
-        reach = _REACH * np.sqrt(variance)
-        low = np.where(self.from_zero, 0.0, mean - reach)
         fit = most_probable(
             self.model,
             cases[:, :-1].reshape(len(cases), -1),
@@ -182,18 +191,12 @@ class WorkWorld:
             begin=values,
             centre=mean,
             precision=1.0 / variance,
-            box=np.array([low, mean + reach]),
+            box=self.box,
             **effort,
         )
         energy = np.square(fit.left).sum(axis=1)
         correlation = (fit.left[:, 1:] * fit.left[:, :-1]).sum(axis=1) / energy
         return WorkCoordinates(fit.at, fit.information, fit.pull, energy, correlation)
-
-    @property
-    def from_zero(self) -> NDArray[np.bool_]:
-        """Which coordinates cannot be negative: frictions, drops and severities."""
-        names = np.array(self.model.names)
-        return self.known & ~np.isin(names, (*FACTORS, *_UNITS["warmth"], *_UNITS["load"]))
 
     def distance(self, at: WorkCoordinates, levels: Levels) -> FloatArray:
         """Log likelihood ratio of anything to the recipe, shape (n,); `levels` are those that the recipe allows."""
@@ -211,34 +214,22 @@ class WorkWorld:
     def _evidence(self, prior: Prior, at: WorkCoordinates, levels: Levels) -> FloatArray:
         """Log density of the records, up to one constant of each, shape (n,).
 
-        Within the levels the variance of the noise is read off what is left: where the motor was made linear, or where
-        this prior moves it from there, whatever is more probable.
+        Within the levels the variance of the noise is read off what each class leaves over.
         """
         logs = []
         for weight, mean, variance in zip(*prior, strict=True):
-            pull = at.pull + (mean - at.values) / variance
-            step = np.linalg.solve(at.information + np.diag(1.0 / variance), pull[..., None])[..., 0]
-            change = np.einsum("ni,nij,nj->n", step, at.information, step) - 2.0 * (step * at.pull).sum(
-                axis=1
-            )
-            found = (np.clip(left / self.freedom, *levels) for left in (at.energy, at.energy + change))
-            logs.append(
-                weight + np.maximum(*(self._log_density(mean, variance, at, level) for level in found))
-            )
+            away = (mean - at.values) / variance
+            precision = np.diag(1.0 / variance)
+            step = np.linalg.solve(at.information + precision, (at.pull + away)[..., None])[..., 0]
+            moved = np.einsum("nij,nj->ni", at.information, step) - 2.0 * at.pull
+            level = np.clip((at.energy + (step * moved).sum(axis=1)) / self.freedom, *levels)
+            information = at.information / level[:, None, None] + precision
+            pull = at.pull / level[:, None] + away
+            gained = (pull * np.linalg.solve(information, pull[..., None])[..., 0]).sum(axis=1)
+            spent = np.square(away) @ variance + np.log(variance).sum() + np.linalg.slogdet(information)[1]
+            noise = at.energy / level + len(self.model.noise) * np.log(level)
+            logs.append(weight + 0.5 * (gained - spent - noise))
         density: FloatArray = logsumexp(logs, axis=0)
-        return density
-
-    def _log_density(
-        self, mean: FloatArray, variance: FloatArray, at: WorkCoordinates, level: FloatArray
-    ) -> FloatArray:
-        """The same under one class and at one level of the noise's variance each, shape (n,)."""
-        away = (mean - at.values) / variance
-        information = at.information / level[:, None, None] + np.diag(1.0 / variance)
-        pull = at.pull / level[:, None] + away
-        gained = (pull * np.linalg.solve(information, pull[..., None])[..., 0]).sum(axis=1)
-        spent = np.square(away) @ variance + np.log(variance).sum() + np.linalg.slogdet(information)[1]
-        n_values = len(self.model.noise)
-        density: FloatArray = 0.5 * (gained - spent - at.energy / level - n_values * np.log(level))
         return density
 
     def fresh(self, level: float) -> WorkCoordinates:

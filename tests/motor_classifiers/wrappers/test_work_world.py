@@ -103,21 +103,22 @@ def test_one_in_a_hundred_of_its_own_records_is_refused(detector: OutsideDetecto
 
 
 @pytest.mark.parametrize(
-    ("off", "changes", "least"),
+    ("off", "changes", "refused", "right"),
     [
-        ("noise", {"sensor": OPERATION.sensor.with_noise(2.0)}, 0.95),
-        ("offset", {"field": replace(FIELD, sensor_offset_a=(0.02, 0.02))}, 0.95),
-        ("gain", {"field": replace(FIELD, sensor_gain=(1.03, 1.03))}, 0.6),
-        ("load", {"field": replace(FIELD, load_ratio=(1.5, 2.0))}, 0.5),
-        ("another motor", {"classes": (FaultClass(FaultKind.WINDING_SHORT, 0.10),)}, 0.9),
+        ("noise", {"sensor": OPERATION.sensor.with_noise(2.0)}, 1.0, 0.95),
+        ("offset", {"field": replace(FIELD, sensor_offset_a=(0.02, 0.02))}, 0.95, 0.9),
+        ("gain", {"field": replace(FIELD, sensor_gain=(1.03, 1.03))}, 0.95, 0.6),
+        ("load", {"field": replace(FIELD, load_ratio=(1.5, 2.0))}, 0.55, 0.5),
+        ("another motor", {"classes": (FaultClass(FaultKind.WINDING_SHORT, 0.10),)}, 1.0, 0.9),
     ],
     ids=lambda part: part if isinstance(part, str) else "",
 )
 def test_what_is_off_is_named(
-    detector: OutsideDetector, off: str, changes: dict[str, Any], least: float
+    detector: OutsideDetector, off: str, changes: dict[str, Any], refused: float, right: float
 ) -> None:
     named = detector.what_is_off(generate_arrays(replace(OPERATION, **changes), 6, 120).X)
-    assert (named == off).mean() >= least
+    assert (named != "").mean() >= refused
+    assert (named == off).mean() >= right
     assert set(named.tolist()) <= {"", *ADVICE}
 
 
