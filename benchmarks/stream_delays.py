@@ -6,6 +6,7 @@ streams are those of the task; its score weighs both by one price, the curves le
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from motor_env.plotting import drawing, save
 RULES: dict[str, Rule] = {"CUSUM": Cusum(0.2), "CUSUM, larger shift": Cusum(0.5), "GLR": Glr(10, 700)}
 SHARES = (0.01, 0.02, 0.05, 0.10)
 N_LEVELS = 400
+KEPT_CURVES = Path(__file__).parent / "results" / "stream_delays.json"
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "stream_delays.svg"
 DRAWN, TICKS = (0.005, 0.25), (0.5, 1, 2, 5, 10, 20)
 
@@ -75,21 +77,28 @@ def at_equal_false_alarms(task: StreamTask, curves: Curves) -> Iterable[list[str
             ]  # fmt: skip
 
 
-def draw(curves: Curves, path: Path) -> None:
+def drawn(curves: Curves) -> dict[str, list[list[float]]]:
+    """What is drawn of the curves: share of false alarms, delay in seconds and share of faults without an alarm."""
+    return {
+        name: [[round(float(value), 5) for value in row] for row in told if DRAWN[0] <= row[0] <= DRAWN[1]]
+        for name, (_, told) in curves.items()
+    }
+
+
+def draw(kept: dict[str, list[list[float]]], path: Path) -> None:
     """Delay of the right alarms, and faults without one, against the share of false alarms."""
     with drawing():
         figure = Figure(figsize=(9.0, 3.8), layout="constrained")
         delay, missed = figure.subplots(1, 2)
-        for name, (_, told) in curves.items():
-            shown = (told[:, 0] >= DRAWN[0]) & (told[:, 0] <= DRAWN[1])
-            percent = 100.0 * told[shown, 0]
-            delay.plot(percent, 1e3 * told[shown, 1], label=name)
-            missed.plot(percent, 100.0 * told[shown, 2])
+        for name, rows in kept.items():
+            false, seconds, silent = np.array(rows).T
+            delay.plot(100.0 * false, 1e3 * seconds, label=name)
+            missed.plot(100.0 * false, 100.0 * silent)
         for axis, label in ((delay, "mean delay, ms"), (missed, "faults without an alarm in time, %")):
             axis.set(xscale="log", xlabel="streams with a false alarm, %", ylabel=label)
             axis.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
             axis.set_ylim(bottom=0.0)
-        figure.legend(loc="outside lower center", ncols=len(curves), frameon=False)
+        figure.legend(loc="outside lower center", ncols=len(kept), frameon=False)
         save(figure, path)
 
 
@@ -98,7 +107,9 @@ def main() -> None:
     task = load_task("stream")
     assert isinstance(task, StreamTask)
     curves = {name: curve(task, rule) for name, rule in RULES.items()}
-    draw(curves, PICTURE)
+    kept = drawn(curves)
+    KEPT_CURVES.write_text(json.dumps(kept) + "\n", encoding="utf-8")
+    draw(kept, PICTURE)
     header = ("false alarms", "rule", "mean delay", "no alarm in time", "score of the task")
     keep_table("calibration", "stream", header, at_equal_false_alarms(task, curves))
 

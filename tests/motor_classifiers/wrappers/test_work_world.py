@@ -8,8 +8,6 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from motor_classifiers import OpenSetClassifier, OutsideDetector
-
-# Reaches in: evidences are compared with the normal density of whole records.
 from motor_classifiers.wrappers.outside import ADVICE
 from motor_classifiers.wrappers.work_world import Prior, WorkWorld
 from motor_datasets import generate_arrays
