@@ -149,11 +149,10 @@ def powers(n_cases: int) -> Iterable[Iterable[str]]:
     """What the detector refuses under each shift, beside a test trained for it, and what it takes to be off."""
     for recipe, conditions in _moved():
         detector = OutsideDetector(recipe).fit()
-        if recipe.duty is not None:
-            n_cases //= 5  # each is a fit
+        n_judged = n_cases if recipe.duty is None else n_cases // 5  # each is a fit
         for name, changed in {"as in training": recipe, **conditions}.items():
-            off = detector.what_is_off(cases(changed, TEST, n_cases).X)
-            trained = trained_power(recipe, changed, SEED, np.arange(n_cases) + CALIBRATE)
+            off = detector.what_is_off(cases(changed, TEST, n_judged).X)
+            trained = trained_power(recipe, changed, SEED, np.arange(n_judged) + CALIBRATE)
             names, counts = np.unique(off[off != ""].astype(str), return_counts=True)
             most = sorted(zip(counts, names, strict=True), reverse=True)[:3]
             yield (

@@ -38,6 +38,7 @@ from motor_env.simulation.recipes import Recipe
 _STREAM = 2**62  # the seeds of its streams lie above; those of other networks lie above 2^63
 _SCALED_BY = 4_096  # cases
 _AT_ONCE = 4_096
+_NOTHING = 1e-300  # share of a range in which there is none
 
 
 class JointDraws(NamedTuple):
@@ -181,7 +182,7 @@ class JointPosterior:
                 grid = grid_like(share).numpy() * priors[kind].largest
                 inside = (grid >= fault_class.severity) & (grid <= fault_class.severity_to)
                 cumulated = np.cumsum(np.where(inside, share.numpy(), 0.0), axis=1)
-                cumulated /= cumulated[:, -1:]
+                cumulated /= np.maximum(cumulated[:, -1:], _NOTHING)
                 uniform = rng.uniform(size=len(case))
                 values = np.array(
                     [np.interp(u, cumulated[n], grid) for u, n in zip(uniform, case, strict=True)]
