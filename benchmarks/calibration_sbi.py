@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from sbi.diagnostics.lc2st import LC2ST  # type: ignore[import-not-found]  # lives in .venv-bench
-from sbi.diagnostics.tarp import (  # type: ignore[import-not-found]
+from sbi.diagnostics.tarp import (  # type: ignore[import-not-found]  # as above
     _run_tarp,
     check_tarp,
     get_tarp_references,

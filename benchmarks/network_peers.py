@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import torch
 from sbi.neural_nets.embedding_nets import CNNEmbedding, FCEmbedding  # type: ignore[import-not-found]  # in .venv-bench
-from sbi.neural_nets.net_builders.mixed_nets import build_mnpe  # type: ignore[import-not-found]
+from sbi.neural_nets.net_builders.mixed_nets import build_mnpe  # type: ignore[import-not-found]  # as above
 from torch import nn
 
 SEED, BATCH, HELD_BACK, MOST_HELD_BACK = 0, 256, 0.1, 5_000
@@ -138,7 +138,7 @@ def candidates(method: str, shape: tuple[int, int]) -> dict[str, Maker]:
             },
         }  # fmt: skip
         made: dict[str, Maker] = {
-            name: lambda data, n, options=options: Npe(  # type: ignore[misc]
+            name: lambda data, n, options=options: Npe(  # type: ignore[misc]  # a default binds the loop's value
                 CNNEmbedding((n_samples,), in_channels=n_channels, **options), data, n
             )
             for name, options in layers.items()
@@ -156,7 +156,7 @@ def candidates(method: str, shape: tuple[int, int]) -> dict[str, Maker]:
         "all times, noise added": {"width": 16, "stem": 10, "whole": True, "noise": 0.5},
     }
     return {
-        name: lambda data, n, own=own: Convolution(data, n, **own)  # type: ignore[misc]
+        name: lambda data, n, own=own: Convolution(data, n, **own)  # type: ignore[misc]  # as above
         for name, own in options.items()
     }
 

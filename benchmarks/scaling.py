@@ -63,7 +63,7 @@ def entries() -> list[str]:
 
 
 def _theta(train: Dataset) -> FloatArray:
-    """What NPE estimates beside the class: where the faults sit."""
+    """What NPE estimates beside the class: resistance and friction of the motor, without its fault."""
     names = ("resistance_ohm", "viscous_friction_n_m_s_per_rad")
     return np.log(np.column_stack([train.parameters[name] for name in names]))
 
@@ -144,7 +144,7 @@ def board_rows() -> dict[str, list[Scored]]:
 
 
 def best_possible(name: str) -> tuple[float, float]:
-    """Between which errors the best possible lies, %, and the error of the posterior network where it has a score."""
+    """Between which errors the best possible lies, %; on `bench` it is known."""
     task = load_task(name)
     known = json.loads((FOLDER / "leaderboard" / "bench" / "posterior-network.json").read_bytes())
     return task.bracket or (known["limit"], known["limit"])

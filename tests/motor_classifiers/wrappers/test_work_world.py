@@ -87,11 +87,13 @@ def test_the_recipe_and_its_departures() -> None:
     assert (other.departures["another motor"].variance - other.own.variance)[0, 3] == 0.0
 
 
-def test_a_recipe_that_knows_offsets_does_not_refuse_them() -> None:
+def test_offsets_that_a_recipe_has_are_no_departure_of_it() -> None:
     knows = WorkWorld.from_recipe(
         replace(OPERATION, field=replace(FIELD, sensor_offset_a=(-0.05, 0.05)), shifts=())
     )
-    assert knows.known[list(knows.model.names).index("sensor_offset_a")]
+    at = list(knows.model.names).index("sensor_offset_a")
+    assert knows.known[at]
+    assert knows.own.variance[0, at] == pytest.approx(1.0 / 12.0)
 
 
 def test_one_in_a_hundred_of_its_own_records_is_refused(detector: OutsideDetector) -> None:
