@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset
 from motor_datasets.splits import split_of
-from motor_env.motor.parameters import require
+from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.drawing import Draw, draw, measure_draw
 from motor_env.simulation.recipes import Recipe
 
@@ -31,16 +33,33 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
     else:
         numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
         require(numbers.size >= 1, "cases must name at least one case, got none")
-    drawn = draw(recipe, seed, numbers)
     X = np.empty((len(numbers), len(recipe.channels), recipe.timing.n_samples), dtype=np.float32)
+    labels = []
     for begin in range(0, len(numbers), _CASES_AT_ONCE):
         part = slice(begin, begin + _CASES_AT_ONCE)
-        measure_draw(draw(recipe, seed, numbers[part]), recipe, seed, X[part])
-    return _labelled(X, drawn, recipe, seed)
+        drawn = draw(recipe, seed, numbers[part])
+        measure_draw(drawn, recipe, seed, X[part])
+        labels.append(_labels(drawn))
+    parameters, of_case = (
+        {name: np.concatenate([one[table][name] for one in labels]) for name in labels[0][table]}
+        for table in (0, 1)
+    )
+    index = of_case["class_index"]
+    return Dataset(
+        X=X,
+        class_name=np.array(recipe.class_names)[index],
+        kind=np.array([fault_class.label_kind for fault_class in recipe.classes])[index],
+        parameters=parameters,
+        case_id=numbers,
+        split=split_of(seed, of_case["motor_id"]),
+        recipe=recipe,
+        seed=seed,
+        **of_case,
+    )
 
 
-def _labelled(X: NDArray[np.float32], drawn: Draw, recipe: Recipe, seed: int) -> Dataset:
-    index = drawn.class_index
+def _labels(drawn: Draw) -> tuple[dict[str, FloatArray], dict[str, NDArray[Any]]]:
+    """Parameters of some cases, and what else is known of each."""
     parameters, n_cases = drawn.scenario.parameters, len(drawn.cases)
     values = {name: getattr(parameters, name) for name in type(parameters).__dataclass_fields__}
     values["voltage_v"] = drawn.scenario.supply.voltage_v
@@ -49,16 +68,5 @@ def _labelled(X: NDArray[np.float32], drawn: Draw, recipe: Recipe, seed: int) ->
         values.update({name: getattr(drawn.chain, name) for name in SENSOR_ERRORS})
     if drawn.driving is not None:
         values.update({name: getattr(drawn.driving, name) for name in LOADS})
-    return Dataset(
-        X=X,
-        class_name=np.array(recipe.class_names)[index],
-        class_index=index,
-        kind=np.array([fault_class.label_kind for fault_class in recipe.classes])[index],
-        severity=drawn.severity,
-        parameters={name: np.broadcast_to(np.asarray(v, float), n_cases) for name, v in values.items()},
-        case_id=drawn.cases,
-        motor_id=drawn.motor_id,
-        split=split_of(seed, drawn.motor_id),
-        recipe=recipe,
-        seed=seed,
-    )
+    of_case = {name: getattr(drawn, name) for name in ("class_index", "severity", "motor_id")}
+    return {name: np.broadcast_to(np.asarray(v, float), n_cases) for name, v in values.items()}, of_case

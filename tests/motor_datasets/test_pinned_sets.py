@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from itertools import islice
@@ -144,10 +145,32 @@ def test_a_stream_is_the_cases_of_its_split_in_their_order(split: str | None, si
     assert len(next(stream(tiny, 6, 1))) == 1
 
 
-def test_many_cases_are_drawn_in_parts_without_a_seam(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = generate_arrays(FIELD, 1, range(12)).X
+@pytest.mark.parametrize("name", ["field", "operation"])
+def test_many_cases_are_drawn_in_parts_without_a_seam(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = load_recipe(name)
+    whole = generate_arrays(recipe, 1, range(12))
     monkeypatch.setattr("motor_datasets.generate._CASES_AT_ONCE", 5)
-    assert np.array_equal(generate_arrays(FIELD, 1, range(12)).X, whole)
+    parts = generate_arrays(recipe, 1, range(12))
+    for label in ("X", "class_name", "class_index", "kind", "severity", "case_id", "motor_id", "split"):
+        assert np.array_equal(getattr(parts, label), getattr(whole, label)), label
+    for parameter, values in whole.parameters.items():
+        assert np.array_equal(parts.parameters[parameter], values), parameter
+
+
+def test_what_is_drawn_beside_the_measurements_takes_no_more_memory_for_more_cases(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("motor_datasets.generate._CASES_AT_ONCE", 64)
+    recipe, beside = load_recipe("operation"), []
+    generate_arrays(recipe, 1, 64)
+    for cases in (64, 640):
+        tracemalloc.start()
+        made = generate_arrays(recipe, 1, cases)
+        kept, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert made.X.nbytes < kept
+        beside.append(peak - kept)
+    assert beside[1] < 1.3 * beside[0]
 
 
 def entry(**changes: Any) -> Entry:
