@@ -9,14 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motor_env.fitting import places
-from motor_env.fitting.problem import Solution
+from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
 
 _NO_NUMBER = 1e60
 _BRUSHES = 0.04  # of the largest voltage
-_BRUSH_KNEE = 0.1  # of the largest current, at which half of that voltage is there
+_KNEES = {0.1: 1.0, 1.0: 2.0}
+"""Shares of the largest current at which half of the brushes' voltage may be there, and that voltage over the usual."""
+_SAG = 0.05  # of the supply's voltage, at the largest current
 _GEAR = 0.07  # of the motor's torque
 _CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 
@@ -107,25 +109,46 @@ class _Direction:
 def lacking(best: Solution) -> list[ScoreTest]:
     """What real motors have and no term says, each of the size that it usually has (1), at the fitted motion.
 
-    Brushes whose resistance falls with the current (Holm 1967): a voltage that the fitted current tells. And a gear
-    that loses a share of the torque, where it is no term.
+    Brushes whose resistance falls with the current (Holm 1967): a voltage that the fitted current tells. Where it
+    falls is not known: at small currents, which the record shows to be bent, or at larger ones, which look like R. And
+    a gear that loses a share of the torque, where it is no term.
     """
     problem, record = best.problem, best.problem.record
     if not record.seen[0]:
         return []
-    volts, amps, _ = record.peaks
-    lacked = [replace(problem, record=behind_brushes(record, best.free[0][:, 2], volts, _BRUSH_KNEE * amps))]
+    lacked = [_behind_brushes(best, *usual) for usual in _KNEES.items()]
     if "gear_loss" not in best.names:
         geared = problem.known.copy()
         geared[places.GEAR] = _GEAR
         lacked.append(replace(problem, known=geared))
-    direction, found = _Direction(best), []
-    for each in lacked:
-        moved = each.residuals(best.theta)
-        test = direction.test(moved[None], np.ones(1), is_positive=False)
-        if test is not None:
-            found.append(test)
-    return found
+    return _of_size_one(best, lacked)
+
+
+def unmeasured(best: Solution) -> list[ScoreTest]:
+    """What may stand between a voltage that was told and the motor, each of its usual size (1), at the fitted current.
+
+    Brushes as in `lacking`, and a supply whose voltage falls with the square of the current.
+    """
+    record, current = best.problem.record, best.free[0][:, 2]
+    lost = _SAG * record.voltage_v * (current / np.abs(current).max()) ** 2
+    sagged = replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
+    return _of_size_one(best, [_behind_brushes(best, min(_KNEES), 1.0), sagged], is_positive=True)
+
+
+def _behind_brushes(best: Solution, knee: float, size: float) -> Problem:
+    problem, (volts, amps, _) = best.problem, best.problem.record.peaks
+    behind = behind_brushes(problem.record, best.free[0][:, 2], size * volts, knee * amps)
+    return replace(problem, record=behind)
+
+
+def _of_size_one(best: Solution, lacked: Sequence[Problem], *, is_positive: bool = False) -> list[ScoreTest]:
+    """A test of each problem that has something of size 1 which that of the fit lacks."""
+    direction = _Direction(best)
+    tests = [
+        direction.test(each.residuals(best.theta)[None], np.ones(1), is_positive=is_positive)
+        for each in lacked
+    ]
+    return [test for test in tests if test is not None]
 
 
 def behind_brushes(record: Record, current_a: FloatArray, volts: float, knee_a: float) -> Record:

@@ -57,7 +57,7 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     problem, chosen = best.problem, motor_places(best.problem)
     jacobian = secants(problem, best.theta)
     total, _ = sandwich(problem, best.theta, jacobian, chosen)
-    total += model_error(problem, best.theta, jacobian, chosen, total)
+    total += model_error(problem, best.theta, jacobian, chosen, total, states_of(best))
     for name, test in score_tests(best, every, candidates(best)).items():
         occam = test.sd / math.hypot(test.sd, every[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
@@ -122,8 +122,19 @@ def sandwich(
     return spread @ spread.T, tuple(independent)
 
 
+def states_of(best: Solution) -> FloatArray:
+    """Current and speed of a fit that runs freely, and their slopes, shape (n, 4): what a model's error may follow."""
+    states = best.free[1][:, 2:4]
+    return np.concatenate([states, np.gradient(states, axis=0)], axis=1)
+
+
 def model_error(
-    problem: Problem, theta: FloatArray, jacobian: FloatArray, chosen: Sequence[int], series: FloatArray
+    problem: Problem,
+    theta: FloatArray,
+    jacobian: FloatArray,
+    chosen: Sequence[int],
+    series: FloatArray,
+    states: FloatArray | None = None,
 ) -> FloatArray:
     """Covariance that a model's error adds to that of a stationary series, shape (p, p).
 
@@ -133,29 +144,38 @@ def model_error(
     McCaffrey 2002). The parts tell equally much, as a start tells R in its first samples: their leverages have the same
     sum.
 
+    Under a periodic command every part in time errs alike. So the record is also cut by its states: into twenty parts
+    of small to large current, and so on.
+
     Args:
         problem: what was fitted.
         theta: its best unknowns.
         jacobian: derivatives of the residuals, one column for each chosen unknown.
         chosen: their places.
         series: covariance under a stationary series, see `sandwich`.
+        states: what the record is cut by beside time, shape (n, m); None for time alone.
     """
     white, jacobian = _believed(problem, theta, jacobian, chosen)
     n, channels = white.shape
     values, axes = np.linalg.eigh(_inverse(jacobian.T @ jacobian))
     root = axes * np.sqrt(np.maximum(values, 0.0))  # unknowns of which the record tells all equally much
     rows = jacobian[: n * channels].reshape(n, channels, -1) @ root
-    told = np.cumsum(np.einsum("ncp,ncp->n", rows, rows))
-    parts = np.minimum((_PARTS * told / max(float(told[-1]), 1e-300)).astype(int), _PARTS - 1)
-    moved = np.zeros_like(series)
-    for part in np.unique(parts):
-        some = rows[parts == part].reshape(-1, len(series))
-        leverages, across = np.linalg.eigh(some.T @ some)
-        score = across.T @ (some.T @ white[parts == part].ravel())
-        move = root @ (across @ (score / np.sqrt(np.maximum(1.0 - leverages, _HARDLY))))
-        moved += np.outer(move, move)
-    size = np.maximum(np.diag(series), np.diag(moved))
-    return beyond(series + _HARDLY**2 * np.diag(size), moved)
+    leverage = np.einsum("ncp,ncp->n", rows, rows)
+    total = series
+    for order in [np.arange(n), *([] if states is None else np.argsort(states.T, kind="stable"))]:
+        told = np.cumsum(leverage[order])
+        parts = np.minimum((_PARTS * told / max(float(told[-1]), 1e-300)).astype(int), _PARTS - 1)
+        moved = np.zeros_like(series)
+        for part in np.unique(parts):
+            of = order[parts == part]
+            some = rows[of].reshape(-1, len(series))
+            leverages, across = np.linalg.eigh(some.T @ some)
+            score = across.T @ (some.T @ white[of].ravel())
+            move = root @ (across @ (score / np.sqrt(np.maximum(1.0 - leverages, _HARDLY))))
+            moved += np.outer(move, move)
+        size = np.maximum(np.diag(total), np.diag(moved))
+        total = total + beyond(total + _HARDLY**2 * np.diag(size), moved)
+    return total - series
 
 
 def beyond(known: FloatArray, covariance: FloatArray) -> FloatArray:

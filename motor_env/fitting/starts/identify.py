@@ -9,11 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from motor_env.fitting import places
+from motor_env.fitting.fit import STRONG_EVIDENCE
 from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.score import unmeasured
 from motor_env.fitting.starts.belief import CURVE, Belief, believed
 from motor_env.fitting.starts.identified import Identified, record_of
 from motor_env.fitting.threads import on_one_thread
-from motor_env.fitting.uncertainty import capped, model_error, sandwich
+from motor_env.fitting.uncertainty import capped, model_error, sandwich, states_of
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.recordings.defects import UnusableError
@@ -22,6 +24,8 @@ from motor_env.recordings.start import Start
 
 _UNTOLD_LOG_SD = 1.0
 _WILD_SPREADS = 10.0
+_USUAL_LAG = 0.03  # L/R over the mechanical time constant, where brushed motors have 0.01 to 0.1
+_SMALL, _LARGEST_MOVE = 0.01, 3.0
 
 
 @on_one_thread
@@ -101,10 +105,19 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
     covariance, independent = sandwich(
         problem, theta, jacobian, range(len(theta)), begin=start.alignment.onset_index, level=level
     )
-    more = model_error(problem, theta, jacobian, range(len(theta)), covariance)
+    more = model_error(problem, theta, jacobian, range(len(theta)), covariance, states_of(best))
+    if start.voltage_known and start.voltage_v is None:
+        wanted = math.log(problem.count) + STRONG_EVIDENCE
+        for test in unmeasured(best):
+            if test.chi_square > wanted:
+                moved = np.clip(math.hypot(test.value, test.sd) * test.moves, -_LARGEST_MOVE, _LARGEST_MOVE)
+                more += np.outer(moved, moved)
     if belief.has_inductance_prior(model):
         # What looks like L may be the ramp or the lag, and the other way round: L tells nothing then.
         covariance[1, 1] += _UNTOLD_LOG_SD**2
+    elif "supply_ramp" in model:
+        moved = _another_inductance(problem, theta, jacobian)
+        more += np.outer(moved, moved)
     names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
     exponents = quantities.matrix(names)
     core = exponents[:, [quantities.PARAMETERS.index(name) for name in belief.core]]
@@ -134,6 +147,18 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
         fitted_extension=extras,
         inductance_off=belief.inductance_off(theta),
     )
+
+
+def _another_inductance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """By how much the unknowns move with an inductance of a usual size: a supply that rises slowly may hide it."""
+    values, at = problem.values(theta), problem.names.index("L")
+    usual = _USUAL_LAG * values[places.J] * (values[places.R] / values[places.K]) ** 2 / values[places.L]
+    moved = theta.copy()
+    moved[at] += math.log1p(_SMALL * usual)
+    column = (problem.residuals(moved) - problem.residuals(theta)) / _SMALL
+    moves = np.insert(-np.linalg.pinv(np.delete(jacobian, at, axis=1)) @ column, at, 0.0)
+    moves[at] = min(math.log1p(usual), _LARGEST_MOVE)
+    return moves
 
 
 def _middle_of_rise(problem: Problem, values: FloatArray, covariance: FloatArray) -> tuple[float, float]:

@@ -127,7 +127,7 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert (starts.ripple_hz, starts.ripple_log_sd, learned.temperature_k) == (None, None, 15.0)
     running = given[0].residual_a[start.alignment.onset_index :]
     left, white = float(np.var(running)), difference_noise(running)
-    np.testing.assert_allclose(error, given[0].log_covariance * min(white**2 / left, 1.0))
+    np.testing.assert_allclose(error, given[0].series_covariance * min(white**2 / left, 1.0))
     extended = [replace(fit, model=("coulomb",), fitted_extension={"coulomb": (size, 0.1)}) for fit, size in
                 zip(given, (2.0, 1.0, 3.0), strict=True)]  # fmt: skip
     kept = learn_starts(extended).starts

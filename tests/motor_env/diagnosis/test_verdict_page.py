@@ -67,7 +67,7 @@ def judged(case: str) -> Diagnosis:
 
 # Written before the pages were: what is wrong, how much of it, what to do next.
 ANSWERS: dict[str, Answers] = {
-    "healthy": ("Healthy", "more friction 2[0-9]%", "Nothing to do"),
+    "healthy": ("Healthy", "more friction (2[0-9]|30)%", "Nothing to do"),
     "bearing": (
         "More friction: bearing, lubricant or load",
         "Friction up by (4|5)[0-9]%",

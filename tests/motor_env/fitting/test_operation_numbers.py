@@ -471,7 +471,7 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     theta = least_squares(line)
     tests = {"delay": ScoreTest(4.0, 0.5, 0.2, np.array([0.1, -0.3, 9.0]))}
     every = {"delay": SimpleNamespace(usual=0.6)}
-    best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0)
+    best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0, free=(None, np.zeros((600, 4))))
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
     monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
     without = uncertainty.covariance(cast("Any", best), {})

@@ -14,7 +14,7 @@ from motor_env.fitting import places
 from motor_env.fitting.fit import STRONG_EVIDENCE
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import rectified_mean
-from motor_env.fitting.score import score_tests
+from motor_env.fitting.score import score_tests, unmeasured
 
 # Reaches in: what is believed of a start before it is fitted, and which samples are wild, are told by no result alone.
 from motor_env.fitting.starts.belief import FIT_SAMPLES, absolute, believed
@@ -28,7 +28,7 @@ from motor_env.fitting.starts.commutation import (
 from motor_env.fitting.starts.identified import Identified, record_of
 from motor_env.fitting.starts.identify import _wild_against, identify
 from motor_env.fitting.starts.plausibility import NOT_TURNING, implausible, shows_turning
-from motor_env.fitting.uncertainty import capped, model_error, sandwich
+from motor_env.fitting.uncertainty import capped, model_error, sandwich, states_of
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
@@ -419,6 +419,18 @@ def test_standard_errors_are_the_scatter_of_repeated_starts() -> None:
     assert (np.abs(logs.mean(axis=0) - known) / told * np.sqrt(30.0)).max() < 4.0
 
 
+def moved_by_an_inductance(best: Solution, share: float) -> FloatArray:
+    """Unknowns of the fit with more L, by that share of the mechanical time constant, less the best; to first order."""
+    values, at, small = best.values, best.names.index("L"), 1e-2
+    more = share * values[places.R] ** 2 * values[places.J] / values[places.K] ** 2 / values[places.L]
+    begun = best.theta.copy()
+    begun[at] += np.log1p(small * more)
+    free = tuple(term for term in best.problem.free if term.name != "L")
+    fixed = replace(best.problem, free=free, known=best.problem.values(begun))
+    moved = (fixed.solve(np.delete(begun, at))[0] - np.delete(best.theta, at)) / small
+    return np.insert(moved, at, min(np.log1p(more), 3.0))
+
+
 def test_what_a_fit_says_of_itself() -> None:
     """Sizes of the fit, each from its curves; the errors of extensions from the covariance of the unknowns."""
     measured = start(speed=True, RISE=2e-3, CURVE=[1.0, 2.0, 2.0, 4.0])
@@ -450,13 +462,17 @@ def test_what_a_fit_says_of_itself() -> None:
     series = np.sqrt(np.diag(fit.series_covariance))
     np.testing.assert_allclose(series, np.sqrt(np.diag(covariance))[:5], rtol=0.02)
     jacobian = problem.jacobian(theta, problem.residuals(theta))
-    covariance += model_error(problem, theta, jacobian, range(len(theta)), covariance)
+    covariance += model_error(
+        problem, theta, jacobian, range(len(theta)), covariance, states_of(fit.solution)
+    )
+    usual = moved_by_an_inductance(fit.solution, 0.03)
+    covariance += np.outer(usual, usual)
     np.testing.assert_allclose(errors, np.sqrt(np.diag(covariance))[:5], rtol=0.02)
     assert (errors > series).any()
     first = place(problem, "supply_ramp")
     unit = problem.free[first].unit
     assert fit.fitted_extension["supply_ramp"] == pytest.approx(
-        (unit * theta[first], unit * np.sqrt(covariance[first, first])), rel=0.02
+        (unit * theta[first], unit * np.sqrt(covariance[first, first])), rel=0.03
     )
 
     def middle(curve: FloatArray) -> float:
@@ -470,6 +486,33 @@ def test_what_a_fit_says_of_itself() -> None:
     assert abs(middle(curve) - 0.64) < 4.0 * error
 
 
+def sagging(measured: Start, share: float) -> Start:
+    """The same start at a supply that loses so much of its voltage at the largest current, with its square."""
+    healthy = identify(measured)
+    record, current = record_of(measured), healthy.states[:, 0]
+    for _ in range(40):
+        left = record.voltage_v * (1.0 - share * (current / current.max()) ** 2)
+        sagged = replace(record, voltage_v=left).predict(healthy.physical, learn=False)[0][:, 2]
+        current = 0.7 * current + 0.3 * sagged
+    return replace(measured, current_a=current + measured.current_a - healthy.states[:, 0])
+
+
+def test_a_supply_that_may_sag_widens_what_is_told_in_ohms() -> None:
+    """A voltage that was told and not recorded; per volt of one that nobody knows, nothing is claimed."""
+    sd = []
+    for share, known in ((0.0, True), (0.05, True), (0.05, False)):
+        fit = identify(sagging(start(noise_a=1e-3, level_known=known), share))
+        sd.append(float(np.sqrt(fit.log_covariance[0, 0])))
+        if known:
+            off = float(fit.log_values[0]) - np.log(QUANTITIES["R"])
+            sag = unmeasured(fit.solution)[1]
+            assert sag.value == pytest.approx(20.0 * share, abs=0.2)
+            assert off == pytest.approx(share, abs=0.02)
+            assert abs(off) < 2.0 * sd[-1]
+    assert sd[1] > 5.0 * sd[0]
+    assert sd[2] < 0.5 * sd[1]
+
+
 def test_what_looks_like_an_inductance_is_told_to_a_factor_of_e() -> None:
     """A ramp where the inductance is typical: its logarithm has the variance 1 beside that of the fit."""
     measured = start(RISE=2e-3)
@@ -478,7 +521,7 @@ def test_what_looks_like_an_inductance_is_told_to_a_factor_of_e() -> None:
     )
     row = typical.quantity_names.index("L")
     assert 1.0 < typical.log_covariance[row, row] < 1.1
-    assert plain.log_covariance[row, row] < 0.5
+    assert plain.log_covariance[row, row] < 0.7
     assert abs(typical.inductance_off) < 2.0
     assert plain.inductance_off == 0.0
 
@@ -525,7 +568,7 @@ def test_the_extensions_that_are_there_are_found(rise_s: float, model: tuple[str
     fit = identify_best(start(speed=True, RISE=rise_s))
     assert fit.model == model
     for value, error in fit.fitted_extension.values():
-        assert abs(value - 2e-3) < 4.0 * error < 1e-4
+        assert abs(value - 2e-3) < 4.0 * error < 2e-4
 
 
 def test_values_that_no_motor_has_are_named() -> None:
