@@ -40,14 +40,14 @@ def fit(record: Record) -> Solution:
         UnusableError: no regression finds a motor in the record.
     """
     if len(record.voltage_v) > 2 * CHOSEN_ON:
-        return _refined(fit(record.sample(CHOSEN_ON)), record)
+        return _timed(_refined(fit(record.sample(CHOSEN_ON)), record))
     rivals = [_chosen(first, every) for first, every in _first(record)]
     best = min(rivals, key=lambda one: one.penalised())
     others = sorted(_behaviours(best, record), key=lambda one: one.penalised())
     if others and (other := _solved(others[0], [])).penalised() < best.penalised():
         best = _chosen(other, terms(other.problem.record, other.problem.known))
     shaped = _shaped(_timely(best))
-    return _grown(shaped, terms(shaped.problem.record, shaped.problem.known))
+    return _timed(_grown(shaped, terms(shaped.problem.record, shaped.problem.known)))
 
 
 def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
@@ -98,6 +98,24 @@ def _timely(best: Solution) -> Solution:
             problem = replace(problem, record=replace(record, hold=hold))
             return Solution(problem, *problem.solve(averaged.theta))
     return best
+
+
+def _timed(best: Solution) -> Solution:
+    """The fit, with rivals of the same misfit where the voltage has no steps and others would time it otherwise.
+
+    A lag of the voltage then looks like L/R. What decides between them is how a model errs that is never quite right.
+    """
+    slopes = np.diff(best.problem.record.voltage_v)
+    if np.abs(np.diff(slopes)).sum() > np.abs(slopes).sum():
+        return best
+    rivals = []
+    for begun in _behaviours(best, best.problem.record):
+        other = _solved(begun, [])
+        if other.misfit < best.misfit + _RIVAL * best.problem.count:
+            known = dict(zip(other.names, other.theta, strict=True))
+            theta = [known.get(name, one) for name, one in zip(best.names, best.theta, strict=True)]
+            rivals.append((np.array(theta), best.misfit))
+    return replace(best, rivals=(*best.rivals, *rivals))
 
 
 def _refined(best: Solution, record: Record) -> Solution:

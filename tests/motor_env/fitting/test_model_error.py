@@ -9,10 +9,11 @@ from recorded_motor import LOGS, Line, least_squares, plain, solution, values, w
 from scipy.linalg import sqrtm
 
 from motor_env.fitting import places
+from motor_env.fitting.fit import fit
 from motor_env.fitting.record import Record
 from motor_env.fitting.score import lacking
 from motor_env.fitting.terms import terms
-from motor_env.fitting.uncertainty import beyond, covariance, model_error, sandwich
+from motor_env.fitting.uncertainty import beyond, covariance, model_error, motor_places, sandwich
 from motor_env.motor.parameters import FloatArray
 
 
@@ -118,3 +119,20 @@ def test_the_speed_alone_says_nothing_of_brushes_and_gears() -> None:
     p = values()
     record = worked(p).only(current=False, speed=True)
     assert lacking(solution(record, ["K", "J"], p)) == []
+
+
+def test_a_voltage_without_steps_may_be_timed_otherwise() -> None:
+    """A sample late or early looks like a lag of L/R, here 0.5 ms with samples 2 ms apart."""
+    p, at, rng = values(), np.arange(800.0), np.random.default_rng(2)
+    waves = 6.0 * np.sin(2.0 * np.pi * at / 150.0) + 3.0 * np.sin(2.0 * np.pi * at / 67.0)
+    for volts, is_open in ((waves, True), (np.repeat(rng.uniform(-9.0, 9.0, 40), 20), False)):
+        record = plain(800, volts)
+        clean = record.predict(p, learn=False)[0][:, 2:4]
+        shown = clean + 10.0 * rng.standard_normal((800, 2)) * p[[places.NOISE_I, places.NOISE_W]]
+        found = fit(replace(record, readings=shown))
+        spread = covariance(found, terms(found.problem.record, found.problem.known))
+        row = motor_places(found.problem).index(found.names.index("L"))
+        told = found.problem.free[found.names.index("L")].unit * np.sqrt(spread[row, row])
+        others = [found.problem.values(theta)[places.L] for theta, _ in found.rivals]
+        assert (max(others) > 3.0 * p[places.L]) == is_open
+        assert (told > p[places.L]) == is_open
