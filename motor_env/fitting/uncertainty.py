@@ -145,7 +145,8 @@ def model_error(
     sum.
 
     Under a periodic command every part in time errs alike. So the record is also cut by its states: into twenty parts
-    of small to large current, and so on.
+    of small to large current, and so on. Of so many parts only what chance does not show counts, for p unknowns
+    (Marchenko & Pastur 1967).
 
     Args:
         problem: what was fitted.
@@ -161,8 +162,9 @@ def model_error(
     root = axes * np.sqrt(np.maximum(values, 0.0))  # unknowns of which the record tells all equally much
     rows = jacobian[: n * channels].reshape(n, channels, -1) @ root
     leverage = np.einsum("ncp,ncp->n", rows, rows)
-    total = series
-    for order in [np.arange(n), *([] if states is None else np.argsort(states.T, kind="stable"))]:
+    total, by_chance = series, (1.0 + math.sqrt(len(series) / _PARTS)) ** 2
+    orders = [np.arange(n), *([] if states is None else np.argsort(states.T, kind="stable"))]
+    for order, usual in zip(orders, [1.0] + [by_chance] * (len(orders) - 1), strict=True):
         told = np.cumsum(leverage[order])
         parts = np.minimum((_PARTS * told / max(float(told[-1]), 1e-300)).astype(int), _PARTS - 1)
         moved = np.zeros_like(series)
@@ -174,16 +176,16 @@ def model_error(
             move = root @ (across @ (score / np.sqrt(np.maximum(1.0 - leverages, _HARDLY))))
             moved += np.outer(move, move)
         size = np.maximum(np.diag(total), np.diag(moved))
-        total = total + beyond(total + _HARDLY**2 * np.diag(size), moved)
+        total = total + beyond(total + _HARDLY**2 * np.diag(size), moved, usual)
     return total - series
 
 
-def beyond(known: FloatArray, covariance: FloatArray) -> FloatArray:
-    """What a covariance is beyond one that is known already, shape (n, n)."""
+def beyond(known: FloatArray, covariance: FloatArray, usual: float = 1.0) -> FloatArray:
+    """What a covariance is beyond so many times one that is known already, shape (n, n)."""
     root = np.linalg.cholesky(known)
     inverse = np.linalg.inv(root)
     sizes, axes = np.linalg.eigh(inverse @ covariance @ inverse.T)
-    more = root @ axes * np.sqrt(np.maximum(sizes - 1.0, 0.0))
+    more = root @ axes * np.sqrt(np.maximum(sizes - usual, 0.0))
     return np.asarray(more @ more.T, dtype=np.float64)
 
 
