@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -65,14 +66,14 @@ def ratios(samples: Floats, faulty: MotorParameters) -> Floats:
     return logs(faulty, samples) - logs(heavy(), samples)
 
 
-def first_alarm(healthy: Healthy, samples: Floats, onset_s: float, rate: str) -> tuple[float, str]:
-    """From the fault's begin to the first alarm, and its verdict; infinite where there is none."""
-    alarms = (
+def first_alarms(healthy: Healthy, samples: Floats, onset_s: float, rate: str) -> list[tuple[float, str]]:
+    """From the fault's begin to the first alarm, its verdict, and that of the next; infinite where there is none."""
+    found = (
         (event.time_s - onset_s, event.text)
         for event in events(healthy, [samples], rate)
         if event.time_s > onset_s and event.name not in NO_ALARM
     )
-    return next(alarms, (np.inf, "none"))
+    return [*islice(found, 2), (np.inf, "none"), (np.inf, "none")][:2]
 
 
 def compared(runs: int) -> list[dict[str, Any]]:
@@ -82,19 +83,21 @@ def compared(runs: int) -> list[dict[str, Any]]:
     usual = work(rng, (heavy(), CALIBRATION_H * 3600)), float(CALIBRATION_H)
     for row, faulty, best in delays_by_fault(heavy(), (*FAULTS, *SMALL), usual, ratios, HEALTHY_S):
         firsts = []
-        ours: dict[str, list[tuple[float, str]]] = {"hour": [], "year": []}
+        ours: dict[str, list[list[tuple[float, str]]]] = {"hour": [], "year": []}
         for _ in range(runs):
             samples = work(rng, (heavy(), HEALTHY_S), (faulty, FAULTY_S))
             firsts.append(best(samples))
             late = samples[rng.integers(int(WINDOW_S)) :]
             for rate, found in ours.items():
-                found.append(first_alarm(healthy, late, HEALTHY_S, rate))
+                found.append(first_alarms(healthy, late, HEALTHY_S, rate))
         row["best_s"] = float(np.median(firsts))
         for rate, found in ours.items():
-            median = float(np.median([delay for delay, _ in found]))
+            median = float(np.median([first[0] for first, _ in found]))
             row[f"{rate}_s"] = median if np.isfinite(median) else None
-        names = [name for _, name in ours["hour"]]
-        rows.append(row | {"named": names.count(FaultKind(row["fault"]).verdict) / runs})
+        for place, key in enumerate(("named", "named_next")):
+            names = [alarms[place][1] for alarms in ours["hour"]]
+            row[key] = names.count(FaultKind(row["fault"]).verdict) / runs
+        rows.append(row)
         print(json.dumps(rows[-1]), flush=True)
     return rows
 

@@ -76,11 +76,12 @@ def watch_delays() -> str:
             *("never" if row[name] is None else f"{row[name]:.3g}" for name in ("hour_s", "year_s")),
             "-" if row["hour_s"] is None else f"{row['hour_s'] / row['best_s']:.1f}",
             f"{row['named']:.0%}",
+            f"{row['named_next']:.0%}",
         ]
         for row in sorted(_read("watch_delays.json"), key=lambda row: (row["fault"], row["severity"]))
     ]
     header = ["fault", "the best CUSUM, one an hour (s)", "`watch`, one an hour (s)", "one a year (s)"]
-    return table([*header, "ratio at one an hour", "called by its name at once"], rows)
+    return table([*header, "ratio at one an hour", "named by the first alarm", "by the next"], rows)
 
 
 def promises() -> str:

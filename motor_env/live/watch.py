@@ -212,14 +212,16 @@ class Watch:
         if vigil is None:
             return
         samples = self._before[-CONTEXT * len(_QUANTITIES) :] + self._window
+        goes_on = vigil.goes_on
         is_alarm = vigil.heard(_recording(_columns(samples), self._step_s), self._heard_s)
         self._heard_s = self._time_s
         self._next_piece_s += vigil.piece_s
         if is_alarm:
             whole = _recording(_columns(self._before + self._window), self._step_s)
             if alarm := vigil.alarm(whole, self.rate):
-                # How large the fault is shows only at the window's end.
-                yield replace(self._judged(alarm), ratios={}, undecided=(), span_s=round(alarm.duration_s, 6))
+                # How large the fault is shows only at the window's end. A stretch in which it begins is of two motors.
+                event = self._judged(alarm, may_be_another=goes_on)
+                yield replace(event, ratios={}, undecided=(), span_s=round(alarm.duration_s, 6))
 
     def _ended(self, columns: dict[str, FloatArray]) -> Event:
         for name in ("current", "speed"):
@@ -253,12 +255,11 @@ class Watch:
         self._guard(healthy)
         return Event(self._time_s, "learned", f"{words}: {self.promise}")
 
-    def _judged(self, window: Judgement) -> Event:
+    def _judged(self, window: Judgement, *, may_be_another: bool = True) -> Event:
         ratios = {change.name: change.ratio for change in window.changes}
+        moved = {change.name for change in window.changes if change.significant}
         # No wear moves both.
-        if window.verdict is Verdict.OTHER and {"K", "J"} <= {
-            change.name for change in window.changes if change.significant
-        }:
+        if may_be_another and window.verdict is Verdict.OTHER and {"K", "J"} <= moved:
             return Event(
                 self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
             )

@@ -115,6 +115,11 @@ class Vigil:
             return f"{words}: {tails}; by counting alone: {by_count}"
         return f"{words} do not follow the fitted tails, so that alarms are by counting alone: {by_count}"
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether the last alarm still goes on."""
+        return self._toward >= 0
+
     def heard(self, recording: Recording, since_s: float) -> bool:
         """Whether what a window says up to now is an alarm.
 

@@ -315,9 +315,11 @@ def test_a_drift_of_one_per_cent_an_hour_is_told(direction: list[float], steady:
     assert watch.adds_up is not counts
     for _ in range(72):
         watch.ended(fit(rng, np.zeros(4)))
+    assert not watch.goes_on
     told = [watch.ended(fit(rng, math.log1p(0.01 * k / 6.0) * np.array(direction))) for k in range(150)]
     assert any(told)
     assert all(told[-6:])  # and it goes on being told
+    assert watch.goes_on or counts
 
 
 def test_false_alarms_of_windows_are_no_more_than_was_asked() -> None:

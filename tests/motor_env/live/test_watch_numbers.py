@@ -108,7 +108,7 @@ class FakeVigil:
 
     made: ClassVar[list["FakeVigil"]] = []
     told: ClassVar[Judgement | None] = None
-    piece_s, promise = 0.025, "one an hour"
+    piece_s, promise, goes_on = 0.025, "one an hour", False
 
     def __init__(
         self,
@@ -247,6 +247,19 @@ def test_an_alarm_of_pieces_is_said_at_once_with_its_span(judge: Judge) -> None:
     assert rate == judge.given[0][1]
     # The window before is there, too, for what began in it.
     assert recording.time_s[[0, -1]] == pytest.approx([0.0, 0.151])
+
+
+@pytest.mark.parametrize("goes_on", [False, True])
+def test_a_stretch_in_which_a_fault_begins_is_of_no_other_motor(
+    goes_on: bool, judge: Judge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It holds samples of the healthy motor and of the faulty one; what goes on may be of another motor."""
+    moved = changes(1.0, 1.4, 1.8, 1.0, moved="RKJB")
+    FakeVigil.told = replace(judged("other", 1.0, 1.4, 1.8, 1.0, duration_s=0.06), changes=moved)
+    monkeypatch.setattr(FakeVigil, "goes_on", goes_on)
+    said = watched(samples(202), per_year=1e4)[1]
+    assert said.kind == ("another_motor" if goes_on else "window")
+    assert goes_on or said.text == "other"
 
 
 def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
