@@ -49,6 +49,7 @@ from motor_env.motor.parameters import FloatArray
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _TELLING_WARMTH_K = 8.0
 _DOUBLED, _TENFOLD = 1.0, 9.0
+_LEFT_OVER = 0.01
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
 
 
@@ -122,7 +123,9 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
     )
     if quiet is None:
         limit = limits.z if alarm is None else min(limits.z, _NAMED)
-        return as_wear(_with_alarm(healthy, reference, views, log_ratios, limit, rate=rate))
+        # However often windows may alarm: a fault that is there leaves no more than this in 1 of 100.
+        left_over = min(rate, _LEFT_OVER)
+        return as_wear(_with_alarm(healthy, reference, views, log_ratios, limit, rate=left_over))
     # Healthy pieces may scatter by their load; that is no defect of this one.
     spread = view.difference.covariance
     if reference.includes_fit_error:
