@@ -57,7 +57,7 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     problem, chosen = best.problem, motor_places(best.problem)
     jacobian = secants(problem, best.theta)
     total, _ = sandwich(problem, best.theta, jacobian, chosen)
-    total += model_error(problem, best.theta, jacobian, chosen, total, states_of(best))
+    total += model_error(problem, best.theta, jacobian, chosen, total, states=states_of(best))
     for name, test in score_tests(best, every, candidates(best)).items():
         occam = test.sd / math.hypot(test.sd, every[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
@@ -134,6 +134,7 @@ def model_error(
     jacobian: FloatArray,
     chosen: Sequence[int],
     series: FloatArray,
+    *,
     states: FloatArray | None = None,
 ) -> FloatArray:
     """Covariance that a model's error adds to that of a stationary series, shape (p, p).

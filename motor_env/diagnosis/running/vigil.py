@@ -228,16 +228,15 @@ class Vigil:
     def alarm(self, recording: Recording, rate: float) -> Judgement | None:
         """The judgement on what an alarm is about; None where it tells nothing. The evidence begins anew.
 
-        Where the samples fit no fault, as some of them may still be healthy, the evidence names it, unless something
-        else has moved as well.
+        The fault begins in the first of its pieces, which is not fitted where there are more. Where the samples fit no
+        fault, as some of them may still be healthy, the evidence names it, unless something else has moved as well.
         """
-        span_s = min(
-            max(math.ceil(self._detector.strongest[2]), 1) * self.piece_s, self.judge.windows.window_s
-        )
+        pieces = min(max(math.ceil(self._detector.strongest[2]), 1), self._pieces)
+        span_s, fitted_s = pieces * self.piece_s, max(pieces - 1, 1) * self.piece_s
         kind, share = self._along.kinds[self._toward], float(self._detector.shares[self._toward])
         self._detector.forget()
         recording = averaged(recording, self.judge.windows.window_s)
-        judged = self.judge.failed_sensor(recording) or self._fitted(recording, span_s, rate)
+        judged = self.judge.failed_sensor(recording) or self._fitted(recording, fitted_s, rate)
         if judged is None:
             return None
         if judged.verdict is Verdict.OTHER and kind is not None and share > _MOSTLY:

@@ -105,7 +105,7 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
     covariance, independent = sandwich(
         problem, theta, jacobian, range(len(theta)), begin=start.alignment.onset_index, level=level
     )
-    more = model_error(problem, theta, jacobian, range(len(theta)), covariance, states_of(best))
+    more = model_error(problem, theta, jacobian, range(len(theta)), covariance, states=states_of(best))
     if start.voltage_known and start.voltage_v is None:
         wanted = math.log(problem.count) + STRONG_EVIDENCE
         for test in unmeasured(best):

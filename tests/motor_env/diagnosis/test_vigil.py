@@ -319,7 +319,7 @@ def test_a_drift_of_one_per_cent_an_hour_is_told(direction: list[float], steady:
     told = [watch.ended(fit(rng, math.log1p(0.01 * k / 6.0) * np.array(direction))) for k in range(150)]
     assert any(told)
     assert all(told[-6:])  # and it goes on being told
-    assert watch.goes_on or counts
+    assert counts or watch.goes_on
 
 
 def test_false_alarms_of_windows_are_no_more_than_was_asked() -> None:
@@ -393,7 +393,13 @@ def test_an_alarm_is_named_by_its_evidence_where_its_samples_fit_no_fault(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     told, watch = Judgement(Verdict.OTHER, ("because",)), vigil(commissioned(steady=True))
-    monkeypatch.setattr(Vigil, "_fitted", lambda *_: told)
+    fitted: list[float] = []
+
+    def _fitted(_: Vigil, __: object, span_s: float, ___: float) -> Judgement:
+        fitted.append(span_s)
+        return told
+
+    monkeypatch.setattr(Vigil, "_fitted", _fitted)
     recording = SimpleNamespace(dt_s=1.0, time_s=np.arange(100.0))
     monkeypatch.setattr("motor_env.diagnosis.running.vigil.averaged", lambda *_: recording)
     monkeypatch.setattr("motor_env.diagnosis.running.windows.WindowJudge.failed_sensor", lambda *_: None)
@@ -406,3 +412,11 @@ def test_an_alarm_is_named_by_its_evidence_where_its_samples_fit_no_fault(
         assert (found.verdict, found.fault_kind) == (verdict, kind)
         assert (found.duration_s, found.begin_s) == (WINDOW_S, 99.0 - WINDOW_S)
         assert watch._detector.evidence == 0.0
+    # The fault begins in the first piece: it is fitted only where there is no other.
+    watch._pieces, watch.piece_s = 8, WINDOW_S / 8.0
+    fitted.clear()
+    for age, span, kept in ((0.5, 1, 1), (2.2, 3, 2), (20.0, 8, 7)):
+        watch._detector.sums[0, 0], watch._detector.ages[0, 0] = 1e9, 1e9 * age
+        found = watch.alarm(recording, 0.01)  # type: ignore[arg-type]  # as above
+        assert found is not None
+        assert (found.duration_s, fitted.pop()) == (span * watch.piece_s, kept * watch.piece_s)

@@ -71,7 +71,7 @@ def test_an_error_that_follows_a_state_shows_under_a_periodic_command() -> None:
         problem, theta = cast("Any", of), least_squares(of)
         series, _ = sandwich(problem, theta, design, [0, 1])
         in_time = model_error(problem, theta, design, [0, 1], series)
-        by_state = model_error(problem, theta, design, [0, 1], series, current[:, None])
+        by_state = model_error(problem, theta, design, [0, 1], series, states=current[:, None])
         assert np.trace(in_time) < np.trace(series)
         assert (np.trace(by_state) > 5.0 * np.trace(series)) == seen
         assert np.linalg.eigvalsh(by_state - in_time).min() > -1e-12

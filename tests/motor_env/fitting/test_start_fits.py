@@ -463,7 +463,7 @@ def test_what_a_fit_says_of_itself() -> None:
     np.testing.assert_allclose(series, np.sqrt(np.diag(covariance))[:5], rtol=0.02)
     jacobian = problem.jacobian(theta, problem.residuals(theta))
     covariance += model_error(
-        problem, theta, jacobian, range(len(theta)), covariance, states_of(fit.solution)
+        problem, theta, jacobian, range(len(theta)), covariance, states=states_of(fit.solution)
     )
     usual = moved_by_an_inductance(fit.solution, 0.03)
     covariance += np.outer(usual, usual)
