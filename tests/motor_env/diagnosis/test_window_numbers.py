@@ -284,16 +284,6 @@ def off_by(kind: str, size: float, covariance: FloatArray, freedom: float, rate:
     return np.asarray(size * limit_of(covariance, freedom, rate) * sd * g)
 
 
-def test_a_fault_is_named_however_often_windows_may_alarm() -> None:
-    """What it leaves is less in 5 of 6 cases, which is no reason to doubt it; less in 999 of 1,000 is."""
-    covariance, g = 1e-4 * np.eye(4), visible_direction(FaultKind.BEARING, EXPONENTS)
-    aside = np.array([1.0, 0.0, -1.0, 0.0]) - g * (np.array([1.0, 0.0, -1.0, 0.0]) @ g) / (g @ g)
-    for left, verdict in ((0.15, "bearing"), (1e-3, "other")):
-        size = np.sqrt(stats.chi2.isf(left, 3.0) * 2e-4) / np.linalg.norm(aside)
-        for rate in (1.0 / 6.0, 0.01):
-            assert decided(0.3 * g + size * aside, covariance, rate, 1e6).verdict == verdict
-
-
 @pytest.mark.parametrize(
     ("kind", "named"),
     [
@@ -327,11 +317,12 @@ def test_shorted_turns_are_named_where_the_resistance_alone_shows_them() -> None
         assert decided(size * at * g, covariance, rate, freedom).verdict == verdict
 
 
-def test_what_a_fault_leaves_unexplained_makes_it_something_else() -> None:
-    """From the rate on: the rest, squared, per dimension of the three that are left."""
-    covariance, freedom, rate = np.diag([4e-4, 4e-4, 4e-4, 4e-4]), 30.0, 0.02
+@pytest.mark.parametrize(("rate", "left"), [(0.004, 0.004), (0.01, 0.01), (0.3, 0.01)])
+def test_what_a_fault_leaves_unexplained_makes_it_something_else(rate: float, left: float) -> None:
+    """The rest, squared, per dimension of the three that are left; however often healthy windows may alarm."""
+    covariance, freedom = np.diag([4e-4, 4e-4, 4e-4, 4e-4]), 30.0
     for size, verdict in ((0.995, "bearing"), (1.005, "other")):
-        rest = size * math.sqrt(3.0 * stats.f.isf(rate, 3, freedom)) * 0.02
+        rest = size * math.sqrt(3.0 * stats.f.isf(left, 3, freedom)) * 0.02
         off = np.array([0.0, 0.0, rest, 0.3])  # no fault moves the inertia
         assert decided(off, covariance, rate, freedom).verdict == verdict
 
