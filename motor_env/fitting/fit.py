@@ -106,7 +106,7 @@ def _timed(best: Solution) -> Solution:
     A lag of the voltage then looks like L/R. What decides between them is how a model errs that is never quite right.
     """
     slopes = np.diff(best.problem.record.voltage_v)
-    if np.abs(np.diff(slopes)).sum() > np.abs(slopes).sum():
+    if np.nansum(np.abs(np.diff(slopes))) > np.nansum(np.abs(slopes)):
         return best
     rivals = []
     for begun in _behaviours(best, best.problem.record):
