@@ -73,7 +73,7 @@ def watch_delays() -> str:
         [
             f"{row['fault']} +{row['severity']:.1%}",
             f"{row['best_s']:.3g}",
-            *("never" if row[name] is None else f"{row[name]:.3g}" for name in ("hour_s", "year_s")),
+            *("never" if row[name] is None else f"{row[name]:.4g}" for name in ("hour_s", "year_s")),
             "-" if row["hour_s"] is None else f"{row['hour_s'] / row['best_s']:.1f}",
             f"{row['named']:.0%}",
             f"{row['named_next']:.0%}",
