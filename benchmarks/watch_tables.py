@@ -80,8 +80,8 @@ def watch_delays() -> str:
         ]
         for row in sorted(_read("watch_delays.json"), key=lambda row: (row["fault"], row["severity"]))
     ]
-    header = ["fault", "the best CUSUM, one an hour (s)", "`watch`, one an hour (s)", "one a year (s)"]
-    return table([*header, "ratio at one an hour", "named by the first alarm", "by the next"], rows)
+    header = ["fault", "best CUSUM, hour (s)", "`watch`, hour (s)", "year (s)", "ratio, hour"]
+    return table([*header, "named at once", "by the next alarm"], rows)
 
 
 def promises() -> str:
