@@ -462,9 +462,10 @@ def test_what_a_fit_says_of_itself() -> None:
     series = np.sqrt(np.diag(fit.series_covariance))
     np.testing.assert_allclose(series, np.sqrt(np.diag(covariance))[:5], rtol=0.02)
     jacobian = problem.jacobian(theta, problem.residuals(theta))
-    covariance += model_error(
-        problem, theta, jacobian, range(len(theta)), covariance, states=states_of(fit.solution)
-    )
+    states = states_of(fit.solution)
+    np.testing.assert_allclose(states[:, :2], fit.run(fit.physical), atol=0.03)
+    np.testing.assert_allclose(states[1:-1, 2:], 0.5 * (states[2:, :2] - states[:-2, :2]))
+    covariance += model_error(problem, theta, jacobian, range(len(theta)), covariance, states=states)
     usual = moved_by_an_inductance(fit.solution, 0.03)
     covariance += np.outer(usual, usual)
     np.testing.assert_allclose(errors, np.sqrt(np.diag(covariance))[:5], rtol=0.02)
