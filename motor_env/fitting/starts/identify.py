@@ -106,9 +106,8 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
         problem, theta, jacobian, range(len(theta)), begin=start.alignment.onset_index, level=level
     )
     more = model_error(problem, theta, jacobian, range(len(theta)), covariance, states=states_of(best))
-    if (
-        start.voltage_known and start.voltage_v is None
-    ):  # per volt of a supply that nobody knows, nothing is claimed
+    # Per volt of a supply that nobody knows, nothing is claimed.
+    if start.voltage_known and start.voltage_v is None:
         wanted = math.log(problem.count) + STRONG_EVIDENCE
         for test in unmeasured(best):
             if test.chi_square > wanted:
