@@ -9,6 +9,7 @@ from types import ModuleType
 import film
 import numpy as np
 import rules
+import scaling
 import stream_delays
 import trust
 from PIL import Image
@@ -87,6 +88,17 @@ def test_the_curves_of_the_streams_are_those_of_the_table(tmp_path: Path) -> Non
         assert (f"{1e3 * first[1]:.0f} ms", f"{100.0 * first[2]:.1f} %") == (delay, missed)
 
 
+def test_the_errors_by_number_of_starts_are_those_kept(tmp_path: Path) -> None:
+    scaling.draw(tmp_path / "scaling.svg")
+    assert (tmp_path / "scaling.svg").read_text(encoding="utf-8") == scaling.PICTURE.read_text(
+        encoding="utf-8"
+    )
+    every = scaling.kept()
+    for task, peer, starts, _, said, *_ in kept_tables("leaderboard")["hour"]["rows"]:
+        one = every[task][peer][int(starts.replace(",", ""))]
+        assert said == f"{one['value']:.2f} ({one['low']:.2f} to {one['high']:.2f})"
+
+
 def test_the_charts_of_the_trust_page_are_those_of_the_kept_figures() -> None:
     """`python benchmarks/trust.py kept` writes them."""
     charts = dict(trust.kept_charts())
@@ -103,7 +115,7 @@ def test_every_picture_is_shown_and_has_a_test() -> None:
     of_the_paper = {name for name in kept if name.startswith(("figure_", "error_covariance"))}
     assert kept - of_the_paper == {
         *("hero.png", "rooms.svg", "verdict.svg", "probe-agent.gif", "fleet.svg"),
-        *("rules_delay.svg", "other-roc.svg", "early-verdicts.svg", "stream_delays.svg"),
+        *("rules_delay.svg", "other-roc.svg", "early-verdicts.svg", "stream_delays.svg", "scaling.svg"),
     }
 
 
