@@ -22,6 +22,8 @@ from motor_env.inference.truncated_normal import TruncatedNormal
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
 
+_DRAWS, _MOST_ROUNDS = 128, 16
+_ENOUGH = 100.0  # effective draws with which sampling ends
 _FEW = 20.0  # effective draws below which an evidence is not believed
 _HOPELESS = 16.0  # log ratio of two best fits beyond which a class is not sampled
 _NEGLIGIBLE = 8.0  # the same of evidences, beyond which it is not sampled again
@@ -56,23 +58,6 @@ class Linear:
         mean, precision = model.prior
         far = np.square(self.left).sum() + (precision * np.square(self.at - mean)).sum()
         return float(0.5 * far + np.log(model.noise).sum())
-
-
-class Effort(NamedTuple):
-    """How much is sampled.
-
-    Attributes:
-        draws: of a round.
-        most_rounds: after which sampling ends.
-        enough: effective draws with which it ends before.
-    """
-
-    draws: int
-    most_rounds: int
-    enough: float
-
-
-THOROUGH = Effort(128, 16, 100.0)
 
 
 class Evidence(NamedTuple):
@@ -157,7 +142,6 @@ def sampled_evidence(
     rng: np.random.Generator,
     *,
     floor: float = -np.inf,
-    effort: Effort = THOROUGH,
 ) -> Evidence:
     """Evidence of one class by adaptive multiple importance sampling (Cornuet et al. 2012).
 
@@ -167,14 +151,13 @@ def sampled_evidence(
         linear: of `best_fit`.
         rng: of the draws.
         floor: log evidence below which one round is enough.
-        effort: draws of a round, and when to end.
     """
     noise = model.whole_noise
     proposals = [linear.posterior(model)]
     values, joint = np.empty((0, len(linear.at))), np.empty(0)
     left = np.empty((0, len(measured)))
     while True:
-        fresh = proposals[-1].draw(rng, effort.draws)
+        fresh = proposals[-1].draw(rng, _DRAWS)
         read = model.readings(fresh)
         values = np.vstack([values, fresh])
         left = np.vstack([left, np.nan_to_num((measured - read) / noise)])
@@ -182,10 +165,10 @@ def sampled_evidence(
         densities = [proposal.log_density(values) for proposal in proposals]
         log_weights = joint - logsumexp(densities, axis=0) + np.log(len(proposals))
         found = Evidence(float(logsumexp(log_weights) - np.log(len(values))), _effective(log_weights))
-        done = found.effective >= effort.enough or (found.effective >= _FEW and found.log_value < floor)
-        if done or len(proposals) == effort.most_rounds:
+        done = found.effective >= _ENOUGH or (found.effective >= _FEW and found.log_value < floor)
+        if done or len(proposals) == _MOST_ROUNDS:
             return found
-        weights = _tempered(log_weights, 0.5 * effort.draws)
+        weights = _tempered(log_weights, 0.5 * _DRAWS)
         linear = _regressed(linear, values, left, weights)
         proposals.append(linear.posterior(model))
 

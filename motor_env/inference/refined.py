@@ -1,68 +1,130 @@
-"""The posterior over the classes of motors at work, from a fit, put right by the exact likelihood.
+"""The posterior over the classes of a recipe, from a fit of each class that comes into question.
 
-Around its fit a motor is nearly linear: given a class, its other coordinates are normal, and cut to their box. A few
-draws from there are simulated exactly and weighted by what the linear motor has wrong (importance sampling). How many
-draws count says when not to believe the result.
+The fit of all severities (`work_fit`) says which classes those are, and where each one's coordinates lie. There each
+class is simulated exactly and made linear, twice. Its evidence is then the integral of a normal density over the box
+of the recipe's priors, by separation of variables (Genz 1992).
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import softmax
+from numpy.typing import NDArray
+from scipy.special import logsumexp, softmax
 
 from motor_env.inference.class_model import ClassModel
-from motor_env.inference.field_posterior import Effort, Linear, linearised, sampled_evidence
-from motor_env.inference.work_features import WorkFit, work_fit
+from motor_env.inference.first_guess import bounded
+from motor_env.inference.truncated_normal import log_box_masses
+from motor_env.inference.work_features import AT_ONCE, WorkFit, most_probable, read_of, work_fit
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
-_QUICK = Effort(draws=24, most_rounds=4, enough=8.0)
-_HOPELESS = 3.5  # log ratio to the best class beyond which a class is not sampled
-_OF_FIT = 4.0  # effective draws that the fit's own log probability is worth
+_HOPELESS = 3.5  # log ratio to the best class beyond which the fit's word counts
+_DRAWS = 128
+_STEPS = 2  # simulations of each class
+_DAMPING = 0.01  # hardly any: the fit has done the searching
 _INSIDE = 0.02  # distance from the box at which the motor is made linear
+_UNIFORM = 12.0  # precision of the normal that stands for a uniform prior while a mode is sought
+_FLAT = 1e-3  # the same in the integral, whose box says the rest
 
 
 def refined_probabilities(
-    recipe: Recipe, cases: FloatArray, rng: np.random.Generator, effort: Effort = _QUICK
+    recipe: Recipe, cases: FloatArray, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Posterior of each class, and the effective number of draws behind it (Kish 1965), both (n_cases, n_classes).
 
-    A case of which the fit is sure is left to the fit; such classes have no draws. Below 8 effective draws do not
-    believe a probability.
+    Classes that are out of the question keep the fit's probability, and have no draws. Where only one is left, all do.
+    Below 8 effective draws the box cuts off all but a corner: do not believe a probability.
 
     Args:
-        recipe: one with a table `duty` and faults that change the motor.
-        cases: shape (n_cases, n_channels, n_samples), the applied voltage last.
-        rng: of the draws.
-        effort: for each class that is not out of the question.
+        recipe: one with a table `field` or `duty`, and faults that change the motor.
+        cases: shape (n_cases, n_channels, n_samples), of motors at work the applied voltage last.
+        rng: of the draws, 128 for all cases alike.
     """
+    shares = rng.random((len(ClassModel(recipe, recipe.classes[0]).names) + len(recipe.kinds), _DRAWS))
+    parts = [
+        _refined(recipe, cases[begin : begin + AT_ONCE], shares) for begin in range(0, len(cases), AT_ONCE)
+    ]
+    probabilities, effective = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return probabilities, effective
+
+
+def _refined(recipe: Recipe, cases: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
     fitted = work_fit(recipe, cases)
     logs, effective = fitted.log_probability.copy(), np.zeros_like(fitted.log_probability)
-    for n, case in enumerate(cases):
-        likely = np.flatnonzero(logs[n] > logs[n].max() - _HOPELESS)
-        if len(likely) > 1:
-            begun = [_begun(recipe, fitted, n, index, case) for index in likely]
-            found = np.array([sampled_evidence(*each, rng, effort=effort) for each in begun])
-            effective[n, likely] = found[:, 1]
-            sampled = found[:, 0] + np.log(recipe.class_probabilities[likely])
-            # Both are known up to a constant of the case; the fit's counts as so many draws more.
-            share = found[:, 1] / (found[:, 1] + _OF_FIT)
-            offset = np.average(sampled - logs[n, likely], weights=np.exp(logs[n, likely]))
-            logs[n, likely] += share * (sampled - offset - logs[n, likely])
+    likely = logs > logs.max(axis=1, keepdims=True) - _HOPELESS
+    likely &= likely.sum(axis=1, keepdims=True) > 1
+    found = np.full_like(logs, -np.inf)
+    for index, (fault_class, share) in enumerate(
+        zip(recipe.classes, recipe.class_probabilities, strict=True)
+    ):
+        rows = np.flatnonzero(likely[:, index])
+        if len(rows):
+            evidence, effective[rows, index] = _evidence(
+                recipe, fault_class, cases[rows], _begun(recipe, fault_class, fitted, index, rows), shares
+            )
+            found[rows, index] = evidence + np.log(share)
+    some = likely.any(axis=1)
+    # Both are known up to a constant of the case.
+    told = np.where(likely, logs, -np.inf)
+    offset = logsumexp(found[some], axis=1) - logsumexp(told[some], axis=1)
+    logs[some] = np.where(likely[some], found[some], logs[some] + offset[:, None])
     probabilities: FloatArray = softmax(logs, axis=1)
     return probabilities, effective
 
 
 def _begun(
-    recipe: Recipe, fitted: WorkFit, n: int, index: np.intp, case: FloatArray
-) -> tuple[ClassModel, FloatArray, Linear]:
-    """A class, what was measured, and the motor made linear where the fit of all severities puts the class."""
-    model = ClassModel(recipe, recipe.classes[index], case[-1])
-    n_kinds = fitted.positions.shape[1]
-    rest, kinds = slice(None, -n_kinds), slice(-n_kinds, None)
-    precision = np.linalg.inv(fitted.covariance[n])
-    away = fitted.positions[index] - fitted.values[n, kinds]
-    at = fitted.values[n, rest] - np.linalg.solve(precision[rest, rest], precision[rest, kinds] @ away)
+    recipe: Recipe, fault_class: FaultClass, fitted: WorkFit, index: int, rows: NDArray[np.intp]
+) -> FloatArray:
+    """Coordinates of a class where the fit of all severities puts them, shape (n_rows, size)."""
+    model, at = ClassModel(recipe, fault_class), fitted.simulated[rows]
+    position = fitted.positions[index]
+    n_others = at.shape[1] - len(position)
+    low, high = (np.concatenate([end[:n_others], position]) for end in _inner(model))
+    precision = np.asarray(np.linalg.inv(fitted.covariance[rows]), dtype=np.float64)
+    force = np.einsum("nij,nj->ni", precision, fitted.values[rows] - at)
+    others = bounded(at, precision, force, low, high)[:, :n_others]
+    severities = np.full((len(rows), len(model.names) - n_others), 0.5)
+    return np.hstack([others, severities])
+
+
+def _inner(model: ClassModel) -> FloatArray:
+    """Ends of the coordinates where a class is made linear, shape (2, size)."""
+    uniform = np.arange(len(model.names)) >= len(FACTORS)
+    return model.box + _INSIDE * np.array([uniform, -1.0 * uniform])
+
+
+def _evidence(
+    recipe: Recipe, fault_class: FaultClass, cases: FloatArray, begin: FloatArray, shares: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Log evidence of a class, and the effective draws behind it, both of shape (n_cases,)."""
+    model = ClassModel(recipe, fault_class)
+    size = len(model.names)
+    uniform = np.arange(size) >= len(FACTORS)
+    measured, voltage = read_of(recipe, cases)
+    centre, _ = model.prior
+    fit = most_probable(
+        model,
+        measured,
+        voltage,
+        begin=begin,
+        centre=centre,
+        precision=np.where(uniform, _UNIFORM, 1.0),
+        box=_inner(model),
+        most_steps=_STEPS,
+        damping=_DAMPING,
+    )
+    precision = np.where(uniform, _FLAT, 1.0)
+    away = fit.at - centre
+    whole, force = fit.information + np.diag(precision), fit.pull - precision * away
+    step = np.linalg.solve(whole, force[..., None])[..., 0]
     low, high = model.box
-    measured = case[:-1].reshape(-1)
-    return model, measured, linearised(model, measured, np.clip(at, low + _INSIDE, high - _INSIDE))
+    masses = log_box_masses(fit.at + step, whole, low, high, shares[:size])
+    weights = np.exp(masses - masses.max(axis=1, keepdims=True))
+    at_peak = 0.5 * (
+        (force * step).sum(axis=1) - np.square(fit.left).sum(axis=1) - np.square(away) @ precision
+    )
+    # The normal factors' prior has a constant that all classes share; that of the noise they do not.
+    constant = 0.5 * uniform.sum() * np.log(2.0 * np.pi) - np.log(model.whole_noise).sum()
+    volume = constant - 0.5 * np.linalg.slogdet(whole)[1]
+    mass = logsumexp(masses, axis=1) - np.log(shares.shape[1])
+    return at_peak + volume + mass, weights.sum(axis=1) ** 2 / np.square(weights).sum(axis=1)

@@ -1,4 +1,4 @@
-"""A normal distribution cut to a box: draws by separation of variables, each with its density (Genz 1992)."""
+"""A normal distribution cut to a box, by separation of variables (Genz 1992): draws, their density, and its mass."""
 
 from __future__ import annotations
 
@@ -81,3 +81,31 @@ class TruncatedNormal:
         _, _, mass = _left((self.low - centre) / scale, (self.high - centre) / scale)
         logs: FloatArray = (-0.5 * (np.square(normal) + _LOG_2PI) - np.log(scale) - mass).sum(axis=1)
         return logs
+
+
+def log_box_masses(
+    mean: FloatArray, precision: FloatArray, low: FloatArray, high: FloatArray, shares: FloatArray
+) -> FloatArray:
+    """Logarithms whose mean exponential is the mass of a normal distribution in a box, shape (n, n_draws).
+
+    Args:
+        mean: of n distributions before the cut, shape (n, size).
+        precision: their inverse covariances, shape (n, size, size).
+        low: of the box, shape (size,).
+        high: the same.
+        shares: uniform draws in 0 .. 1, the same for all, shape (size, n_draws).
+    """
+    n, size = mean.shape
+    order = np.argsort(np.minimum(mean - low, high - mean), axis=1)
+    rows = np.arange(n)[:, None]
+    covariance = np.linalg.inv(precision)[rows[..., None], order[:, :, None], order[:, None, :]]
+    root, centres = np.linalg.cholesky(covariance), mean[rows, order]
+    normal, masses = np.zeros((n, size, shares.shape[1])), np.zeros((n, shares.shape[1]))
+    for i, share in enumerate(np.log(shares)):
+        centre = centres[:, i, None] + np.einsum("nj,njm->nm", root[:, i, :i], normal[:, :i])
+        scale = root[:, i, i, None]
+        ends = ((end[order[:, i], None] - centre) / scale for end in (low, high))
+        sign, below, mass = _left(*ends)
+        normal[:, i] = sign * ndtri_exp(np.logaddexp(below, share + mass))
+        masses += mass
+    return masses

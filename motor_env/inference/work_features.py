@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import log_softmax, softmax
 
 from motor_env.inference.class_model import ClassModel
+from motor_env.inference.first_guess import EdgeGrid
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
@@ -28,7 +29,8 @@ _BEGIN = 0.2  # within that range
 _FLAT = 0.01  # precision of a severity, which has hardly a prior
 _UNIFORM = 12.0  # of a uniform coordinate
 _RAREST = -12.0  # smallest logarithm of a probability that a feature tells
-_AT_ONCE = 64
+AT_ONCE = 64
+"""Cases that are fitted side by side: more need memory, fewer time."""
 
 
 def _kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
@@ -81,8 +83,8 @@ def work_features(recipe: Recipe, cases: FloatArray) -> FloatArray:
     Returns:
         Shape (n_cases, n_features), columns as `work_feature_names` says.
     """
-    begins = range(0, len(cases), _AT_ONCE)
-    return np.concatenate([_features(recipe, cases[begin : begin + _AT_ONCE]) for begin in begins])
+    begins = range(0, len(cases), AT_ONCE)
+    return np.concatenate([_features(recipe, cases[begin : begin + AT_ONCE]) for begin in begins])
 
 
 def work_probabilities(recipe: Recipe, cases: FloatArray) -> FloatArray:
@@ -117,18 +119,36 @@ class WorkFit(NamedTuple):
     log_probability: FloatArray
 
 
+def read_of(recipe: Recipe, cases: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    """What the sensors told, shape (n_cases, n_values), and the voltage applied to motors at work."""
+    measured = cases[:, : len(recipe.sensor.channels)].reshape(len(cases), -1)
+    return measured, None if recipe.duty is None else cases[:, -1]
+
+
 def work_fit(recipe: Recipe, cases: FloatArray) -> WorkFit:
-    """Fit cases, all side by side; arguments as of `work_features`."""
+    """Fit cases, all side by side; arguments as of `work_features`, and starts of a recipe with a table `field`.
+
+    A start begins near its goal (`EdgeGrid`), and the motor is made linear there, once.
+    """
     fault, n = any_fault(recipe), len(cases)
     model = ClassModel(recipe, fault)
     size = len(model.names)
     precision = np.where(np.arange(size) < len(FACTORS), 1.0, _UNIFORM)
     centre = model.prior[0].copy()
     centre[-len(fault.parts) :], precision[-len(fault.parts) :] = _BEGIN, _FLAT
-    measured = cases[:, :-1].reshape(n, -1)
-    begin = np.tile(centre, (n, 1))
+    measured, voltage = read_of(recipe, cases)
+    begin, most_steps = np.tile(centre, (n, 1)), _MOST_STEPS
+    if voltage is None:
+        begin, most_steps = EdgeGrid(model, centre, precision).guess(measured), 1
     at, information, pull, left = most_probable(
-        model, measured, cases[:, -1], begin=begin, centre=centre, precision=precision, box=model.box
+        model,
+        measured,
+        voltage,
+        begin=begin,
+        centre=centre,
+        precision=precision,
+        box=model.box,
+        most_steps=most_steps,
     )
     whole = information + np.diag(precision)
     found = at + np.linalg.solve(whole, (pull + precision * (centre - at))[..., None])[..., 0]
@@ -169,43 +189,47 @@ class Fit(NamedTuple):
 def most_probable(
     model: ClassModel,
     measured: FloatArray,
-    voltage_v: FloatArray,
+    voltage_v: FloatArray | None,
     *,
     begin: FloatArray,
     centre: FloatArray,
     precision: FloatArray,
     box: FloatArray,
     most_steps: int = _MOST_STEPS,
+    damping: float = _FIRST_DAMPING,
 ) -> Fit:
     """Damped Gauss-Newton steps to the most probable coordinates under an independent normal prior.
 
     Args:
         model: readings as a function of the coordinates.
         measured: shape (n, n_values).
-        voltage_v: what was applied, shape (n, n_samples).
+        voltage_v: what was applied to motors at work, shape (n, n_samples); None for starts.
         begin: first coordinates, shape (n, size).
         centre: means of the prior, shape (size,).
         precision: inverse variances of the prior, shape (size,).
         box: smallest and largest coordinates that can be simulated, shape (2, size).
         most_steps: simulations of each case at the most; one only makes the motor linear.
+        damping: of the first step, relative to the information.
     """
     n, size = begin.shape
     noise = model.whole_noise
     beside = np.concatenate([np.zeros((1, size)), _PACE * np.eye(size)])
     at, information, pull = begin.copy(), np.zeros((n, size, size)), np.zeros((n, size))
-    trial, best, damping = begin.copy(), np.full(n, np.inf), np.full(n, 10.0 * _FIRST_DAMPING)
+    trial, best, dampings = begin.copy(), np.full(n, np.inf), np.full(n, 10.0 * damping)
     left = np.zeros_like(measured)
     going = np.arange(n)
     for _ in range(most_steps):
-        each = replace(model, voltage_v=np.repeat(voltage_v[going], len(beside), axis=0))
+        each = model
+        if voltage_v is not None:
+            each = replace(model, voltage_v=np.repeat(voltage_v[going], len(beside), axis=0))
         read = each.readings((trial[going, None] + beside).reshape(-1, size))
         read = read.reshape(len(going), len(beside), -1)
         error = (measured[going] - read[:, 0]) / noise
         objective = np.square(error).sum(axis=1) + np.square(centre - trial[going]) @ precision
         gain = best[going] - objective
         better = gain > 0.0
-        damping[going] = np.where(
-            better, 0.1 * damping[going], np.maximum(10.0 * damping[going], _LEAST_DAMPING)
+        dampings[going] = np.where(
+            better, 0.1 * dampings[going], np.maximum(10.0 * dampings[going], _LEAST_DAMPING)
         )
         nearer = going[better]
         at[nearer], best[nearer], left[nearer] = trial[nearer], objective[better], error[better]
@@ -213,7 +237,7 @@ def most_probable(
         information[nearer] = slopes @ slopes.swapaxes(1, 2)
         pull[nearer] = np.einsum("njk,nk->nj", slopes, error[better])
         whole = information[going] + np.diag(precision)
-        damped = whole * (1.0 + damping[going, None, None] * np.eye(size))
+        damped = whole * (1.0 + dampings[going, None, None] * np.eye(size))
         force = pull[going] + precision * (centre - at[going])
         trial[going] = np.clip(at[going] + np.linalg.solve(damped, force[..., None])[..., 0], *box)
         going = going[~better | (gain > _ARRIVED)]

@@ -1,0 +1,88 @@
+"""Where the fit of a start begins: the best of a grid over its edge.
+
+The supply's ramp and the trigger's delay bend the edge of the current, and no straight line follows that. At each point
+of a grid of both, the motor is made linear once for a recipe. The point whose linear motor explains a start best, and
+that motor's most probable coordinates within their box, are close enough for one more step to arrive.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from motor_env.inference.class_model import ClassModel
+from motor_env.motor.parameters import FloatArray
+
+_POINTS = {"ramp_s": 8, "trigger_jitter": 2}  # of the grid
+_PACE = 0.01  # of differences, relative to a range or a standard deviation
+_PASSES = 4
+
+
+def bounded(
+    at: FloatArray, precision: FloatArray, force: FloatArray, low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Points in a box that are nearly, and often exactly, the most probable of normal distributions, shape (n, size).
+
+    Coordinates that leave the box stay at its side for good, and the others are sought again, given those.
+
+    Args:
+        at: where the slopes are known, shape (n, size).
+        precision: inverse covariances, shape (n, size, size).
+        force: slopes of the log densities at `at`, shape (n, size).
+        low: of the box, shape (size,).
+        high: the same; where both are one, that is the coordinate.
+    """
+    move, fixed = np.zeros_like(at), np.zeros(at.shape, dtype=bool)
+    for _ in range(_PASSES):
+        free = ~fixed
+        pull = force - np.einsum("nij,nj->ni", precision, np.where(fixed, move, 0.0))
+        among = np.where(free[:, :, None] & free[:, None, :], precision, np.eye(at.shape[1]))
+        found = np.linalg.solve(among, np.where(free, pull, 0.0)[..., None])[..., 0]
+        move = np.where(free, found, move)
+        beyond = free & ((at + move < low) | (at + move > high))
+        if not beyond.any():
+            break
+        move = np.where(beyond, np.clip(at + move, low, high) - at, move)
+        fixed |= beyond
+    return np.clip(at + move, low, high)
+
+
+class EdgeGrid:
+    """A motor made linear at each point of a grid over ramp and trigger, those that its recipe leaves open.
+
+    Args:
+        model: readings as a function of the coordinates.
+        centre: means of the normal prior, shape (size,); where the other coordinates are in the grid.
+        precision: its inverse variances, shape (size,).
+    """
+
+    def __init__(self, model: ClassModel, centre: FloatArray, precision: FloatArray) -> None:
+        size, noise = len(centre), model.whole_noise
+        open_ones = [name for name in _POINTS if name in model.names]
+        axes = [(np.arange(_POINTS[name]) + 0.5) / _POINTS[name] for name in open_ones]
+        points = np.array(list(product(*axes)))
+        at = np.tile(centre, (len(points), 1))
+        at[:, [model.names.index(name) for name in open_ones]] = points
+        beside = np.concatenate([np.zeros((1, size)), _PACE * np.eye(size)])
+        read = model.readings((at[:, None] + beside).reshape(-1, size)).reshape(len(at), size + 1, -1)
+        self.at, self.read, self.noise, self.box = at, read[:, 0], noise, model.box
+        self.slopes = (read[:, 1:] - read[:, :1]) / (_PACE * noise)
+        self.precision = self.slopes @ self.slopes.swapaxes(1, 2) + np.diag(precision)
+        self.of_prior = precision * (centre - at)
+        self.prior_misfit = np.square(centre - at) @ precision
+
+    def guess(self, measured: FloatArray) -> FloatArray:
+        """Most probable coordinates of starts of shape (n, n_values), by the best linear motor, shape (n, size)."""
+        best = np.full(len(measured), np.inf)
+        chosen, force = np.zeros(len(measured), dtype=np.intp), np.zeros((len(measured), self.at.shape[1]))
+        for index, (read, slopes, precision) in enumerate(
+            zip(self.read, self.slopes, self.precision, strict=True)
+        ):
+            left = (measured - read) / self.noise
+            pull = left @ slopes.T + self.of_prior[index]
+            gain = (pull * np.linalg.solve(precision, pull.T).T).sum(axis=1)
+            misfit = np.square(left).sum(axis=1) + self.prior_misfit[index] - gain
+            better = misfit < best
+            best[better], chosen[better], force[better] = misfit[better], index, pull[better]
+        return bounded(self.at[chosen], self.precision[chosen], force, *self.box)

@@ -1,0 +1,45 @@
+"""Where the fit of a start begins: bounded least squares and recorded truth are the oracles."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from motor_datasets import generate_arrays
+from motor_env import load_recipe
+from motor_env.inference.first_guess import bounded
+from motor_env.inference.work_features import work_feature_names, work_fit
+
+
+def test_bounded_mostly_finds_the_best_point_of_the_box_and_never_leaves_it() -> None:
+    rng = np.random.default_rng(3)
+    low, high, at = np.full(4, -0.3), np.array([0.3, 0.3, 0.1, 2.0]), np.zeros((50, 4))
+    roots = rng.normal(size=(50, 6, 4)) + 0.5
+    wanted = 0.4 * rng.normal(size=(50, 6))
+    precision, force = roots.swapaxes(1, 2) @ roots, np.einsum("nij,ni->nj", roots, wanted)
+    got = bounded(at, precision, force, low, high)
+    best = [lsq_linear(root, want, (low, high)).x for root, want in zip(roots, wanted, strict=True)]
+    assert (np.abs(got - best).max(axis=1) < 1e-6).mean() > 0.7
+    cut = np.clip(np.linalg.solve(precision, force[..., None])[..., 0], low, high)
+    misfit = [np.square((roots @ x[..., None])[..., 0] - wanted).sum(axis=1) for x in (got, cut)]
+    assert misfit[0].sum() < 0.9 * misfit[1].sum()
+    assert ((got >= low) & (got <= high)).all()
+
+
+def test_a_coordinate_whose_ends_are_one_stays_there() -> None:
+    precision = np.array([[[2.0, 1.0], [1.0, 2.0]]])
+    ends = np.array([-9.0, 0.5]), np.array([9.0, 0.5])
+    got = bounded(np.zeros((1, 2)), precision, np.array([[1.0, 0.0]]), *ends)
+    np.testing.assert_allclose(got, [[0.25, 0.5]])
+
+
+def test_a_fit_begins_near_the_ramp_of_a_start_and_explains_it_nearly() -> None:
+    recipe = replace(load_recipe("field"), starts_per_motor=1, healthy_starts=0, shifts=())
+    starts = generate_arrays(recipe, 5, 40)
+    fit = work_fit(recipe, starts.X.astype(np.float64))
+    _, longest = recipe.priors["ramp_s"]
+    column = work_feature_names(recipe).index("ramp_s")
+    error = fit.simulated[:, column] - starts.parameters["ramp_s"] / longest
+    assert np.median(np.abs(error)) < 0.03
+    assert np.median(fit.chi2) < 4.0  # 300 in the middle of the box
+    assert (fit.log_probability[np.arange(40), starts.class_index] > np.log(0.1)).mean() > 0.8
