@@ -100,7 +100,7 @@ def of_network(name: str, count: int) -> Answers:
 
 
 def at_work(name: str, count: int) -> Answers:
-    """Of motors at work by the fit, refined by the exact likelihood."""
+    """Of motors at work by the fit, refined class by class."""
     recipe = load_task(name).recipe
     cases = generate_arrays(recipe, SEED, FIRST + np.arange(count))
     probabilities, _ = refined_probabilities(recipe, cases.X.astype(np.float64), np.random.default_rng(SEED))
