@@ -22,12 +22,12 @@ from typing import Any, Literal, NamedTuple
 import cyclopts
 import numpy as np
 from networks import network_of
+from sampled_posterior import sampled_probabilities
 
 from motor_classifiers.estimators.methods import make_method
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.files import replacing, write_text
-from motor_env.inference.field_posterior import sampled_probabilities
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe

@@ -57,7 +57,7 @@ class EdgeGrid:
         precision: its inverse variances, shape (size,).
     """
 
-    def __init__(self, model: ClassModel, centre: FloatArray, precision: FloatArray) -> None:
+    def __init__(self, model: ClassModel, *, centre: FloatArray, precision: FloatArray) -> None:
         size, noise = len(centre), model.whole_noise
         open_ones = [name for name in _POINTS if name in model.names]
         axes = [(np.arange(_POINTS[name]) + 0.5) / _POINTS[name] for name in open_ones]

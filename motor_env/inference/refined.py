@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
+from motor_env.inference.box_mass import log_box_masses
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.first_guess import bounded
-from motor_env.inference.truncated_normal import log_box_masses
 from motor_env.inference.work_features import AT_ONCE, WorkFit, most_probable, read_of, work_fit
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe

@@ -139,7 +139,7 @@ def work_fit(recipe: Recipe, cases: FloatArray) -> WorkFit:
     measured, voltage = read_of(recipe, cases)
     begin, most_steps = np.tile(centre, (n, 1)), _MOST_STEPS
     if voltage is None:
-        begin, most_steps = EdgeGrid(model, centre, precision).guess(measured), 1
+        begin, most_steps = EdgeGrid(model, centre=centre, precision=precision).guess(measured), 1
     at, information, pull, left = most_probable(
         model,
         measured,

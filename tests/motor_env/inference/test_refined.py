@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sampled_posterior import sampled_probabilities
 
 from motor_datasets import generate_arrays
 from motor_env import load_recipe
-from motor_env.inference.field_posterior import sampled_probabilities
 from motor_env.inference.refined import refined_probabilities
 from motor_env.inference.work_features import work_fit, work_probabilities
 from motor_env.motor.parameters import FloatArray

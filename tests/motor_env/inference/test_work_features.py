@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sampled_posterior import sampled_probabilities
 from scipy.special import log_softmax
 
 from motor_env import FaultKind, draw, load_recipe
 from motor_env.inference.class_model import ClassModel
-from motor_env.inference.field_posterior import sampled_probabilities
 from motor_env.inference.work_features import work_feature_names, work_features, work_probabilities
 from motor_env.motor.parameters import FloatArray
 

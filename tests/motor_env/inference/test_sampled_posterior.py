@@ -4,21 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.special import logsumexp
-from scipy.stats import multivariate_normal, norm
-
-from motor_env import FaultKind, Recipe, Timing, class_probabilities, draw, load_recipe
-from motor_env.inference.class_model import ClassModel
-from motor_env.inference.field_posterior import (
+from sampled_posterior import (
     Linear,
+    TruncatedNormal,
     _regressed,
     _tempered,
     best_fit,
     sampled_evidence,
     sampled_probabilities,
 )
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal, norm
+
+from motor_env import FaultKind, Recipe, Timing, class_probabilities, draw, load_recipe
+from motor_env.inference.class_model import ClassModel
 from motor_env.inference.posterior import class_log_evidence
-from motor_env.inference.truncated_normal import TruncatedNormal
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: what a draw measures, and the numbers of each stream behind it, show in no public name.

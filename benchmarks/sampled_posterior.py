@@ -1,4 +1,4 @@
-"""The posterior over the classes of a recipe with a table `field`, which has no closed form: sampled.
+"""The posterior over the classes of a recipe with a table `field` or `duty`, which has no closed form: sampled.
 
 Around the best fit a start is nearly linear in its nuisances. Their posterior is then a normal distribution cut to the
 box of the uniform priors, and easy to draw from. Each draw is simulated exactly, and its weight puts right what the
@@ -10,26 +10,82 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
 from scipy.optimize import brentq, least_squares
-from scipy.special import logsumexp, softmax
+from scipy.special import logsumexp, ndtri_exp, softmax
 
+from motor_env.inference.box_mass import mirrored
 from motor_env.inference.class_model import ClassModel
-from motor_env.inference.truncated_normal import TruncatedNormal
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
 
 _DRAWS, _MOST_ROUNDS = 128, 16
 _ENOUGH = 100.0  # effective draws with which sampling ends
+_LOG_2PI = float(np.log(2.0 * np.pi))
 _FEW = 20.0  # effective draws below which an evidence is not believed
 _HOPELESS = 16.0  # log ratio of two best fits beyond which a class is not sampled
 _NEGLIGIBLE = 8.0  # the same of evidences, beyond which it is not sampled again
 _INSIDE = 0.02  # distance from the box at which a fit begins
 _PACE = 0.01  # of differences, relative to the box
 _DAMPING = 0.02  # of the regression, relative to the scatter of the draws
+
+
+@dataclass(frozen=True, slots=True)
+class TruncatedNormal:
+    """A normal distribution cut to a box, as a product of normal intervals, one coordinate given those before it.
+
+    A draw's density is that of this product, which the distribution itself is only nearly.
+
+    Attributes:
+        order: of the coordinates; those go first whose interval is hardest to hit.
+        mean: before the cut, in this order, shape (size,).
+        root: Cholesky factor of the covariance before the cut, in this order.
+        low: of the box in this order; may be -inf.
+        high: may be inf.
+    """
+
+    order: NDArray[np.intp]
+    mean: FloatArray
+    root: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def cut(cls, mean: FloatArray, precision: FloatArray, low: FloatArray, high: FloatArray) -> Self:
+        """From mean and inverse covariance before the cut, and the box."""
+        order = np.argsort(np.minimum(mean - low, high - mean))
+        covariance = np.linalg.inv(precision)
+        root = np.linalg.cholesky(covariance[np.ix_(order, order)])
+        return cls(order, mean[order], root, low[order], high[order])
+
+    def draw(self, rng: np.random.Generator, n_draws: int) -> FloatArray:
+        """Draws, shape (n_draws, size)."""
+        size = len(self.mean)
+        share, normal, values = (
+            rng.random((size, n_draws)),
+            np.zeros((size, n_draws)),
+            np.empty((n_draws, size)),
+        )
+        for i, scale in enumerate(np.diagonal(self.root)):
+            centre = self.mean[i] + self.root[i, :i] @ normal[:i]
+            sign, below, mass = mirrored((self.low[i] - centre) / scale, (self.high[i] - centre) / scale)
+            normal[i] = sign * ndtri_exp(np.logaddexp(below, np.log(share[i]) + mass))
+            values[:, self.order[i]] = np.clip(centre + scale * normal[i], self.low[i], self.high[i])
+        return values
+
+    def log_density(self, values: FloatArray) -> FloatArray:
+        """Log density of draws at values of shape (n, size)."""
+        ordered = values[:, self.order]
+        normal = solve_triangular(self.root, (ordered - self.mean).T, lower=True).T
+        scale = np.diagonal(self.root)
+        centre = ordered - scale * normal
+        _, _, mass = mirrored((self.low - centre) / scale, (self.high - centre) / scale)
+        logs: FloatArray = (-0.5 * (np.square(normal) + _LOG_2PI) - np.log(scale) - mass).sum(axis=1)
+        return logs
 
 
 @dataclass(frozen=True, slots=True)
