@@ -20,8 +20,8 @@ from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
 _HOPELESS = 3.5  # log ratio to the best class beyond which the fit's word counts
 _DRAWS = 128
-_STEPS = 2  # simulations of each class
-_DAMPING = 0.01  # hardly any: the fit has done the searching
+_ENOUGH = 100.0  # gain of a class's objective that is left to the linear motor
+_DAMPING = 0.3  # little: the fit has done the searching
 _INSIDE = 0.02  # distance from the box at which the motor is made linear
 _UNIFORM = 12.0  # precision of the normal that stands for a uniform prior while a mode is sought
 _FLAT = 1e-3  # the same in the integral, whose box says the rest
@@ -110,7 +110,7 @@ def _evidence(
         centre=centre,
         precision=np.where(uniform, _UNIFORM, 1.0),
         box=_inner(model),
-        most_steps=_STEPS,
+        enough=_ENOUGH,
         damping=_DAMPING,
     )
     precision = np.where(uniform, _FLAT, 1.0)

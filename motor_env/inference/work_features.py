@@ -21,6 +21,7 @@ from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
 _MOST_STEPS = 16
 _ARRIVED = 3.0  # gain of a step, in the objective, below which a fit ends
+_NEAR = 1e5  # gain that is left to the fits of each class, where a guess comes first
 _FIRST_DAMPING = 1.0  # relative to the information
 _LEAST_DAMPING = 0.1  # after a step that failed
 _PACE = 0.01  # of differences, relative to a range or a standard deviation
@@ -128,7 +129,7 @@ def read_of(recipe: Recipe, cases: FloatArray) -> tuple[FloatArray, FloatArray |
 def work_fit(recipe: Recipe, cases: FloatArray) -> WorkFit:
     """Fit cases, all side by side; arguments as of `work_features`, and starts of a recipe with a table `field`.
 
-    A start begins near its goal (`EdgeGrid`), and the motor is made linear there, once.
+    A start begins near its goal (`EdgeGrid`). The motor is made linear there, and again only where the guess was bad.
     """
     fault, n = any_fault(recipe), len(cases)
     model = ClassModel(recipe, fault)
@@ -137,9 +138,9 @@ def work_fit(recipe: Recipe, cases: FloatArray) -> WorkFit:
     centre = model.prior[0].copy()
     centre[-len(fault.parts) :], precision[-len(fault.parts) :] = _BEGIN, _FLAT
     measured, voltage = read_of(recipe, cases)
-    begin, most_steps = np.tile(centre, (n, 1)), _MOST_STEPS
+    begin, enough = np.tile(centre, (n, 1)), 0.0
     if voltage is None:
-        begin, most_steps = EdgeGrid(model, centre=centre, precision=precision).guess(measured), 1
+        begin, enough = EdgeGrid(model, centre=centre, precision=precision).guess(measured), _NEAR
     at, information, pull, left = most_probable(
         model,
         measured,
@@ -148,7 +149,7 @@ def work_fit(recipe: Recipe, cases: FloatArray) -> WorkFit:
         centre=centre,
         precision=precision,
         box=model.box,
-        most_steps=most_steps,
+        enough=enough,
     )
     whole = information + np.diag(precision)
     found = at + np.linalg.solve(whole, (pull + precision * (centre - at))[..., None])[..., 0]
@@ -195,8 +196,8 @@ def most_probable(
     centre: FloatArray,
     precision: FloatArray,
     box: FloatArray,
-    most_steps: int = _MOST_STEPS,
     damping: float = _FIRST_DAMPING,
+    enough: float = 0.0,
 ) -> Fit:
     """Damped Gauss-Newton steps to the most probable coordinates under an independent normal prior.
 
@@ -208,8 +209,8 @@ def most_probable(
         centre: means of the prior, shape (size,).
         precision: inverse variances of the prior, shape (size,).
         box: smallest and largest coordinates that can be simulated, shape (2, size).
-        most_steps: simulations of each case at the most; one only makes the motor linear.
         damping: of the first step, relative to the information.
+        enough: a fit ends where a linear motor promises no larger gain of the objective, -2 times the log density.
     """
     n, size = begin.shape
     noise = model.whole_noise
@@ -218,7 +219,7 @@ def most_probable(
     trial, best, dampings = begin.copy(), np.full(n, np.inf), np.full(n, 10.0 * damping)
     left = np.zeros_like(measured)
     going = np.arange(n)
-    for _ in range(most_steps):
+    for _ in range(_MOST_STEPS):
         each = model
         if voltage_v is not None:
             each = replace(model, voltage_v=np.repeat(voltage_v[going], len(beside), axis=0))
@@ -237,10 +238,13 @@ def most_probable(
         information[nearer] = slopes @ slopes.swapaxes(1, 2)
         pull[nearer] = np.einsum("njk,nk->nj", slopes, error[better])
         whole = information[going] + np.diag(precision)
-        damped = whole * (1.0 + dampings[going, None, None] * np.eye(size))
         force = pull[going] + precision * (centre - at[going])
+        step = np.linalg.solve(whole, force[..., None])[..., 0]
+        step = np.clip(at[going] + step, *box) - at[going]
+        promised = 2.0 * (step * force).sum(axis=1) - np.einsum("ni,nij,nj->n", step, whole, step)
+        damped = whole * (1.0 + dampings[going, None, None] * np.eye(size))
         trial[going] = np.clip(at[going] + np.linalg.solve(damped, force[..., None])[..., 0], *box)
-        going = going[~better | (gain > _ARRIVED)]
+        going = going[(np.abs(promised) > enough) & (~better | (gain > _ARRIVED))]
         if not len(going):
             break
     return Fit(at, information, pull, left)

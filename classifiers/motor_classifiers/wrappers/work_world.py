@@ -174,14 +174,14 @@ class WorkWorld:
         n, size = len(cases), len(self.known)
         values = np.zeros((n, size))
         values[:, self.known] = work_fit(self.recipe, cases).simulated
-        here = self._linear(cases, values, most_steps=1)
+        here = self._linear(cases, values, enough=np.inf)
         foreign = here.energy > _UNEXPLAINED * self.freedom
         if foreign.any():
             for part, better in zip(here, self._linear(cases[foreign], values[foreign]), strict=True):
                 part[foreign] = better
         return here
 
-    def _linear(self, cases: FloatArray, values: FloatArray, **effort: int) -> WorkCoordinates:
+    def _linear(self, cases: FloatArray, values: FloatArray, **ends: float) -> WorkCoordinates:
         """Motors made linear, after steps to the most probable one of all motors."""
         (mean,), (variance,) = self.anything.mean, self.anything.variance
         fit = most_probable(
@@ -192,7 +192,7 @@ class WorkWorld:
             centre=mean,
             precision=1.0 / variance,
             box=self.box,
-            **effort,
+            **ends,
         )
         energy = np.square(fit.left).sum(axis=1)
         correlation = (fit.left[:, 1:] * fit.left[:, :-1]).sum(axis=1) / energy
