@@ -1,8 +1,8 @@
 """The posterior over the classes of a recipe, from a fit of each class that comes into question.
 
 The fit of all severities (`work_fit`) says which classes those are, and where each one's coordinates lie. There each
-class is simulated exactly and made linear, until that promises no more. Its evidence is then the integral of a normal density over the box
-of the recipe's priors, by separation of variables (Genz 1992).
+class is simulated exactly and made linear, until another step promises little. Its evidence is then the integral of a
+normal density over the box of the recipe's priors, by separation of variables (Genz 1992).
 """
 
 from __future__ import annotations
