@@ -164,7 +164,11 @@ def model_error(
     rows = jacobian[: n * channels].reshape(n, channels, -1) @ root
     leverage = np.einsum("ncp,ncp->n", rows, rows)
     total, by_chance = series, (1.0 + math.sqrt(len(series) / _PARTS)) ** 2
-    orders = [np.arange(n), *([] if states is None else np.argsort(states.T, kind="stable"))]
+    orders = [np.arange(n)]
+    if states is not None:
+        # At rest, only rounding tells states apart: they keep their order in time, so that every machine says the same.
+        shares = np.round(states / np.maximum(np.ptp(states, axis=0), 1e-300), 6)
+        orders.extend(np.argsort(shares.T, kind="stable"))
     for order, usual in zip(orders, [1.0] + [by_chance] * (len(orders) - 1), strict=True):
         told = np.cumsum(leverage[order])
         parts = np.minimum((_PARTS * told / max(float(told[-1]), 1e-300)).astype(int), _PARTS - 1)
