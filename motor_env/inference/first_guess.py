@@ -1,8 +1,9 @@
-"""Where the fit of a start begins: the best of a grid over its edge.
+"""Where the fit of a start begins: the best of a grid over its edge and the classes.
 
-The supply's ramp and the trigger's delay bend the edge of the current, and no straight line follows that. At each point
-of a grid of both, the motor is made linear once for a recipe. The point whose linear motor explains a start best, and
-that motor's most probable coordinates within their box, are close enough for one more step to arrive.
+The supply's ramp and the trigger's delay bend the edge of the current, a large fault bends all of it, and no straight
+line follows that. At each point of a grid of these, the motor is made linear once for a recipe. The point whose linear
+motor explains a start best, and that motor's most probable coordinates within their box, are close enough for one more
+step to arrive.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from motor_env.inference.class_model import ClassModel
 from motor_env.motor.parameters import FloatArray
 
-_POINTS = {"ramp_s": 8, "trigger_jitter": 2}  # of the grid
+_POINTS = {"ramp_s": 6, "trigger_jitter": 2}  # of the grid
 _PACE = 0.01  # of differences, relative to a range or a standard deviation
 _PASSES = 4
 
@@ -48,22 +49,29 @@ def bounded(
     return np.clip(at + move, low, high)
 
 
-class EdgeGrid:
-    """A motor made linear at each point of a grid over ramp and trigger, those that its recipe leaves open.
+class StartGrid:
+    """A motor made linear at each point of a grid: ramp and trigger, where its recipe leaves them open, and classes.
 
     Args:
         model: readings as a function of the coordinates.
         centre: means of the normal prior, shape (size,); where the other coordinates are in the grid.
         precision: its inverse variances, shape (size,).
+        severities: of each class, the last coordinates, shape (n_classes, n_kinds).
     """
 
-    def __init__(self, model: ClassModel, *, centre: FloatArray, precision: FloatArray) -> None:
+    def __init__(
+        self, model: ClassModel, centre: FloatArray, precision: FloatArray, severities: FloatArray
+    ) -> None:
         size, noise = len(centre), model.whole_noise
         open_ones = [name for name in _POINTS if name in model.names]
         axes = [(np.arange(_POINTS[name]) + 0.5) / _POINTS[name] for name in open_ones]
-        points = np.array(list(product(*axes)))
-        at = np.tile(centre, (len(points), 1))
-        at[:, [model.names.index(name) for name in open_ones]] = points
+        open_places = [model.names.index(name) for name in open_ones]
+        rows = []
+        for *edge, fault in product(*axes, severities):
+            row = centre.copy()
+            row[open_places], row[-len(fault) :] = edge, fault
+            rows.append(row)
+        at = np.array(rows)
         beside = np.concatenate([np.zeros((1, size)), _PACE * np.eye(size)])
         read = model.readings((at[:, None] + beside).reshape(-1, size)).reshape(len(at), size + 1, -1)
         self.at, self.read, self.noise, self.box = at, read[:, 0], noise, model.box

@@ -13,8 +13,8 @@ from scipy.special import logsumexp, softmax
 
 from motor_env.inference.box_mass import log_box_masses
 from motor_env.inference.class_model import ClassModel
-from motor_env.inference.first_guess import bounded
-from motor_env.inference.work_features import AT_ONCE, WorkFit, most_probable, read_of, work_fit
+from motor_env.inference.first_guess import StartGrid, bounded
+from motor_env.inference.work_features import AT_ONCE, WorkFit, most_probable, read_of, start_grid, work_fit
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
@@ -41,15 +41,19 @@ def refined_probabilities(
         rng: of the draws, 128 for all cases alike.
     """
     shares = rng.random((len(ClassModel(recipe, recipe.classes[0]).names) + len(recipe.kinds), _DRAWS))
+    grid = start_grid(recipe)
     parts = [
-        _refined(recipe, cases[begin : begin + AT_ONCE], shares) for begin in range(0, len(cases), AT_ONCE)
+        _refined(recipe, cases[begin : begin + AT_ONCE], shares, grid)
+        for begin in range(0, len(cases), AT_ONCE)
     ]
     probabilities, effective = (np.concatenate(part) for part in zip(*parts, strict=True))
     return probabilities, effective
 
 
-def _refined(recipe: Recipe, cases: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
-    fitted = work_fit(recipe, cases)
+def _refined(
+    recipe: Recipe, cases: FloatArray, shares: FloatArray, grid: StartGrid | None
+) -> tuple[FloatArray, FloatArray]:
+    fitted = work_fit(recipe, cases, grid)
     logs, effective = fitted.log_probability.copy(), np.zeros_like(fitted.log_probability)
     likely = logs > logs.max(axis=1, keepdims=True) - _HOPELESS
     likely &= likely.sum(axis=1, keepdims=True) > 1

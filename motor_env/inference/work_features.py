@@ -14,14 +14,14 @@ import numpy as np
 from scipy.special import log_softmax, softmax
 
 from motor_env.inference.class_model import ClassModel
-from motor_env.inference.first_guess import EdgeGrid
+from motor_env.inference.first_guess import StartGrid
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
 _MOST_STEPS = 16
 _ARRIVED = 3.0  # gain of a step, in the objective, below which a fit ends
-_NEAR = 1e5  # gain that is left to the fits of each class, where a guess comes first
+_NEAR = 5e3  # gain that is left to the fits of each class, where a guess comes first
 _FIRST_DAMPING = 1.0  # relative to the information
 _LEAST_DAMPING = 0.1  # after a step that failed
 _PACE = 0.01  # of differences, relative to a range or a standard deviation
@@ -126,21 +126,41 @@ def read_of(recipe: Recipe, cases: FloatArray) -> tuple[FloatArray, FloatArray |
     return measured, None if recipe.duty is None else cases[:, -1]
 
 
-def work_fit(recipe: Recipe, cases: FloatArray) -> WorkFit:
+def start_grid(recipe: Recipe) -> StartGrid | None:
+    """Where fits of a recipe's starts begin; None for motors at work, whose fits begin at the priors' centres."""
+    if recipe.duty is not None:
+        return None
+    model = ClassModel(recipe, any_fault(recipe))
+    positions, _ = class_positions(recipe)
+    return StartGrid(model, *_prior(recipe, model), positions)
+
+
+def _prior(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, FloatArray]:
+    """Means and precisions of the coordinates of `any_fault`, both of shape (size,)."""
+    kinds = slice(-len(_kinds(recipe)), None)
+    centre = model.prior[0].copy()
+    precision = np.where(np.arange(len(centre)) < len(FACTORS), 1.0, _UNIFORM)
+    centre[kinds], precision[kinds] = _BEGIN, _FLAT
+    return centre, precision
+
+
+def work_fit(recipe: Recipe, cases: FloatArray, grid: StartGrid | None = None) -> WorkFit:
     """Fit cases, all side by side; arguments as of `work_features`, and starts of a recipe with a table `field`.
 
-    A start begins near its goal (`EdgeGrid`). The motor is made linear there, and again only where the guess was bad.
+    A start begins near its goal. The motor is made linear there, and again only where the guess was bad.
+
+    Args:
+        recipe: of motors at work, or of starts in the field.
+        cases: shape (n_cases, n_channels, n_samples).
+        grid: `start_grid` of the recipe, where it is known already.
     """
     fault, n = any_fault(recipe), len(cases)
     model = ClassModel(recipe, fault)
-    size = len(model.names)
-    precision = np.where(np.arange(size) < len(FACTORS), 1.0, _UNIFORM)
-    centre = model.prior[0].copy()
-    centre[-len(fault.parts) :], precision[-len(fault.parts) :] = _BEGIN, _FLAT
+    centre, precision = _prior(recipe, model)
     measured, voltage = read_of(recipe, cases)
     begin, enough = np.tile(centre, (n, 1)), 0.0
-    if voltage is None:
-        begin, enough = EdgeGrid(model, centre=centre, precision=precision).guess(measured), _NEAR
+    if grid := grid or start_grid(recipe):
+        begin, enough = grid.guess(measured), _NEAR
     at, information, pull, left = most_probable(
         model,
         measured,
@@ -153,7 +173,7 @@ def work_fit(recipe: Recipe, cases: FloatArray) -> WorkFit:
     )
     whole = information + np.diag(precision)
     found = at + np.linalg.solve(whole, (pull + precision * (centre - at))[..., None])[..., 0]
-    covariance = np.linalg.inv(whole)
+    covariance: FloatArray = np.linalg.inv(whole)
     kinds = slice(-len(fault.parts), None)
     positions, _ = class_positions(recipe)
     away = found[:, None, kinds] - positions
