@@ -173,7 +173,7 @@ def work_fit(recipe: Recipe, cases: FloatArray, grid: StartGrid | None = None) -
     )
     whole = information + np.diag(precision)
     found = at + np.linalg.solve(whole, (pull + precision * (centre - at))[..., None])[..., 0]
-    covariance: FloatArray = np.linalg.inv(whole)
+    covariance = np.asarray(np.linalg.inv(whole), dtype=np.float64)
     kinds = slice(-len(fault.parts), None)
     positions, _ = class_positions(recipe)
     away = found[:, None, kinds] - positions
