@@ -1,7 +1,7 @@
 """Refined posteriors beside the limit: `python benchmarks/refined.py`.
 
-The starts are those of the limit's first run (`benchmarks/field_limit.py`, with and without `--recipe operation`, kept
-in out/), less the first hundred, on which the settings were chosen.
+The limit's posterior is sampled for starts on which nothing was chosen: half an hour of processor time, kept in out/
+beside what `benchmarks/field_limit.py` sampled of others.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 from cyclopts import run
-from field_limit import SEED, Z_95, mean_and_error, single, stored
+from field_limit import CHUNK, SEED, Z_95, kept, mean_and_error, sample, single
 from networks import network_of
 from tables import keep_table
 
@@ -21,7 +21,8 @@ from motor_env.inference.work_features import work_probabilities
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
 
-CHOSEN_ON, ENOUGH = 100, 8.0
+STARTS = {"field": range(3500, 6500), "operation": range(1500, 3000)}
+ENOUGH = 8.0
 
 
 def of_network(recipe: Recipe, starts: FloatArray) -> FloatArray:
@@ -32,13 +33,23 @@ def of_network(recipe: Recipe, starts: FloatArray) -> FloatArray:
     return said
 
 
+def limit_of(name: str) -> tuple[FloatArray, float]:
+    """The limit's posteriors of the starts, and the processor seconds of one."""
+    parts = []
+    for first in STARTS[name][::CHUNK]:
+        path = kept(name) / f"0-{first}.npz"
+        if not path.is_file():
+            sample(single(name), 0, first, path)
+        parts.append(dict(np.load(path)))
+    seconds = sum(float(part["seconds"]) for part in parts)
+    return np.concatenate([part["probabilities"] for part in parts]), seconds / len(STARTS[name])
+
+
 def rows_of(name: str, other: str, said_by: Callable[[Recipe, FloatArray], FloatArray]) -> list[list[str]]:
     """Rows of the table for a recipe: another posterior, and the refined one."""
     recipe = single(name)
-    limit, _, seconds = stored(name, 0)
-    each = seconds / len(limit)
-    starts = generate_arrays(recipe, SEED, range(CHOSEN_ON, len(limit)))
-    X, limit = starts.X.astype(np.float64), limit[CHOSEN_ON:]
+    limit, each = limit_of(name)
+    X = generate_arrays(recipe, SEED, STARTS[name]).X.astype(np.float64)
     said_by(recipe, X[:2])  # what is made once for a recipe
     began = time.process_time()
     said = said_by(recipe, X)
