@@ -60,7 +60,7 @@ class StartGrid:
     """
 
     def __init__(
-        self, model: ClassModel, centre: FloatArray, precision: FloatArray, severities: FloatArray
+        self, model: ClassModel, *, centre: FloatArray, precision: FloatArray, severities: FloatArray
     ) -> None:
         size, noise = len(centre), model.whole_noise
         open_ones = [name for name in _POINTS if name in model.names]

@@ -132,7 +132,8 @@ def start_grid(recipe: Recipe) -> StartGrid | None:
         return None
     model = ClassModel(recipe, any_fault(recipe))
     positions, _ = class_positions(recipe)
-    return StartGrid(model, *_prior(recipe, model), positions)
+    centre, precision = _prior(recipe, model)
+    return StartGrid(model, centre=centre, precision=precision, severities=positions)
 
 
 def _prior(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, FloatArray]:
