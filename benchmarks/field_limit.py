@@ -13,7 +13,9 @@ accuracy on many starts, and what the decisions gain over its own on the sampled
 from __future__ import annotations
 
 import json
+import math
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -61,10 +63,10 @@ def kept(name: str) -> Path:
     return FOLDER.parent / "out" / f"{name}_limit"
 
 
-def chunks(name: str, run: int) -> list[tuple[int, int, Path]]:
-    """Run, first start and file of each chunk of a run."""
-    count = COUNTS[name][run]
-    return [(run, first, kept(name) / f"{run}-{first}.npz") for first in range(0, count, CHUNK)]
+def chunks(name: str, run: int, starts: range | None = None) -> list[tuple[int, int, Path]]:
+    """Run, first start and file of each chunk of a run: of these starts, or of those of the limit."""
+    starts = starts or range(COUNTS[name][run])
+    return [(run, first, kept(name) / f"{run}-{first}.npz") for first in starts[::CHUNK]]
 
 
 def sample(recipe: Recipe, run: int, first: int, path: Path) -> None:
@@ -79,6 +81,15 @@ def sample(recipe: Recipe, run: int, first: int, path: Path) -> None:
     probabilities, effective = (np.array(part) for part in zip(*sampled, strict=True))
     with replacing(path) as temporary:
         np.savez(temporary, probabilities=probabilities, effective=effective, seconds=seconds)
+
+
+def sample_missing(name: str, parts: Iterable[tuple[int, int, Path]], minutes: float = math.inf) -> None:
+    """Sample the chunks that are not there, for so many minutes of processor time."""
+    for run, first, path in parts:
+        if not path.is_file():
+            if time.process_time() > 60.0 * minutes:
+                raise SystemExit("not done: run it again")
+            sample(single(name), run, first, path)
 
 
 def mean_and_error(values: FloatArray) -> tuple[float, float]:
@@ -117,10 +128,10 @@ def accuracy_of_network(name: str) -> tuple[float, float]:
     return mean_and_error(np.load(path)["right"].astype(np.float64))
 
 
-def stored(name: str, run: int) -> tuple[FloatArray, FloatArray, float]:
-    """Posteriors of a run as far as they go, the effective draws behind them, and the processor seconds."""
+def stored(name: str, run: int, starts: range | None = None) -> tuple[FloatArray, FloatArray, float]:
+    """Posteriors of `chunks` as far as they go, the effective draws behind them, and the processor seconds."""
     parts = []
-    for _, _, path in chunks(name, run):
+    for _, _, path in chunks(name, run, starts):
         if not path.is_file():
             break
         parts.append(dict(np.load(path)))
@@ -172,15 +183,11 @@ def figures(
     }
 
 
-def main(*, minutes: float = float("inf"), recipe: Literal["field", "operation"] = "field") -> None:
+def main(*, minutes: float = math.inf, recipe: Literal["field", "operation"] = "field") -> None:
     """Sample what is missing, for so many minutes of processor time, and write the figures."""
     name = recipe
     parts = sorted([*chunks(name, 0), *chunks(name, 1)], key=lambda each: each[1] * (1 + each[0]))
-    for run, first, path in parts:
-        if not path.is_file():
-            if time.process_time() > 60.0 * minutes:
-                raise SystemExit("not done: run it again")
-            sample(single(name), run, first, path)
+    sample_missing(name, parts, minutes)
     once, effective_once, seconds_once = stored(name, 0)
     again, effective_again, seconds_again = stored(name, 1)
     effective = np.concatenate([effective_once[once > 0.01], effective_again[again > 0.01]])

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 from cyclopts import run
-from field_limit import CHUNK, SEED, Z_95, kept, mean_and_error, sample, single
+from field_limit import SEED, Z_95, chunks, mean_and_error, sample_missing, single, stored
 from networks import network_of
 from tables import keep_table
 
@@ -33,22 +33,12 @@ def of_network(recipe: Recipe, starts: FloatArray) -> FloatArray:
     return said
 
 
-def limit_of(name: str) -> tuple[FloatArray, float]:
-    """The limit's posteriors of the starts, and the processor seconds of one."""
-    parts = []
-    for first in STARTS[name][::CHUNK]:
-        path = kept(name) / f"0-{first}.npz"
-        if not path.is_file():
-            sample(single(name), 0, first, path)
-        parts.append(dict(np.load(path)))
-    seconds = sum(float(part["seconds"]) for part in parts)
-    return np.concatenate([part["probabilities"] for part in parts]), seconds / len(STARTS[name])
-
-
 def rows_of(name: str, other: str, said_by: Callable[[Recipe, FloatArray], FloatArray]) -> list[list[str]]:
     """Rows of the table for a recipe: another posterior, and the refined one."""
     recipe = single(name)
-    limit, each = limit_of(name)
+    sample_missing(name, chunks(name, 0, STARTS[name]))
+    limit, _, seconds = stored(name, 0, STARTS[name])
+    each = seconds / len(limit)
     X = generate_arrays(recipe, SEED, STARTS[name]).X.astype(np.float64)
     said_by(recipe, X[:2])  # what is made once for a recipe
     began = time.process_time()

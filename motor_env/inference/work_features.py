@@ -146,13 +146,13 @@ def _prior(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, FloatArray]:
 
 
 def work_fit(recipe: Recipe, cases: FloatArray, grid: StartGrid | None = None) -> WorkFit:
-    """Fit cases, all side by side; arguments as of `work_features`, and starts of a recipe with a table `field`.
+    """Fit cases, all side by side.
 
     A start begins near its goal. The motor is made linear there, and again only where the guess was bad.
 
     Args:
-        recipe: of motors at work, or of starts in the field.
-        cases: shape (n_cases, n_channels, n_samples).
+        recipe: as of `work_features`, or one of starts with a table `field`.
+        cases: as of `work_features`.
         grid: `start_grid` of the recipe, where it is known already.
     """
     fault, n = any_fault(recipe), len(cases)
