@@ -166,7 +166,7 @@ def alarm_row(what: str, rate: str, hours: float, alarms: int) -> list[str]:
     expected = due(rate, hours)
     low, high = (int(poisson.ppf(share, expected)) for share in (0.01, 0.99))
     asked = f"one {'an' if rate == 'hour' else 'a'} {rate}"
-    return [what, asked, f"{hours:.0f}", f"{expected:.0f}", f"{low} to {high}", str(alarms)]
+    return [what, asked, f"{hours:g}", f"{round(expected, 2):g}", f"{low} to {high}", str(alarms)]
 
 
 @njit(cache=True)
