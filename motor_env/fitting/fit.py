@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -25,7 +25,15 @@ CHOSEN_ON = 4_000
 """Samples on which the model of a record twice as long is chosen."""
 _FIRST_NOISE_V = 0.02
 _FIRST_SHAPE = 0.1  # of what is believed
-_CALM = {"offset_current": 0.0, "offset_speed": 0.0, "noise_voltage": -1.0, "load_walk": -4.0}
+_CALM = {
+    "offset_current": 0.0,
+    "offset_speed": 0.0,
+    "noise_voltage": -1.0,
+    "noise_torque": -4.0,
+    "load_walk": -4.0,
+}
+_DISTURBING = ("load_walk", "noise_torque")
+"""A torque that disturbs the motor: it wanders, or is another one in each interval; one of the two at most."""
 _TRIED = 2
 _FEW = 6
 _RIVAL, _HOPELESS = 0.1, 0.3  # of the number of readings
@@ -81,19 +89,18 @@ def _timely(best: Solution) -> Solution:
     Both average neighbours of the recorded voltage, and with them its noise. So does a mean over three samples, which
     has no delay: where it explains as much, there is none.
     """
-    kept = [n for n, name in enumerate(best.names) if name != "delay"]
+    timed = _less(best, ("delay",))
     is_straight = best.problem.record.hold == "straight"
-    if best.problem.record.averaged > 1 or not (is_straight or len(kept) < len(best.names)):
+    if best.problem.record.averaged > 1 or not (is_straight or len(timed.names) < len(best.names)):
         return best
     delay = dict(zip(best.names, best.theta, strict=True)).get("delay", 0.0)
     part = 0.5 if is_straight else abs(delay) % 1.0
     beside = (2.0 - math.sqrt(4.0 - 12.0 * part * (1.0 - part))) / 6.0
-    free, theta = tuple(best.problem.free[n] for n in kept), best.theta[kept]
     record = best.problem.record
     even = convolve1d(record.voltage_v, [beside, 1.0 - 2.0 * beside, beside], mode="nearest")
     for hold in ("held", "late"):
-        problem = replace(best.problem, record=replace(record, hold=hold, voltage_v=even), free=free)
-        averaged = Solution(problem, *problem.solve(theta))
+        problem = replace(timed.problem, record=replace(record, hold=hold, voltage_v=even))
+        averaged = Solution(problem, *problem.solve(timed.theta))
         if averaged.penalised() < best.penalised():
             problem = replace(problem, record=replace(record, hold=hold))
             return Solution(problem, *problem.solve(averaged.theta))
@@ -130,14 +137,13 @@ def _refined(best: Solution, record: Record) -> Solution:
 
 def _behaviours(best: Solution, record: Record) -> list[Solution]:
     """The fit without a delay, for every other behaviour of voltage and circuit: its beginning may have missed it."""
-    free = tuple(term for term in best.problem.free if term.name != "delay")
-    theta = np.array([one for name, one in zip(best.names, best.theta, strict=True) if name != "delay"])
+    timed = _less(best, ("delay",))
     found = []
     for behaved in _records(record):
         is_same = behaved.hold == best.problem.record.hold and "delay" not in best.names
         if not (is_same and np.array_equal(behaved.marks, best.problem.record.marks)):
-            problem = replace(best.problem, record=behaved, free=free)
-            found.append(Solution(problem, *problem.solve(theta, most=_FEW)))
+            problem = replace(timed.problem, record=behaved)
+            found.append(Solution(problem, *problem.solve(timed.theta, most=_FEW)))
     return found
 
 
@@ -181,10 +187,11 @@ def _chosen(first: Solution, every: dict[str, Term]) -> Solution:
     for name in ("load_walk", "load_constant"):
         best = _without(best, name)
     best = _grown(best, every)
-    if "load_walk" not in best.names:
-        walking = _solved(best, [every["load_walk"]])
-        if walking.penalised() < best.penalised() - STRONG_EVIDENCE:
-            best = _grown(walking, every)
+    for name in _DISTURBING:
+        if name not in best.names:
+            disturbed = _solved(_less(best, _DISTURBING), [every[name]])
+            if disturbed.penalised() < best.penalised() - STRONG_EVIDENCE:
+                best = _grown(disturbed, every)
     # It may have stood for a term that came later.
     best = _without(best, "load_walk")
     return min([best, *_undisturbed([first, best])], key=_free_misfit)
@@ -194,10 +201,8 @@ def _undisturbed(solutions: Sequence[Solution]) -> list[Solution]:
     """Fits of the same terms without noise inside the motor: output errors, which real model errors may leave ahead."""
     found = []
     for one in solutions:
-        kept = [n for n, name in enumerate(one.names) if name not in ("noise_voltage", "load_walk")]
-        problem = replace(one.problem, free=tuple(one.problem.free[n] for n in kept))
-        theta, misfit = problem.solve(one.theta[kept], most=60)
-        found.append(Solution(problem, theta, misfit))
+        less = _less(one, ("noise_voltage", *_DISTURBING))
+        found.append(Solution(less.problem, *less.problem.solve(less.theta, most=60)))
     return found
 
 
@@ -218,11 +223,15 @@ def _without(best: Solution, name: str) -> Solution:
     """The fit without a term, where the evidence does not miss it."""
     if name not in best.names:
         return best
-    place = best.names.index(name)
-    smaller = replace(best.problem, free=tuple(term for term in best.problem.free if term.name != name))
-    theta, misfit = smaller.solve(np.delete(best.theta, place))
-    trial = Solution(smaller, theta, misfit)
+    trial = _solved(_less(best, (name,)), [])
     return trial if trial.penalised() < best.penalised() else best
+
+
+def _less(best: Solution, names: Collection[str]) -> Solution:
+    """The fit without some terms, the others left as they are."""
+    kept = [n for n, name in enumerate(best.names) if name not in names]
+    problem = replace(best.problem, free=tuple(best.problem.free[n] for n in kept))
+    return Solution(problem, best.theta[kept], best.misfit)
 
 
 def _base(record: Record) -> list[str]:

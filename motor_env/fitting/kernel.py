@@ -20,6 +20,7 @@ from motor_env.fitting.places import (
     LAG_W,
     LOAD,
     NOISE_I,
+    NOISE_T,
     NOISE_V,
     NOISE_W,
     OFFSET_I,
@@ -154,7 +155,7 @@ def predict(
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
     reach = 1e-9 + max(abs(np.max(voltage)), abs(np.min(voltage)))
     u[3] = _SLOW * reach / p[K]
-    is_known = marks[0] >= REST and p[NOISE_V] == 0.0 and p[WALK] == 0.0
+    is_known = marks[0] >= REST and p[NOISE_V] == 0.0 and p[NOISE_T] == 0.0 and p[WALK] == 0.0
     for k in range(voltage.shape[0]):
         mark = marks[k]
         shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]

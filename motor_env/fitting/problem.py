@@ -181,7 +181,7 @@ class Solution:
         values = self.problem.values(self.theta)
         out, _ = self.problem.record.predict(values)
         left = float(np.mean(out[:, :2][self.problem.record.told] ** 2))
-        values[[places.NOISE_I, places.NOISE_W, places.NOISE_V, places.WALK]] *= math.sqrt(left)
+        values[places.NOISE_I : places.WALK + 1] *= math.sqrt(left)
         return values
 
     def weighed(self) -> Problem:

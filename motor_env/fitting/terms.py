@@ -15,6 +15,7 @@ LONGEST_CURRENT_LAG_S = 0.01
 LONGEST_SPEED_LAG_S = 0.1
 _WIDEST = 12.0  # of a logarithm
 _OFFSET_PRIOR = 0.003
+_DUST = 1e-9  # of the largest reading: steps of floating-point numbers
 _CURVE_PRIOR_SD = 1.5
 _SEEN_LAG = 0.5  # of an interval
 _FASTEST_K_PER_S = 10.0  # at the stall power: 20 W in 8 g of copper are 7 K/s
@@ -91,9 +92,10 @@ def terms(
         Term("sensor_lag", places.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach), slope_at=_SEEN_LAG),
         Term("speed_lag", places.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
         Term("delay", places.DELAY, 1.0, -1.0, 1.0),
-        Term("noise_current", places.NOISE_I, start[places.NOISE_I], -5.0, 5.0, is_log=True),
-        Term("noise_speed", places.NOISE_W, start[places.NOISE_W], -5.0, 5.0, is_log=True),
+        Term("noise_current", places.NOISE_I, start[places.NOISE_I], _least(record, 0, start), 5.0, is_log=True),
+        Term("noise_speed", places.NOISE_W, start[places.NOISE_W], _least(record, 1, start), 5.0, is_log=True),
         Term("noise_voltage", places.NOISE_V, 0.003 * volts, -6.0, 4.0, is_log=True),
+        Term("noise_torque", places.NOISE_T, 0.01 * torque, -6.0, 4.0, is_log=True),
         Term("load_walk", places.WALK, 0.05 * torque / math.sqrt(record.duration_s), -6.0, 6.0, is_log=True),
     ]
     if record.is_start:
@@ -118,7 +120,16 @@ def terms(
     return {term.name: term for term in every}
 
 
+def _least(record: Record, channel: int, start: FloatArray) -> float:
+    """Least logarithm of a channel's noise over its first guess: no reading is finer than its own steps."""
+    moves = np.abs(np.diff(record.readings[:, channel]))
+    moves = moves[moves > _DUST * np.nanmax(np.abs(record.readings[:, channel]), initial=0.0)]
+    step = float(moves.min()) if len(moves) else 0.0
+    finest = max(step / math.sqrt(12.0), 1e-300) / max(start[places.NOISE_I + channel], 1e-300)
+    return min(max(math.log(finest), -5.0), 0.0)
+
+
 SHAPES = {"brush_knee": "brush_drop", "stribeck": "coulomb", "coulomb_knee": "coulomb"}
 """Shape parameters of brush drop and dry friction, fitted with their parent under a prior that keeps them small."""
-NOISES = ("noise_current", "noise_speed", "noise_voltage", "load_walk")
+NOISES = ("noise_current", "noise_speed", "noise_voltage", "noise_torque", "load_walk")
 """They set the weights, and are no quantities of the motor."""

@@ -10,6 +10,7 @@ from motor_env.fitting.places import (
     LAG_W,
     LOAD,
     NOISE_I,
+    NOISE_T,
     NOISE_W,
     SQUARE,
     WALK,
@@ -52,35 +53,37 @@ def spread(
     """Covariance after an interval, in place: P = F P F' + Q. Only the upper triangle is used."""
     a, b, c, d, e, h = f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2]
     noise_i, noise_w = noise_v * f[0, 3], noise_v * f[1, 3]
+    pull_i, pull_w = p[NOISE_T] * c, p[NOISE_T] * h
     ii, iw, ww = cov[0, 0], cov[0, 1], cov[1, 1]
     if cov.shape[0] == 2:
-        cov[0, 0] = a * a * ii + 2.0 * a * b * iw + b * b * ww + noise_i * noise_i
-        cov[0, 1] = a * d * ii + (a * e + b * d) * iw + b * e * ww + noise_i * noise_w
-        cov[1, 1] = d * d * ii + 2.0 * d * e * iw + e * e * ww + noise_w * noise_w
+        cov[0, 0] = a * a * ii + 2.0 * a * b * iw + b * b * ww + noise_i * noise_i + pull_i * pull_i
+        cov[0, 1] = a * d * ii + (a * e + b * d) * iw + b * e * ww + noise_i * noise_w + pull_i * pull_w
+        cov[1, 1] = d * d * ii + 2.0 * d * e * iw + e * e * ww + noise_w * noise_w + pull_w * pull_w
         return
     if cov.shape[0] == 3:
         il, wl, ll = cov[0, 2], cov[1, 2], cov[2, 2]
         # Of the new current and speed with the old current, speed and load.
         ap_ii, ap_iw, ap_il = a * ii + b * iw + c * il, a * iw + b * ww + c * wl, a * il + b * wl + c * ll
         ap_wi, ap_ww, ap_wl = d * ii + e * iw + h * il, d * iw + e * ww + h * wl, d * il + e * wl + h * ll
-        cov[0, 0] = a * ap_ii + b * ap_iw + c * ap_il + noise_i * noise_i
-        cov[0, 1] = d * ap_ii + e * ap_iw + h * ap_il + noise_i * noise_w
-        cov[1, 1] = d * ap_wi + e * ap_ww + h * ap_wl + noise_w * noise_w
+        cov[0, 0] = a * ap_ii + b * ap_iw + c * ap_il + noise_i * noise_i + pull_i * pull_i
+        cov[0, 1] = d * ap_ii + e * ap_iw + h * ap_il + noise_i * noise_w + pull_i * pull_w
+        cov[1, 1] = d * ap_wi + e * ap_ww + h * ap_wl + noise_w * noise_w + pull_w * pull_w
         cov[0, 2], cov[1, 2], cov[2, 2] = ap_il, ap_wl, ll + p[WALK] ** 2 * dt_s
         return
-    whole, half, by_volt = work[0], work[1], work[2, 0]
+    whole, half, by_volt, by_load = work[0], work[1], work[2, 0], work[2, 1]
     for c in range(3):
         whole[0, c], whole[1, c], whole[3, c], whole[4, c] = f[0, c], f[1, c], f[2, c], lag[2] * f[1, c]
     whole[4, 1] += lag[1]
     whole[2, 2], whole[3, 3], whole[4, 4] = 1.0, f[2, 4], lag[0]
     by_volt[0], by_volt[1], by_volt[3], by_volt[4] = f[0, 3], f[1, 3], f[2, 3], lag[2] * f[1, 3]
+    by_load[0], by_load[1], by_load[3], by_load[4] = pull_i, pull_w, p[NOISE_T] * f[2, 2], lag[2] * pull_w
     for r in range(5):
         for k in range(r):
             cov[r, k] = cov[k, r]
     product(whole, cov, half)
     for r in range(5):
         for k in range(r, 5):
-            total = noise_v**2 * by_volt[r] * by_volt[k]
+            total = noise_v**2 * by_volt[r] * by_volt[k] + by_load[r] * by_load[k]
             for n in range(5):
                 total += half[r, n] * whole[k, n]
             cov[r, k] = total

@@ -41,7 +41,7 @@ _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
 _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
-_NOISES = [places.NOISE_I, places.NOISE_W, places.NOISE_V, places.WALK]
+_NOISES = slice(places.NOISE_I, places.WALK + 1)
 
 
 def learn_windows(
@@ -85,6 +85,8 @@ def learn_windows(
         wanted = with_load
     # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
     known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
+    if "load_walk" not in wanted:
+        known[places.WALK] = 0.0
     fits = [fit_window(record, known, wanted) for record in records]
     volts = [rms_volts(part) for part in parts]
     speed = effective_speed(joint)

@@ -77,7 +77,7 @@ def free_run(
 ) -> tuple[FloatArray, FloatArray]:
     """Current and speed of a motor of these physical values under a voltage, from its steady state or from rest."""
     values = physical.copy()
-    values[[places.NOISE_I, places.NOISE_W]], values[[places.NOISE_V, places.WALK]] = 1.0, 0.0
+    values[[places.NOISE_I, places.NOISE_W]], values[places.NOISE_V : places.WALK + 1] = 1.0, 0.0
     n = len(voltage_v)
     marks = np.append(kernel.REST if from_rest else kernel.STEADY, np.zeros(n - 1))
     table = Record(dt_s, voltage_v, np.zeros((n, 2)), np.zeros(2), marks).predict(values, learn=False)[0]

@@ -522,6 +522,7 @@ class Lesson:
         number = len(self.wanted)
         self.wanted.append(wanted)
         values = self.values.copy()
+        values[places.WALK] = 0.1 if "load_walk" in wanted else known[places.WALK]
         values[places.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
         error = self.error.copy() if len(self.wanted) <= 6 else np.diag([1e-4, 1e-4, 1e-4, 1e-4])
         return WindowFit(self.logs[number % 6], error, values, WHITE, 0.0, error)
@@ -609,6 +610,7 @@ def test_a_load_is_unknown_in_windows_that_tell_it_from_friction(monkeypatch: py
         lesson = Lesson(monkeypatch, load_sd=sd)
         found = taught([recording(3000)], 0.5)
         assert ("load_walk" in found.terms) is is_told
+        assert bool(found.physical[places.WALK] > 0.0) is is_told  # none, or a constant load would be unknown
         assert lesson.wanted[0] == ("R", "K", "offset_speed", "load_constant", "load_walk")
 
 

@@ -42,6 +42,27 @@ def test_motor_is_found_in_any_regime(profile: str, load: str) -> None:
         assert abs(np.log(quantity.value / value)) < 3.5 * quantity.log_sd
 
 
+def test_a_torque_that_is_another_one_in_each_interval_hides_no_friction() -> None:
+    """As of cogging, faster than the samples. Taken for a wandering load, it would leave the mean load unknown."""
+    rng, n = np.random.default_rng(6), 1500
+    ohm, constant, inertia, dry, dt_s = 2.0, 0.03, 4e-6, 1.5e-3, 1e-3
+    volts = np.repeat(rng.choice([3.0, 5.0, 8.0, 11.0], n // 20 + 1), 20)[:n]
+    i, w, shown = 0.0, 0.0, np.zeros((n, 2))
+    for k in range(n):
+        shown[k] = i, w
+        disturbing = 0.01 * rng.standard_normal()
+        for _ in range(50):
+            i += dt_s / 50.0 * (volts[k] - ohm * i - constant * w) / 1e-3
+            w += dt_s / 50.0 * (constant * i - dry - disturbing) / inertia
+    current, speed = (shown + rng.standard_normal((n, 2)) * [0.01, 0.3]).T
+    found = identify_operation([Recording(Path("x"), dt_s * np.arange(n), current, volts, speed)])
+    assert "noise_torque" in found.solution.names
+    assert "load_walk" not in found.solution.names
+    drag = found.quantity("drag")
+    assert drag.value == pytest.approx(dry, rel=0.25)
+    assert drag.low < dry < drag.high
+
+
 def test_current_alone_tells_ratios() -> None:
     motor, recording = work(4, "reversals")
     found = identify_operation([replace(recording, speed_rad_s=None)])
@@ -78,7 +99,7 @@ def test_a_motor_behind_a_diode_is_found() -> None:
 @pytest.mark.long
 def test_two_recordings_tell_more_than_one() -> None:
     rng = np.random.default_rng(5)
-    motor = draw_motor(rng)
+    motor = replace(draw_motor(rng), ripple=0.0, stribeck=0.0)
     first = simulate(motor, "reversals", rng, samples=800, dt_s=motor.mechanical_s / 10.0)
     second = simulate(motor, "prbs", rng, samples=800, dt_s=motor.mechanical_s / 10.0)
     one, both = identify_operation([first]), identify_operation([first, second])

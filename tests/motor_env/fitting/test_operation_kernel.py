@@ -285,6 +285,7 @@ def textbook_filter(p: FloatArray, record: Record) -> Filter:
             before, now = volts[step]
             x = now_f @ x + now_g @ [before, now - before, p[k.LOAD]]
             noise = p[k.NOISE_V] ** 2 * np.outer(now_g[:, 0], now_g[:, 0])
+            noise += p[k.NOISE_T] ** 2 * np.outer(now_g[:, 2], now_g[:, 2])
             noise[2, 2] = p[k.WALK] ** 2 * after[step]
             cov = now_f @ cov @ now_f.T + noise
         for channel in np.flatnonzero(np.isfinite(record.readings[step])):
@@ -304,8 +305,9 @@ def textbook_filter(p: FloatArray, record: Record) -> Filter:
     [
         {},
         {"NOISE_V": 0.05, "DELAY": 0.3},
-        {"NOISE_V": 0.02, "WALK": 0.03},
-        {"NOISE_V": 0.02, "WALK": 0.03, "LAG_I": 1.5e-3, "LAG_W": 4e-3},
+        {"NOISE_T": 0.01},
+        {"NOISE_V": 0.02, "NOISE_T": 0.01, "WALK": 0.03},
+        {"NOISE_V": 0.02, "NOISE_T": 0.01, "WALK": 0.03, "LAG_I": 1.5e-3, "LAG_W": 4e-3},
         {"LAG_W": 3e-3, "LOAD": 0.002},
     ],
 )

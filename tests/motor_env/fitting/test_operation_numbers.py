@@ -221,7 +221,7 @@ def test_units_of_the_unknowns() -> None:
         "load_square": torque / 200.0**2, "offset_current": 3.0, "offset_speed": 200.0,
         "heating": 10.0 / (2.0 * 1.5**2 * second), "cooling": 1.0 / second, "sensor_lag": DT_S, "speed_lag": DT_S,
         "delay": 1.0, "noise_current": 0.01, "noise_speed": 0.2, "noise_voltage": 0.036,
-        "load_walk": 0.05 * torque / math.sqrt(second),
+        "noise_torque": 0.01 * torque, "load_walk": 0.05 * torque / math.sqrt(second),
     }  # fmt: skip
     assert {name: term.unit for name, term in every.items()} == pytest.approx(units)
     beliefs = {name: term.prior_sd for name, term in every.items() if term.prior_sd < math.inf}
@@ -241,7 +241,7 @@ def test_units_of_the_unknowns() -> None:
         "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1), "heating": (0.0, 20.0), "cooling": (0.0, 300.0),
         "sensor_lag": (0.0, 5.0), "speed_lag": (0.0, 50.0),  # 10 ms and 0.1 s
         "delay": (-1.0, 1.0), "noise_current": (-5.0, 5.0), "noise_speed": (-5.0, 5.0),
-        "noise_voltage": (-6.0, 4.0), "load_walk": (-6.0, 6.0),
+        "noise_voltage": (-6.0, 4.0), "noise_torque": (-6.0, 4.0), "load_walk": (-6.0, 6.0),
     }  # fmt: skip
     assert {name: (term.low, term.high) for name, term in every.items()} == bounds
     assert every["R"].value(0.3) == pytest.approx(2.0 * math.exp(0.3))
@@ -254,6 +254,20 @@ def test_units_of_the_unknowns() -> None:
     )
     weak = terms(record, values(), (12.0, 1e-9, 1e-9))
     assert (weak["offset_current"].unit, weak["coulomb_knee"].unit) == pytest.approx((0.006, 0.4))
+
+
+@pytest.mark.parametrize(
+    ("step", "low"), [(0.02, 0.02 / math.sqrt(12.0) / 0.2), (1e-4, math.exp(-5.0)), (9.0, 1.0)]
+)
+def test_no_noise_is_finer_than_the_steps_of_its_readings(step: float, low: float) -> None:
+    rng, record = np.random.default_rng(2), plain(500)
+    shown = step * np.round(rng.uniform(-30.0, 30.0, (500, 2)))
+    shown[7, 1] += 1e-12  # a rounding error is no step
+    every = terms(replace(record, readings=shown), values(NOISE_I=0.01, NOISE_W=0.2), (12.0, 3.0, 200.0))
+    assert every["noise_speed"].low == pytest.approx(math.log(low))
+    assert every["noise_current"].low == pytest.approx(
+        min(max(math.log(step / math.sqrt(12.0) / 0.01), -5.0), 0.0)
+    )
 
 
 def test_values_of_the_unknowns() -> None:
