@@ -92,8 +92,12 @@ def terms(
         Term("sensor_lag", places.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach), slope_at=_SEEN_LAG),
         Term("speed_lag", places.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
         Term("delay", places.DELAY, 1.0, -1.0, 1.0),
-        Term("noise_current", places.NOISE_I, start[places.NOISE_I], _least(record, 0, start), 5.0, is_log=True),
-        Term("noise_speed", places.NOISE_W, start[places.NOISE_W], _least(record, 1, start), 5.0, is_log=True),
+        Term(
+            "noise_current", places.NOISE_I, start[places.NOISE_I], _least(record, 0, start), 5.0, is_log=True
+        ),
+        Term(
+            "noise_speed", places.NOISE_W, start[places.NOISE_W], _least(record, 1, start), 5.0, is_log=True
+        ),
         Term("noise_voltage", places.NOISE_V, 0.003 * volts, -6.0, 4.0, is_log=True),
         Term("noise_torque", places.NOISE_T, 0.01 * torque, -6.0, 4.0, is_log=True),
         Term("load_walk", places.WALK, 0.05 * torque / math.sqrt(record.duration_s), -6.0, 6.0, is_log=True),

@@ -103,17 +103,25 @@ class Held:
         errors: independent errors of one standard deviation each, SI, shape (n, n_places + 2); the last two are sizes
             of brushes whose resistance falls with the current, see `motor_env.fitting.window.BRUSHES`.
         moves: mean over the healthy windows of what each does to the logarithms of R, K, J and B, shape (n, 4).
+        robust_covariance: mean over them of what correlated residuals and the model's error make of these logarithms'
+            covariance, shape (4, 4).
     """
 
     places: tuple[Annotated[int, Field(ge=0)], ...]
     errors: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
     moves: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    robust_covariance: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
 
     def __post_init__(self) -> None:
         n = len(self.moves)
         require(
             np.shape(self.moves) == (n, 4) and np.shape(self.errors) == (n, len(self.places) + 2),
             f"healthy.windows.held: moves has {n} rows; errors must go with them and with places",
+        )
+        require(
+            np.shape(self.robust_covariance) == (4, 4)
+            and bool(np.linalg.eigvalsh(self.robust_covariance)[0] >= -1e-12),
+            "healthy.windows.held.robust_covariance must be a covariance of 4 quantities",
         )
 
 

@@ -111,7 +111,7 @@ def learn_windows(
     windows = replace(windows, window_excess=sum(believed) / sum(taught))
     healthy = replace(healthy, windows=windows)
     if not steady:
-        held = _held(joint, records, judge_of(healthy), ratios, spreads)
+        held = _held(joint, records, judge_of(healthy), found, spreads)
         healthy = replace(healthy, windows=replace(windows, held=held))
     return replace(healthy, windows=_with_scales(healthy, records, found)), found
 
@@ -120,7 +120,7 @@ def _held(
     joint: Operation,
     records: Sequence[Record],
     judge: WindowJudge,
-    ratios: Sequence[FloatArray],
+    found: Sequence[FittedWindow],
     spreads: Sequence[FloatArray],
 ) -> Held:
     """What windows hold of a joint fit, with its errors, and how these move the fits of the windows.
@@ -132,7 +132,7 @@ def _held(
         joint: fit of all windows.
         records: the windows.
         judge: of the next ones.
-        ratios: logarithms of the fit of each over their mean, shape (4,).
+        found: their fits.
         spreads: covariance of each, shape (4, 4).
     """
     problem, known = joint.solution.problem, judge.physical()
@@ -143,12 +143,14 @@ def _held(
     errors = block_diag(_rooted(joint.covariance[np.ix_(rows, rows)]) * units, np.eye(len(BRUSHES)))
     each = np.array([judge.moved(record, None, places, errors) for record in records])
     apart = each - each.mean(axis=0)
+    ratios = [one.log_values - judge.reference.log_values for one in found]
     weighed = [off @ np.linalg.inv(spread) for off, spread in zip(apart, spreads, strict=True)]
     told = sum(weight @ off.T for weight, off in zip(weighed, apart, strict=True))
     left = np.linalg.inv(np.eye(len(errors)) + told)
     size = left @ sum(weight @ ratio for weight, ratio in zip(weighed, ratios, strict=True))
     left = _rooted(left + np.outer(size, size))
-    return Held(places, left @ errors, left @ each.mean(axis=0))
+    robust = np.mean([one.robust_covariance for one in found], axis=0)
+    return Held(places, left @ errors, left @ each.mean(axis=0), robust)
 
 
 def _rooted(covariance: FloatArray) -> FloatArray:

@@ -153,7 +153,8 @@ class WindowJudge:
         at = fit.log_values - self.reference.log_values
         off = self.moved(record, at, held.places, held.errors) - held.moves
         spread = spread + off.T @ off
-        return replace(self.reference, log_covariance=spread + beyond(spread, fit.robust_covariance))
+        usual = spread + beyond(spread, held.robust_covariance)
+        return replace(self.reference, log_covariance=spread + beyond(usual, fit.robust_covariance))
 
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""

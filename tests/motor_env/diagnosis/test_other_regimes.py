@@ -16,7 +16,7 @@ from motor_env import InputError, diagnose, load_motor
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.windows import WindowJudge, judge_of
+from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of
 
 # Reaches in: the fit of a window is made with values of which one is wrong.
 from motor_env.fitting import places
@@ -98,8 +98,8 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
     ]
     # To first order. K and J share what a reversal tells: there one step of a fit is 0.8 % off, on some processors.
     np.testing.assert_allclose(moves, refitted, rtol=0.35, atol=1e-2)
-    own = [0, 3]
-    np.testing.assert_allclose(moves[:, own], np.array(refitted)[:, own], rtol=0.35, atol=2e-3)
+    for own, atol in ((0, 2e-3), (3, 8e-3)):
+        np.testing.assert_allclose(moves[:, own], np.array(refitted)[:, own], rtol=0.35, atol=atol)
     # The same motor, whose friction is twice that of other values.
     twice = known.copy()
     twice[places.DRAG] *= 2.0
@@ -123,9 +123,19 @@ def test_windows_of_the_same_regime_are_compared_as_closely_as_before(
         assert unheld.reference_for(record, fit) is judge.reference
         wrong = replace(fit, robust_covariance=np.diag([1.0, 0.0, 0.0, 0.0]))
         assert judge.reference_for(record, wrong).log_covariance[0, 0] == pytest.approx(1.0, rel=0.01)
+        # Healthy windows that were explained as badly scatter by no more than they do.
+        assert judge.windows.held is not None
+        used = replace(judge.windows.held, robust_covariance=wrong.robust_covariance)
+        to_it = replace(judge, windows=replace(judge.windows, held=used))
+        exact = replace(fit, robust_covariance=np.zeros((4, 4)))
+        np.testing.assert_allclose(
+            to_it.reference_for(record, wrong).log_covariance,
+            judge.reference_for(record, exact).log_covariance,
+            atol=1e-12,
+        )
     learned = np.sqrt(np.diag(judge.reference.log_covariance))
-    assert np.all(sds["reversals"] < [1.3, 1.3, 1.3, 3.0] * learned)
-    assert sds["speed loop"][3] > 1.4 * sds["reversals"][3]
+    assert np.all(sds["reversals"] < [1.3, 1.3, 1.8, 3.0] * learned)
+    assert sds["speed loop"][3] > 1.2 * sds["reversals"][3]
 
 
 def test_a_healthy_motor_is_healthy_under_another_controller(
@@ -163,7 +173,12 @@ def test_windows_that_move_differently_tell_what_they_hold(
     scale = np.diag([1.0 / units[0], 1.0 / units[1], 1.0, 1.0])
     queue = iter(slopes)  # errors are in SI
     monkeypatch.setattr(WindowJudge, "moved", lambda *given: given[-1] @ scale @ next(queue))
-    held = lessons._held(joint, cast("Any", [None] * 5), judge, ratios, noises)
+    found = [
+        FittedWindow(judge.reference.log_values + ratio, np.eye(4), robust_covariance=(n + 1) * np.eye(4))
+        for n, ratio in enumerate(ratios)
+    ]
+    held = lessons._held(joint, cast("Any", [None] * 5), judge, found, noises)
+    np.testing.assert_allclose(held.robust_covariance, 3.0 * np.eye(4))
     assert held.places == (places.COULOMB, places.GEAR)
     prior, middle = block_diag(spread, np.eye(2)), np.mean(slopes, axis=0)
     design = np.concatenate([(slope - middle).T for slope in slopes])
@@ -176,10 +191,13 @@ def test_windows_that_move_differently_tell_what_they_hold(
 
 
 def test_tables_of_what_is_held_go_together() -> None:
-    Held((0, 1), np.zeros((3, 4)), np.zeros((3, 4)))
+    Held((0, 1), np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((4, 4)))
+    for covariance in (np.zeros((3, 3)), -np.eye(4)):
+        with pytest.raises(ValueError, match="must be a covariance of 4 quantities"):
+            Held((0, 1), np.zeros((3, 4)), np.zeros((3, 4)), covariance)
     for errors, moves in ((np.zeros((3, 3)), np.zeros((3, 4))), (np.zeros((3, 4)), np.zeros((3, 5)))):
         with pytest.raises(ValueError, match="errors must go with them and with places"):
-            Held((0, 1), errors, moves)
+            Held((0, 1), errors, moves, np.zeros((4, 4)))
 
 
 def test_a_fault_does_not_hide_behind_what_is_held(geared: SimulatedMotor, commissioned: Motor) -> None:
@@ -208,6 +226,7 @@ def test_a_motor_file_keeps_what_is_held(commissioned: Motor, tmp_path: Path) ->
     assert held[0].places == held[1].places
     np.testing.assert_array_equal(held[0].errors, held[1].errors)
     np.testing.assert_array_equal(held[0].moves, held[1].moves)
+    np.testing.assert_array_equal(held[0].robust_covariance, held[1].robust_covariance)
 
 
 def test_a_motor_file_that_holds_no_value_of_the_fit_is_refused(commissioned: Motor) -> None:
@@ -215,10 +234,10 @@ def test_a_motor_file_that_holds_no_value_of_the_fit_is_refused(commissioned: Mo
     assert healthy is not None
     assert healthy.windows is not None
     for place, is_refused in ((places.N_VALUES - 1, False), (places.N_VALUES, True)):
-        held = Held((place,), np.zeros((1, 3)), np.zeros((1, 4)))
+        held = Held((place,), np.zeros((1, 3)), np.zeros((1, 4)), np.zeros((4, 4)))
         other = replace(healthy, windows=replace(healthy.windows, held=held))
         with (
-            pytest.raises(InputError, match=r"held\.places must be below 33, got 33")
+            pytest.raises(InputError, match=r"held\.places must be below 34, got 34")
             if is_refused
             else nullcontext()
         ):

@@ -482,7 +482,7 @@ def test_a_measured_temperature_is_taken_off_as_if_it_were_that_of_the_healthy_w
 LOGS = np.random.default_rng(6).normal(0.0, 0.03, (6, 4))
 
 
-HELD = Held((0,), np.ones((3, 3)), np.ones((3, 4)))
+HELD = Held((0,), np.ones((3, 3)), np.ones((3, 4)), np.eye(4))
 
 
 class Lesson:
@@ -528,11 +528,18 @@ class Lesson:
         return WindowFit(self.logs[number % 6], error, values, WHITE, 0.0, error)
 
     def held(
-        self, joint: Any, records: Any, judge: WindowJudge, ratios: Any, spreads: Sequence[FloatArray]
+        self,
+        joint: Any,
+        records: Any,
+        judge: WindowJudge,
+        found: Sequence[FittedWindow],
+        spreads: Sequence[FloatArray],
     ) -> Held:
         assert joint.record.hold == "late"
-        assert len(records) == len(ratios) == len(spreads)
-        np.testing.assert_allclose(sum(ratios), 0.0, atol=1e-9)
+        assert len(records) == len(found) == len(spreads)
+        np.testing.assert_allclose(
+            np.mean([one.log_values for one in found], axis=0), judge.reference.log_values
+        )
         np.testing.assert_allclose(judge.reference.log_values[:3], np.mean(self.logs, axis=0)[:3], atol=0.2)
         return HELD
 
