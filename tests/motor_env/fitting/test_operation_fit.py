@@ -55,7 +55,7 @@ def test_a_torque_that_is_another_one_in_each_interval_hides_no_friction() -> No
             i += dt_s / 50.0 * (volts[k] - ohm * i - constant * w) / 1e-3
             w += dt_s / 50.0 * (constant * i - dry - disturbing) / inertia
     current, speed = (shown + rng.standard_normal((n, 2)) * [0.01, 0.3]).T
-    found = identify_operation([Recording(Path("x"), dt_s * np.arange(n), current, volts, speed)])
+    found = identify_operation([Recording(Path("x"), dt_s * np.arange(float(n)), current, volts, speed)])
     assert "noise_torque" in found.solution.names
     assert "load_walk" not in found.solution.names
     drag = found.quantity("drag")
