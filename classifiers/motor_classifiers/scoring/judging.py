@@ -6,7 +6,7 @@ import hashlib
 import json
 import multiprocessing
 import traceback
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -128,10 +128,15 @@ def judge_apart(name: str, task: ClassTask) -> Answer:
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
         context.set_forkserver_preload([__name__])  # imports are paid once, not for every method
-    with ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool:
+    with (
+        ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool,
+        ThreadPoolExecutor(1) as thread,
+    ):
+        begun = thread.submit(pool.submit, judge if name in METHODS else _judge_foreign, name, task)
         try:
-            return pool.submit(judge if name in METHODS else _judge_foreign, name, task).result()
+            return begun.result().result()
         except KeyboardInterrupt:
+            begun.result()  # a worker that starts when this process is gone would show a traceback
             for worker in multiprocessing.active_children():
                 worker.terminate()  # closing the pool would wait for its answer
             raise

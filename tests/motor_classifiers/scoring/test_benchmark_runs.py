@@ -274,7 +274,8 @@ def test_a_killed_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(400)
-def test_a_terminated_run_does_not_wait_for_its_method(tmp_path: Path) -> None:
+@pytest.mark.parametrize("after_s", [0.0, 10.0], ids=["as its process begins", "in its training"])
+def test_a_terminated_run_does_not_wait_for_its_method(tmp_path: Path, after_s: float) -> None:
     arguments = [*FAST, "--methods", "posterior-network", "--out", str(tmp_path)]
     with subprocess.Popen(
         [sys.executable, "-m", "motor_classifiers", *arguments], stderr=subprocess.PIPE, text=True
@@ -282,7 +283,7 @@ def test_a_terminated_run_does_not_wait_for_its_method(tmp_path: Path) -> None:
         assert process.stderr is not None
         told = iter(process.stderr.readline, "")
         assert any("posterior-network on bench" in line for line in told)
-        time.sleep(10.0)  # some minutes of training have begun
+        time.sleep(after_s)
         begin = time.monotonic()
         process.send_signal(signal.SIGTERM)
         said = process.stderr.read()  # ends when no process holds the pipe

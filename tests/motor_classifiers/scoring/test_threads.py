@@ -10,6 +10,7 @@ import pytest
 
 CODE = """
 import hashlib, sys, torch
+from motor_env import load_recipe
 from motor_classifiers.scoring.judging import judge
 from motor_classifiers.scoring.task import class_task
 from motor_env.simulation.simulate import Timing
