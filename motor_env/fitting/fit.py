@@ -87,7 +87,8 @@ def _timely(best: Solution) -> Solution:
     """Replace a fractional delay or a straight-line voltage by a held one if they win only by averaging noise.
 
     Both average neighbours of the recorded voltage, and with them its noise. So does a mean over three samples, which
-    has no delay: where it explains as much, there is none.
+    has no delay: where it explains as much, there is none. A fit that blames everything on a torque that disturbs the
+    motor may be more likely and explain less.
     """
     timed = _less(best, ("delay",))
     is_straight = best.problem.record.hold == "straight"
@@ -101,7 +102,8 @@ def _timely(best: Solution) -> Solution:
     for hold in ("held", "late"):
         problem = replace(timed.problem, record=replace(record, hold=hold, voltage_v=even))
         averaged = Solution(problem, *problem.solve(timed.theta))
-        if averaged.penalised() < best.penalised():
+        is_as_good = _free_misfit(averaged) < _free_misfit(best) + _CLEARLY
+        if averaged.penalised() < best.penalised() and is_as_good:
             problem = replace(problem, record=replace(record, hold=hold))
             return Solution(problem, *problem.solve(averaged.theta))
     return best

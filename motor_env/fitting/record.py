@@ -22,6 +22,7 @@ CURVE_PARTS = 5
 _OF_SUPPLY = np.r_[DELAY, ONSET, RISE, np.arange(CURVE.start, CURVE.stop)]
 _SHORTEST = 1e-6  # of an interval: from a switch to the next sample
 _ZONE_EDGE = 0.1  # width of a dead zone's edge (1 sd), of the zone
+_DUST = 1e-9  # of the largest reading: steps of floating-point numbers
 STRETCHES = 10
 
 
@@ -100,6 +101,14 @@ class Record:
         columns = (self.voltage_v, self.readings[:, 0], self.readings[:, 1])
         v, i, w = (float(np.nanquantile(np.abs(column), 0.999)) for column in columns)
         return v, i, w
+
+    @property
+    def steps(self) -> FloatArray:
+        """Smallest step between two readings of current, of speed, shape (2,); 0 where they never change."""
+        moves = np.abs(np.diff(self.readings, axis=0, prepend=np.nan))
+        moves[~(moves > _DUST * np.nanmax(np.abs(self.readings), axis=0, initial=0.0))] = np.inf
+        least = moves.min(axis=0)
+        return np.where(np.isfinite(least), least, 0.0)
 
     def between(self, delay: float = 0.0) -> FloatArray:
         """Voltage at the begin and end of the interval that ends at each sample, shape (n, 2).

@@ -124,6 +124,20 @@ def lacking(best: Solution) -> list[ScoreTest]:
     return _of_size_one(best, lacked)
 
 
+def rounded(best: Solution) -> list[ScoreTest]:
+    """What half a step does to the readings of each channel, where it errs alike in all of one sign.
+
+    Rounding errs by so much at most, and cutting off by as much in the mean. Noise smaller than a step does not average
+    it away, and a motor may stay within a few steps.
+    """
+    record, erred = best.problem.record, []
+    for channel in np.flatnonzero(record.seen):
+        readings = record.readings.copy()
+        readings[:, channel] += 0.5 * record.steps[channel] * np.sign(readings[:, channel])
+        erred.append(replace(best.problem, record=replace(record, readings=readings)))
+    return _of_size_one(best, erred)
+
+
 def unmeasured(best: Solution) -> list[ScoreTest]:
     """What may stand between a voltage that was told and the motor, each of its usual size (1), at the fitted current.
 

@@ -15,7 +15,6 @@ LONGEST_CURRENT_LAG_S = 0.01
 LONGEST_SPEED_LAG_S = 0.1
 _WIDEST = 12.0  # of a logarithm
 _OFFSET_PRIOR = 0.003
-_DUST = 1e-9  # of the largest reading: steps of floating-point numbers
 _CURVE_PRIOR_SD = 1.5
 _SEEN_LAG = 0.5  # of an interval
 _FASTEST_K_PER_S = 10.0  # at the stall power: 20 W in 8 g of copper are 7 K/s
@@ -126,10 +125,8 @@ def terms(
 
 def _least(record: Record, channel: int, start: FloatArray) -> float:
     """Least logarithm of a channel's noise over its first guess: no reading is finer than its own steps."""
-    moves = np.abs(np.diff(record.readings[:, channel]))
-    moves = moves[moves > _DUST * np.nanmax(np.abs(record.readings[:, channel]), initial=0.0)]
-    step = float(moves.min()) if len(moves) else 0.0
-    finest = max(step / math.sqrt(12.0), 1e-300) / max(start[places.NOISE_I + channel], 1e-300)
+    rounding = max(record.steps[channel] / math.sqrt(12.0), 1e-300)
+    finest = rounding / max(start[places.NOISE_I + channel], 1e-300)
     return min(max(math.log(finest), -5.0), 0.0)
 
 

@@ -10,7 +10,7 @@ from scipy import fft
 
 from motor_env.fitting import places
 from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.score import candidates, lacking, score_tests
+from motor_env.fitting.score import candidates, lacking, rounded, score_tests
 from motor_env.fitting.terms import NOISES, Term
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise
@@ -52,7 +52,8 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
 
     A term that was left out counts with its posterior probability (Hoeting et al. 1999), its size believed to be as
     usual: it would have moved the others by so much, and would have left them so much less certain. Other optima
-    count with theirs. So does what no term says but real motors have, see `lacking`, and the model's error.
+    count with theirs. So does what no term says but real motors have, see `lacking`, what rounding hides, see
+    `rounded`, and the model's error.
     """
     problem, chosen = best.problem, motor_places(best.problem)
     jacobian = secants(problem, best.theta)
@@ -68,6 +69,9 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
         known = 1.0 / (1.0 + test.sd**2)
         moves = test.moves[chosen]
         total += ((known * test.value) ** 2 + 1.0 - known) * np.outer(moves, moves)
+    for test in rounded(best):
+        # It follows no law that the record could settle.
+        total += np.outer(test.moves[chosen], test.moves[chosen])
     ahead = np.exp([0.5 * (best.misfit - misfit) for _, misfit in best.rivals])
     for share, (theta, _) in zip(ahead / (1.0 + ahead.sum()), best.rivals, strict=True):
         moved = (theta - best.theta)[chosen]

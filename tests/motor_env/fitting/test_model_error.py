@@ -1,5 +1,6 @@
 """What a wrong model adds to the errors of a fit: scores of parts of a record, and what no term says."""
 
+import math
 from dataclasses import replace
 from typing import Any, cast
 
@@ -8,7 +9,7 @@ import pytest
 from recorded_motor import LOGS, Line, least_squares, plain, solution, values, worked
 from scipy.linalg import sqrtm
 
-from motor_env.fitting import places
+from motor_env.fitting import places, uncertainty
 from motor_env.fitting.fit import fit
 from motor_env.fitting.record import Record
 from motor_env.fitting.score import lacking
@@ -162,3 +163,30 @@ def test_a_voltage_without_steps_may_be_timed_otherwise(
         others = [found.problem.values(theta)[places.L] for theta, _ in found.rivals]
         assert (max(others, default=0.0) > 3.0 * p[places.L]) == is_open
         assert (told > p[places.L]) == is_open
+
+
+@pytest.mark.parametrize(("channel", "told"), [(0, "J"), (1, "K")])
+def test_errors_allow_for_what_the_steps_of_a_reading_hide(
+    channel: int, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A converter of ten steps that cuts off, so that it shows half a step too little."""
+    record = lossy()
+    step = 0.1 * record.peaks[1 + channel]
+    cut = record.readings.copy()
+    cut[:, channel] = step * np.trunc(cut[:, channel] / step)
+    coarse = replace(record, readings=cut)
+    assert coarse.steps[channel] == pytest.approx(step)
+    wrong, every = solution(coarse, LOGS, values()), terms(coarse, values())
+    at = wrong.names.index(told)
+    allowed = abs(wrong.theta[at]) / math.sqrt(covariance(wrong, every)[at, at])
+    monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
+    assert 0.5 < allowed < 1.5
+    assert abs(wrong.theta[at]) > 3.0 * math.sqrt(covariance(wrong, every)[at, at])
+
+
+def test_a_channel_that_never_changes_has_no_steps() -> None:
+    record = lossy()
+    readings = record.readings.copy()
+    readings[:, 1] = np.nan
+    readings[::2, 0], readings[1::2, 0] = 3.0, 3.0 + 1e-12  # steps of floating-point numbers
+    assert replace(record, readings=readings).steps.tolist() == [0.0, 0.0]

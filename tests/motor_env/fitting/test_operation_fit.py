@@ -123,6 +123,15 @@ def recorded(file: str) -> Operation:
 
 
 @real
+def test_a_voltage_timed_otherwise_is_no_other_motor() -> None:
+    """More likely would be one with a quarter of the inertia, which a torque disturbs so that it explains little."""
+    found = recorded("regbot/regbot_85_right.csv")
+    assert found.quantity("J").value > 5e-5
+    assert found.r2_speed is not None
+    assert found.r2_speed > 0.99
+
+
+@real
 @pytest.mark.long
 def test_a_current_that_is_all_noise_is_said_to_tell_nothing() -> None:
     found = recorded("operating/shield_aprbs.csv")
