@@ -488,6 +488,7 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0, free=(None, np.zeros((600, 4))))
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
     monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
+    monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
     without = uncertainty.covariance(cast("Any", best), {})
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: tests)
     added = uncertainty.covariance(cast("Any", best), cast("Any", every)) - without
@@ -507,6 +508,11 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     settled = 1.0 / (1.0 + 0.2**2)
     size = (settled * 0.5) ** 2 + settled * 0.2**2
     np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
+    # What rounding moves counts in full.
+    monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
+    monkeypatch.setattr(uncertainty, "rounded", lambda _: [tests["delay"]])
+    added = uncertainty.covariance(cast("Any", best), {}) - without
+    np.testing.assert_allclose(added, np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
 
 
 def test_a_direction_of_which_nothing_is_known_has_a_hopeless_variance() -> None:
