@@ -20,6 +20,8 @@ _KNEES = {0.1: 1.0, 1.0: 2.0}
 """Shares of the largest current at which half of the brushes' voltage may be there, and that voltage over the usual."""
 _SAG = 0.05  # of the supply's voltage, at the largest current
 _GEAR = 0.07  # of the motor's torque
+_CONVERTED = math.sqrt(0.5 * (1.0 / 12.0 + 0.25))
+"""Share of a step by which a converter errs (rms): it rounds, or it cuts off, which takes half a step in the mean."""
 _CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 
 
@@ -125,15 +127,14 @@ def lacking(best: Solution) -> list[ScoreTest]:
 
 
 def rounded(best: Solution) -> list[ScoreTest]:
-    """What half a step does to the readings of each channel, where it errs alike in all of one sign.
+    """What converters do to the readings of each channel, by a standard deviation, where all of one sign err alike.
 
-    Rounding errs by so much at most, and cutting off by as much in the mean. Noise smaller than a step does not average
-    it away, and a motor may stay within a few steps.
+    Noise smaller than a step does not average it away, and a motor may stay within a few steps.
     """
     record, erred = best.problem.record, []
     for channel in np.flatnonzero(record.seen):
         readings = record.readings.copy()
-        readings[:, channel] += 0.5 * record.steps[channel] * np.sign(readings[:, channel])
+        readings[:, channel] += _CONVERTED * record.steps[channel] * np.sign(readings[:, channel])
         erred.append(replace(best.problem, record=replace(record, readings=readings)))
     return _of_size_one(best, erred)
 
