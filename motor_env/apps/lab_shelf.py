@@ -30,9 +30,8 @@ class Shelf:
         """Take in a motor file or one healthy start; the answer says what is there to compare with.
 
         Raises:
-            InputError: too large, too many, or not readable; the sentence speaks of the page's name.
+            InputError: too many, or not readable; the sentence speaks of the page's name.
         """
-        check_size(content)
         shown = shown_name(name)
         if kind not in ("motor", "healthy"):
             raise InputError(f"kind must be motor or healthy, got {kind[:40]!r}")
@@ -69,18 +68,6 @@ class Shelf:
         if wanted in (OWN_MOTOR, HEALTHY_STARTS):
             raise InputError(f"no {wanted} handed in yet")
         return wanted or None, []
-
-
-def check_size(content: bytes) -> None:
-    """Refuse what is too large.
-
-    Raises:
-        InputError: it is.
-    """
-    if len(content) > LARGEST_UPLOAD_BYTES:
-        raise InputError(
-            f"a recording may have {LARGEST_UPLOAD_BYTES // 1_000_000} MB, got {len(content) / 1e6:.1f}"
-        )
 
 
 def shown_name(name: str) -> str:

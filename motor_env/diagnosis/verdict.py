@@ -17,8 +17,8 @@ from motor_env.recordings.recording import Recording
 from motor_env.recordings.regime import Taken
 
 SURE_OF_KIND = 0.95
-_FEWEST_FOR_WHITENESS = 40
 """Posterior probability below which a verdict does not say which kind of its family it is."""
+_FEWEST_FOR_WHITENESS = 40
 
 
 class Verdict(StrEnum):
@@ -122,19 +122,13 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The verdict on a recording, by judgements on its pieces.
-
-    Attributes:
-        recording: as read.
-        taken: what it was taken for, and why.
-        pieces: judgements, in the order of time.
-        of: number of pieces of the recording; of many some are judged.
-    """
+    """The verdict on a recording, by judgements on its pieces; `diagnose.Diagnosis` tells its attributes."""
 
     recording: Recording
     taken: Taken
     pieces: tuple[Judgement, ...]
     of: int = 1
+    periods_per_turn: float | None = None
 
     @property
     def telling(self) -> Judgement:

@@ -67,7 +67,7 @@ def test_text_and_json_say_the_same() -> None:
     found, fit, _ = fitted()
     check = found.consistency
     assert check is not None
-    told, text = report.as_json(faulty(), 14.0), report.as_text(faulty(), verbose=True)
+    told, text = report.as_json(faulty()), report.as_text(faulty(), verbose=True)
     said = "winding (winding_contact) +20% (95 %: +10% to +31%), confidence 0.88"
     assert text.splitlines()[0] == f"start.csv: {said}"
     unsure = replace(faulty().telling, kind_probability=0.94)
