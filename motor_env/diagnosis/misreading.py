@@ -72,11 +72,6 @@ class Scale(NamedTuple):
     gain: Explanation | None
 
 
-def wrong_scale(difference: Difference, names: tuple[str, ...], limit: float, rate: float) -> str:
-    """What `wrong_scales` gives, as a sentence; empty without any."""
-    return as_sentence(wrong_scales(difference, names, limit, rate))
-
-
 def as_sentence(scales: Sequence[Scale]) -> str:
     """The columns of which one, at a wrong scale, would explain a difference; empty without any."""
     words = sorted(f"the {scale.column} is {scale.words}" for scale in scales)

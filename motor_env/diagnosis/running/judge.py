@@ -9,7 +9,7 @@ import numpy as np
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.explanations import NORMAL_DOF, Difference
-from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, is_far, wrong_scale
+from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, as_sentence, is_far, wrong_scales
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import EXPONENTS, NAMES, WindowJudge, viscous
@@ -69,7 +69,7 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
         logs = np.log([*physical[[places.R, places.K, places.J]], drag])
         spread = judge.reference.log_covariance + np.diag(np.square(_COARSE))
         difference = Difference(logs - judge.reference.log_values, spread, EXPONENTS, NORMAL_DOF)
-        misread = wrong_scale(difference, NAMES, _CLEAR, DEFAULT_FALSE_ALARM_RATE)
+        misread = as_sentence(wrong_scales(difference, NAMES, _CLEAR, DEFAULT_FALSE_ALARM_RATE))
         if misread:
             return [_misread(one, misread) if one.verdict.is_fault else one for one in judged]
     return judged

@@ -78,7 +78,7 @@ class Vigil:
         self._along, self._healthy = directions(), self._scales[-1].healthy_windows
         self._detector = Detector.new(len(self._scales), self._along.weights)
         self._pieces = 2 ** self._scales[0].halvings
-        self.piece_s = windows.window_s / self._pieces
+        self.piece_s, self._fastest = windows.window_s / self._pieces, judge.peaks[2]
         # At most every other window alarms.
         self.windows = max(YEAR_S / false_alarms_per_year / windows.window_s, 2.0)
         self.threshold = self.windows * self._pieces
@@ -161,10 +161,6 @@ class Vigil:
                 for row in zip(*self._scored(n, part.pieces(together, self._at, self._fastest)), strict=True):
                     self._detector.add(n, row[0], together, row[1])
         return self._is_alarm()
-
-    @property
-    def _fastest(self) -> float:
-        return (self.judge.windows.peaks or (1.0, 1.0, 1.0))[2]
 
     def _scored(self, n: int, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
         """Normal scores of pieces and their reach; none in a state of which too little is known."""
