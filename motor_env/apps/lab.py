@@ -112,8 +112,8 @@ def _scenario(settings: Settings) -> Scenario:
         resistance_ohm=1.0 + 0.01 * settings.resistance_percent,
         viscous_friction_n_m_s_per_rad=1.0 + 0.01 * settings.friction_percent,
     )
-    kinds = () if settings.kind == HEALTHY else (FaultKind(settings.kind),)
-    faults = tuple(Fault(kind, 0.01 * settings.severity_percent) for kind in kinds)
+    is_healthy = settings.kind == HEALTHY
+    faults = () if is_healthy else (Fault(FaultKind(settings.kind), 0.01 * settings.severity_percent),)
     return Scenario(motor, faults=faults, sensor=settings.sensor, timing=TIMING)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -147,11 +146,4 @@ def as_wear(judgement: Judgement) -> Judgement:
     if not is_beyond:
         return judgement
     is_said = any(reason.startswith(EXPLAINED) for reason in judgement.reasons)
-    return replace(
-        judgement,
-        verdict=Verdict.OTHER,
-        reasons=judgement.reasons if is_said else (*judgement.reasons, BEYOND_WEAR),
-        severity=None,
-        severity_interval=None,
-        fault_kind=None,
-    )
+    return judgement.as_other(*judgement.reasons, *(() if is_said else (BEYOND_WEAR,)))

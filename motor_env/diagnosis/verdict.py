@@ -97,6 +97,17 @@ class Judgement:
         """The judgement, with the place of its piece in the recording."""
         return replace(self, begin_s=float(piece.time_s[0]), duration_s=len(piece.time_s) * piece.dt_s)
 
+    def as_other(self, *reasons: str) -> Judgement:
+        """The judgement that something else is wrong, for these reasons: no fault is named, and none has a size."""
+        return replace(
+            self,
+            verdict=Verdict.OTHER,
+            reasons=reasons,
+            severity=None,
+            severity_interval=None,
+            fault_kind=None,
+        )
+
     @property
     def kind(self) -> FaultKind | None:
         """Kind of the fault, where it can be told from the others of its family."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
@@ -78,11 +77,4 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
 def _misread(judgement: Judgement, misread: str) -> Judgement:
     """A judgement of a window, with what the whole log says instead of what its own fit did."""
     own = (one for one in judgement.reasons if one != BEYOND_WEAR and not one.startswith(EXPLAINED))
-    return replace(
-        judgement,
-        verdict=Verdict.OTHER,
-        reasons=(misread, *own),
-        severity=None,
-        severity_interval=None,
-        fault_kind=None,
-    )
+    return judgement.as_other(misread, *own)

@@ -193,10 +193,10 @@ class WindowJudge:
         """Places of the windows that are judged, of many."""
         values, length = self.physical(), len(parts[0].time_s)
         values[places.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
-        misfits, whole = np.zeros(len(parts)), averaged(recording, self.windows.window_s)
+        misfits = np.zeros(len(parts))
         for first in range(0, len(parts), _TOGETHER):
             some = slice(first, min(first + _TOGETHER, len(parts)))
-            stretch = cut(whole, slice(some.start * length, some.stop * length))
+            stretch = cut(recording, slice(some.start * length, some.stop * length))
             with suppress(UnusableError):  # as at rest
                 record = from_recordings([stretch], most=len(stretch.time_s))
                 squares = replace(record, hold=self.windows.hold).predict(values)[0][:, :2] ** 2
@@ -207,11 +207,9 @@ class WindowJudge:
     def failed_sensor(self, part: Recording) -> Judgement | None:
         """The judgement on a part of a log of which a sensor failed; None where none did."""
         volts, speed = needed_columns(part)
-        found = (
-            failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
-            if volts.any()
-            else None
-        )
+        if not volts.any():
+            return None
+        found = failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
         return None if found is None else judgement_of(found)
 
     def _judged(

@@ -298,7 +298,7 @@ def of_itself(recording: Recording, voltage_v: float | None) -> Motor:
     if taken_for(recording).regime == "operation":
         return commission([recording], voltage_v=voltage_v).motor
     fits = fit_starts([recording], voltage_v=voltage_v)
-    motor = to_motor(fits, "it", kind="commissioned", healthy=learn_starts(fits))
+    motor = to_motor(fits, "it", healthy=learn_starts(fits))
     return with_signs(motor, [recording], voltage_v)
 
 

@@ -38,7 +38,7 @@ def start(motor: MotorParameters, load: str, number: int, *, has_speed: bool = F
 @cache
 def learned_under(load: str, *, has_speed: bool = False) -> Motor:
     fits = fit_healthy([start(MOTOR, load, n, has_speed=has_speed) for n in range(5)], voltage_v=12.0)
-    return to_motor(fits, "loaded", kind="commissioned", healthy=learn_starts(fits))
+    return to_motor(fits, "loaded", healthy=learn_starts(fits))
 
 
 @pytest.mark.parametrize("has_speed", [False, True])

@@ -66,7 +66,7 @@ def learn(time_s: FloatArray, current_a: FloatArray) -> Motor:
     """What healthy starts teach where the motor is always as warm: a change of 15 K would hide R +25 % at 2 kHz."""
     fits = fit_healthy(recordings(time_s, current_a))
     healthy = replace(learn_starts(fits), temperature_k=0.0)
-    return to_motor(fits, "mine", kind="commissioned", healthy=healthy)
+    return to_motor(fits, "mine", healthy=healthy)
 
 
 @pytest.fixture(scope="module")

@@ -134,7 +134,7 @@ def test_without_a_ripple_there_is_no_speed() -> None:
 
 def test_the_ripple_compares_speeds_between_recordings() -> None:
     fits = fit_healthy([rippled()[0]]) * 3  # three alike
-    motor = to_motor(fits, "rippled", kind="commissioned", healthy=learn_starts(fits))
+    motor = to_motor(fits, "rippled", healthy=learn_starts(fits))
     assert motor.healthy is not None
     assert motor.healthy.starts is not None
     assert motor.healthy.starts.ripple_hz is not None

@@ -159,7 +159,7 @@ def test_without_a_voltage_only_ratios_are_told_and_the_sheet_is_no_reference() 
 
 def test_healthy_recordings_as_reference() -> None:
     fits = fit_healthy(captures(5, known_voltage=False))
-    motor = to_motor(fits, "bench", kind="commissioned", healthy=learn_starts(fits))
+    motor = to_motor(fits, "bench", healthy=learn_starts(fits))
     assert diagnose(captures(6, known_voltage=False)[5], motor).verdict is Verdict.HEALTHY
     worn = captures(2, Fault(FaultKind.WINDING_CONTACT, 0.4), known_voltage=False)
     assert [diagnose(r, motor).verdict for r in worn] == [Verdict.WINDING] * 2

@@ -48,7 +48,7 @@ def starts(motor: MotorParameters, numbers: range, *faults: Fault) -> list[Recor
 @pytest.fixture(scope="module")
 def healthy() -> Motor:
     fits = fit_healthy(starts(MOTOR, range(5)), voltage_v=12.0)
-    return to_motor(fits, "mine", kind="commissioned", healthy=learn_starts(fits))
+    return to_motor(fits, "mine", healthy=learn_starts(fits))
 
 
 @pytest.mark.parametrize("kelvin", [-20.0, 10.0, 25.0])

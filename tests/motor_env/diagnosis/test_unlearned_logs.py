@@ -81,7 +81,7 @@ def of_starts() -> Motor:
         current_a, speed_rad_s = made.measurements[0]
         starts.append(Recording(Path("start"), made.time_s, current_a, made.voltage_v[0], speed_rad_s))
     fits = fit_healthy(starts)
-    return to_motor(fits, "m", kind="commissioned", healthy=learn_starts(fits))
+    return to_motor(fits, "m", healthy=learn_starts(fits))
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def run_lengths(rng: Random, pieces: float, runs: int, sd: float = 1.0) -> Float
     found = []
     root = np.linalg.cholesky(0.5 * np.eye(5) + 0.5)
     for _ in range(runs):
-        detector, count, pair = Detector.new(2, np.array([4.0, 4.0, 1.0, 1.0, 1.0])), 0, np.zeros(5)
+        detector, count, pair = Detector(2, np.array([4.0, 4.0, 1.0, 1.0, 1.0])), 0, np.zeros(5)
         while not detector.passes(pieces):
             count += 1
             scores = sd * root @ rng.standard_normal(5)
@@ -70,7 +70,7 @@ def test_the_detector_finds_a_fault_its_direction_and_its_begin() -> None:
     """At a shift of two standard deviations, at one false alarm in a million: about ten pieces."""
     rng, found = np.random.default_rng(2), []
     for _ in range(40):
-        detector = Detector.new(1, np.ones(4))
+        detector = Detector(1, np.ones(4))
         for _ in range(50):
             detector.add(0, rng.standard_normal(4), 1)
         count = 0
@@ -89,7 +89,7 @@ def test_the_detector_finds_a_fault_its_direction_and_its_begin() -> None:
 
 def test_a_sum_is_that_of_shiryaev_and_roberts() -> None:
     """By hand: the sum over begins of the products of e-values since."""
-    detector, scores = Detector.new(1, np.ones(1)), [0.3, -1.0, 2.0]
+    detector, scores = Detector(1, np.ones(1)), [0.3, -1.0, 2.0]
     for score in scores:
         detector.add(0, np.array([score]), 1)
     lean = np.array([0.6, 1.2, 2.4])
@@ -104,7 +104,7 @@ def test_a_sum_is_that_of_shiryaev_and_roberts() -> None:
 
 def test_sizes_go_with_what_a_piece_tells() -> None:
     """A piece of half the reach looks for half the shift: by hand, for one piece."""
-    detector = Detector.new(1, np.ones(2))
+    detector = Detector(1, np.ones(2))
     detector.add(0, np.array([1.0, 1.0]), 1, np.array([0.5, 1.0]))
     lean = np.array([0.6, 1.2, 2.4])
     np.testing.assert_allclose(detector.sums[0, 0], np.exp(0.5 * lean - 0.125 * lean**2))
