@@ -7,6 +7,7 @@ from pathlib import Path
 
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import load_motor
+from motor_env.motor.parameters import CATALOGUE
 from motor_env.recordings.recording import read_recording
 
 LARGEST_UPLOAD_BYTES = 20_000_000
@@ -59,7 +60,7 @@ class Shelf:
         """Motor and healthy starts to compare with, for what the page has chosen.
 
         Raises:
-            InputError: nothing of the kind was handed in.
+            InputError: nothing of the kind was handed in, or there is no such motor.
         """
         if wanted == HEALTHY_STARTS and self.healthy:
             return None, self.healthy
@@ -67,6 +68,8 @@ class Shelf:
             return str(self.motor), []
         if wanted in (OWN_MOTOR, HEALTHY_STARTS):
             raise InputError(f"no {wanted} handed in yet")
+        if wanted not in ("", *CATALOGUE):
+            raise InputError(f"motor must be one of {', '.join(CATALOGUE)}, got {wanted[:40]!r}")
         return wanted or None, []
 
 

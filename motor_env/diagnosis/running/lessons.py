@@ -178,7 +178,7 @@ def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> flo
 def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[FittedWindow]) -> Windows:
     """What pieces of the windows teach of the next ones, and how these windows alarm by what the others teach."""
     assert healthy.windows is not None  # noqa: S101  # it was learned from them
-    judge, steady = judge_of(healthy), not healthy.temperature_k
+    judge, prior_sd = judge_of(healthy), WINDOW_SPREAD if healthy.temperature_k else 0.0
     some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
     lengths = halvings_of(healthy.windows.window_s, min(len(record.voltage_v) for record in records))
     windows = [_pieces_of(judge, *pair, lengths) for pair in zip(records[some], found[some], strict=True)]
@@ -189,11 +189,7 @@ def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[Fi
     def taught(others: Sequence[Sequence[Pieces]]) -> tuple[Scale, ...]:
         return tuple(
             learn_scale(
-                halvings,
-                [window[n] for window in others],
-                0.0 if steady else WINDOW_SPREAD,
-                temperature_k=healthy.temperature_k,
-                steady=steady,
+                halvings, [window[n] for window in others], prior_sd, temperature_k=healthy.temperature_k
             )
             for n, halvings in enumerate(lengths)
         )

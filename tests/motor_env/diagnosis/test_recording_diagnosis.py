@@ -163,12 +163,6 @@ def test_healthy_recordings_as_reference() -> None:
     assert [diagnose(r, motor).verdict for r in worn] == [Verdict.WINDING] * 2
 
 
-def test_the_filter_is_consistent_with_its_belief() -> None:
-    check = diagnose(captures(1)[0], MOTOR).telling.consistency
-    assert check is not None
-    assert check.mean_square == pytest.approx(1.0, abs=0.1)
-
-
 def test_a_capture_without_a_start_is_unusable_and_never_healthy() -> None:
     rng = np.random.default_rng(0)
     time = np.linspace(0.0, 0.1, 1000)

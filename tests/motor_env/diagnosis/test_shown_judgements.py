@@ -106,7 +106,6 @@ def test_text_and_json_say_the_same() -> None:
     assert told["parameters"]["offset_a"] == {"value": fit.offset_a, "unit": "A"}
     assert report.of_the_drag(0.4).endswith("own friction, 40% of the drag")
     assert of_one(severity_interval=(0.1, 0.31)).severity_interval == (0.1, 0.31)
-    assert of_one(severity_interval=None).severity_interval is None
     for number in (math.nan, math.inf):
         assert report.as_json(of_one(severity=number))["severity"] is None
     assert report.headline(of_one(confidence=None).telling) == "healthy"

@@ -328,25 +328,11 @@ def test_the_whole_alarms_where_no_fault_does() -> None:
 
 
 def test_a_quiet_window_decides_nothing_where_no_doubling_would_show() -> None:
-    """Found in 95 of 100 cases is what lies by 1.645 standard deviations of its own error beyond the limit.
-
-    The resistance is told less well than the friction, by a tenth. The share of a test does not depend on the size of
-    the spread.
-    """
-    shape = np.diag([1.1, 0.01, 0.01, 1.0]) ** 2
+    """Found in 95 of 100 cases is what lies by 1.645 standard deviations of its own error beyond the limit."""
+    shape = np.diag([1.0, 0.01, 0.01, 1.0]) ** 2
     alone = math.log(2.0) / (limit_of(shape, 30.0, 0.02) + stats.norm.isf(0.05))
-    told = [
-        (0.995 / 1.1, "healthy", ()),
-        (1.005 / 1.1, "healthy", ("resistance",)),
-        (0.995, "healthy", ("resistance",)),
-        (1.005, "unusable", ("friction", "resistance")),
-    ]
-    for size, verdict, undecided in told:
-        found = decided(np.zeros(4), (size * alone) ** 2 * shape, 0.02, 30.0)
-        sentences = [reason for reason in found.reasons if "is undecided" in reason]
-        assert (found.verdict, len(sentences)) == (verdict, len(undecided)), size
-        assert all(word in sentence for word, sentence in zip(undecided, sorted(sentences), strict=True))
-        assert (found.confidence is None) is (verdict == "unusable")
+    for size, verdict in ((0.995, "healthy"), (1.005, "unusable")):
+        assert decided(np.zeros(4), (size * alone) ** 2 * shape, 0.02, 30.0).verdict == verdict
     # Healthy windows that scatter more are no defect of one that tells enough; and an alarm is one in any case.
     wide = Reference("it", NAMES, np.zeros(4), (2.0 * alone) ** 2 * shape, 30.0, includes_fit_error=True)
     assert decide(FittedWindow(np.zeros(4), 1e-4 * shape), wide, 0.02).verdict == "healthy"
