@@ -138,17 +138,22 @@ def quantities_json(fit: Fitted) -> dict[str, Any]:
     deviations = np.sqrt(np.diag(fit.log_covariance))
     rows = zip(fit.quantity_names, fit.log_values, deviations, strict=True)
     return {
-        name: {
-            "value": math.exp(log),
-            "standard_error": number(math.exp(log) * sd),
-            "interval": [
-                number(exp_or_none(log - TWO_SIDED * sd)),
-                number(exp_or_none(log + TWO_SIDED * sd)),
-            ],
-            "unit": UNITS[name],
-        }
+        name: estimate_json(
+            math.exp(log),
+            math.exp(log) * sd,
+            (exp_or_none(log - TWO_SIDED * sd), exp_or_none(log + TWO_SIDED * sd)),
+            UNITS[name],
+        )
         for name, log, sd in rows
     }
+
+
+def estimate_json(
+    value: float, error: float, interval: tuple[float | None, float | None], unit: str
+) -> dict[str, Any]:
+    """A value with its standard error, interval and unit; None for an infinite number."""
+    ends = [number(end) for end in interval]
+    return {"value": value, "standard_error": number(error), "interval": ends, "unit": unit}
 
 
 def exp_or_none(log: float) -> float | None:
@@ -160,12 +165,7 @@ def extensions_json(fit: Identified) -> dict[str, Any]:
     """The extensions with their standard errors and intervals, 95 %."""
     units = _EXTENSION_UNITS if fit.start.voltage_known else _EXTENSION_UNITS | _PER_VOLT
     return {
-        name: {
-            "value": value,
-            "standard_error": number(error),
-            "interval": [number(value - TWO_SIDED * error), number(value + TWO_SIDED * error)],
-            "unit": units[name],
-        }
+        name: estimate_json(value, error, (value - TWO_SIDED * error, value + TWO_SIDED * error), units[name])
         for name, (value, error) in fit.fitted_extension.items()
     }
 
