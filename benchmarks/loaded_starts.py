@@ -102,7 +102,7 @@ def judge(number: int, seed: int) -> Said:
     learned = learn_starts(fits)
     if bench.told:
         learned = replace(learned, own_friction=bench.own)
-    known = to_motor(fits, "this motor", kind="commissioned", healthy=learned)
+    known = to_motor(fits, "this motor", healthy=learned)
     channels = "current and speed" if bench.has_speed else "current"
     said: Said = []
     for change in [*[HEALTHY] * JUDGED, *CHANGES]:

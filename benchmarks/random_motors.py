@@ -116,7 +116,7 @@ def judge(number: int, seed: int) -> Said:
     """Verdicts on the starts of one motor, by what has changed."""
     recordings = starts(np.random.default_rng([seed, number]))
     fits = fit_healthy(recordings[:HEALTHY])
-    motor = to_motor(fits, "this motor", kind="commissioned", healthy=learn_starts(fits))
+    motor = to_motor(fits, "this motor", healthy=learn_starts(fits))
     return [((r.path.name,), said(diagnose(r, motor))) for r in recordings[HEALTHY:]]
 
 

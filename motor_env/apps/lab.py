@@ -17,7 +17,7 @@ from motor_env.apps import lab_shelf
 from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.files import diagnose_files
-from motor_env.diagnosis.shown.page import reference_current
+from motor_env.diagnosis.shown.page import moving_average, reference_current
 from motor_env.diagnosis.shown.report import as_json, headline
 from motor_env.diagnosis.verdict import Diagnosis
 from motor_env.errors import InputError
@@ -112,8 +112,8 @@ def _scenario(settings: Settings) -> Scenario:
         resistance_ohm=1.0 + 0.01 * settings.resistance_percent,
         viscous_friction_n_m_s_per_rad=1.0 + 0.01 * settings.friction_percent,
     )
-    kinds = () if settings.kind == HEALTHY else (FaultKind(settings.kind),)
-    faults = tuple(Fault(kind, 0.01 * settings.severity_percent) for kind in kinds)
+    is_healthy = settings.kind == HEALTHY
+    faults = () if is_healthy else (Fault(FaultKind(settings.kind), 0.01 * settings.severity_percent),)
     return Scenario(motor, faults=faults, sensor=settings.sensor, timing=TIMING)
 
 
@@ -136,7 +136,7 @@ def simulated(settings: Settings) -> dict[str, Any]:
         "measured_a": _short(start.measurements[0, 0]),
         "expected_a": _short(expected),
         "residual_a": _short(filtered.innovation[:, 0]),
-        "averaged_a": _short(_averaged(start.measurements[0, 0] - expected)),
+        "averaged_a": _short(moving_average(start.measurements[0, 0] - expected, AVERAGED)),
         "averaged_band_a": 2e-3 * settings.noise_ma / AVERAGED**0.5,
         "statistic": _short(statistic),
         "threshold": threshold,
@@ -152,12 +152,6 @@ def _threshold(rule: str, rate: float) -> float:
         false_alarm_probability=rate, n_samples=TIMING.n_samples, n_channels=1
     )
     return float(wanted.value)
-
-
-def _averaged(values: FloatArray) -> FloatArray:
-    padded = np.pad(values, (AVERAGED // 2, AVERAGED - 1 - AVERAGED // 2), "reflect")
-    out: FloatArray = np.convolve(padded, np.ones(AVERAGED) / AVERAGED, "valid")
-    return out
 
 
 def roc(settings: Settings) -> dict[str, Any]:
@@ -202,9 +196,8 @@ def recording_verdict(
     name: str,
     content: bytes,
     motor: str,
-    voltage_v: float | None = None,
-    *,
-    shelf: lab_shelf.Shelf | None = None,
+    voltage_v: float | None,
+    shelf: lab_shelf.Shelf,
 ) -> dict[str, Any]:
     """Diagnosis of a dropped recording. Its bytes are data: parsed as a table, kept in a temporary folder meanwhile.
 
@@ -216,12 +209,9 @@ def recording_verdict(
         shelf: own motor and healthy starts that were handed in.
 
     Raises:
-        InputError: too large, unknown motor, or not readable; the sentence speaks of the page's name.
+        InputError: unknown motor, or not readable; the sentence speaks of the page's name.
     """
-    lab_shelf.check_size(content)
-    if motor not in ("", *CATALOGUE, lab_shelf.OWN_MOTOR, lab_shelf.HEALTHY_STARTS):
-        raise InputError(f"motor must be one of {', '.join(CATALOGUE)}, got {motor[:40]!r}")
-    known, healthy = (motor or None, []) if shelf is None else shelf.reference(motor)
+    known, healthy = shelf.reference(motor)
     shown = lab_shelf.shown_name(name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"recording{lab_shelf.ending_of(shown)}"
@@ -244,13 +234,14 @@ def _as_document(diagnosis: Diagnosis) -> dict[str, Any]:
         begin = max(int(np.searchsorted(fit.start.time_s, fit.onset_s)) - 20, 0)
         step = max((len(fit.start.time_s) - begin) // MOST_POINTS, 1)
         some, expected = slice(begin, None, step), reference_current(diagnosis.telling)
+        beyond = None if expected is None else moving_average(fit.start.current_a - expected, AVERAGED)
         document["curves"] = {
             "time_ms": _short(1e3 * (fit.start.time_s[some] - fit.onset_s)),
             "measured_a": _short(fit.start.current_a[some]),
             "fitted_a": _short(fit.expected[some, 0]),
             "residual_a": _short(fit.residual_a[some]),
             "healthy_a": None if expected is None else _short(expected[some]),
-            "beyond_a": None if expected is None else _short(_averaged(fit.start.current_a - expected)[some]),
+            "beyond_a": None if beyond is None else _short(beyond[some]),
         }
     return document
 

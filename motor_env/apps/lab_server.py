@@ -150,7 +150,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise InputError(f"voltage must be > 0, got {level[:40]!r}")
         name = unquote(query.get("name", ["recording.csv"])[0])
         wanted = query.get("motor", [""])[0]
-        return lab.recording_verdict(name, body, wanted, voltage, shelf=self.server.shelf)
+        return lab.recording_verdict(name, body, wanted, voltage, self.server.shelf)
 
     def _keep(self, body: bytes) -> dict[str, Any]:
         query = parse_qs(urlsplit(self.path).query)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from motor_env.errors import InputError
 from motor_env.motor.data_sheet import load_motor
+from motor_env.motor.parameters import CATALOGUE
 from motor_env.recordings.recording import read_recording
 
 LARGEST_UPLOAD_BYTES = 20_000_000
@@ -30,9 +31,8 @@ class Shelf:
         """Take in a motor file or one healthy start; the answer says what is there to compare with.
 
         Raises:
-            InputError: too large, too many, or not readable; the sentence speaks of the page's name.
+            InputError: too many, or not readable; the sentence speaks of the page's name.
         """
-        check_size(content)
         shown = shown_name(name)
         if kind not in ("motor", "healthy"):
             raise InputError(f"kind must be motor or healthy, got {kind[:40]!r}")
@@ -60,7 +60,7 @@ class Shelf:
         """Motor and healthy starts to compare with, for what the page has chosen.
 
         Raises:
-            InputError: nothing of the kind was handed in.
+            InputError: nothing of the kind was handed in, or there is no such motor.
         """
         if wanted == HEALTHY_STARTS and self.healthy:
             return None, self.healthy
@@ -68,19 +68,9 @@ class Shelf:
             return str(self.motor), []
         if wanted in (OWN_MOTOR, HEALTHY_STARTS):
             raise InputError(f"no {wanted} handed in yet")
+        if wanted not in ("", *CATALOGUE):
+            raise InputError(f"motor must be one of {', '.join(CATALOGUE)}, got {wanted[:40]!r}")
         return wanted or None, []
-
-
-def check_size(content: bytes) -> None:
-    """Refuse what is too large.
-
-    Raises:
-        InputError: it is.
-    """
-    if len(content) > LARGEST_UPLOAD_BYTES:
-        raise InputError(
-            f"a recording may have {LARGEST_UPLOAD_BYTES // 1_000_000} MB, got {len(content) / 1e6:.1f}"
-        )
 
 
 def shown_name(name: str) -> str:

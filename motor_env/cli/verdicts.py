@@ -96,12 +96,12 @@ def diagnose(
     for outcome in outcomes:
         if outcome.error is not None:
             print(f"motor-env: {printable(outcome.error)}", file=sys.stderr)
-    judged = [outcome for outcome in outcomes if outcome.diagnosis is not None]
+    judged = [outcome.diagnosis for outcome in outcomes if outcome.diagnosis is not None]
     if json_ or judged:
         show(
             json_,
             lambda: [o.as_json() for o in outcomes],
-            lambda: "\n".join(o.as_text(verbose=verbose) for o in judged),
+            lambda: "\n".join(one.text(verbose=verbose) for one in judged),
         )
     measurement.keep()
     return int(console.worst(outcome.status for outcome in outcomes))

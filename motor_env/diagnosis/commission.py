@@ -217,7 +217,7 @@ def commission(
         healthy = replace(learn_starts(starts), temperature_c=temperature_c)
         if no_load_current_a is not None:
             healthy = replace(healthy, own_friction=_own_friction(starts, no_load_current_a))
-        motor = to_motor(starts, name, kind="commissioned", healthy=healthy, constant=constant)
+        motor = to_motor(starts, name, healthy=healthy, constant=constant)
         motor = with_signs(motor, [part for one in read for part in chosen_starts(one, start)], voltage_v)
         fits = tuple(starts)
     promise = _promise(motor, fits, temperature_c, false_alarm_rate)

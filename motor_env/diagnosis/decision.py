@@ -189,13 +189,8 @@ def _with_alarm(
         " speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
-    return replace(
-        healthy,
-        verdict=Verdict.OTHER,
-        reasons=(*also, *_other_reasons(healthy.changes, reference.source), *alike),
-        severity=None,
-        confidence=probabilities(first.difference, first.faults)["other"],
-    )
+    other = healthy.as_other(*also, *_other_reasons(healthy.changes, reference.source), *alike)
+    return replace(other, confidence=probabilities(first.difference, first.faults)["other"])
 
 
 def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) -> tuple[str, ...]:

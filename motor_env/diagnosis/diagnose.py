@@ -60,8 +60,6 @@ class Diagnosis(verdict.Diagnosis):
         periods_per_turn: of the commutation ripple, where known.
     """
 
-    periods_per_turn: float | None = None
-
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Quantities of the piece that the verdict rests on: value, standard error, interval (95 %) and unit."""
@@ -70,17 +68,17 @@ class Diagnosis(verdict.Diagnosis):
 
     def to_json(self) -> dict[str, Any]:
         """One object for programs; its schema is docs/output.schema.json."""
-        return report.as_json(self, self.periods_per_turn)
+        return report.as_json(self)
 
     def text(self, *, verbose: bool = False) -> str:
         """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
-        return report.as_text(self, self.periods_per_turn, verbose=verbose)
+        return report.as_text(self, verbose=verbose)
 
     def page(self) -> str:
         """A self-contained HTML page: the verdict, what to do first, and what it rests on."""
         from motor_env.diagnosis.shown.page import page
 
-        return page(self, self.periods_per_turn)
+        return page(self)
 
 
 def diagnose(

@@ -49,10 +49,6 @@ class Outcome:
         }
         return unread if self.diagnosis is None else self.diagnosis.to_json()
 
-    def as_text(self, *, verbose: bool = False) -> str:
-        """What a maintenance engineer reads; empty for a file that could not be read."""
-        return "" if self.diagnosis is None else self.diagnosis.text(verbose=verbose)
-
 
 def diagnose_files(
     files: Sequence[Path],

@@ -11,8 +11,8 @@ from motor_env.diagnosis.diagnose import unusable_reason
 from motor_env.diagnosis.motor_files import motor_of_log, not_told, to_motor
 from motor_env.diagnosis.shown.report import (
     TWO_SIDED,
+    estimate_json,
     extensions_json,
-    number,
     quality,
     quantities_json,
     quantity_lines,
@@ -199,13 +199,10 @@ def _text(told: Mapping[str, Any]) -> str:
 
 def _of_logs(joint: Operation) -> dict[str, dict[str, Any]]:
     return {
-        one.name: {
-            "value": one.value,
-            "standard_error": number((one.high - one.low) / (2.0 * TWO_SIDED)),
-            "interval": [number(one.low), number(one.high)],
-            "unit": one.unit,
-            "determined": one.is_told,
-        }
+        one.name: estimate_json(
+            one.value, (one.high - one.low) / (2.0 * TWO_SIDED), (one.low, one.high), one.unit
+        )
+        | {"determined": one.is_told}
         for one in joint.quantities
     }
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -70,11 +69,6 @@ class Scale(NamedTuple):
     column: str
     words: str
     gain: Explanation | None
-
-
-def wrong_scale(difference: Difference, names: tuple[str, ...], limit: float, rate: float) -> str:
-    """What `wrong_scales` gives, as a sentence; empty without any."""
-    return as_sentence(wrong_scales(difference, names, limit, rate))
 
 
 def as_sentence(scales: Sequence[Scale]) -> str:
@@ -152,11 +146,4 @@ def as_wear(judgement: Judgement) -> Judgement:
     if not is_beyond:
         return judgement
     is_said = any(reason.startswith(EXPLAINED) for reason in judgement.reasons)
-    return replace(
-        judgement,
-        verdict=Verdict.OTHER,
-        reasons=judgement.reasons if is_said else (*judgement.reasons, BEYOND_WEAR),
-        severity=None,
-        severity_interval=None,
-        fault_kind=None,
-    )
+    return judgement.as_other(*judgement.reasons, *(() if is_said else (BEYOND_WEAR,)))

@@ -14,7 +14,7 @@ from motor_env.fitting.identify import Operation
 from motor_env.fitting.starts.belief import AMBIGUOUS
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.assumptions import assumptions
-from motor_env.motor.data_sheet import Kind, Motor
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray, MotorParameters
 
@@ -27,13 +27,13 @@ def to_motor(
     fits: Sequence[Identified],
     name: str,
     *,
-    kind: Kind = "identified",
     healthy: Healthy | None = None,
     constant: float | None = None,
 ) -> Motor:
     """Motor file of fits of starts of one motor: the geometric mean of their parameters.
 
-    Where the speed was not recorded, `constant` is the torque constant that the user knows.
+    With what `healthy` starts have taught it is a commissioned one. Where the speed was not recorded, `constant` is the
+    torque constant that the user knows.
     """
     start = fits[0].start
     mean = {
@@ -43,7 +43,7 @@ def to_motor(
     told = fits[0].quantity_names if constant is None else ("K",)
     return Motor(
         name=name,
-        kind=kind,
+        kind="identified" if healthy is None else "commissioned",
         parameters=MotorParameters(**mean),
         nominal_voltage_v=float(np.mean([fit.start.level_v for fit in fits])),
         current_noise_a=float(np.exp(np.mean([math.log(max(fit.noise_a, 1e-12)) for fit in fits]))),

@@ -17,8 +17,8 @@ from motor_env.recordings.recording import Recording
 from motor_env.recordings.regime import Taken
 
 SURE_OF_KIND = 0.95
-_FEWEST_FOR_WHITENESS = 40
 """Posterior probability below which a verdict does not say which kind of its family it is."""
+_FEWEST_FOR_WHITENESS = 40
 
 
 class Verdict(StrEnum):
@@ -97,6 +97,17 @@ class Judgement:
         """The judgement, with the place of its piece in the recording."""
         return replace(self, begin_s=float(piece.time_s[0]), duration_s=len(piece.time_s) * piece.dt_s)
 
+    def as_other(self, *reasons: str) -> Judgement:
+        """The judgement that something else is wrong, for these reasons: no fault is named, and none has a size."""
+        return replace(
+            self,
+            verdict=Verdict.OTHER,
+            reasons=reasons,
+            severity=None,
+            severity_interval=None,
+            fault_kind=None,
+        )
+
     @property
     def kind(self) -> FaultKind | None:
         """Kind of the fault, where it can be told from the others of its family."""
@@ -122,19 +133,13 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The verdict on a recording, by judgements on its pieces.
-
-    Attributes:
-        recording: as read.
-        taken: what it was taken for, and why.
-        pieces: judgements, in the order of time.
-        of: number of pieces of the recording; of many some are judged.
-    """
+    """The verdict on a recording, by judgements on its pieces; `diagnose.Diagnosis` tells its attributes."""
 
     recording: Recording
     taken: Taken
     pieces: tuple[Judgement, ...]
     of: int = 1
+    periods_per_turn: float | None = None
 
     @property
     def telling(self) -> Judgement:

@@ -123,7 +123,7 @@ class LearnedFleet:
         if self.fits.windows is not None:
             volts = (self.fits.windows.peaks or (None,))[0]
             return replace(motor_of_windows(healthy, name), nominal_voltage_v=volts)
-        return to_motor(self._good, name, kind="commissioned", healthy=healthy)
+        return to_motor(self._good, name, healthy=healthy)
 
     @cached_property
     def _good(self) -> list[Identified]:

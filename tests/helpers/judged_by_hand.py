@@ -11,6 +11,7 @@ import numpy as np
 from motor_env import (
     PAPER_MOTOR,
     Diagnosis,
+    Fault,
     Recording,
     Scenario,
     SensorParameters,
@@ -36,15 +37,20 @@ EXPONENTS = matrix(CURRENT)
 RATE = 0.01
 
 
+def start(*faults: Fault) -> Recording:
+    """One start with quiet time before it."""
+    sensor = SensorParameters(current_noise_a=0.02)
+    scenario = Scenario(PAPER_MOTOR, faults, sensor=sensor, timing=Timing(duration_s=0.2, quiet_s=0.03))
+    made = simulate(scenario, 3, [0])
+    return Recording(
+        Path("start.csv"), made.time_s, made.measurements[0, 0], made.voltage_v[0], columns=("read so",)
+    )
+
+
 @cache
 def judged() -> Diagnosis:
     """A healthy start against the data sheet."""
-    sensor = SensorParameters(current_noise_a=0.02)
-    made = simulate(Scenario(PAPER_MOTOR, sensor=sensor, timing=Timing(duration_s=0.2, quiet_s=0.03)), 3, [0])
-    recording = Recording(
-        Path("start.csv"), made.time_s, made.measurements[0, 0], made.voltage_v[0], columns=("read so",)
-    )
-    return diagnose(recording, SHEET)
+    return diagnose(start(), SHEET)
 
 
 def fitted() -> tuple[Judgement, Identified, Reference]:

@@ -8,8 +8,6 @@ direction depends on what. Pieces of several lengths count for as many of the sh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from motor_env.motor.parameters import FloatArray
@@ -20,25 +18,24 @@ _LARGEST = 10.0
 _OVERSHOOT = 0.5
 
 
-@dataclass
 class Detector:
-    """Shiryaev-Roberts sums of each length of pieces, direction and lean.
+    """Shiryaev-Roberts sums of each length of pieces, direction and lean; all of them 0 at first.
+
+    Args:
+        lengths: number of them.
+        weights: of each direction in the mixture, shape (n_directions,).
 
     Attributes:
         sums: shape (n_lengths, n_directions, n_leans).
         ages: of each sum, its terms times how long ago they began; shape of `sums`.
-        weights: of each direction in the mixture, shape (n_directions,); their sum is 1.
+        weights: as given, over their sum.
     """
 
-    sums: FloatArray
-    ages: FloatArray
-    weights: FloatArray
-
-    @classmethod
-    def new(cls, lengths: int, weights: FloatArray) -> Detector:
-        """Without any evidence."""
+    def __init__(self, lengths: int, weights: FloatArray) -> None:
         shape = (lengths, len(weights), len(LEANS))
-        return cls(np.zeros(shape), np.zeros(shape), weights / weights.sum())
+        self.sums: FloatArray = np.zeros(shape)
+        self.ages: FloatArray = np.zeros(shape)
+        self.weights: FloatArray = weights / weights.sum()
 
     def add(self, length: int, scores: FloatArray, pieces: int, reach: FloatArray | float = 1.0) -> None:
         """A piece that is as long as so many of the shortest ones.

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.explanations import NORMAL_DOF, Difference
-from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, is_far, wrong_scale
+from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, as_sentence, is_far, wrong_scales
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import EXPONENTS, NAMES, WindowJudge, viscous
@@ -69,7 +68,7 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
         logs = np.log([*physical[[places.R, places.K, places.J]], drag])
         spread = judge.reference.log_covariance + np.diag(np.square(_COARSE))
         difference = Difference(logs - judge.reference.log_values, spread, EXPONENTS, NORMAL_DOF)
-        misread = wrong_scale(difference, NAMES, _CLEAR, DEFAULT_FALSE_ALARM_RATE)
+        misread = as_sentence(wrong_scales(difference, NAMES, _CLEAR, DEFAULT_FALSE_ALARM_RATE))
         if misread:
             return [_misread(one, misread) if one.verdict.is_fault else one for one in judged]
     return judged
@@ -78,11 +77,4 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
 def _misread(judgement: Judgement, misread: str) -> Judgement:
     """A judgement of a window, with what the whole log says instead of what its own fit did."""
     own = (one for one in judgement.reasons if one != BEYOND_WEAR and not one.startswith(EXPLAINED))
-    return replace(
-        judgement,
-        verdict=Verdict.OTHER,
-        reasons=(misread, *own),
-        severity=None,
-        severity_interval=None,
-        fault_kind=None,
-    )
+    return judgement.as_other(misread, *own)

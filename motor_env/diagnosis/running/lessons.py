@@ -92,6 +92,8 @@ def learn_windows(
     speed = effective_speed(joint)
     found = [over_speed(fit, known, speed) for fit in fits]
     centre, covariance, freedom = next_piece(found, 0.0 if steady else WINDOW_SPREAD)
+    ratios = [fit.log_values - centre for fit in found]
+    spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
     windows = Windows(
         window_s=window_s,
         terms=wanted,
@@ -101,15 +103,10 @@ def learn_windows(
         speed_rad_s=speed,
         rms_volts=(min(volts), max(volts)),
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
+        window_excess=_squares(ratios, spreads) / _squares(ratios, [covariance] * len(fits)),
     )
     warm = 0.0 if steady else TEMPERATURE_K
     healthy = Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows)
-    ratios = [fit.log_values - centre for fit in found]
-    spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
-    believed = _squares(ratios, spreads)
-    taught = _squares(ratios, [covariance] * len(fits))
-    windows = replace(windows, window_excess=sum(believed) / sum(taught))
-    healthy = replace(healthy, windows=windows)
     if not steady:
         held = _held(joint, records, judge_of(healthy), found, spreads)
         healthy = replace(healthy, windows=replace(windows, held=held))
@@ -172,16 +169,16 @@ def effective_speed(joint: Operation) -> float:
     return max(float(np.sqrt(np.mean(np.square(joint.expected[:, 1])))), 1e-9)
 
 
-def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> list[float]:
-    """Squared distances per dimension."""
+def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> float:
+    """Sum of the squared distances per dimension."""
     pairs = zip(ratios, spreads, strict=True)
-    return [float(off @ np.linalg.solve(spread, off)) / len(NAMES) for off, spread in pairs]
+    return sum(float(off @ np.linalg.solve(spread, off)) / len(NAMES) for off, spread in pairs)
 
 
 def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[FittedWindow]) -> Windows:
     """What pieces of the windows teach of the next ones, and how these windows alarm by what the others teach."""
     assert healthy.windows is not None  # noqa: S101  # it was learned from them
-    judge, steady = judge_of(healthy), not healthy.temperature_k
+    judge, prior_sd = judge_of(healthy), WINDOW_SPREAD if healthy.temperature_k else 0.0
     some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
     lengths = halvings_of(healthy.windows.window_s, min(len(record.voltage_v) for record in records))
     windows = [_pieces_of(judge, *pair, lengths) for pair in zip(records[some], found[some], strict=True)]
@@ -192,11 +189,7 @@ def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[Fi
     def taught(others: Sequence[Sequence[Pieces]]) -> tuple[Scale, ...]:
         return tuple(
             learn_scale(
-                halvings,
-                [window[n] for window in others],
-                0.0 if steady else WINDOW_SPREAD,
-                temperature_k=healthy.temperature_k,
-                steady=steady,
+                halvings, [window[n] for window in others], prior_sd, temperature_k=healthy.temperature_k
             )
             for n, halvings in enumerate(lengths)
         )
@@ -217,10 +210,9 @@ def _pieces_of(judge: WindowJudge, record: Record, fit: FittedWindow, lengths: S
     at = fit.log_values - judge.reference.log_values
     window = Pieces(at[None], fit.log_covariance[None], np.zeros(1, dtype=np.intp))
     ends = np.linspace(0, len(record.voltage_v), 2 ** lengths[0] + 1).round().astype(int).tolist()
-    fastest = (judge.windows.peaks or (1.0, 1.0, 1.0))[2]
     sections = sections_of(judge, record, np.zeros(len(NAMES)), ends)
     return [
-        *(sections.pieces(2 ** (lengths[0] - k), np.zeros(len(NAMES)), fastest) for k in lengths[:-1]),
+        *(sections.pieces(2 ** (lengths[0] - k), np.zeros(len(NAMES)), judge.peaks[2]) for k in lengths[:-1]),
         window,
     ]
 

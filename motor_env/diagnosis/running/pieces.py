@@ -110,14 +110,8 @@ def sections_of(judge: WindowJudge, record: Record, at: FloatArray, ends: Sequen
         at: where the motor is thought to be by now, shape (4,): the nearer, the better a linear step.
         ends: first sample of the first section, and where each ends.
     """
-    peaks = judge.windows.peaks or (1.0, 1.0, 1.0)
-    said = scores(record, judge.physical(at), judge.windows.terms, peaks, ends)
+    said = scores(record, judge.physical(at), judge.windows.terms, judge.peaks, ends)
     speed = np.nan_to_num(record.readings[:, 1])
-    columns = (np.ones(len(speed)), speed, speed**2, record.marks == kernel.OPEN)
-    samples, sums, squares, opened = (np.add.reduceat(column, ends[:-1]) for column in _cut(columns, ends))
+    columns = np.stack([np.ones(len(speed)), speed, speed**2, record.marks == kernel.OPEN])
+    samples, sums, squares, opened = np.add.reduceat(columns[:, : ends[-1]], ends[:-1], axis=1)
     return Sections(said, Motion(samples, sums, squares), opened == 0)
-
-
-def _cut(columns: Sequence[FloatArray], ends: Sequence[int]) -> list[FloatArray]:
-    """Columns up to the last end."""
-    return [np.asarray(column[: ends[-1]], dtype=np.float64) for column in columns]

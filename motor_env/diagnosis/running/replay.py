@@ -44,7 +44,7 @@ def replay(scales: Sequence[Sequence[Scale]], windows: Sequence[Sequence[Pieces]
             scores = normal_scores(scale, states, found, threshold / total)
             for k, pair in enumerate(zip(scores, reaches(scale, found, along.along), strict=True)):
                 steps.append((begin + (k + 1) * together, n, *pair, together))
-        detector, count = Detector.new(len(scales[0]), along.weights), 0
+        detector, count = Detector(len(scales[0]), along.weights), 0
         for _, n, row, reach, together in sorted(steps, key=lambda one: one[:2]):
             detector.add(n, row, together, reach)
             if detector.passes(threshold):

@@ -34,7 +34,7 @@ from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting.recorded import from_recordings
 from motor_env.motor.healthy import Healthy
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
 
@@ -76,9 +76,9 @@ class Vigil:
         self.judge, self._may_stay = judge, healthy.temperature_k > 0.0
         self._scales = windows.scales or (untaught,)
         self._along, self._healthy = directions(), self._scales[-1].healthy_windows
-        self._detector = Detector.new(len(self._scales), self._along.weights)
+        self._detector = Detector(len(self._scales), self._along.weights)
         self._pieces = 2 ** self._scales[0].halvings
-        self.piece_s = windows.window_s / self._pieces
+        self.piece_s, self._fastest = windows.window_s / self._pieces, judge.peaks[2]
         # At most every other window alarms.
         self.windows = max(YEAR_S / false_alarms_per_year / windows.window_s, 2.0)
         self.threshold = self.windows * self._pieces
@@ -161,10 +161,6 @@ class Vigil:
                 for row in zip(*self._scored(n, part.pieces(together, self._at, self._fastest)), strict=True):
                     self._detector.add(n, row[0], together, row[1])
         return self._is_alarm()
-
-    @property
-    def _fastest(self) -> float:
-        return (self.judge.windows.peaks or (1.0, 1.0, 1.0))[2]
 
     def _scored(self, n: int, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
         """Normal scores of pieces and their reach; none in a state of which too little is known."""
@@ -296,17 +292,16 @@ class Vigil:
             arrays["ages"].reshape(shape),
         )
         healthy, toward, self._quiet = memory["counted"]
-        if not (0 <= healthy < 1e9 and -1 <= toward < len(self._along.weights)):
-            raise InputError("the memory of the state holds the numbers of no watch; give another --state")
-        self._at, self._toward = arrays["at"], int(toward)
-        most = arrays["most"] if self._can_count else self._counting.most
-        self._counting = Counting(int(healthy), most, arrays["rows"])
         try:
+            require(0 <= healthy < 1e9 and -1 <= toward < len(self._along.weights), "counted is out of range")
             self._learned.remember(arrays)
         except ValueError:
             raise InputError(
                 "the memory of the state holds the numbers of no watch; give another --state"
             ) from None
+        self._at, self._toward = arrays["at"], int(toward)
+        most = arrays["most"] if self._can_count else self._counting.most
+        self._counting = Counting(int(healthy), most, arrays["rows"])
 
 
 def _time(hours: float) -> str:

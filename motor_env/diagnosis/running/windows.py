@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -50,20 +51,12 @@ class FittedWindow:
     robust covariance holds what correlated residuals and the model's error add; 0 where that is not known.
     """
 
+    quantity_names: ClassVar[tuple[str, ...]] = NAMES
+    exponents: ClassVar[FloatArray] = EXPONENTS
     log_values: FloatArray
     log_covariance: FloatArray
     whitened: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     robust_covariance: FloatArray = field(default_factory=lambda: np.zeros((4, 4)))
-
-    @property
-    def quantity_names(self) -> tuple[str, ...]:
-        """R, K, J and B."""
-        return NAMES
-
-    @property
-    def exponents(self) -> FloatArray:
-        """Exponents of (R, L, K, J, B, V) in each of them, shape (4, 6)."""
-        return EXPONENTS
 
     @property
     def white_covariance(self) -> FloatArray:
@@ -115,6 +108,11 @@ class WindowJudge:
     windows: Windows
     reference: Reference
 
+    @property
+    def peaks(self) -> tuple[float, float, float]:
+        """Largest voltage, current and speed of the work; 1 each where they are not known."""
+        return self.windows.peaks or (1.0, 1.0, 1.0)
+
     def physical(self, at: FloatArray | None = None) -> FloatArray:
         """Physical values of the healthy motor; with logarithms of factors on R, K, J and the drag, shape (4,)."""
         known = self.windows.physical.copy()
@@ -136,7 +134,7 @@ class WindowJudge:
             replace(record, hold=self.windows.hold),
             self.physical(at),
             self.windows.terms,
-            peaks=self.windows.peaks or (1.0, 1.0, 1.0),
+            peaks=self.peaks,
             held=held,
             errors=errors,
         )
@@ -195,10 +193,10 @@ class WindowJudge:
         """Places of the windows that are judged, of many."""
         values, length = self.physical(), len(parts[0].time_s)
         values[places.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
-        misfits, whole = np.zeros(len(parts)), averaged(recording, self.windows.window_s)
+        misfits = np.zeros(len(parts))
         for first in range(0, len(parts), _TOGETHER):
             some = slice(first, min(first + _TOGETHER, len(parts)))
-            stretch = cut(whole, slice(some.start * length, some.stop * length))
+            stretch = cut(recording, slice(some.start * length, some.stop * length))
             with suppress(UnusableError):  # as at rest
                 record = from_recordings([stretch], most=len(stretch.time_s))
                 squares = replace(record, hold=self.windows.hold).predict(values)[0][:, :2] ** 2
@@ -209,11 +207,9 @@ class WindowJudge:
     def failed_sensor(self, part: Recording) -> Judgement | None:
         """The judgement on a part of a log of which a sensor failed; None where none did."""
         volts, speed = needed_columns(part)
-        found = (
-            failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
-            if volts.any()
-            else None
-        )
+        if not volts.any():
+            return None
+        found = failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
         return None if found is None else judgement_of(found)
 
     def _judged(

@@ -91,8 +91,8 @@ def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
         return None
     expected = seen._replace(current_a=current, speed_rad_s=speed)
     if not seen.has_sign:  # the motor is taken to turn as it is read to do
-        one, other = (_currents if seen.speed_rad_s is None else _speeds)(seen, expected)
-        turned = -1.0 if _likeness(one, other, about=0.0) < 0.0 else 1.0
+        pair = (seen.current_a, current) if seen.speed_rad_s is None else (seen.speed_rad_s, speed)
+        turned = -1.0 if _likeness(*pair, about=0.0) < 0.0 else 1.0
         volts = turned * seen.voltage_v
         seen, expected = (
             seen._replace(voltage_v=volts),
@@ -125,18 +125,13 @@ def _likeness(one: FloatArray | None, other: FloatArray | None, *, about: float 
     return float(np.mean(a * b)) / product if product > 0.0 else 0.0
 
 
-def _currents(seen: Seen, expected: Seen) -> tuple[FloatArray | None, FloatArray | None]:
-    return seen.current_a, expected.current_a
-
-
-def _speeds(seen: Seen, expected: Seen) -> tuple[FloatArray | None, FloatArray | None]:
-    return seen.speed_rad_s, expected.speed_rad_s
-
-
 def _channels(seen: Seen, expected: Seen) -> Iterator[tuple[str, str, FloatArray, FloatArray]]:
     """Name, unit, readings and what is expected of each channel that has a column."""
-    for name, unit, pair in (("current", "A", _currents), ("speed", "rad/s", _speeds)):
-        shown, healthy = pair(seen, expected)
+    channels = (
+        ("current", "A", seen.current_a, expected.current_a),
+        ("speed", "rad/s", seen.speed_rad_s, expected.speed_rad_s),
+    )
+    for name, unit, shown, healthy in channels:
         if shown is not None and healthy is not None:
             yield name, unit, shown, healthy
 
@@ -162,7 +157,7 @@ def _turning(seen: Seen, expected: Seen, physical: FloatArray) -> bool | None:
         return None
     blocked = _held(physical, seen.voltage_v, seen.dt_s)
     off, off_held = _size(seen.current_a - expected.current_a), _size(seen.current_a - blocked)
-    if off < _MOSTLY * off_held and _likeness(*_currents(seen, expected)) > _ALIKE:
+    if off < _MOSTLY * off_held and _likeness(seen.current_a, expected.current_a) > _ALIKE:
         return True
     return False if off_held < off else None
 
@@ -174,7 +169,7 @@ def _dead(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
             continue
         why = f"the {name} is {_size(shown):.3g} {unit} effective where the healthy motor shows {_size(healthy):.3g}"
         if name == "current":
-            turns = abs(_likeness(*_speeds(seen, expected), about=0.0)) > _ALIKE
+            turns = abs(_likeness(seen.speed_rad_s, expected.speed_rad_s, about=0.0)) > _ALIKE
             is_dead = turns or (seen.speed_rad_s is None and seen.is_taught)
             return Failure(FaultKind("current_dead"), f"{why} {unit}") if is_dead else None
         turning = _turning(seen, expected, physical)
@@ -246,11 +241,14 @@ def _of_a_size(shown: FloatArray, healthy: FloatArray) -> bool:
 def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
     """A channel against which the other ones agree: it is reversed, or that of another motor."""
     by_speed, by_current = _by_the_others(seen, physical)
-    current, speed = _likeness(*_currents(seen, expected)), _likeness(*_speeds(seen, expected), about=0.0)
+    current = _likeness(seen.current_a, expected.current_a)
+    speed = _likeness(seen.speed_rad_s, expected.speed_rad_s, about=0.0)
     is_pair = by_speed is None  # voltage, and one of the others
     by_both = _likeness(seen.current_a, by_speed)
     current_at_most, current_agreed = max(current, by_both), _likeness(expected.current_a, by_speed) > _ALIKE
-    speed_at_most = max(_likeness(*_speeds(seen, expected)), _likeness(seen.speed_rad_s, by_current))
+    speed_at_most = max(
+        _likeness(seen.speed_rad_s, expected.speed_rad_s), _likeness(seen.speed_rad_s, by_current)
+    )
     speed_agreed = _likeness(expected.speed_rad_s, by_current) > _ALIKE
     # What a speed in another unit says of the current is nothing, and the other way round.
     sizes = {name: _of_a_size(shown, healthy) for name, _, shown, healthy in _channels(seen, expected)}
@@ -304,7 +302,7 @@ def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
 def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
     """A current that is off by the same amount at every voltage and speed: at rest, or of a motor that reverses."""
     current, speed = seen.current_a, seen.speed_rad_s
-    if current is None or speed is None or _likeness(*_currents(seen, expected)) < _ALIKE:
+    if current is None or speed is None or _likeness(seen.current_a, expected.current_a) < _ALIKE:
         return None
     sizes = [np.abs(each) / np.max(np.abs(each)) for each in (seen.voltage_v, speed)]
     rests = (sizes[0] < _STANDS) & (sizes[1] < _STANDS)

@@ -37,13 +37,8 @@ _QUANTITY = {
 }
 
 
-def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
-    """The whole page.
-
-    Args:
-        diagnosis: what was judged.
-        periods_per_turn: periods of the commutation ripple in a turn, for the lines of the experts.
-    """
+def page(diagnosis: Diagnosis) -> str:
+    """The whole page."""
     telling, verdict = diagnosis.telling, diagnosis.verdict
     fit, expected = telling.identified, reference_current(telling)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
@@ -74,7 +69,7 @@ def page(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> str:
         part=f"{_END}: " if _END in current else "",
         residual=residual,
         smallest=[(KIND.get(kind, kind), f"{share:.0%}") for kind, share in telling.smallest_changes.items()],
-        expert=printable(as_text(diagnosis, periods_per_turn, verbose=True)),
+        expert=printable(as_text(diagnosis, verbose=True)),
     )
 
 
@@ -157,17 +152,16 @@ def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -
         curves["healthy"] = expected[shown]
     whole_ms, current = time_ms[shown], ""
     if expected is not None and is_fault:
-        apart = np.abs(_averaged(measured - expected, span))[begin:]
+        apart = np.abs(moving_average(measured - expected, span))[begin:]
         if np.max(apart) < _COINCIDE * np.ptp(curves["healthy"]):
             current = _end_chart(
-                time_ms, _averaged(measured, span), _averaged(expected, span), float(np.max(apart))
+                time_ms, moving_average(measured, span), moving_average(expected, span), float(np.max(apart))
             )
-    limits = (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
     label = "Measured current and that of the healthy motor"
-    current = current or _chart(whole_ms, curves, limits, "A", label)
+    current = current or _chart(whole_ms, curves, "A", label)
     if expected is None:
         return current, ""
-    time_ms, smooth = whole_ms, _averaged(measured - expected, span)[shown]
+    time_ms, smooth = whole_ms, moving_average(measured - expected, span)[shown]
     noise = 2.0 * fit.noise_a / float(np.sqrt(span))
     largest = max(float(np.quantile(np.abs(smooth[time_ms > 0.0]), 0.98)), 2.0 * noise)
     unit, factor = ("A", 1.0) if largest > 1.0 else ("mA", 1e3)
@@ -175,15 +169,15 @@ def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -
     residual = _chart(
         time_ms,
         {"beyond": factor * smooth},
-        (-edge, edge),
         unit,
         "Measured less healthy current, with the band of the sensor's noise",
+        limits=(-edge, edge),
         band=factor * noise,
     )
     return current, residual
 
 
-def _averaged(values: FloatArray, span: int) -> FloatArray:
+def moving_average(values: FloatArray, span: int) -> FloatArray:
     """Moving average over so many samples."""
     padded = np.pad(values, (span // 2, span - 1 - span // 2), "reflect")
     averaged: FloatArray = np.convolve(padded, np.ones(span) / span, "valid")
@@ -199,24 +193,24 @@ def _end_chart(time_ms: FloatArray, measured: FloatArray, healthy: FloatArray, a
     shown = slice(begin, None, max((len(time_ms) - begin) // _MOST_POINTS, 1))
     unit, factor = ("A", 1.0) if apart_a > 1.0 else ("mA", 1e3)
     curves = {"measured": factor * measured[shown], "healthy": factor * healthy[shown]}
-    limits = (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
     label = f"{_END}: measured current and that of the healthy motor"
-    return _chart(time_ms[shown], curves, limits, unit, label)
+    return _chart(time_ms[shown], curves, unit, label)
 
 
 def _chart(
     time_ms: FloatArray,
     curves: Mapping[str, FloatArray],
-    limits: tuple[float, float],
     unit: str,
     label: str,
     *,
+    limits: tuple[float, float] | None = None,
     band: float = 0.0,
 ) -> str:
-    """Curves by their style over the time, and a band about 0."""
+    """Curves by their style over the time, within limits or their own, and a band about 0."""
     begin, end = float(time_ms[0]), float(time_ms[-1])
-    room = 0.05 * max(limits[1] - limits[0], 1e-9)
-    low, high = limits[0] - room, limits[1] + room
+    low, high = limits or (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
+    room = 0.05 * max(high - low, 1e-9)
+    low, high = low - room, high + room
     chart = Chart(
         Axis("", begin, end, round_ticks(begin, end), lambda value: f"{value:g} ms"),
         Axis("", low, high, round_ticks(low, high), lambda value: f"{value:g} {unit}"),

@@ -46,7 +46,7 @@ _PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
 """Units of extensions where the voltage is not known: told for a supply of 1 V."""
 
 
-def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict[str, Any]:
+def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """One object: what the recording was taken for, its verdict by the piece that it rests on, and all pieces."""
     recording, telling = diagnosis.recording, diagnosis.telling
     fit, consistency = telling.identified, telling.consistency
@@ -71,7 +71,7 @@ def as_json(diagnosis: Diagnosis, periods_per_turn: float | None = None) -> dict
         "consistent": None if consistency is None else consistency.holds,
         "warning": telling.warning or None,
         "warnings": warnings_of(recording, fit),
-        "commutation": None if fit is None else ripple_json(fit, periods_per_turn),
+        "commutation": None if fit is None else ripple_json(fit, diagnosis.periods_per_turn),
         "columns": list(recording.columns),
         "defects": [] if fit is None else [str(defect) for defect in fit.defects],
         "pieces_of_recording": diagnosis.of,
@@ -138,17 +138,22 @@ def quantities_json(fit: Fitted) -> dict[str, Any]:
     deviations = np.sqrt(np.diag(fit.log_covariance))
     rows = zip(fit.quantity_names, fit.log_values, deviations, strict=True)
     return {
-        name: {
-            "value": math.exp(log),
-            "standard_error": number(math.exp(log) * sd),
-            "interval": [
-                number(exp_or_none(log - TWO_SIDED * sd)),
-                number(exp_or_none(log + TWO_SIDED * sd)),
-            ],
-            "unit": UNITS[name],
-        }
+        name: estimate_json(
+            math.exp(log),
+            math.exp(log) * sd,
+            (exp_or_none(log - TWO_SIDED * sd), exp_or_none(log + TWO_SIDED * sd)),
+            UNITS[name],
+        )
         for name, log, sd in rows
     }
+
+
+def estimate_json(
+    value: float, error: float, interval: tuple[float | None, float | None], unit: str
+) -> dict[str, Any]:
+    """A value with its standard error, interval and unit; None for an infinite number."""
+    ends = [number(end) for end in interval]
+    return {"value": value, "standard_error": number(error), "interval": ends, "unit": unit}
 
 
 def exp_or_none(log: float) -> float | None:
@@ -160,12 +165,7 @@ def extensions_json(fit: Identified) -> dict[str, Any]:
     """The extensions with their standard errors and intervals, 95 %."""
     units = _EXTENSION_UNITS if fit.start.voltage_known else _EXTENSION_UNITS | _PER_VOLT
     return {
-        name: {
-            "value": value,
-            "standard_error": number(error),
-            "interval": [number(value - TWO_SIDED * error), number(value + TWO_SIDED * error)],
-            "unit": units[name],
-        }
+        name: estimate_json(value, error, (value - TWO_SIDED * error, value + TWO_SIDED * error), units[name])
         for name, (value, error) in fit.fitted_extension.items()
     }
 
@@ -193,7 +193,7 @@ def number(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None, *, verbose: bool = False) -> str:
+def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
     """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
     recording, telling, fit = diagnosis.recording, diagnosis.telling, diagnosis.telling.identified
     several = diagnosis.pieces if len(diagnosis.pieces) > 1 else ()
@@ -207,7 +207,7 @@ def as_text(diagnosis: Diagnosis, periods_per_turn: float | None = None, *, verb
         *_piece_table(telling),
     ]
     if fit is not None:
-        lines += ripple_lines(ripple_json(fit, periods_per_turn))
+        lines += ripple_lines(ripple_json(fit, diagnosis.periods_per_turn))
         lines += [f"  noticed: {defect}" for defect in fit.defects]
     if verbose:
         lines += expert_lines(telling)

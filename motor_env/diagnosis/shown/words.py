@@ -125,14 +125,13 @@ WORDS: dict[Verdict | FaultKind, tuple[str, ...]] = {
 }
 """The heading of a verdict, or of a kind of its own, and what to do first."""
 
-_SENSOR_RUNS = "The motor is not judged. Let it run on only where nothing relies on this reading."
 RUN_ON: dict[Verdict | FaultKind, str] = {
     Verdict.HEALTHY: "It may run on.",
     Verdict.BEARING: "It may run on to the next stop while it stays cool and quiet: friction heats it, and may jam it.",
     Verdict.WINDING: "It may run on to the next stop at a light load: a bad contact heats up, and may open.",
     FaultKind.WINDING_SHORT: "It should not run on: shorted turns heat up and spread.",
     Verdict.MAGNET: "It may run on with less torque: under the same load it draws more current and gets hotter.",
-    Verdict.SENSOR: _SENSOR_RUNS,
+    Verdict.SENSOR: "The motor is not judged. Let it run on only where nothing relies on this reading.",
     Verdict.NOISE: "It may run on while the brushes do not spark.",
     Verdict.OTHER: "Not known: stop it at the next occasion and look.",
     Verdict.NO_REFERENCE: "Not known from this recording.",

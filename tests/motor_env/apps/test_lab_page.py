@@ -1,6 +1,5 @@
 """The lab's page in a real headless browser."""
 
-import base64
 import fcntl
 import json
 import os
@@ -133,10 +132,6 @@ class Browser:
         data = {"items": [], "files": [str(path)], "dragOperationsMask": 1}
         for kind in ("dragEnter", "dragOver", "drop"):
             self.call("Input.dispatchDragEvent", type=kind, x=x, y=y, data=data)
-
-    def screenshot(self, path: Path) -> None:
-        taken = self.call("Page.captureScreenshot", captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(taken["data"]))
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from motor_env.apps.warming import PARTS, warm_up
+from motor_env.apps.warming import warm_up
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 LISTEN = """
@@ -125,7 +125,3 @@ def test_nothing_is_compiled_after_the_warm_up(tmp_path: Path) -> None:
     (tmp_path / "alone").mkdir()
     alone = run(LISTEN + DIAGNOSE, tmp_path / "alone")
     assert alone.stderr.count("motor-env compiles") == 1
-
-
-def test_the_parts_have_names_of_their_own() -> None:
-    assert len(set(PARTS)) == len(PARTS)

@@ -15,11 +15,8 @@ from odd_recordings import at_work, scaled, started
 from scipy.signal import lfilter
 
 from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
-from motor_env.diagnosis.commission import fit_starts
-from motor_env.diagnosis.learning import learn_starts
-from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.sensors.checks import Seen, failure_in, free_run
-from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of, with_signs
+from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of
 from motor_env.diagnosis.shown.words import WORDS
 from motor_env.errors import InputError
 
@@ -28,7 +25,6 @@ from motor_env.fitting import places
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.regime import taken_for
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import RECIPES, changed_recipe
 from motor_env.simulation.recipes import FaultClass
@@ -74,6 +70,13 @@ def failures(recording: Recording) -> Iterator[tuple[str, Recording]]:
             yield "swapped", changed(**{one: columns[other], other: columns[one]})
 
 
+def failed_kind(seen: Seen, physical: FloatArray = PHYSICAL) -> FaultKind | None:
+    """Kind of the failure that is found; there is one."""
+    found = failure_in(seen, physical)
+    assert found is not None
+    return found.kind
+
+
 def seen(recording: Recording, *, is_log: bool) -> Seen:
     assert recording.voltage_v is not None
     columns = recording.voltage_v, recording.current_a, recording.speed_rad_s
@@ -86,13 +89,11 @@ def test_each_failure_is_named(is_log: bool, missing: tuple[str, ...]) -> None:
     rng = np.random.default_rng(2)
     recording = replace((at_work if is_log else started)(rng), **dict.fromkeys(missing))  # type: ignore[arg-type]
     for kind, failed in failures(recording):
-        found = failure_in(seen(failed, is_log=is_log), PHYSICAL)
         if kind == "swapped" and missing:
             continue  # two columns are swapped back by `diagnose`
         # Of two channels that go against each other the current is said to be reversed.
         expected = "current_polarity" if missing and kind == "voltage_polarity" else kind
-        assert found is not None, kind
-        assert found.kind == expected
+        assert failed_kind(seen(failed, is_log=is_log)) == expected
 
 
 def test_a_range_and_an_offset_are_named() -> None:
@@ -105,9 +106,7 @@ def test_a_range_and_an_offset_are_named() -> None:
     # A data sheet says nothing of the sensor of a start.
     assert failure_in(seen(short, is_log=False)._replace(is_taught=False), PHYSICAL) is None
     off = replace(log, current_a=log.current_a + 1.0)
-    found = failure_in(seen(off, is_log=True), PHYSICAL)
-    assert found is not None
-    assert found.kind == "current_offset"
+    assert failed_kind(seen(off, is_log=True)) == "current_offset"
     assert failure_in(seen(replace(log, current_a=log.current_a + 0.1), is_log=True), PHYSICAL) is None
     known = PHYSICAL.copy()
     known[9] = 1.0  # the healthy logs had that offset, too
@@ -122,9 +121,7 @@ def test_an_encoder_of_few_edges_is_not_clipped() -> None:
     clipped, held = np.minimum(speed, 0.8 * speed.max()), speed.copy()
     held[fast] = np.resize([0.6, 0.7, 0.75], len(fast)) * speed.max()
     held[fast[5:14]] = 0.8 * speed.max()
-    found = failure_in(Seen(DT_S, volts, current, clipped), PHYSICAL)
-    assert found is not None
-    assert found.kind == "speed_clipped"
+    assert failed_kind(Seen(DT_S, volts, current, clipped)) == "speed_clipped"
     assert failure_in(Seen(DT_S, volts, current, held), PHYSICAL) is None
 
 
@@ -134,9 +131,8 @@ def test_what_a_controller_holds_is_not_clipped() -> None:
     current, speed = free_run(PHYSICAL, volts, DT_S)
     steady = np.round(speed)
     assert failure_in(Seen(DT_S, volts, current, 0.85 * steady), PHYSICAL) is None
-    found = failure_in(Seen(DT_S, volts, current, np.minimum(steady, 0.75 * steady.max())), PHYSICAL)
-    assert found is not None
-    assert found.kind == "speed_clipped"
+    clipped = Seen(DT_S, volts, current, np.minimum(steady, 0.75 * steady.max()))
+    assert failed_kind(clipped) == "speed_clipped"
 
 
 def test_a_current_that_a_rotor_at_rest_draws_is_no_offset() -> None:
@@ -155,12 +151,11 @@ def test_a_current_that_a_rotor_at_rest_draws_is_no_offset() -> None:
     )
     assert log.current_a is not None
     assert failure_in(log, slow) is None
-    found = failure_in(log._replace(current_a=log.current_a + 0.4), slow)
-    assert found is not None
-    assert found.kind == "current_offset"
+    off = log._replace(current_a=log.current_a + 0.4)
+    assert failed_kind(off, slow) == "current_offset"
     known = slow.copy()
     known[places.OFFSET_I] = 0.4
-    assert failure_in(log._replace(current_a=log.current_a + 0.4), known) is None
+    assert failure_in(off, known) is None
 
 
 @pytest.mark.parametrize("column", ["current_a", "speed_rad_s"])
@@ -295,11 +290,7 @@ def test_a_column_that_never_moved_is_no_dead_sensor() -> None:
 
 def of_itself(recording: Recording, voltage_v: float | None) -> Motor:
     """The healthy motor that a recording teaches by itself."""
-    if taken_for(recording).regime == "operation":
-        return commission([recording], voltage_v=voltage_v).motor
-    fits = fit_starts([recording], voltage_v=voltage_v)
-    motor = to_motor(fits, "it", kind="commissioned", healthy=learn_starts(fits))
-    return with_signs(motor, [recording], voltage_v)
+    return commission([recording], fewest=1, voltage_v=voltage_v).motor
 
 
 SOME = ("aalborg/startup_12v", "oscillo_lab/startup_F0001", "lieskjur/startup_120v")

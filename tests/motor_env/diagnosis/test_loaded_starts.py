@@ -11,10 +11,8 @@ import pytest
 from recording_csv import write_csv
 from started_motor import step_start
 
-from motor_env import Motor, MotorParameters, Recording, diagnose, load_motor
+from motor_env import Motor, MotorParameters, Recording, commission, diagnose, load_motor
 from motor_env.cli import main
-from motor_env.diagnosis.learning import fit_healthy, learn_starts
-from motor_env.diagnosis.motor_files import to_motor
 from motor_env.motor.parameters import FloatArray
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
@@ -37,8 +35,7 @@ def start(motor: MotorParameters, load: str, number: int, *, has_speed: bool = F
 
 @cache
 def learned_under(load: str, *, has_speed: bool = False) -> Motor:
-    fits = fit_healthy([start(MOTOR, load, n, has_speed=has_speed) for n in range(5)], voltage_v=12.0)
-    return to_motor(fits, "loaded", kind="commissioned", healthy=learn_starts(fits))
+    return commission([start(MOTOR, load, n, has_speed=has_speed) for n in range(5)], voltage_v=12.0).motor
 
 
 @pytest.mark.parametrize("has_speed", [False, True])

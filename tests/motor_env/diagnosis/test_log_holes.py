@@ -53,8 +53,7 @@ def taught() -> Healthy:
     return Healthy(20, 23.0, NAMES, quantities, spread, temperature_k=0.0, windows=windows)
 
 
-HEALTHY = taught()
-MOTOR = replace(load_motor("paper"), healthy=HEALTHY)
+MOTOR = replace(load_motor("paper"), healthy=taught())
 
 
 @cache

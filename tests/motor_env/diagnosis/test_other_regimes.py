@@ -25,8 +25,8 @@ from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.score import behind_brushes
 from motor_env.fitting.window import Scores, fit_window, moved_by_held
-from motor_env.motor.data_sheet import Motor, save_motor
-from motor_env.motor.healthy import Held
+from motor_env.motor.data_sheet import save_motor
+from motor_env.motor.healthy import Healthy, Held
 from motor_env.motor.parameters import FloatArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -42,10 +42,10 @@ def geared() -> SimulatedMotor:
 
 
 @pytest.fixture(scope="module")
-def commissioned(geared: SimulatedMotor) -> Motor:
+def commissioned(geared: SimulatedMotor) -> Healthy:
     rng, dt_s = np.random.default_rng(5), 0.1 * geared.mechanical_s
     healthy, _ = learn_windows([simulate(geared, "reversals", rng, samples=2400, dt_s=dt_s)], 400 * dt_s)
-    return motor_of_windows(healthy, "this motor")
+    return healthy
 
 
 def recorded(motor: SimulatedMotor, profile: str, seed: int = 6) -> Record:
@@ -68,18 +68,15 @@ def test_the_loss_of_a_gear_is_found(geared: SimulatedMotor) -> None:
 
 @pytest.mark.parametrize("profile", ["reversals", "speed loop"])
 def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
-    geared: SimulatedMotor, commissioned: Motor, profile: str
+    geared: SimulatedMotor, commissioned: Healthy, profile: str
 ) -> None:
-    assert commissioned.healthy is not None
-    assert commissioned.healthy.windows is not None
-    windows, record = commissioned.healthy.windows, recorded(geared, profile)
-    known = judge_of(commissioned.healthy).physical()
-    record = replace(record, hold=windows.hold)
-    assert windows.peaks is not None
+    judge = judge_of(commissioned)
+    known, peaks = judge.physical(), judge.peaks
+    record = replace(recorded(geared, profile), hold=judge.windows.hold)
     held, sizes = [places.GEAR, places.COULOMB], known[[places.GEAR, places.COULOMB]] * 0.05
     errors = np.zeros((3, 4))
     errors[0, 0], errors[1, 1], errors[2, 3] = *sizes, 0.1
-    moves = moved_by_held(record, known, TERMS, peaks=windows.peaks, held=held, errors=errors)
+    moves = moved_by_held(record, known, TERMS, peaks=peaks, held=held, errors=errors)
 
     def fitted(record: Record, **off: float) -> FloatArray:
         values = known.copy()
@@ -88,8 +85,8 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
         return fit_window(record, values, TERMS).logs
 
     current = record.predict(known, learn=False)[0][:, 2] - known[places.OFFSET_I]
-    stall = windows.peaks[0] / known[places.R]
-    lost = record.voltage_v - behind_brushes(record, current, windows.peaks[0], 0.1 * stall).voltage_v
+    stall = peaks[0] / known[places.R]
+    lost = record.voltage_v - behind_brushes(record, current, peaks[0], 0.1 * stall).voltage_v
     behind = replace(record, voltage_v=record.voltage_v - 0.1 * lost)
     refitted = [
         fitted(record, GEAR=sizes[0]) - fitted(record),
@@ -105,15 +102,14 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
     twice[places.DRAG] *= 2.0
     twice[[places.B, places.COULOMB]] /= 2.0
     errors[1, 1] /= 2.0
-    same = moved_by_held(record, twice, TERMS, peaks=windows.peaks, held=held, errors=errors)
+    same = moved_by_held(record, twice, TERMS, peaks=peaks, held=held, errors=errors)
     np.testing.assert_allclose(same, moves, rtol=0.02, atol=1e-4)
 
 
 def test_windows_of_the_same_regime_are_compared_as_closely_as_before(
-    geared: SimulatedMotor, commissioned: Motor
+    geared: SimulatedMotor, commissioned: Healthy
 ) -> None:
-    assert commissioned.healthy is not None
-    judge = judge_of(commissioned.healthy)
+    judge = judge_of(commissioned)
     sds = {}
     for profile in ("reversals", "speed loop"):
         record = recorded(geared, profile)
@@ -139,23 +135,23 @@ def test_windows_of_the_same_regime_are_compared_as_closely_as_before(
 
 
 def test_a_healthy_motor_is_healthy_under_another_controller(
-    geared: SimulatedMotor, commissioned: Motor
+    geared: SimulatedMotor, commissioned: Healthy
 ) -> None:
     rng, dt_s = np.random.default_rng(8), 0.1 * geared.mechanical_s
+    known = motor_of_windows(commissioned, "it")
     stuck = replace(geared, coulomb=4.0 * geared.coulomb, viscous=4.0 * geared.viscous)
     for stiffness in (1.0, 0.3):
         log = simulate(geared, "speed loop", rng, samples=1200, dt_s=dt_s, stiffness=stiffness)
-        assert diagnose(log, commissioned, regime="operation").verdict == "healthy"
+        assert diagnose(log, known, regime="operation").verdict == "healthy"
         log = simulate(stuck, "speed loop", rng, samples=1200, dt_s=dt_s, stiffness=stiffness)
-        assert diagnose(log, commissioned, regime="operation").verdict == "bearing"
+        assert diagnose(log, known, regime="operation").verdict == "bearing"
 
 
 def test_windows_that_move_differently_tell_what_they_hold(
-    commissioned: Motor, monkeypatch: pytest.MonkeyPatch
+    commissioned: Healthy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The posterior of the errors, by conditioning their joint normal distribution with all fits at once."""
-    assert commissioned.healthy is not None
-    judge, rng = judge_of(commissioned.healthy), np.random.default_rng(2)
+    judge, rng = judge_of(commissioned), np.random.default_rng(2)
     spread, units = np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), (2e-3, 0.5)
     free = [
         SimpleNamespace(name="R", place=places.R, unit=3.0),
@@ -200,10 +196,9 @@ def test_tables_of_what_is_held_go_together() -> None:
             Held((0, 1), errors, moves, np.zeros((4, 4)))
 
 
-def test_a_fault_does_not_hide_behind_what_is_held(geared: SimulatedMotor, commissioned: Motor) -> None:
+def test_a_fault_does_not_hide_behind_what_is_held(geared: SimulatedMotor, commissioned: Healthy) -> None:
     """Fits of a motor with twice the friction move as those of the healthy one."""
-    assert commissioned.healthy is not None
-    judge = judge_of(commissioned.healthy)
+    judge = judge_of(commissioned)
     sds = []
     for factor in (1.0, 2.0):
         motor = replace(geared, coulomb=factor * geared.coulomb, viscous=factor * geared.viscous)
@@ -215,27 +210,24 @@ def test_a_fault_does_not_hide_behind_what_is_held(geared: SimulatedMotor, commi
     assert sds[1] < 1.5 * sds[0]
 
 
-def test_a_motor_file_keeps_what_is_held(commissioned: Motor, tmp_path: Path) -> None:
+def test_a_motor_file_keeps_what_is_held(commissioned: Healthy, tmp_path: Path) -> None:
     path = tmp_path / "motor.toml"
-    save_motor(commissioned, path)
-    read = load_motor(path)
-    assert read.healthy is not None
-    assert commissioned.healthy is not None
-    windows = [one.windows for one in (read.healthy, commissioned.healthy)]
-    held = [one.held for one in windows if one is not None and one.held is not None]
+    save_motor(motor_of_windows(commissioned, "it"), path)
+    read = load_motor(path).healthy
+    assert read is not None
+    windows = [judge_of(one).windows for one in (read, commissioned)]
+    held = [one.held for one in windows if one.held is not None]
     assert held[0].places == held[1].places
     np.testing.assert_array_equal(held[0].errors, held[1].errors)
     np.testing.assert_array_equal(held[0].moves, held[1].moves)
     np.testing.assert_array_equal(held[0].robust_covariance, held[1].robust_covariance)
 
 
-def test_a_motor_file_that_holds_no_value_of_the_fit_is_refused(commissioned: Motor) -> None:
-    healthy = commissioned.healthy
-    assert healthy is not None
-    assert healthy.windows is not None
+def test_a_motor_file_that_holds_no_value_of_the_fit_is_refused(commissioned: Healthy) -> None:
+    windows = judge_of(commissioned).windows
     for place, is_refused in ((places.N_VALUES - 1, False), (places.N_VALUES, True)):
         held = Held((place,), np.zeros((1, 3)), np.zeros((1, 4)), np.zeros((4, 4)))
-        other = replace(healthy, windows=replace(healthy.windows, held=held))
+        other = replace(commissioned, windows=replace(windows, held=held))
         with (
             pytest.raises(InputError, match=r"held\.places must be below 34, got 34")
             if is_refused

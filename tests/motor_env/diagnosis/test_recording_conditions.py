@@ -20,12 +20,11 @@ from motor_env import (
     SupplyParameters,
     Timing,
     Verdict,
+    commission,
     diagnose,
     identify,
     load_motor,
 )
-from motor_env.diagnosis.learning import fit_healthy, learn_starts
-from motor_env.diagnosis.motor_files import to_motor
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: the supply comes on between two samples, which `simulate` cannot do; its level is drawn as by recipes.
@@ -64,9 +63,8 @@ def verdicts(learned: Motor, time_s: FloatArray, current_a: FloatArray) -> list[
 
 def learn(time_s: FloatArray, current_a: FloatArray) -> Motor:
     """What healthy starts teach where the motor is always as warm: a change of 15 K would hide R +25 % at 2 kHz."""
-    fits = fit_healthy(recordings(time_s, current_a))
-    healthy = replace(learn_starts(fits), temperature_k=0.0)
-    return to_motor(fits, "mine", kind="commissioned", healthy=healthy)
+    learned = commission(recordings(time_s, current_a))
+    return replace(learned.motor, healthy=replace(learned.healthy, temperature_k=0.0))
 
 
 @pytest.fixture(scope="module")

@@ -23,13 +23,12 @@ from motor_env import (
     SensorParameters,
     Timing,
     Verdict,
+    commission,
     diagnose,
     identify,
     load_motor,
     simulate,
 )
-from motor_env.diagnosis.learning import fit_healthy, learn_starts
-from motor_env.diagnosis.motor_files import to_motor
 
 # Reaches in: the estimate of a start's noise by itself.
 from motor_env.motor.parameters import FloatArray
@@ -133,8 +132,7 @@ def test_without_a_ripple_there_is_no_speed() -> None:
 
 
 def test_the_ripple_compares_speeds_between_recordings() -> None:
-    fits = fit_healthy([rippled()[0]]) * 3  # three alike
-    motor = to_motor(fits, "rippled", kind="commissioned", healthy=learn_starts(fits))
+    motor = commission([rippled()[0]] * 3).motor  # three alike
     assert motor.healthy is not None
     assert motor.healthy.starts is not None
     assert motor.healthy.starts.ripple_hz is not None

@@ -22,6 +22,7 @@ from motor_env import (
     Timing,
     Verdict,
     cli,
+    commission,
     diagnose,
     draw,
     identify,
@@ -31,8 +32,6 @@ from motor_env import (
     simulate,
 )
 from motor_env.diagnosis.files import diagnose_files
-from motor_env.diagnosis.learning import fit_healthy, learn_starts
-from motor_env.diagnosis.motor_files import to_motor
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import prepare
 
@@ -158,17 +157,10 @@ def test_without_a_voltage_only_ratios_are_told_and_the_sheet_is_no_reference() 
 
 
 def test_healthy_recordings_as_reference() -> None:
-    fits = fit_healthy(captures(5, known_voltage=False))
-    motor = to_motor(fits, "bench", kind="commissioned", healthy=learn_starts(fits))
+    motor = commission(captures(5, known_voltage=False)).motor
     assert diagnose(captures(6, known_voltage=False)[5], motor).verdict is Verdict.HEALTHY
     worn = captures(2, Fault(FaultKind.WINDING_CONTACT, 0.4), known_voltage=False)
     assert [diagnose(r, motor).verdict for r in worn] == [Verdict.WINDING] * 2
-
-
-def test_the_filter_is_consistent_with_its_belief() -> None:
-    check = diagnose(captures(1)[0], MOTOR).telling.consistency
-    assert check is not None
-    assert check.mean_square == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_capture_without_a_start_is_unusable_and_never_healthy() -> None:

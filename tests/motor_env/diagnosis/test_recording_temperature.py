@@ -18,12 +18,11 @@ from motor_env import (
     SupplyParameters,
     Timing,
     Verdict,
+    commission,
     diagnose,
     load_motor,
     simulate,
 )
-from motor_env.diagnosis.learning import fit_healthy, learn_starts
-from motor_env.diagnosis.motor_files import to_motor
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
 TIMING = Timing(10_000.0, 0.2, 0.05)
@@ -47,8 +46,7 @@ def starts(motor: MotorParameters, numbers: range, *faults: Fault) -> list[Recor
 
 @pytest.fixture(scope="module")
 def healthy() -> Motor:
-    fits = fit_healthy(starts(MOTOR, range(5)), voltage_v=12.0)
-    return to_motor(fits, "mine", kind="commissioned", healthy=learn_starts(fits))
+    return commission(starts(MOTOR, range(5)), voltage_v=12.0).motor
 
 
 @pytest.mark.parametrize("kelvin", [-20.0, 10.0, 25.0])

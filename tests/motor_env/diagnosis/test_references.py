@@ -274,7 +274,7 @@ def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> N
         limit = stats.t.isf(joint_share(0.8 * RATE, whole, EXPONENTS, freedom), freedom)
         expected += bool((limit + 1.645) * math.sqrt(same[3, 3]) > math.log(2.0))
     assert expected == (4 if odd else 0)
-    motor = motor_files.to_motor(given, "m", kind="commissioned", healthy=learn_starts(given))
+    motor = motor_files.to_motor(given, "m", healthy=learn_starts(given))
     smallest, undecided = commission._promise(motor, given, None, RATE)
     assert undecided == ({"B/J": expected} if odd else {})
     reference = reference_of(motor, CURRENT)
@@ -288,7 +288,7 @@ def test_words_of_a_commissioning() -> None:
     """The interval of the next healthy start, at the rate on both sides together."""
     given = fits(*SCATTER)
     learned = learn_starts(given)
-    motor = motor_files.to_motor(given, "m", kind="commissioned", healthy=learned)
+    motor = motor_files.to_motor(given, "m", healthy=learned)
     known = commission.Commissioned(motor, tuple(given), {"bearing": 0.25}, {"B/J": 2})
     text = replace(known, false_alarm_rate=0.05).text()
     half = stats.t.isf(0.025, 6.0) * np.sqrt(np.diag(learned.log_covariance))

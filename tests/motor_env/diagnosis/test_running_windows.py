@@ -29,7 +29,6 @@ from motor_env.diagnosis.running.windows import (
     judge_of,
 )
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import covariance_at_one_temperature
 from motor_env.fitting import places
 
 # Reaches in: the oracle of the joint share needs the direction in which each fault shows.
@@ -129,10 +128,10 @@ def test_one_bad_log_costs_no_other_its_verdict(
     judging(monkeypatch, *[Judgement(Verdict.HEALTHY, ())] * 2, of=3)
     paths = [tmp_path / f"{n}.csv" for n in range(4)]
     outcomes = files.diagnose_files(paths, motor="m.toml", regime="operation")
-    said = [None if one.diagnosis is None else one.diagnosis.verdict for one in outcomes]
-    assert said == [None, None, "healthy", None]
+    assert [one.diagnosis is None for one in outcomes] == [True, True, False, True]
     assert [one.as_json()["verdict"] for one in outcomes] == ["unusable", "unusable", "healthy", "unusable"]
-    assert "2 of 2 windows judged, of 3" in outcomes[2].as_text()
+    assert outcomes[2].diagnosis is not None
+    assert "2 of 2 windows judged, of 3" in outcomes[2].diagnosis.text()
     assert [one.is_bug for one in outcomes] == [False, True, False, False]
     assert worst(one.status for one in outcomes) == 70
     assert "Traceback" in capsys.readouterr().err
@@ -196,13 +195,4 @@ def test_windows_are_believed_to_scatter_as_healthy_ones_did() -> None:
     healthy, fits = learn_windows([recording], 200 * recording.dt_s, steady=True)
     assert len(fits) == healthy.pieces == 8
     np.testing.assert_allclose(np.mean([fit.log_values for fit in fits], axis=0), np.log(healthy.values))
-    judge = judge_of(healthy)
-    excess = judge.windows.window_excess
-    assert 0.3 < excess <= 1.0
-
-    def believed(error: FloatArray) -> FloatArray:
-        return covariance_at_one_temperature(FittedWindow(np.zeros(4), error), judge.reference)
-
-    same = believed(healthy.log_covariance)
-    np.testing.assert_allclose(same, healthy.log_covariance * excess)
-    np.testing.assert_allclose(believed(4.0 * healthy.log_covariance), 4.0 * same)
+    assert 0.3 < judge_of(healthy).windows.window_excess <= 1.0

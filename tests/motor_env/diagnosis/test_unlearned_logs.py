@@ -18,12 +18,11 @@ from motor_env import (
     Scenario,
     SensorParameters,
     Timing,
+    commission,
     diagnose,
     simulate,
     simulate_states,
 )
-from motor_env.diagnosis.learning import fit_healthy, learn_starts
-from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.running import unlearned
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import NAMES, viscous
@@ -80,8 +79,7 @@ def of_starts() -> Motor:
         made = simulate(scenario, seed, [0])
         current_a, speed_rad_s = made.measurements[0]
         starts.append(Recording(Path("start"), made.time_s, current_a, made.voltage_v[0], speed_rad_s))
-    fits = fit_healthy(starts)
-    return to_motor(fits, "m", kind="commissioned", healthy=learn_starts(fits))
+    return commission(starts, "m").motor
 
 
 @pytest.fixture

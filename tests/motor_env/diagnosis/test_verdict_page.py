@@ -9,60 +9,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from judged_by_hand import SHEET, start
 
-from motor_env import (
-    PAPER_MOTOR,
-    Diagnosis,
-    Fault,
-    FaultKind,
-    Recording,
-    Scenario,
-    SensorParameters,
-    Timing,
-    Verdict,
-    diagnose,
-    load_motor,
-    simulate,
-)
+from motor_env import Diagnosis, Fault, FaultKind, Verdict, diagnose
 from motor_env.diagnosis.shown.page import page, reference_current
 from motor_env.diagnosis.shown.words import RUN_ON
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
-MOTOR = load_motor(EXAMPLES / "motor.toml")
 Answers = tuple[str, str, str]
-
-
-def start(*faults: Fault, seed: int = 3) -> Recording:
-    """One start with quiet time before it."""
-    sensor = SensorParameters(current_noise_a=0.02)
-    scenario = Scenario(PAPER_MOTOR, faults, sensor=sensor, timing=Timing(duration_s=0.2, quiet_s=0.03))
-    made = simulate(scenario, seed=seed, cases=[0])
-    return Recording(
-        Path("start.csv"), made.time_s, made.measurements[0, 0], made.voltage_v[0], columns=("read so",)
-    )
-
-
-def clipped() -> Recording:
-    recording = start()
-    return replace(recording, current_a=np.minimum(recording.current_a, 2.5))
-
-
-def ten_times() -> Recording:
-    recording = start()
-    return replace(recording, current_a=10.0 * recording.current_a)
 
 
 @cache
 def judged(case: str) -> Diagnosis:
     """The five captures of the technician's test."""
+    healthy = start()
     recordings = {
-        "healthy": start(),
+        "healthy": healthy,
         "bearing": start(Fault(FaultKind.BEARING, 0.5)),
         "short": start(Fault(FaultKind.WINDING_SHORT, 0.12)),
-        "clipped": clipped(),
-        "probe": ten_times(),
+        "clipped": replace(healthy, current_a=np.minimum(healthy.current_a, 2.5)),
+        "probe": replace(healthy, current_a=10.0 * healthy.current_a),
     }
-    return diagnose(recordings[case], MOTOR)
+    return diagnose(recordings[case], SHEET)
 
 
 # Written before the pages were: what is wrong, how much of it, what to do next.

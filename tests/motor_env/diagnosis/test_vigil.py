@@ -43,7 +43,7 @@ def run_lengths(rng: Random, pieces: float, runs: int, sd: float = 1.0) -> Float
     found = []
     root = np.linalg.cholesky(0.5 * np.eye(5) + 0.5)
     for _ in range(runs):
-        detector, count, pair = Detector.new(2, np.array([4.0, 4.0, 1.0, 1.0, 1.0])), 0, np.zeros(5)
+        detector, count, pair = Detector(2, np.array([4.0, 4.0, 1.0, 1.0, 1.0])), 0, np.zeros(5)
         while not detector.passes(pieces):
             count += 1
             scores = sd * root @ rng.standard_normal(5)
@@ -70,7 +70,7 @@ def test_the_detector_finds_a_fault_its_direction_and_its_begin() -> None:
     """At a shift of two standard deviations, at one false alarm in a million: about ten pieces."""
     rng, found = np.random.default_rng(2), []
     for _ in range(40):
-        detector = Detector.new(1, np.ones(4))
+        detector = Detector(1, np.ones(4))
         for _ in range(50):
             detector.add(0, rng.standard_normal(4), 1)
         count = 0
@@ -89,7 +89,7 @@ def test_the_detector_finds_a_fault_its_direction_and_its_begin() -> None:
 
 def test_a_sum_is_that_of_shiryaev_and_roberts() -> None:
     """By hand: the sum over begins of the products of e-values since."""
-    detector, scores = Detector.new(1, np.ones(1)), [0.3, -1.0, 2.0]
+    detector, scores = Detector(1, np.ones(1)), [0.3, -1.0, 2.0]
     for score in scores:
         detector.add(0, np.array([score]), 1)
     lean = np.array([0.6, 1.2, 2.4])
@@ -104,7 +104,7 @@ def test_a_sum_is_that_of_shiryaev_and_roberts() -> None:
 
 def test_sizes_go_with_what_a_piece_tells() -> None:
     """A piece of half the reach looks for half the shift: by hand, for one piece."""
-    detector = Detector.new(1, np.ones(2))
+    detector = Detector(1, np.ones(2))
     detector.add(0, np.array([1.0, 1.0]), 1, np.array([0.5, 1.0]))
     lean = np.array([0.6, 1.2, 2.4])
     np.testing.assert_allclose(detector.sums[0, 0], np.exp(0.5 * lean - 0.125 * lean**2))
@@ -180,8 +180,8 @@ def taught(rng: Random, count: int = 30, scale: float = 1.0) -> tuple[Scale, Sca
     short = [window(rng, 16, none, scale) for _ in range(count)]
     whole = [window(rng, 1, none, scale) for _ in range(count)]
     return (
-        learn_scale(4, short, 0.0, temperature_k=0.0, steady=True),
-        learn_scale(0, whole, 0.0, temperature_k=0.0, steady=True),
+        learn_scale(4, short, 0.0, temperature_k=0.0),
+        learn_scale(0, whole, 0.0, temperature_k=0.0),
     )
 
 
@@ -217,7 +217,7 @@ def test_each_state_has_its_own_friction_and_scatter() -> None:
         logs[:, 3] += centres
         return Pieces(logs, errors, states)
 
-    scale = learn_scale(5, [piece() for _ in range(20)], 0.0, temperature_k=0.0, steady=True)
+    scale = learn_scale(5, [piece() for _ in range(20)], 0.0, temperature_k=0.0)
     assert scale.centres[[0, 4], 3] == pytest.approx([0.0, -0.4], abs=0.02)
     assert np.diag(scale.covariances[4]) == pytest.approx([36.0] * 4, rel=0.3)
     assert (np.diag(scale.covariances[0]) < 1.6).all()
@@ -228,7 +228,7 @@ def test_no_piece_says_more_than_the_rarest_where_tails_are_heavy() -> None:
     rng = np.random.default_rng(5)
     heavy = [window(rng, 16, np.zeros(4)) for _ in range(30)]
     heavy = [each._replace(logs=each.logs * rng.standard_t(3.0, (16, 1))) for each in heavy]
-    of = learn_scale(4, heavy, 0.0, temperature_k=0.0, steady=True)
+    of = learn_scale(4, heavy, 0.0, temperature_k=0.0)
     assert of.freedom < 20.0
     far = Pieces(np.full((1, 4), 1.0), ERROR[None], np.zeros(1, dtype=np.intp))
     assert scored(of, far).max() == pytest.approx(stats.norm.isf(1.0 / 481.0))
@@ -239,7 +239,7 @@ def test_a_healthy_motor_may_stay_off_by_what_is_believed() -> None:
     """Two per cent of R and 15 K are allowed where 1 % is; 15 % more of R are not."""
     rng = np.random.default_rng(6)
     windows = [window(rng, 1, np.zeros(4)) for _ in range(12)]
-    of = learn_scale(0, windows, 0.01, temperature_k=15.0, steady=False)
+    of = learn_scale(0, windows, 0.01, temperature_k=15.0)
     warm = 15.0 * np.array([0.00393, -0.001, 0.0, -0.003])
     for off, least, most in (
         (np.array([0.02, 0.0, 0.0, 0.0]), -9.0, 0.0),
@@ -278,7 +278,7 @@ def commissioned(*, steady: bool, scatter: float = 1.0, seed: int = 8) -> Health
     whole = [window(rng, 1, np.zeros(4), scatter) for _ in range(12)]
 
     def scale(some: list[Pieces]) -> Scale:
-        return learn_scale(0, some, prior, temperature_k=kelvin, steady=steady)
+        return learn_scale(0, some, prior, temperature_k=kelvin)
 
     each = [(scale(whole[:n] + whole[n + 1 :]),) for n in range(12)]
     most = np.max([places_on_axes(scale(whole), one).distances[0] for one in whole], axis=0)
