@@ -39,7 +39,7 @@ def far_off(kept: Image.Image, drawn: Image.Image) -> float:
 
 
 def test_the_film_ends_with_the_screen_of_today_and_begins_with_it() -> None:
-    today = Image.fromarray(film.last_screen(film.FILM))
+    today = Image.fromarray(film.last_screen())
     with Image.open(film.FILM) as kept:
         assert far_off(kept, today) < 0.001
         kept.seek(kept.n_frames - 1)
