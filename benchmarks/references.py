@@ -6,16 +6,13 @@ classifiers join in where `make peers` has set up their environment.
 
 from __future__ import annotations
 
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from cyclopts import run
-from peers import PYTHON, command, environment
+from peers import PYTHON, peer_answers
 from tables import keep_table
 
 from motor_classifiers.estimators.cases import with_channels
@@ -26,7 +23,6 @@ from motor_classifiers.estimators.reference_starts import (
     referenced_starts,
 )
 from motor_classifiers.scoring.metrics import IntArray
-from motor_classifiers.scoring.peers import export_starts
 from motor_datasets.arrays import Dataset
 from motor_env.motor.parameters import FloatArray, SensorParameters
 from motor_env.simulation.named_recipes import named_recipe
@@ -54,12 +50,8 @@ def decide(name: str, recipe: Recipe, train: Dataset, test: Dataset, n_reference
 
 def peers_decide(train: Dataset, test: Dataset) -> Iterator[Told]:
     """Aeon's classifiers on the same starts, in their own environment."""
-    with tempfile.TemporaryDirectory() as folder:
-        cases, answers = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
-        export_starts(train, test, cases)
-        subprocess.run(command(cases, answers, *PEERS), env=environment(), check=True)
-        with np.load(answers) as held:
-            yield from ((name, held[name].argmax(axis=1)) for name in PEERS)
+    for name, probabilities in peer_answers(train, test, *PEERS).items():
+        yield name, probabilities.argmax(axis=1)
 
 
 def recentred(cases: Dataset, recipe: Recipe) -> Dataset:

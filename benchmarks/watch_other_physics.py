@@ -6,17 +6,14 @@ Motors of operation_simulator.py with all its switches on, each at work under on
 commissioning of 200 s, one false alarm an hour asked for. A run that was stopped goes on where it was.
 """
 
-import json
-import sys
-import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from cyclopts import run
+from kept_rows import kept_rows
 from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
 from scipy.stats import poisson
 from tables import keep_table
@@ -102,16 +99,8 @@ def main(
         workers: processes.
         rows: file of a JSON line a motor; those that it holds are not watched again.
     """
-    rows = rows or Path(tempfile.mkdtemp()) / "rows.jsonl"
-    rows.parent.mkdir(parents=True, exist_ok=True)
-    known = [json.loads(line) for line in rows.read_text().splitlines()] if rows.exists() else []
-    done = {row["number"] for row in known}
-    jobs = [(seed, number, hours) for number in range(motors) if number not in done]
-    with ProcessPoolExecutor(workers) as pool, rows.open("a", encoding="utf-8") as file:
-        for row in pool.map(one, jobs):
-            known.append(row)
-            print(json.dumps(row), file=file, flush=True)
-            print(f"\r{len(known)} of {motors}", end="", file=sys.stderr, flush=True)
+    jobs = {number: (seed, number, hours) for number in range(motors)}
+    known = kept_rows(one, jobs, lambda row: row["number"], workers, rows)
     keep_table("operation", "watched", HEADER, rows_by_profile(known))
 
 
