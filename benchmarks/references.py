@@ -24,7 +24,7 @@ from motor_classifiers.estimators.reference_starts import (
 )
 from motor_classifiers.scoring.metrics import IntArray
 from motor_datasets.arrays import Dataset
-from motor_env.motor.parameters import FloatArray, SensorParameters
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import Timing
@@ -84,7 +84,7 @@ def against_limit(decided: IntArray, best: IntArray, truth: IntArray) -> str:
 
 def keep(names: list[str], rate_hz: float, n_train: int, n_test: int) -> None:
     """Make one rate's table: methods down, reference starts across."""
-    recipe = named_recipe("bench", sensor=SensorParameters(current_noise_a=0.02), timing=Timing(rate_hz, 0.1))
+    recipe = named_recipe("bench", timing=Timing(rate_hz, 0.1))
     rows: dict[str, list[str]] = {"expected of the limit": [], "limit": []}
     for column, k in enumerate(COUNTS):
         train = referenced_starts(recipe, SEED, np.arange(n_train), k)

@@ -119,12 +119,12 @@ def rows_of(rng: np.random.Generator, volts: Floats, states: Floats) -> Floats:
     return np.column_stack([np.arange(len(volts)) + 1.0, volts, shown])
 
 
-def lines(blocks: Iterable[Floats]) -> Iterator[bytes]:
+def lines(blocks: Iterable[Floats], form: bytes = b"%.0f,%.5g,%.5g,%.6g\n") -> Iterator[bytes]:
     """What a device prints."""
     yield b"time_s,voltage_v,current_a,speed_rad_s\n"
     for block in blocks:
         for row in block.tolist():
-            yield b"%.0f,%.5g,%.5g,%.6g\n" % tuple(row)
+            yield form % tuple(row)
 
 
 def taught(blocks: Iterable[Floats], *, steady: bool) -> Healthy:

@@ -17,11 +17,10 @@ from kept_rows import kept_rows
 from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
 from scipy.stats import poisson
 from tables import keep_table
-from watch_counts import RATES, alarm_row, alarms, due
+from watch_counts import RATES, alarm_row, alarms, due, lines
 
 from motor_env.live.state import State
 from motor_env.live.watch import Lesson, Watch
-from motor_env.recordings.recording import Recording
 
 WINDOW_S, LEARN_S, DT_S = 20.0, 200.0, 0.01
 PROMISES = {"tails": "if the fitted tails hold", "counting": "by counting alone", "nothing": "not compared"}
@@ -39,22 +38,16 @@ HEADER = (
 )
 
 
-def lines(recording: Recording) -> Iterator[bytes]:
-    """What a device prints."""
-    yield b"time_s,voltage_v,current_a,speed_rad_s\n"
-    columns = (recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s)
-    for row in zip(*(np.asarray(column).tolist() for column in columns), strict=True):
-        yield b"%.2f,%.6g,%.6g,%.6g\n" % row
-
-
 def one(job: tuple[int, int, float]) -> dict[str, Any]:
     """One motor: alarms behind its commissioning, their names, and what was promised."""
     seed, number, hours = job
     rng, profile = np.random.default_rng([seed, number]), PROFILES[number % len(PROFILES)]
     samples = round((LEARN_S + 2.0 * WINDOW_S + 3600.0 * hours) / DT_S)
     recording = simulate(draw_motor(rng, SWITCHES), profile, rng, samples=samples, dt_s=DT_S)
+    columns = (recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s)
+    block = np.column_stack([np.asarray(column) for column in columns])
     watch = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=RATES["hour"])
-    said = list(watch.events(lines(recording)))
+    said = list(watch.events(lines([block], b"%.2f,%.6g,%.6g,%.6g\n")))
     names = Counter(event.name for event in said if event.kind in ("window", "another_motor"))
     promise = next((event.text for event in said if event.kind == "learned"), "")
     return {
