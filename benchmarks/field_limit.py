@@ -23,6 +23,7 @@ from typing import Any, Literal, NamedTuple
 import cyclopts
 import numpy as np
 from networks import network_of
+from numpy.typing import NDArray
 from sampled_posterior import sampled_probabilities
 
 from motor_classifiers.estimators.methods import make_method
@@ -107,10 +108,12 @@ def control(name: str) -> Any:
     return make_method(CONTROL, single(name), 0).fit(train.X, train.class_name)
 
 
-def decisions(starts: Dataset) -> np.ndarray[Any, np.dtype[np.int64]]:
+def decisions(starts: Dataset) -> NDArray[np.int64]:
     """What the control variate decides, as indices of the recipe's classes."""
     model = control(starts.recipe.name)
-    return in_recipe_order(model, model.predict_proba(starts.X), starts.recipe).argmax(axis=1)
+    probabilities = in_recipe_order(model, model.predict_proba(starts.X), starts.recipe)
+    decided: NDArray[np.int64] = probabilities.argmax(axis=1)
+    return decided
 
 
 def accuracy_of_network(name: str) -> tuple[float, float]:
