@@ -84,10 +84,6 @@ def main(*, task: str = "Drive-v0") -> None:
 
     keep_table("decisions", task, HEADER, rows())
     last = scored["both by the bank"]
-    ahead, half = interval(last.returns - scored["LQG with integral action"].returns)
-    print(f"bank ahead of the fixed LQG by {ahead:.3f} ± {half:.3f}")
-    ahead, half = interval(scored["plan"].returns - last.returns)
-    print(f"plan ahead of the bank by {ahead:.3f} ± {half:.3f}")
     known = np.concatenate([clairvoyant_returns(envs, seed) for seed in SEEDS])
     by_class = [f"{known[last.class_index == k].mean():.2f}" for k in np.unique(last.class_index)]
     mean, half = interval(known)
