@@ -62,7 +62,8 @@ class SeverityLimit(NamedTuple):
     coverage: float
 
 
-def _chunks(n_cases: int) -> Iterator[np.ndarray[tuple[int], np.dtype[np.int64]]]:
+def chunks(n_cases: int) -> Iterator[np.ndarray[tuple[int], np.dtype[np.int64]]]:
+    """Case numbers, as many at once as memory holds."""
     require(n_cases >= 2, f"n_cases must be >= 2, got {n_cases}")
     for begin in range(0, n_cases, _CHUNK):
         yield np.arange(begin, min(begin + _CHUNK, n_cases))
@@ -82,7 +83,7 @@ def class_limits(
     seen = samples_seen or [recipe.timing.n_samples]
     probabilities: list[list[FloatArray]] = [[] for _ in seen]
     labels = []
-    for cases in _chunks(n_cases):
+    for cases in chunks(n_cases):
         drawn = draw(recipe, seed, cases)
         measured = simulate(drawn.scenario, seed, cases).measurements
         labels.append(drawn.class_index)
@@ -104,7 +105,7 @@ def severity_limit(recipe: Recipe, prior: SeverityPrior, seed: int, n_cases: int
     """
     sound = replace(recipe, classes=(FaultClass(),))
     errors, variances, covered = [], [], []
-    for cases in _chunks(n_cases):
+    for cases in chunks(n_cases):
         severity = prior.at(2.0 * uniforms(seed, Stream.ONSET, cases, 1)[:, 0] - 1.0)
         scenario = replace(draw(sound, seed, cases).scenario, faults=(Fault(prior.kind, severity),))
         posterior = severity_posterior(recipe, prior, simulate(scenario, seed, cases).measurements)

@@ -8,7 +8,7 @@ inside. Ours is a fitted model's `predict_proba`: raw samples to probabilities.
 
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -69,11 +69,6 @@ def general_fit(measured: FloatArray) -> FloatArray:
     return found
 
 
-def fit_all(transients: Sequence[FloatArray]) -> list[FloatArray]:
-    """One start at a time."""
-    return [general_fit(measured) for measured in transients]
-
-
 def _check_fit(test: Dataset) -> None:
     """Both fits find the same tolerances: what is compared does the same work."""
     recipe = TASK.recipe
@@ -103,14 +98,15 @@ def run() -> list[Result]:
             assert peer.stdin is not None
             assert peer.stdout is not None
             assert peer.stdout.readline() == "ready\n"
+            fits = [test.X[n, 0].astype(np.float64) for n in range(FITTED)]
             for _ in range(ROUNDS):
                 peer.stdin.write("go\n")
                 peer.stdin.flush()
                 rates["quant"] = max(rates["quant"], float(peer.stdout.readline()))
                 for name, judge in judges.items():
                     rates[name] = max(rates[name], best_rate(judge, TASK.n_test, rounds=1))
-                fits = [test.X[n, 0].astype(np.float64) for n in range(FITTED)]
-                rates["fit"] = max(rates["fit"], best_rate(partial(fit_all, fits), FITTED, rounds=1))
+                rate = best_rate(lambda: [general_fit(measured) for measured in fits], FITTED, rounds=1)
+                rates["fit"] = max(rates["fit"], rate)
             peer.stdin.close()
     least = "scipy least_squares, a start at a time"
     return [

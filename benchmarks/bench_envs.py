@@ -24,7 +24,7 @@ ROUNDS = 5
 ROWS = 500
 DECLARES = {"waits": 0.001, "6 % ends": 0.064, "random": None}
 """Probability that an agent declares something; None: every action is as likely as any other."""
-BASE, HARD = "motor_env/Monitor-v0", "motor_env/Monitor-v0:hard"
+BASE, HARD = "motor_env/Monitor-v0", "motor_env/MonitorHard-v0"
 PROBE, DRIVE, MAINTAIN = "motor_env/Probe-v0", "motor_env/Drive-v0", "motor_env/Maintain-v0"
 CARTPOLE = "CartPole-v1"
 
@@ -74,12 +74,6 @@ def rate_of(step: Callable[[int], object], steps_a_call: int, calls: int) -> flo
     return median(rates)
 
 
-def make_of(name: str) -> tuple[str, dict[str, Any]]:
-    """Id and options of `id:recipe`."""
-    name, _, recipe = name.partition(":")
-    return name, {"recipe": recipe} if recipe else {}
-
-
 def actions_of(env: Any, policy: str, shape: tuple[int, ...]) -> NDArray[Any]:
     """What the policy does in so many steps; the peers have random actions always.
 
@@ -102,8 +96,7 @@ def actions_of(env: Any, policy: str, shape: tuple[int, ...]) -> NDArray[Any]:
 
 def vector_rate(name: str, policy: str, count: int) -> float:
     """Of a vector environment."""
-    name, options = make_of(name)
-    envs = gym.make_vec(name, num_envs=count, **options)
+    envs = gym.make_vec(name, num_envs=count)
     actions = actions_of(envs, policy, (ROWS, count))
     envs.reset(seed=0)
     return rate_of(lambda k: envs.step(actions[k % ROWS]), count, 2_000_000 // count)
@@ -117,8 +110,7 @@ def single_rate(name: str, policy: str) -> float:
         env: Any = gym_electric_motor.make("Cont-CC-PermExDc-v0")
         actions: list[Any] = [np.array([u]) for u in np.random.default_rng(0).uniform(0.0, 1.0, ROWS)]
     else:
-        name, options = make_of(name)
-        env = gym.make(name, **options)
+        env = gym.make(name)
         chosen = actions_of(env, policy, (5 * ROWS,))
         actions = list(chosen) if chosen.ndim > 1 else chosen.tolist()
     env.reset(seed=0)

@@ -11,6 +11,7 @@ import json
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -83,6 +84,12 @@ def network(name: str) -> tuple[PosteriorNetwork, Recipe]:
     return network_of(task.recipe, getattr(task, "n_references", 0)), task.recipe
 
 
+def seen_by(space: Callable[[torch.Tensor], torch.Tensor], X: Any) -> FloatArray:
+    """What the network with these coordinates sees of each case."""
+    seen: FloatArray = space(torch.from_numpy(X.reshape(len(X), -1).astype(np.float64))).numpy()
+    return seen
+
+
 Answers = tuple[Dataset, FloatArray, Callable[[FloatArray], FloatArray]]
 """Cases, the probability of each class, and what a method sees of cases."""
 
@@ -91,12 +98,8 @@ def of_network(name: str, count: int) -> Answers:
     """By the network of a task."""
     model, recipe = network(name)
     cases = referenced_starts(recipe, SEED, FIRST + np.arange(count), model.n_references)
-
-    def sight(X: FloatArray) -> FloatArray:
-        seen: FloatArray = model.posterior_.space(torch.from_numpy(X.reshape(len(X), -1))).numpy()
-        return seen
-
-    return cases, in_recipe_order(model, model.predict_proba(cases.X), recipe), sight
+    probabilities = in_recipe_order(model, model.predict_proba(cases.X), recipe)
+    return cases, probabilities, partial(seen_by, model.posterior_.space)
 
 
 def at_work(name: str, count: int) -> Answers:
@@ -173,9 +176,7 @@ def of_severities(n_cases: int, n_draws: int) -> Iterator[Posterior]:
         grid, uniform = np.linspace(0.0, 1.0, shares.shape[1]), generator.uniform(size=(n_draws, n_cases))
         draws = np.array([np.interp(u, row, grid) for u, row in zip(uniform.T, cumulated, strict=True)]).T
         assert model.severity_ is not None
-        seen = model.severity_.space(
-            torch.from_numpy(cases.X.reshape(n_cases, -1).astype(np.float64))
-        ).numpy()
+        seen = seen_by(model.severity_.space, cases.X)
         yield Posterior(f"shipped: {kind}", ranks, covered, position[:, None], draws[..., None], seen)
 
 
@@ -192,7 +193,7 @@ def of_parameters(n_cases: int, n_draws: int) -> Posterior:
     chance = generator.uniform(size=(n_cases, 1))
     ranks = (draws < truth).mean(axis=0) + chance * (draws == truth).mean(axis=0)
     scale = truth.std(axis=0)
-    seen = model.posterior_.space(torch.from_numpy(cases.X.reshape(n_cases, -1).astype(np.float64))).numpy()
+    seen = seen_by(model.posterior_.space, cases.X)
     name = f"{SHIPPED}: severity and {len(drawn.parameters)} parameters"
     return Posterior(name, ranks, {}, truth / scale, draws / scale, seen)
 

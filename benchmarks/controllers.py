@@ -8,13 +8,11 @@ libnewlib-arm-none-eabi, qemu-system-arm.
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +22,7 @@ from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import literal, write_library
 from motor_env.motor.parameters import Channel
 
+RESULTS = Path(__file__).parent / "results" / "controllers.json"
 SAMPLES = 250
 
 
@@ -212,18 +211,15 @@ def measure(chip: Chip, arithmetic: str, *, n_channels: int = 1, rule: str = "cu
     return Measured(chip.name, arithmetic, rule, n_channels, flash, tested, ram, a_sample)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Write the sizes."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "controllers.json")
-    options = parser.parse_args(arguments)
     rows = [
         measure(chip, arithmetic, n_channels=n_channels, rule=rule)._asdict()
         for chip in CHIPS
         for arithmetic in ("fixed", "float")
         for rule, n_channels in (("cusum", 1), ("cusum", 2), ("nis", 1), ("nis", 2))
     ]
-    options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    RESULTS.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ python benchmarks/drive_scores.py --task Drive-v0       # some two minutes of on
 Thresholds and the PI controller are tuned on 200 episodes of one seed, all are scored on 200 of each of five others.
 """
 
-import argparse
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import product
@@ -14,6 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from clairvoyant import clairvoyant_returns
+from cyclopts import run
 from pi_controller import PI
 from planned_drive import PlannedDrive
 from tables import keep_table
@@ -61,11 +61,8 @@ def row(name: str, runs: Drives) -> list[str]:
     return [name, f"{mean:+.3f} ± {half:.3f}", *by_class, *parts, failed]
 
 
-def main() -> None:
+def main(*, task: str = "Drive-v0") -> None:
     """Tune, score, print."""
-    parser = argparse.ArgumentParser(description="Score the baselines of a drive.")
-    parser.add_argument("--task", default="Drive-v0")
-    task = parser.parse_args().task
     envs, tuning = make(task, EPISODES), make(task, 200)
     bank = partial(Lqg, levels=LEVELS)
     pi, best = tuned(tuning, PI, PI_GRID), tuned(tuning, bank, BANK_GRID)
@@ -87,10 +84,6 @@ def main() -> None:
 
     keep_table("decisions", task, HEADER, rows())
     last = scored["both by the bank"]
-    ahead, half = interval(last.returns - scored["LQG with integral action"].returns)
-    print(f"bank ahead of the fixed LQG by {ahead:.3f} ± {half:.3f}")
-    ahead, half = interval(scored["plan"].returns - last.returns)
-    print(f"plan ahead of the bank by {ahead:.3f} ± {half:.3f}")
     known = np.concatenate([clairvoyant_returns(envs, seed) for seed in SEEDS])
     by_class = [f"{known[last.class_index == k].mean():.2f}" for k in np.unique(last.class_index)]
     mean, half = interval(known)
@@ -98,4 +91,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -16,7 +16,6 @@ import json
 import math
 import time
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -24,9 +23,12 @@ from typing import Any, Literal, NamedTuple
 import cyclopts
 import numpy as np
 from networks import network_of
+from numpy.typing import NDArray
 from sampled_posterior import sampled_probabilities
 
 from motor_classifiers.estimators.methods import make_method
+from motor_classifiers.scoring.judging import in_recipe_order
+from motor_classifiers.wrappers.world import single_starts
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.files import replacing, write_text
@@ -55,7 +57,7 @@ ARRAYS = ("probabilities", "effective")
 
 def single(name: str) -> Recipe:
     """The recipe with one start of each motor."""
-    return replace(named_recipe(name), starts_per_motor=1, healthy_starts=0, shifts=())
+    return single_starts(named_recipe(name))
 
 
 def kept(name: str) -> Path:
@@ -106,11 +108,11 @@ def control(name: str) -> Any:
     return make_method(CONTROL, single(name), 0).fit(train.X, train.class_name)
 
 
-def decisions(starts: Dataset) -> np.ndarray[Any, np.dtype[np.int64]]:
+def decisions(starts: Dataset) -> NDArray[np.int64]:
     """What the control variate decides, as indices of the recipe's classes."""
     model = control(starts.recipe.name)
-    order = [list(model.classes_).index(name) for name in starts.class_names]
-    decided: np.ndarray[Any, np.dtype[np.int64]] = model.predict_proba(starts.X)[:, order].argmax(axis=1)
+    probabilities = in_recipe_order(model, model.predict_proba(starts.X), starts.recipe)
+    decided: NDArray[np.int64] = probabilities.argmax(axis=1)
     return decided
 
 

@@ -8,6 +8,7 @@ from the fit's covariance. `--check 300` compares that law with full fits of sim
 
 import math
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -34,7 +35,7 @@ from motor_env.fleet.own import with_own
 from motor_env.fleet.population import Core, Motors, learn_core
 from motor_env.motor import identifiable
 from motor_env.motor.healthy import Fleet, Healthy, Starts
-from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, MotorParameters
+from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
 from motor_env.simulation.simulate import simulate_states
 
 _LEARNED = 20  # logs that tell the model of all
@@ -82,6 +83,13 @@ def drawn(rng: np.random.Generator, count: int) -> FloatArray:
     return CENTRE + rng.multivariate_normal(np.zeros(4), TOTAL + ERROR, count)
 
 
+def core_of(logs: FloatArray) -> Core:
+    """What a fleet teaches by its fits, one a motor."""
+    n = len(logs)
+    errors, places = np.tile(ERROR, (n, 1, 1)), np.zeros(n, dtype=np.intp)
+    return learn_core(Motors(logs, errors, np.arange(n), places, BELIEF, np.eye(4) * 0.02**2, WAYS))
+
+
 def judged(logs: FloatArray, core: Core) -> Judgement:
     """One motor by a core."""
     reference = Reference(
@@ -112,12 +120,7 @@ def one(job: tuple[int, float, int, int, int]) -> Cell:
     logs = drawn(rng, size)
     for n in range(round(share * size)):
         logs[n] += every[rng.integers(len(every))].moves
-    errors = np.tile(ERROR, (size, 1, 1))
-    core = learn_core(
-        Motors(
-            logs, errors, np.arange(size), np.zeros(size, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2, WAYS
-        )
-    )
+    core = core_of(logs)
     counts = np.zeros(3)
     for fit in drawn(rng, healthy):
         counts += [1, judged(fit, core).verdict.is_fault, judged(fit, ORACLE).verdict.is_fault]
@@ -161,14 +164,12 @@ def checked(count: int, workers: int) -> Iterator[list[str]]:
 def log(rng: np.random.Generator, spread: FloatArray) -> pd.DataFrame:
     """What the sensors of a motor see that differs from the paper's by factors on R, K, J and B."""
     r, k, j, b = spread.tolist()
-    p = PAPER_MOTOR
-    motor = MotorParameters(
-        r * p.resistance_ohm,
-        p.inductance_h,
-        k * p.back_emf_constant_v_s_per_rad,
-        k * p.torque_constant_n_m_per_a,
-        j * p.inertia_kg_m2,
-        b * p.viscous_friction_n_m_s_per_rad,
+    motor = PAPER_MOTOR.scaled(
+        resistance_ohm=r,
+        back_emf_constant_v_s_per_rad=k,
+        torque_constant_n_m_per_a=k,
+        inertia_kg_m2=j,
+        viscous_friction_n_m_s_per_rad=b,
     )
     voltage_v = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 170)
     current_a, speed_rad_s = simulate_states(motor, voltage_v, 1e-3).T
@@ -234,7 +235,8 @@ def main(*, healthy: int = 3000, sick: int = 300, check: int = 300, workers: int
         "winding, own alone",
     ]
     keep_table("fleet", "own", header, smallest_faults(100))
-    alarms, found, names = [], by_cell(), by_cell()
+    alarms = []
+    found, names = defaultdict[str, list[str]](list), defaultdict[str, list[str]](list)
     with ProcessPoolExecutor(workers) as pool:
         for size, share in product(SIZES, SICK_SHARES):
             fleets = max(healthy // 10, 1)
@@ -255,11 +257,6 @@ def main(*, healthy: int = 3000, sick: int = 300, check: int = 300, workers: int
     header = [f"{size}, {share:.0%}" for size, share in product(SIZES, SICK_SHARES)]
     for name, rows in (("power", found), ("names", names)):
         keep_table("fleet", name, ["fault", *header], ([fault, *cells] for fault, cells in rows.items()))
-
-
-def by_cell() -> dict[str, list[str]]:
-    """An empty row of each fault."""
-    return {fault.name: [] for fault in faults()}
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from cyclopts import run
-from fleet import BELIEF, CENTRE, ERROR, WAYS, drawn, log
+from fleet import CENTRE, ERROR, core_of, drawn, log
 from pyod.models.copod import COPOD
 from pyod.models.ecod import ECOD
 from pyod.models.hbos import HBOS
@@ -25,7 +25,6 @@ from tables import keep_table
 
 from motor_env.diagnosis.explanations import Difference, explain
 from motor_env.diagnosis.running.windows import EXPONENTS
-from motor_env.fleet.population import Motors, learn_core
 from motor_env.motor.parameters import FloatArray
 
 SIZE, SICK = 30, 0.1
@@ -41,11 +40,7 @@ BEST = 3
 
 def ours(logs: FloatArray, fresh: FloatArray) -> FloatArray:
     """How odd fresh fits are to a fleet's: by the smallest p-value of the tests of a verdict, shape (n_fresh,)."""
-    n = len(logs)
-    errors = np.tile(ERROR, (n, 1, 1))
-    core = learn_core(
-        Motors(logs, errors, np.arange(n), np.zeros(n, dtype=np.intp), BELIEF, np.eye(4) * 0.02**2, WAYS)
-    )
+    core = core_of(logs)
     spread, freedom = core.next_motor() + core.within + ERROR, core.degrees_of_freedom
 
     def oddity(off: FloatArray) -> float:

@@ -172,9 +172,7 @@ def filters(scratch: Path) -> Items:
     model = motor_env.discretize(apply_fault(nominal, grown), timing.dt_s)
     rest = steady_state(nominal, 12.0, 0.01)
     yield "filters/model", {"transition": model.transition, "gain": model.gain, "rest": rest}
-    of_recipe = next(name for name in ("from_recipe", "of") if hasattr(motor_env.TolerantFilter, name))
-    tolerant = getattr(motor_env.TolerantFilter, of_recipe)(RECIPES["bench"])
-    white = tolerant.white(transients["current"].measurements)
+    white = motor_env.TolerantFilter.from_recipe(RECIPES["bench"]).white(transients["current"].measurements)
     yield "filters/tolerant", white[:, ::10]
     yield from rules(white)
 

@@ -8,7 +8,6 @@ writes the digests of the tasks, which must never change within a version.
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -20,8 +19,9 @@ import numpy as np
 import sklearn_methods
 from cyclopts import run
 from networks import network_of
-from peers import command, environment
+from peers import peer_answers
 from scaling import board_rows
+from stream_delays import alarm_times
 from tables import marked
 
 from motor_classifiers.cli.main import main as motor_classifiers
@@ -35,11 +35,11 @@ from motor_classifiers.estimators.networks.posterior_network import PosteriorNet
 from motor_classifiers.estimators.own_methods import fed
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import in_recipe_order
-from motor_classifiers.scoring.peers import PEERS, export_starts
+from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.task import VERSION, ClassTask, DrawnTask
 from motor_classifiers.wrappers.fault_family import family_fit
 from motor_env import Cusum, Glr, TolerantFilter
-from motor_env.detection.rules.base import Rule, first_above
+from motor_env.detection.rules.base import Rule
 from motor_env.files import write_text
 from motor_env.motor.parameters import FloatArray
 
@@ -101,17 +101,12 @@ def isolation(task: DrawnTask) -> FloatArray:
 def alarms(rule: Rule, task: DrawnTask) -> FloatArray:
     """Alarms of a rule behind the tolerant filter, its threshold the cheapest on the training streams."""
     assert isinstance(task, StreamTask)
-    timing, tolerant = task.recipe.timing, TolerantFilter.from_recipe(task.recipe)
-
-    def times(statistic: FloatArray, threshold: float) -> FloatArray:
-        index = first_above(statistic, threshold)
-        return np.where(index < 0, np.nan, (index + 1 - timing.n_quiet) * timing.dt_s)
-
+    tolerant = TolerantFilter.from_recipe(task.recipe)
     train, test = task.train_streams(), task.test()
     statistic = rule.statistic(tolerant.white(train.X))
     levels = np.quantile(statistic.max(axis=1), np.linspace(0.05, 0.95, 91))
-    costs = [task.costs(train.truth, times(statistic, level)[:, None]).mean() for level in levels]
-    return times(rule.statistic(tolerant.white(test.X)), float(levels[np.argmin(costs)]))
+    costs = [task.costs(train.truth, alarm_times(task, statistic, level)[:, None]).mean() for level in levels]
+    return alarm_times(task, rule.statistic(tolerant.white(test.X)), float(levels[np.argmin(costs)]))
 
 
 FRESH = "2.4 million fresh starts"
@@ -191,11 +186,7 @@ def _enter_peer(name: str, method: str, folder: str) -> None:
     """Let one of aeon's classifiers answer, in its own environment."""
     task = load_task(name)
     assert isinstance(task, ClassTask)
-    cases, answers = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
-    export_starts(task.train(), task.starts(), cases)
-    subprocess.run(command(cases, answers, method), env=environment(), check=True)
-    with np.load(answers) as arrays:
-        shares = arrays[method].astype(np.float64)
+    shares = peer_answers(task.train(), task.starts(), method)[method]
     seen = f"{task.n_train:,} starts"
     card = {"method": method, "authors": "aeon", "about": PEERS[method], "learned_from": seen}
     write_submission(folder, task, shares / shares.sum(axis=1, keepdims=True), card)

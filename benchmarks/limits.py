@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from accuracy_limits import class_limits, severity_limit
+from accuracy_limits import chunks, class_limits, severity_limit
 from cyclopts import run
 from tables import keep_table
 
@@ -94,12 +94,11 @@ def power(n_cases: int) -> Iterable[Iterable[str]]:
         recipe = named_recipe(name)
         sound = replace(recipe, classes=recipe.classes[:1])
         tests = [MatchedTest.from_recipe(recipe, fault) for fault in faults]
-        chunks = []
-        for begin in range(0, n_cases, 2000):
-            part = draw(sound, SEED, np.arange(begin, min(begin + 2000, n_cases)))
-            measured = simulate(part.scenario, SEED, part.cases).measurements
-            chunks.append([test.statistic(measured) for test in tests])
-        for fault, test, statistic in zip(faults, tests, np.concatenate(chunks, axis=1), strict=True):
+        parts = []
+        for cases in chunks(n_cases):
+            measured = simulate(draw(sound, SEED, cases).scenario, SEED, cases).measurements
+            parts.append([test.statistic(measured) for test in tests])
+        for fault, test, statistic in zip(faults, tests, np.concatenate(parts, axis=1), strict=True):
             for two_sided in (False, True):
                 size = np.abs(statistic) if two_sided else statistic
                 alarms = (size > test.threshold_for(0.01, two_sided=two_sided)).mean()

@@ -31,7 +31,7 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -222,50 +222,38 @@ def _walk(node: ast.AST, parents: list[ast.AST]) -> Iterator[tuple[ast.AST, list
         yield from _walk(child, [*parents, node])
 
 
-def sites(file: Path) -> Iterator[Mutant]:
-    """All changes of one file that stand in one line."""
-    text = file.read_text(encoding="utf-8")
+def sites(root: Path, name: str) -> Iterator[tuple[Mutant, int, slice]]:
+    """Changes of a file of a tree that stand in one line; the number of the line, and the bytes that are replaced."""
+    text = (root / name).read_text(encoding="utf-8")
     lines = text.encode().splitlines()
     seen: dict[tuple[str, ...], int] = {}
     for node, parents in _walk(ast.parse(text), []):
         if not isinstance(node, ast.expr) or node.lineno != node.end_lineno:
             continue
-        line = lines[node.lineno - 1]
-        before = line[node.col_offset : node.end_col_offset].decode()
+        line, place = lines[node.lineno - 1], slice(node.col_offset, node.end_col_offset)
+        before = line[place].decode()
         scope = ".".join(e.name for e in parents if isinstance(e, ast.FunctionDef | ast.ClassDef))
         for kind, new in changes(node, parents):
             after = ast.unparse(ast.fix_missing_locations(ast.Expression(new)))
             after = after if isinstance(new, ast.Constant | ast.Name | ast.Dict) else f"({after})"
             key = (kind, scope, line.decode().strip(), before, after)
             seen[key] = seen.get(key, -1) + 1
-            where = str(file.relative_to(ROOT))
-            yield Mutant("", kind, where, line.decode().strip(), before, after, seen[key], scope)
+            yield (
+                Mutant("", kind, name, line.decode().strip(), before, after, seen[key], scope),
+                node.lineno - 1,
+                place,
+            )
 
 
 def mutated(mutant: Mutant, root: Path) -> str | None:
     """The text of the file with the change; None where its line no longer stands in that function."""
-    wanted = asdict(mutant) | {"name": "", "equivalent": ""}
-    file = ROOT / mutant.file
-    if not file.exists() or all(asdict(each) != wanted for each in sites(file)):
-        return None
-    text = (root / mutant.file).read_text(encoding="utf-8")
-    lines = text.encode().splitlines(keepends=True)
-    count = -1
-    for node, parents in _walk(ast.parse(text), []):
-        if not isinstance(node, ast.expr) or node.lineno != node.end_lineno:
-            continue
-        line = lines[node.lineno - 1]
-        scope = ".".join(e.name for e in parents if isinstance(e, ast.FunctionDef | ast.ClassDef))
-        piece = line[node.col_offset : node.end_col_offset].decode()
-        if (scope, line.decode().strip(), piece) != (mutant.function, mutant.line, mutant.before):
-            continue
-        for kind, new in changes(node, parents):
-            after = ast.unparse(ast.fix_missing_locations(ast.Expression(new)))
-            count += kind == mutant.kind and after in (mutant.after, mutant.after[1:-1])
-            if count == mutant.place:
-                start, end = line[: node.col_offset], line[node.end_col_offset :]
-                lines[node.lineno - 1] = start + mutant.after.encode() + end
-                return b"".join(lines).decode()
+    file, wanted = root / mutant.file, replace(mutant, name="", equivalent="")
+    for site, number, place in sites(root, mutant.file) if file.exists() else ():
+        if site == wanted:
+            lines = file.read_bytes().splitlines(keepends=True)
+            line = lines[number]
+            lines[number] = line[: place.start] + mutant.after.encode() + line[place.stop :]
+            return b"".join(lines).decode()
     return None
 
 
@@ -285,8 +273,9 @@ def draw(path: Path, seed: int) -> None:
         rng = np.random.default_rng([seed, number])
         there = kept.get(room, [])
         by_kind: dict[str, list[Mutant]] = {}
-        for each in (site for file in files for site in sites(file)):
-            by_kind.setdefault(each.kind, []).append(each)
+        for file in files:
+            for each, _, _ in sites(ROOT, str(file.relative_to(ROOT))):
+                by_kind.setdefault(each.kind, []).append(each)
         taken = {(each.file, each.function, each.line) for each in there}
         names = iter(n for n in range(1, 99) if f"{room}/{n}" not in {each.name for each in there})
         while len(there) < A_ROOM and by_kind:
@@ -296,7 +285,7 @@ def draw(path: Path, seed: int) -> None:
                 del by_kind[kind]
             if (one.file, one.function, one.line) not in taken:
                 taken.add((one.file, one.function, one.line))
-                there.append(Mutant(**asdict(one) | {"name": f"{room}/{next(names)}"}))
+                there.append(replace(one, name=f"{room}/{next(names)}"))
         chosen += there
     rows = [{key: value for key, value in asdict(each).items() if value != ""} for each in chosen]
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -7,19 +7,16 @@ simulator in operation_simulator.py. A quantity counts where the bound says that
 half of its value. The ratio is the median of |error| over that of a normal error with the bound's standard deviation.
 """
 
-import json
 import math
-import sys
-import tempfile
 from collections import defaultdict
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from cyclopts import run
+from kept_rows import kept_rows
 from operation_simulator import KNEE, LOADS, PROFILES, SLIDING, VOLTAGE_NOISE, Motor, draw_motor, simulate
 from tables import keep_table
 
@@ -188,16 +185,8 @@ def main(
         ekf: an EKF on the first so many records.
         rows: file of a JSON line a record; those that it holds are not fitted again.
     """
-    rows = rows or Path(tempfile.mkdtemp()) / "rows.jsonl"
-    rows.parent.mkdir(parents=True, exist_ok=True)
-    known = [json.loads(line) for line in rows.read_text().splitlines()] if rows.exists() else []
-    done = {row["number"] for row in known}
-    jobs = [(seed, number, number < ekf) for number in range(records) if number not in done]
-    with ProcessPoolExecutor(workers) as pool, rows.open("a", encoding="utf-8") as file:
-        for row in pool.map(one, jobs, chunksize=2):
-            known.append(row)
-            print(json.dumps(row), file=file, flush=True)
-            print(f"\r{len(known)} of {records}", end="", file=sys.stderr, flush=True)
+    jobs = {number: (seed, number, number < ekf) for number in range(records)}
+    known = kept_rows(one, jobs, lambda row: row["number"], workers, rows)
     failed = [row for row in known if "error" in row]
     print(f"\n{len(known)} records, {len(failed)} not fitted", *failed, sep="\n  ")
     for key in ("profile", "load", "quantity"):

@@ -12,10 +12,13 @@ import tempfile
 from pathlib import Path
 
 import cyclopts
+import numpy as np
+from numpy.typing import NDArray
 from run import FOLDER, ONE_THREAD
 
 from motor_classifiers.scoring.peers import PEERS, export_starts, shipped_peers
 from motor_classifiers.scoring.task import class_task
+from motor_datasets.arrays import Dataset
 from motor_env.simulation.named_recipes import named_recipe
 
 PYTHON = FOLDER.parent / ".venv-aeon" / "bin" / "python"
@@ -35,6 +38,16 @@ def command(*arguments: object) -> list[str]:
 def environment() -> dict[str, str]:
     """Environment variables: one thread for everything."""
     return {**os.environ, **ONE_THREAD}
+
+
+def peer_answers(train: Dataset, test: Dataset, *names: str) -> dict[str, NDArray[np.float64]]:
+    """Probabilities of each class by peer, on the starts to be judged, of peers that learned from the others."""
+    with tempfile.TemporaryDirectory() as folder:
+        cases, target = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
+        export_starts(train, test, cases)
+        subprocess.run(command(cases, target, *names), env=environment(), check=True)
+        with np.load(target) as arrays:
+            return {name: arrays[name].astype(np.float64) for name in names}
 
 
 def main(

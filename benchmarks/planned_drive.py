@@ -20,6 +20,9 @@ from motor_env.envs.drive.setup import DriveSetup
 from motor_env.motor.parameters import FloatArray
 
 AHEAD_S = 0.1
+LEVELS, RATES = 32, 4  # severities of each kind, and rates of growth that are told apart
+SPREAD_V, SPREAD_N_M = 0.05, 2e-4  # of the residuals of the decisions, beyond what the sensors' noise gives
+LIMP_ABOVE_N_M, STOP_ABOVE = 1.5e-3, 4.25  # load beyond the known one; resistance over the healthy motor's
 
 
 class PlannedDrive(Lqg):
@@ -27,32 +30,24 @@ class PlannedDrive(Lqg):
 
     Args:
         setup: of the environment.
-        levels: severities of each kind.
-        rates: rates of growth that are told apart.
         late_cost: what it costs, beyond the time lost, if a motor would have to stop before the end.
         margin: of bearing and winding, the share of a failure's price that counts where it decides to stop: what the
             bank says of the last severity is coarse.
     """
 
     def __init__(
-        self,
-        setup: DriveSetup,
-        *,
-        levels: int = 32,
-        rates: int = 4,
-        late_cost: float = 1.5,
-        margin: tuple[float, float] = (0.3, 0.3),
+        self, setup: DriveSetup, *, late_cost: float = 1.5, margin: tuple[float, float] = (0.3, 0.3)
     ) -> None:
-        super().__init__(setup, levels=levels)
+        super().__init__(setup, levels=LEVELS)
         o = setup.options
-        self._levels, self._margin, self._late = levels, margin, late_cost
+        self._margin, self._late = margin, late_cost
         slow, fast = o.growth_per_s
-        self._rates = slow * (fast / slow) ** ((np.arange(rates) + 0.5) / rates)
+        rates = slow * (fast / slow) ** ((np.arange(RATES) + 0.5) / RATES)
         self._spread = np.log(np.array(o.failure_severity) / np.array(o.onset_severity))
-        self._pace = self._rates[None, :] / self._spread[:, None]  # of the share from onset to failure, 1/s
-        self._shares = (np.arange(levels) + 0.5) / levels
+        self._pace = rates[None, :] / self._spread[:, None]  # of the share from onset to failure, 1/s
+        self._shares = (np.arange(LEVELS) + 0.5) / LEVELS
         weights = np.array(o.weights) / sum(o.weights)
-        self._onset = weights[1:, None] / rates * o.period_s / (o.mean_onset_s + o.period_s)
+        self._onset = weights[1:, None] / RATES * o.period_s / (o.mean_onset_s + o.period_s)
         self._stress = [self._mean_pace(share) for share in (1.0, o.limp_share)]
 
     def _mean_pace(self, scale: float) -> float:
@@ -70,7 +65,7 @@ class PlannedDrive(Lqg):
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
         super().start(count)
-        self._faults = np.zeros((2, len(self._rates), self._levels, count))
+        self._faults = np.zeros((2, RATES, LEVELS, count))
 
     def _predicted(self, seen: dict[str, FloatArray]) -> FloatArray:
         """Let the faults set in and grow: probability of each motor of the bank, shape (h, count)."""
@@ -78,7 +73,7 @@ class PlannedDrive(Lqg):
         self._left_s = (1.0 - seen["time"]) * o.horizon_s
         may_begin = o.horizon_s - self._left_s > o.earliest_onset_s
         pace = np.stack([self._stressed(seen["measured_speed"]), np.ones_like(self._left_s)])
-        share = (self._pace[:, :, None] * pace[:, None] * o.period_s * self._levels)[:, :, None]
+        share = (self._pace[:, :, None] * pace[:, None] * o.period_s * LEVELS)[:, :, None]
         healthy = self.probability[0]
         for _ in range(o.steps_per_decision):
             moved = self._faults * share
@@ -94,7 +89,7 @@ class PlannedDrive(Lqg):
         logs = fit + np.log(before + LEAST)
         self.probability = np.exp(logs - logsumexp(logs, axis=0))
         ratio = self.probability[1:] / (before[1:] + 1e-300)
-        self._faults *= ratio.reshape(2, 1, self._levels, -1)
+        self._faults *= ratio.reshape(2, 1, LEVELS, -1)
 
     def _begin(self, new: Any, measured: FloatArray) -> None:
         super()._begin(new, measured)
@@ -122,7 +117,7 @@ class PlannedDrive(Lqg):
         ahead_s = o.period_s * o.steps_per_decision
         paces = self._pace * [[self._stress[0]], [1.0]]
         reached = self._shares + paces[:, :, None] * ahead_s - 1.0
-        fails = np.clip(reached * self._levels + 0.5, 0.0, 1.0) * np.array(self._margin)[:, None, None]
+        fails = np.clip(reached * LEVELS + 0.5, 0.0, 1.0) * np.array(self._margin)[:, None, None]
         risk = np.tensordot(fails, self._faults, axes=3) * o.failure_cost / ahead_s
         stops = (risk > o.stop_cost_per_s) | (self._temperature > 0.95 * o.burn_k)
         return self._decided(limps, stops)
@@ -136,12 +131,10 @@ class PlannedDecisions(PlannedDrive):
 
     Args:
         setup: of the environment.
-        spread: standard deviations of the two residuals beyond what the sensors' noise gives, in volt and newton metre.
     """
 
-    def __init__(self, setup: DriveSetup, *, spread: tuple[float, float] = (0.05, 2e-4)) -> None:
+    def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup, late_cost=4.0, margin=(1.5, 0.3))
-        self._spread_v, self._spread_n_m = spread
         o, motor = setup.options, setup.options.driven
         self._kept = 1.0 - (1.0 - setup.task.cooling) ** o.steps_per_decision
         self._drag = (self.bank.drag - self.bank.drag[0])[:, None]
@@ -164,11 +157,11 @@ class PlannedDecisions(PlannedDrive):
         current, speed = seen["measured_current"], seen["measured_speed"]
         volts = seen["voltage"] - self._back_emf * speed - ohm * current
         volts_std = np.sqrt(
-            (ohm * o.current_noise_a) ** 2 + (self._back_emf * o.speed_noise_rad_s) ** 2 + self._spread_v**2
+            (ohm * o.current_noise_a) ** 2 + (self._back_emf * o.speed_noise_rad_s) ** 2 + SPREAD_V**2
         )
         load = seen["estimated_load"] - self._drag * speed
         kept = o.load_memory**o.steps_per_decision
-        load_std = np.sqrt(o.load_std_n_m**2 * (1.0 - kept**2) + self._spread_n_m**2)
+        load_std = np.sqrt(o.load_std_n_m**2 * (1.0 - kept**2) + SPREAD_N_M**2)
         fit = -0.5 * ((volts / volts_std) ** 2 + ((load - kept * self._load) / load_std) ** 2) - np.log(
             volts_std
         )
@@ -187,14 +180,10 @@ class ShownFaults:
 
     Args:
         setup: of an environment whose action is a decision.
-        limp_above_n_m: load beyond the known one.
-        stop_above: resistance in units of the healthy motor's.
     """
 
-    def __init__(
-        self, setup: DriveSetup, *, limp_above_n_m: float = 1.5e-3, stop_above: float = 4.25
-    ) -> None:
-        self.setup, self.limp_above_n_m, self.stop_above = setup, limp_above_n_m, stop_above
+    def __init__(self, setup: DriveSetup) -> None:
+        self.setup = setup
 
     def start(self, count: int) -> None:
         """Nothing is remembered."""
@@ -204,6 +193,6 @@ class ShownFaults:
         seen, motor = named(self.setup, observations), self.setup.options.driven
         volts = seen["voltage"] - float(motor.back_emf_constant_v_s_per_rad) * seen["measured_speed"]
         healthy = float(np.asarray(motor.resistance_ohm)) * np.maximum(seen["measured_current"], 0.1)
-        limps = seen["estimated_load"] > self.limp_above_n_m
-        decision = np.where(volts / healthy > self.stop_above, STOP, np.where(limps, LIMP, RUN))
+        limps = seen["estimated_load"] > LIMP_ABOVE_N_M
+        decision = np.where(volts / healthy > STOP_ABOVE, STOP, np.where(limps, LIMP, RUN))
         return as_actions(self.setup.options.control, np.stack([np.zeros(len(decision)), decision], axis=1))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from cyclopts import run
 from tables import keep_table
-from verdict_tables import HERE, Counts, How, Said, counted, words_of
+from verdict_tables import HERE, How, Said, counted, words_of
 
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
@@ -121,19 +121,14 @@ def judge(number: int, seed: int) -> Said:
 
 
 def main(*, motors: int = 60, seed: int = 0, how: How = HERE) -> None:
-    """Print each motor's verdicts, then the counts.
+    """Judge motors and keep the table.
 
     Args:
         motors: how many.
         seed: of them.
         how: options of every table.
     """
-
-    def tell(number: int, found: Said, _: Counts) -> None:
-        print(number, {name: verdict for (name,), verdict in found}, flush=True)
-
-    each = partial(judge, seed=seed)
-    counts = counted(each, motors, how, of={"seed": seed}, tell=tell)
+    counts = counted(partial(judge, seed=seed), motors, how, of={"seed": seed})
     rows = ([name, words_of(counts[(name,)])] for name in CHANGES)
     keep_table("recordings", "random motors", ("one start with", "verdicts"), rows)
 

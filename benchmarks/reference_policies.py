@@ -101,32 +101,22 @@ def _ask(above: float, threshold: float) -> Make:
     return lambda envs: OnDemand(WorthTest(envs.setup, threshold), above)
 
 
-def _drive(episodes: int = 200) -> Reference:
-    bank: Make = lambda envs: Lqg(envs.setup, levels=8)  # noqa: E731  # a name for its type
-    return Reference(
-        ("LQG by a bank of filters", bank),
-        ("plan", lambda envs: PlannedDrive(envs.setup)),
-        drive_bound,
-        episodes=500,
-    )
-
-
-def _upkeep() -> Reference:
-    return Reference(
-        ("threshold on the remaining life", lambda envs: ReplaceFrom("risk", 0.01)),
-        ("plan", lambda envs: PlannedUpkeep(envs.options)),
-        maintenance_bound,
-        episodes=15_000,
-    )
-
-
-_CUSUM = ("CUSUM", _rule(Cusum(0.12, two_sided=True), 63.07))
-_MEDIUM = _monitor("medium", _CUSUM, _bayes(0.9609))
-_ON_DEMAND = ("on demand", _ask(0.08, 0.9867))
-_SMALL_PROBE = Reference(_ON_DEMAND, ("look ahead", _look(0.0006, 0.961)), upper_bound)
+_DRIVE = Reference(
+    ("LQG by a bank of filters", lambda envs: Lqg(envs.setup, levels=8)),
+    ("plan", lambda envs: PlannedDrive(envs.setup)),
+    drive_bound,
+    episodes=500,
+)
+_UPKEEP = Reference(
+    ("threshold on the remaining life", lambda envs: ReplaceFrom("risk", 0.01)),
+    ("plan", lambda envs: PlannedUpkeep(envs.options)),
+    maintenance_bound,
+    episodes=15_000,
+)
+_SMALL_PROBE = Reference(("on demand", _ask(0.08, 0.9867)), ("look ahead", _look(0.0006, 0.961)), upper_bound)
 
 REFERENCES = {
-    "Monitor-v0": _MEDIUM,
+    "Monitor-v0": _monitor("medium", ("CUSUM", _rule(Cusum(0.12, two_sided=True), 63.07)), _bayes(0.9609)),
     "MonitorConfirm-v0": Reference(
         ("CUSUM", _rule(Cusum(0.3, two_sided=True), 16.0)),
         ("Bayes posterior", lambda envs: WorthTest(envs.setup, 0.8)),
@@ -161,20 +151,20 @@ REFERENCES = {
         ("on demand", _ask(0.03, 0.9609)), ("look ahead", _look(0.0015, 0.9329)), upper_bound
     ),
     "ProbeContinuous-v0": Reference(
-        ("on demand", lambda envs: Continuous(envs, _ON_DEMAND[1])),
-        ("look ahead", lambda envs: Continuous(envs, _look(0.0006, 0.961))),
+        ("on demand", lambda envs: Continuous(envs, _SMALL_PROBE.textbook[1])),
+        ("look ahead", lambda envs: Continuous(envs, _SMALL_PROBE.best[1])),
     ),
-    "Drive-v0": _drive(500),
-    "DriveBounded-v0": _drive(),
+    "Drive-v0": _DRIVE,
+    "DriveBounded-v0": _DRIVE,
     "DriveDecide-v0": Reference(
         ("two thresholds on what is seen", lambda envs: ShownFaults(envs.setup)),
         ("plan", lambda envs: PlannedDecisions(envs.setup)),
         drive_bound,
         episodes=200,
     ),
-    "DriveHeavy-v0": _drive(),
-    "DriveBearing-v0": _drive(),
-    "Maintain-v0": _upkeep(),
-    "MaintainUnknownRate-v0": _upkeep(),
+    "DriveHeavy-v0": _DRIVE,
+    "DriveBearing-v0": _DRIVE,
+    "Maintain-v0": _UPKEEP,
+    "MaintainUnknownRate-v0": _UPKEEP,
 }
 """By id."""

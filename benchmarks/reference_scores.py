@@ -1,8 +1,8 @@
 """Reference scores of every environment: chance, the same action always, textbook, best known, bound, PPO.
 
 python benchmarks/reference_scores.py                              # measures what is missing, then prints the table
-python benchmarks/reference_scores.py --only Monitor --methods ppo --seeds 0 1
-python benchmarks/reference_scores.py --methods textbook best      # no training
+python benchmarks/reference_scores.py --only Monitor --methods ppo --seeds 0 --seeds 1
+python benchmarks/reference_scores.py --methods textbook --methods best      # no training
 python benchmarks/reference_scores.py --show                       # the table of what is there
 
 Each result is a file of its own, `results/reference/ID/METHOD.json` (of a trained agent one a seed), written when it
@@ -22,6 +22,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import tables
 from cyclopts import run
 from numpy.typing import NDArray
 from reference_policies import REFERENCES
@@ -254,11 +255,11 @@ def table() -> str:
         ["id", "random", "always", "textbook", "best known", "no policy exceeds"],
         ["id", "best known", "PPO, defaults", "more trainings, defaults", "tuned agents"],
     )
-    lines: list[str] = []
-    for which, head in enumerate(heads):
-        rows = [[f"[{name}](environments/{page_of(name)})", *cells_of(name)[which]] for name in names]
-        lines += ["", *("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows))]
-    return "\n".join(lines[1:])
+    cells = {f"[{name}](environments/{page_of(name)})": cells_of(name) for name in names}
+    return "\n\n".join(
+        tables.table(head, ([link, *parts[which]] for link, parts in cells.items()))
+        for which, head in enumerate(heads)
+    )
 
 
 def main(

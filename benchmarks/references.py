@@ -6,16 +6,13 @@ classifiers join in where `make peers` has set up their environment.
 
 from __future__ import annotations
 
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from cyclopts import run
-from peers import PYTHON, command, environment
+from peers import PYTHON, peer_answers
 from tables import keep_table
 
 from motor_classifiers.estimators.cases import with_channels
@@ -26,9 +23,8 @@ from motor_classifiers.estimators.reference_starts import (
     referenced_starts,
 )
 from motor_classifiers.scoring.metrics import IntArray
-from motor_classifiers.scoring.peers import export_starts
 from motor_datasets.arrays import Dataset
-from motor_env.motor.parameters import FloatArray, SensorParameters
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import Timing
@@ -54,12 +50,8 @@ def decide(name: str, recipe: Recipe, train: Dataset, test: Dataset, n_reference
 
 def peers_decide(train: Dataset, test: Dataset) -> Iterator[Told]:
     """Aeon's classifiers on the same starts, in their own environment."""
-    with tempfile.TemporaryDirectory() as folder:
-        cases, answers = Path(folder) / "cases.npz", Path(folder) / "answers.npz"
-        export_starts(train, test, cases)
-        subprocess.run(command(cases, answers, *PEERS), env=environment(), check=True)
-        with np.load(answers) as held:
-            yield from ((name, held[name].argmax(axis=1)) for name in PEERS)
+    for name, probabilities in peer_answers(train, test, *PEERS).items():
+        yield name, probabilities.argmax(axis=1)
 
 
 def recentred(cases: Dataset, recipe: Recipe) -> Dataset:
@@ -92,7 +84,7 @@ def against_limit(decided: IntArray, best: IntArray, truth: IntArray) -> str:
 
 def keep(names: list[str], rate_hz: float, n_train: int, n_test: int) -> None:
     """Make one rate's table: methods down, reference starts across."""
-    recipe = named_recipe("bench", sensor=SensorParameters(current_noise_a=0.02), timing=Timing(rate_hz, 0.1))
+    recipe = named_recipe("bench", timing=Timing(rate_hz, 0.1))
     rows: dict[str, list[str]] = {"expected of the limit": [], "limit": []}
     for column, k in enumerate(COUNTS):
         train = referenced_starts(recipe, SEED, np.arange(n_train), k)

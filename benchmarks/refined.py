@@ -15,6 +15,7 @@ from field_limit import SEED, Z_95, chunks, mean_and_error, sample_missing, sing
 from networks import network_of
 from tables import keep_table
 
+from motor_classifiers.scoring.judging import in_recipe_order
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.refined import refined_probabilities
 from motor_env.inference.work_features import work_probabilities
@@ -28,9 +29,7 @@ ENOUGH = 8.0
 def of_network(recipe: Recipe, starts: FloatArray) -> FloatArray:
     """Posterior of the trained network, in the order of the recipe's classes."""
     model = network_of(recipe)
-    order = [list(model.classes_).index(name) for name in recipe.class_names]
-    said: FloatArray = model.predict_proba(starts)[:, order]
-    return said
+    return in_recipe_order(model, model.predict_proba(starts), recipe)
 
 
 def rows_of(name: str, other: str, said_by: Callable[[Recipe, FloatArray], FloatArray]) -> list[list[str]]:

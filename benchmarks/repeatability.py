@@ -7,22 +7,19 @@ the table is a set of motors. The width is the median half of an interval of the
 standard deviation of the differences times 1.96: intervals of the right size have the ratio 1.
 """
 
-import json
 import math
 import os
-import sys
-import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from cyclopts import run
+from kept_rows import kept_rows
 from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
-from tables import keep_table, print_table
+from tables import keep_table
 
 from motor_env.diagnosis.identify import identify
 from motor_env.errors import InputError
@@ -90,11 +87,8 @@ def one(job: tuple[str, str, Any]) -> dict[str, Any]:
     """What a record tells."""
     kind, motor, of = job
     recording = of if isinstance(of, Path) else simulated(*of)
-    return {"set": kind, "motor": motor, "record": _record(of), "told": told(recording)}
-
-
-def _record(of: Any) -> str:
-    return of.stem if isinstance(of, Path) else str(of[-1])
+    name = of.stem if isinstance(of, Path) else of[-1]
+    return {"set": kind, "motor": motor, "record": name, "told": told(recording)}
 
 
 def differences(rows: Sequence[dict[str, Any]]) -> list[tuple[str, float, float]]:
@@ -129,9 +123,7 @@ def cells(rows: Sequence[dict[str, Any]]) -> list[str]:
     ]  # fmt: skip
 
 
-def main(
-    *, motors: int = 40, seed: int = 0, workers: int = 1, rows: Path | None = None, real_only: bool = False
-) -> None:
+def main(*, motors: int = 40, seed: int = 0, workers: int = 1, rows: Path | None = None) -> None:
     """Fit every record and keep the table.
 
     Args:
@@ -139,30 +131,19 @@ def main(
         seed: of them.
         workers: processes.
         rows: file of a JSON line a record; those that it holds are not fitted again.
-        real_only: no simulated motors; the table is printed and not kept.
     """
-    rows = rows or Path(tempfile.mkdtemp()) / "rows.jsonl"
-    rows.parent.mkdir(parents=True, exist_ok=True)
-    known = [json.loads(line) for line in rows.read_text().splitlines()] if rows.exists() else []
-    done = {(row["set"], row["motor"], row["record"]) for row in known}
-    jobs: list[tuple[str, str, Any]] = list(real()) if "MOTOR_ENV_RECORDINGS" in os.environ else []
-    if not real_only:
-        jobs += [("other physics", str(n), (seed, n, profile)) for n in range(motors) for profile in PROFILES]
-    left = [job for job in jobs if (job[0], job[1], _record(job[2])) not in done]
-    with ProcessPoolExecutor(workers) as pool, rows.open("a", encoding="utf-8") as file:
-        for row in pool.map(one, left):
-            known.append(row)
-            print(json.dumps(row), file=file, flush=True)
-            print(f"\r{len(known)} of {len(jobs)}", end="", file=sys.stderr, flush=True)
+    jobs: dict[tuple[str, str, str], tuple[str, str, Any]] = {}
+    if "MOTOR_ENV_RECORDINGS" in os.environ:
+        jobs |= {(kind, motor, path.stem): (kind, motor, path) for kind, motor, path in real()}
+    for n, profile in product(range(motors), PROFILES):
+        jobs["other physics", str(n), profile] = ("other physics", str(n), (seed, n, profile))
+    known = kept_rows(one, jobs, lambda row: (row["set"], row["motor"], row["record"]), workers, rows)
     sets = list(dict.fromkeys(row["set"] for row in known))
     of_real = [row for row in known if row["set"] != "other physics"]
     shown = [[name, *cells([row for row in known if row["set"] == name])] for name in sets]
     if of_real:
         shown.append(["all real", *cells(of_real)])
-    if real_only:
-        print_table("repeats", ["set", *HEADER], shown)
-    else:
-        keep_table("operation", "repeats", ["set", *HEADER], shown)
+    keep_table("operation", "repeats", ["set", *HEADER], shown)
 
 
 if __name__ == "__main__":

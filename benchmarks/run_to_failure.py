@@ -25,6 +25,8 @@ from motor_env.simulation.simulate import Scenario, Timing, simulate
 _SUBSTEPS = 8  # of a day, from start to start; crossings between them are drawn from the Brownian bridge
 _MOST_STARTS = 1 << 20
 _LEAST_FRICTION = 0.2  # of the nominal one: a bearing does not run in to nothing
+LEVEL = 0.9  # probability of a central interval with two ends
+FEWEST_STARTS = 8  # before a run is judged
 TIMING = Timing(sampling_rate_hz=2_000.0, duration_s=0.1)
 FREE = ("resistance", "friction")
 """What is fitted to a start of the paper's motor."""
@@ -63,17 +65,11 @@ class Runs(NamedTuple):
     Attributes:
         cases: case numbers, shape (n,).
         wear: at each start, shape (n, starts).
-        drift_per_day: shape (n,).
-        diffusion: shape (n,).
-        onset_days: shape (n,).
         failure_days: when the wear first reached the limit, infinite where it did not, shape (n,).
     """
 
     cases: NDArray[np.int64]
     wear: FloatArray
-    drift_per_day: FloatArray
-    diffusion: FloatArray
-    onset_days: FloatArray
     failure_days: FloatArray
 
 
@@ -139,7 +135,7 @@ def run_to_failure(recipe: WearRecipe, seed: int, cases: ArrayLike) -> Runs:
             ]
         )
         wear[some], failure[some] = _walk(recipe, drift[some], diffusion[some], onset[some], drawn)
-    return Runs(numbers, wear, drift, diffusion, onset, failure)
+    return Runs(numbers, wear, failure)
 
 
 def observe(recipe: WearRecipe, runs: Runs, seed: int) -> Estimates:
@@ -178,7 +174,6 @@ class Coverage(NamedTuple):
         life: true time from the judgement to the failure, 0 where it had failed before, shape (n,).
         trends: whether a trend to the limit was reported, shape (n,).
         reached: whether the limit was reported as reached, shape (n,).
-        level: probability of a central interval with two ends.
     """
 
     low: FloatArray
@@ -186,13 +181,12 @@ class Coverage(NamedTuple):
     life: FloatArray
     trends: NDArray[np.bool_]
     reached: NDArray[np.bool_]
-    level: float
 
     @property
     def claimed(self) -> FloatArray:
         """Probability that each interval claims: one without an upper end, or from 0 on, can fail on one side only."""
         tails: FloatArray = (self.low > 0.0).astype(np.float64) + np.isfinite(self.high)
-        return 1.0 - 0.5 * (1.0 - self.level) * tails
+        return 1.0 - 0.5 * (1.0 - LEVEL) * tails
 
     @property
     def covered(self) -> NDArray[np.bool_]:
@@ -205,26 +199,24 @@ class Coverage(NamedTuple):
         return self.trends & ~self.reached
 
 
-def remaining_life_coverage(
-    recipe: WearRecipe, seed: int, cases: ArrayLike, *, level: float = 0.9, fewest_starts: int = 8
-) -> Coverage:
+def remaining_life_coverage(recipe: WearRecipe, seed: int, cases: ArrayLike) -> Coverage:
     """Draw runs, judge each at a random start, and compare the remaining life with the truth.
 
-    The start is uniform between `fewest_starts` and the recipe's number, whatever the estimates look like, so that
+    The start is uniform between `FEWEST_STARTS` and the recipe's number, whatever the estimates look like, so that
     the moment of judgement tells nothing of the run.
     """
     runs = run_to_failure(recipe, seed, cases)
     estimates = observe(recipe, runs, seed)
     share = uniforms(seed, Stream.SPLIT, runs.cases, 1)[:, 0]
-    starts = (fewest_starts + np.floor(share * (recipe.starts - fewest_starts + 1))).astype(np.int64)
+    starts = (FEWEST_STARTS + np.floor(share * (recipe.starts - FEWEST_STARTS + 1))).astype(np.int64)
     days = np.arange(float(recipe.starts))
     rows = []
     for n, seen in enumerate(starts):
         wear = degradation(
             days[:seen], estimates.wear[n, :seen], estimates.standard_error[n, :seen], recipe.limit
         )
-        life, left = wear.remaining_life(level), float(runs.failure_days[n] - days[seen - 1])
+        life, left = wear.remaining_life(LEVEL), float(runs.failure_days[n] - days[seen - 1])
         trends, reached = wear.probability_trend >= TREND_PROBABILITY, life.probability_reached >= 0.5
         rows.append((life.low, life.high, max(left, 0.0), trends, reached))
     low, high, life_days, trending, over = (np.array(column) for column in zip(*rows, strict=True))
-    return Coverage(low, high, life_days, trending, over, level)
+    return Coverage(low, high, life_days, trending, over)

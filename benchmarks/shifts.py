@@ -25,6 +25,9 @@ from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe, Spread
 
+COVERAGE = 0.90
+"""Wanted of the conformal sets."""
+
 
 def textbook_shifts(recipe: Recipe) -> dict[str, Recipe]:
     """Other conditions for a recipe of textbook motors; for each the exact posterior is known.
@@ -62,7 +65,7 @@ class ShiftScore(NamedTuple):
         coverage: share of the conformal sets that hold a class of the true kind.
         set_size: mean number of classes in a set.
         limit: the same accuracy of who knows the conditions: the exact posterior, or an estimate for a field.
-        refused: share of cases that the detector refuses; nan without a detector.
+        refused: share of cases that the detector refuses.
         answered_accuracy: accuracy in the other cases; nan where there is none.
         answered_ece: expected calibration error in them.
     """
@@ -73,9 +76,9 @@ class ShiftScore(NamedTuple):
     coverage: float
     set_size: float
     limit: float
-    refused: float = float("nan")
-    answered_accuracy: float = float("nan")
-    answered_ece: float = float("nan")
+    refused: float
+    answered_accuracy: float
+    answered_ece: float
 
 
 def shift_scores(
@@ -84,9 +87,8 @@ def shift_scores(
     conditions: Mapping[str, Recipe],
     *,
     sets: ConformalSets,
-    coverage: float = 0.90,
-    detector: OutsideDetector | None = None,
-    reference: Callable[[Recipe], Any] | None = None,
+    detector: OutsideDetector,
+    reference: Callable[[Recipe], Any],
     seed: int,
     cases: NDArray[np.int64],
 ) -> tuple[ShiftScore, ...]:
@@ -97,7 +99,6 @@ def shift_scores(
         trained: what it was trained for.
         conditions: recipes by name, with the time axis and channels of `trained`.
         sets: calibrated on cases of `trained` with the model's probabilities, its columns in the order of `classes_`.
-        coverage: wanted of the sets.
         detector: fitted, which refuses cases.
         reference: fits a classifier for a recipe with a field, where there is no exact posterior.
         seed: of the cases.
@@ -109,9 +110,11 @@ def shift_scores(
     for name, recipe in conditions.items():
         drawn = generate_arrays(recipe, seed, cases)
         probabilities = np.asarray(model.predict_proba(drawn.X), dtype=np.float64)
-        held = sets.sets(probabilities, coverage)
+        held = sets.sets(probabilities, COVERAGE)
         true = kinds == drawn.kind[:, None]
         kind_accuracy, ece = _kind_scores(probabilities, kinds, drawn.kind)
+        left = detector.predict(drawn.X) > 0
+        after = _kind_scores(probabilities[left], kinds, drawn.kind[left]) if left.any() else (np.nan, np.nan)
         scores.append(
             ShiftScore(
                 name,
@@ -120,16 +123,10 @@ def shift_scores(
                 float((held & true).any(axis=1).mean()),
                 float(held.sum(axis=1).mean()),
                 _limit(recipe, drawn.X, drawn.kind, reference),
+                1.0 - float(left.mean()),
+                *after,
             )
         )
-        if detector is not None:
-            left = detector.predict(drawn.X) > 0
-            after = (
-                _kind_scores(probabilities[left], kinds, drawn.kind[left]) if left.any() else (np.nan,) * 2
-            )
-            scores[-1] = scores[-1]._replace(
-                refused=1.0 - float(left.mean()), answered_accuracy=after[0], answered_ece=after[1]
-            )
     return tuple(scores)
 
 
@@ -147,15 +144,13 @@ def _limit(
     recipe: Recipe,
     X: NDArray[np.float32],
     truth: NDArray[np.str_],
-    reference: Callable[[Recipe], Any] | None,
+    reference: Callable[[Recipe], Any],
 ) -> float:
     kind_of = {c.name: c.label_kind for c in recipe.classes}
     if len(set(kind_of.values())) < 2:
         return 1.0
     if recipe.field is None:
         names, probabilities = recipe.class_names, class_probabilities(recipe, X)
-    elif reference is None:
-        return float("nan")
     else:
         model = reference(recipe)
         names, probabilities = tuple(map(str, model.classes_)), np.asarray(model.predict_proba(X))

@@ -1,6 +1,6 @@
 """Simulated captures with the defects of real ones, one at a time: what a diagnosis must see through, or refuse.
 
-Each capture is a start of its own motor, drawn within the tolerances of a recipe, with time, current and the voltage
+Each capture is a start of its own motor, drawn within the tolerances of `bench`, with time, current and the voltage
 that was commanded; the truth stays here.
 """
 
@@ -21,11 +21,11 @@ from motor_env.simulation.fast_path import measure
 from motor_env.simulation.named_recipes import BENCH_SPREAD
 from motor_env.simulation.nonlinear import Effects
 from motor_env.simulation.random_streams import Stream, normals
-from motor_env.simulation.recipes import Spread
 from motor_env.simulation.sensor import SensorChain
 from motor_env.simulation.simulate import Scenario, Timing, simulate_states
 
 _SUBSTEPS = 16
+SUPPLY_V = 12.0  # nominal; it is what the recordings claim
 Reshape = Callable[[FloatArray, FloatArray, np.random.Generator], tuple[FloatArray, FloatArray]]
 """From time and current to time and current."""
 
@@ -101,14 +101,7 @@ DEFECTS: dict[str, Defect] = {
 
 
 def captures(
-    defect: Defect,
-    faults: tuple[Fault, ...],
-    motor: MotorParameters,
-    seed: int,
-    count: int,
-    *,
-    spread: Spread = BENCH_SPREAD,
-    voltage_v: float = 12.0,
+    defect: Defect, faults: tuple[Fault, ...], motor: MotorParameters, seed: int, count: int
 ) -> list[Recording]:
     """Recorded starts with one defect.
 
@@ -118,18 +111,16 @@ def captures(
         motor: the nominal motor.
         seed: the random seed.
         count: number of captures.
-        spread: tolerances, drawn for every capture.
-        voltage_v: nominal supply; it is what the recordings claim.
     """
     numbers = np.arange(count)
-    factors = 1.0 + spread.std * normals(seed, Stream.MOTOR, numbers, 5)
+    factors = 1.0 + BENCH_SPREAD.std * normals(seed, Stream.MOTOR, numbers, 5)
     motors = apply_factors(motor, factors)
     motors = replace(motors, resistance_ohm=motors.resistance_ohm + defect.shunt_ohm)
     timing = Timing(10_000.0, 0.2, defect.quiet_s)
     scenario = Scenario(
         motors,
         faults,
-        SupplyParameters(voltage_v * factors[:, 0]),
+        SupplyParameters(SUPPLY_V * factors[:, 0]),
         SensorParameters(current_noise_a=defect.noise_a),
         timing,
     )
@@ -142,7 +133,7 @@ def captures(
     recordings = []
     for n, row in enumerate(readings):
         time_s, current_a = defect.reshape(timing.time_s, row, np.random.default_rng([seed, n]))
-        commanded = np.where(timing.time_s > 1e-9, voltage_v, 0.0)
+        commanded = np.where(timing.time_s > 1e-9, SUPPLY_V, 0.0)
         even, columns, notes = evened(time_s, {"current": current_a})
         recordings.append(
             Recording(Path(f"simulated-{n}"), even, columns["current"], commanded, columns=notes)

@@ -28,7 +28,7 @@ from motor_classifiers.wrappers.outside import OutsideDetector
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import FloatArray, SensorParameters
+from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FaultClass, Recipe
 from motor_env.simulation.simulate import Timing
@@ -39,9 +39,9 @@ IMAGES = Path(__file__).parents[1] / "docs" / "images"
 KEPT = Path(__file__).parent / "results" / "trust.json"
 
 
-def bench(rate_hz: float, name: str = "bench") -> Recipe:
-    """A recipe at a rate."""
-    return named_recipe(name, sensor=SensorParameters(current_noise_a=0.02), timing=Timing(rate_hz, 0.1))
+def bench(rate_hz: float) -> Recipe:
+    """The recipe `bench` at a rate."""
+    return named_recipe("bench", timing=Timing(rate_hz, 0.1))
 
 
 SETTINGS = {f"{khz} kHz, 20 mA": bench(1e3 * khz) for khz in (10, 1)}

@@ -7,6 +7,7 @@ goes on where its file ends, whatever the number of workers.
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -135,7 +136,6 @@ def counted(
     how: How = HERE,
     *,
     of: Mapping[str, Any] | None = None,
-    tell: Callable[[int, Said, Counts], object] = lambda *_: None,
 ) -> Counts:
     """Judge cases and count what is said.
 
@@ -144,14 +144,13 @@ def counted(
         cases: how many, from number 0 on.
         how: processes, and the file, which is written after each case.
         of: what the cases depend on beside their number.
-        tell: called after each case.
     """
     counts = Counts.read(how.out, of or {})
     numbers = range(counts.cases, cases)
     with ProcessPoolExecutor(how.workers) if how.workers > 1 else nullcontext() as pool:
-        for number, said in zip(numbers, (pool.map if pool else map)(judge, numbers), strict=True):
+        for said in (pool.map if pool else map)(judge, numbers):
             counts.add(said)
             if how.out is not None:
                 counts.write(how.out)
-            tell(number, said, counts)
+            print(f"\r{counts.cases} of {cases}", end="", file=sys.stderr, flush=True)
     return counts

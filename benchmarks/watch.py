@@ -16,10 +16,12 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
+from cyclopts import run
 from scipy.signal import lfilter
 from watch_counts import (
     LEARN_S,
@@ -31,7 +33,6 @@ from watch_counts import (
     events,
     heavy,
     motion,
-    options,
     rows_of,
     taught,
     wandering,
@@ -46,7 +47,7 @@ LOAD_N_M, LOAD_S = 3e-3, 3600.0  # standard deviation and memory of the load: a 
 WARM_K, WARM_S, WINDING_S, STEP_S = 10.0, 7200.0, 1200.0, 10.0
 ALLOWED_K = 15.0
 LESSON_H = 50.0
-TEMPERATURES = ("wandering", "allowed", "steady")
+Temperature = Literal["wandering", "allowed", "steady"]
 
 
 def temperatures(rng: np.random.Generator, windows: int, *, allowed: bool) -> Floats:
@@ -76,9 +77,9 @@ def work(rng: np.random.Generator, warm_k: Floats, *, load_n_m: float = LOAD_N_M
     yield from rows_of(rng, volts, states).reshape(-1, n, 4)
 
 
-def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
+def watched(hours: float, seed: int, temperature: Temperature) -> dict[str, Any]:
     """Alarms on healthy work by the rate that was asked for, and what it cost."""
-    place = TEMPERATURES.index(temperature)
+    place = get_args(Temperature).index(temperature)
     rng, steady = np.random.default_rng([77, seed, place]), temperature == "steady"
     begin_s, learning_s, judged, promises = time.process_time(), 0.0, 0, []
     counts = dict.fromkeys(RATES, 0)
@@ -103,19 +104,20 @@ def watched(hours: float, seed: int, temperature: str) -> dict[str, Any]:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(
+    *,
+    hours: float = LESSON_H,
+    seed: int = 1,
+    temperature: Temperature = "wandering",
+    out: Path | None = None,
+) -> None:
     """Write what a run found."""
-    parser = options(__doc__)
-    parser.add_argument("--hours", type=float, default=LESSON_H)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--temperature", choices=TEMPERATURES, default="wandering")
-    asked = parser.parse_args(arguments)
-    found = watched(asked.hours, asked.seed, asked.temperature)
+    found = watched(hours, seed, temperature)
     print(json.dumps(found))
-    key, kept = (asked.seed, asked.temperature), asked.out is not None and asked.out.exists()
-    others = json.loads(asked.out.read_bytes()) if kept else []
-    write([*(run for run in others if (run["seed"], run["temperature"]) != key), found], asked.out)
+    others = json.loads(out.read_bytes()) if out is not None and out.exists() else []
+    key = (seed, temperature)
+    write([*(one for one in others if (one["seed"], one["temperature"]) != key), found], out)
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -13,13 +13,13 @@ import ctypes
 import json
 import subprocess
 import tempfile
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from controllers import tool
+from cyclopts import run
 from numba import njit
 from numpy.typing import NDArray
 from watch_counts import (
@@ -30,7 +30,6 @@ from watch_counts import (
     duty,
     heavy,
     motion,
-    options,
     wandering,
     warmed,
     write,
@@ -253,16 +252,13 @@ def counted(folder: Path, hours: float) -> dict[str, Any]:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(*, hours: float = 50.0, out: Path | None = None) -> None:
     """Write what was counted."""
-    parser = options(__doc__)
-    parser.add_argument("--hours", type=float, default=50.0)
-    asked = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as name:
-        found = counted(Path(name), asked.hours)
+        found = counted(Path(name), hours)
     print(json.dumps(found))
-    write(found, asked.out)
+    write(found, out)
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

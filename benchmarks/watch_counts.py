@@ -6,11 +6,9 @@ and what it says; alarms beside those that are due; delays beside the CUSUM that
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -53,19 +51,17 @@ NO_ALARM = ("window healthy", "window unusable")
 
 def heavy(inertia: float = FLYWHEEL) -> MotorParameters:
     """The textbook motor with a flywheel."""
-    return replace(PAPER_MOTOR, inertia_kg_m2=inertia * PAPER_MOTOR.inertia_kg_m2)
+    return PAPER_MOTOR.scaled(inertia_kg_m2=inertia)
 
 
 def warmed(motor: MotorParameters, kelvin: float) -> MotorParameters:
     """A copy of the motor at another temperature."""
     magnets = 1.0 + MAGNET_PER_KELVIN * kelvin
-    return replace(
-        motor,
-        resistance_ohm=motor.resistance_ohm * (1.0 + COPPER_PER_KELVIN * kelvin),
-        back_emf_constant_v_s_per_rad=motor.back_emf_constant_v_s_per_rad * magnets,
-        torque_constant_n_m_per_a=motor.torque_constant_n_m_per_a * magnets,
-        viscous_friction_n_m_s_per_rad=motor.viscous_friction_n_m_s_per_rad
-        * (1.0 + FRICTION_PER_KELVIN * kelvin),
+    return motor.scaled(
+        resistance_ohm=1.0 + COPPER_PER_KELVIN * kelvin,
+        back_emf_constant_v_s_per_rad=magnets,
+        torque_constant_n_m_per_a=magnets,
+        viscous_friction_n_m_s_per_rad=1.0 + FRICTION_PER_KELVIN * kelvin,
     )
 
 
@@ -123,12 +119,12 @@ def rows_of(rng: np.random.Generator, volts: Floats, states: Floats) -> Floats:
     return np.column_stack([np.arange(len(volts)) + 1.0, volts, shown])
 
 
-def lines(blocks: Iterable[Floats]) -> Iterator[bytes]:
+def lines(blocks: Iterable[Floats], form: bytes = b"%.0f,%.5g,%.5g,%.6g\n") -> Iterator[bytes]:
     """What a device prints."""
     yield b"time_s,voltage_v,current_a,speed_rad_s\n"
     for block in blocks:
         for row in block.tolist():
-            yield b"%.0f,%.5g,%.5g,%.6g\n" % tuple(row)
+            yield form % tuple(row)
 
 
 def taught(blocks: Iterable[Floats], *, steady: bool) -> Healthy:
@@ -217,14 +213,6 @@ def delays_by_fault(
             return first + 1 if first >= 0 else math.inf
 
         yield {"fault": str(kind), "severity": severity}, faulty, best
-
-
-def options(description: str | None) -> argparse.ArgumentParser:
-    """The command line of every script: where to write what was found."""
-    form = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(description=description, formatter_class=form)
-    parser.add_argument("--out", type=Path)
-    return parser
 
 
 def write(found: Any, out: Path | None) -> None:

@@ -10,11 +10,12 @@ Its threshold is found by simulation for one alarm an hour.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cyclopts import run
 from watch_counts import (
     FAULTS,
     LEARN_S,
@@ -28,7 +29,6 @@ from watch_counts import (
     events,
     heavy,
     motion,
-    options,
     rows_of,
     taught,
     write,
@@ -102,13 +102,10 @@ def compared(runs: int) -> list[dict[str, Any]]:
     return rows
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(*, runs: int = 40, out: Path | None = None) -> None:
     """Write the delays."""
-    parser = options(__doc__)
-    parser.add_argument("--runs", type=int, default=40)
-    asked = parser.parse_args(arguments)
-    write(compared(asked.runs), asked.out)
+    write(compared(runs), out)
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -6,25 +6,21 @@ Motors of operation_simulator.py with all its switches on, each at work under on
 commissioning of 200 s, one false alarm an hour asked for. A run that was stopped goes on where it was.
 """
 
-import json
-import sys
-import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from cyclopts import run
+from kept_rows import kept_rows
 from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
 from scipy.stats import poisson
 from tables import keep_table
-from watch_counts import RATES, alarm_row, alarms, due
+from watch_counts import RATES, alarm_row, alarms, due, lines
 
 from motor_env.live.state import State
 from motor_env.live.watch import Lesson, Watch
-from motor_env.recordings.recording import Recording
 
 WINDOW_S, LEARN_S, DT_S = 20.0, 200.0, 0.01
 PROMISES = {"tails": "if the fitted tails hold", "counting": "by counting alone", "nothing": "not compared"}
@@ -42,22 +38,16 @@ HEADER = (
 )
 
 
-def lines(recording: Recording) -> Iterator[bytes]:
-    """What a device prints."""
-    yield b"time_s,voltage_v,current_a,speed_rad_s\n"
-    columns = (recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s)
-    for row in zip(*(np.asarray(column).tolist() for column in columns), strict=True):
-        yield b"%.2f,%.6g,%.6g,%.6g\n" % row
-
-
 def one(job: tuple[int, int, float]) -> dict[str, Any]:
     """One motor: alarms behind its commissioning, their names, and what was promised."""
     seed, number, hours = job
     rng, profile = np.random.default_rng([seed, number]), PROFILES[number % len(PROFILES)]
     samples = round((LEARN_S + 2.0 * WINDOW_S + 3600.0 * hours) / DT_S)
     recording = simulate(draw_motor(rng, SWITCHES), profile, rng, samples=samples, dt_s=DT_S)
+    columns = (recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s)
+    block = np.column_stack([np.asarray(column) for column in columns])
     watch = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=RATES["hour"])
-    said = list(watch.events(lines(recording)))
+    said = list(watch.events(lines([block], b"%.2f,%.6g,%.6g,%.6g\n")))
     names = Counter(event.name for event in said if event.kind in ("window", "another_motor"))
     promise = next((event.text for event in said if event.kind == "learned"), "")
     return {
@@ -102,16 +92,8 @@ def main(
         workers: processes.
         rows: file of a JSON line a motor; those that it holds are not watched again.
     """
-    rows = rows or Path(tempfile.mkdtemp()) / "rows.jsonl"
-    rows.parent.mkdir(parents=True, exist_ok=True)
-    known = [json.loads(line) for line in rows.read_text().splitlines()] if rows.exists() else []
-    done = {row["number"] for row in known}
-    jobs = [(seed, number, hours) for number in range(motors) if number not in done]
-    with ProcessPoolExecutor(workers) as pool, rows.open("a", encoding="utf-8") as file:
-        for row in pool.map(one, jobs):
-            known.append(row)
-            print(json.dumps(row), file=file, flush=True)
-            print(f"\r{len(known)} of {motors}", end="", file=sys.stderr, flush=True)
+    jobs = {number: (seed, number, hours) for number in range(motors)}
+    known = kept_rows(one, jobs, lambda row: row["number"], workers, rows)
     keep_table("operation", "watched", HEADER, rows_by_profile(known))
 
 

@@ -192,12 +192,12 @@ def picture(spec: EnvSpec, path: Path) -> None:
     env.close()
 
 
-def curves(name: str, path: Path) -> bool:
-    """Draw the learning curves that are kept of an id beside its other scores; whether there are any."""
+def curves(name: str) -> str:
+    """Draw the learning curves that are kept of an id beside its other scores; their picture, if there are any."""
     kept = RESULTS / name
     runs = [json.loads(each.read_text(encoding="utf-8"))["curve"] for each in sorted(kept.glob("ppo-*.json"))]
     if not runs:
-        return False
+        return ""
     figure, axes = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
     for run in runs:
         steps, returns = ([point[key] for point in run] for key in ("steps", "return"))
@@ -207,14 +207,14 @@ def curves(name: str, path: Path) -> bool:
         axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=word)
     axes.set(xlabel="steps of training", ylabel="mean return")
     figure.legend(loc="outside right upper", frameon=False)
-    figure.savefig(path, dpi=110)
+    figure.savefig(DOCS / "environments" / f"{name}-curve.png", dpi=110)
     plt.close(figure)
-    return True
+    return f"![Learning curves of PPO with its defaults on {name}, a line a seed]({name}-curve.png)"
 
 
 def score_rows(names: list[str]) -> str:
-    """The head of the table of reference scores, and its rows of these ids."""
-    text = (DOCS / "reference-scores.md").read_text(encoding="utf-8")
+    """The head of the first table of reference scores, that of policies, and its rows of these ids."""
+    text = (DOCS / "reference-scores.md").read_text(encoding="utf-8").partition("\n| id | best known ")[0]
     head = re.findall(r"^\| id \| random .*\n\|---.*\n", text, flags=re.MULTILINE)
     rows = [
         f"| {name} {rest}"
@@ -269,12 +269,7 @@ def variant(spec: EnvSpec, base: Any) -> list[str]:
     known = tables_of(base)
     for heading, made in tables_of(env).items():
         parts += [f"**{heading}**", made] if made and made != known.get(heading) else []
-    return [*parts, curves(name, DOCS / "environments" / f"{name}-curve.png") and learning(name)]
-
-
-def learning(name: str) -> str:
-    """The picture of the learning curves of an id."""
-    return f"![Learning curves of PPO with its defaults on {name}, a line a seed]({name}-curve.png)"
+    return [*parts, curves(name)]
 
 
 def family_page(name: str, specs: list[EnvSpec]) -> str:
@@ -312,7 +307,7 @@ def family_page(name: str, specs: list[EnvSpec]) -> str:
         "## Scores",
         "All ids beside each other, and what the columns mean: [reference scores](../reference-scores.md).",
         score_rows([spec.id.split("/")[1] for spec in [first, *others]]),
-        curves(name, DOCS / "environments" / f"{name}-curve.png") and learning(name),
+        curves(name),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 

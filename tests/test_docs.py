@@ -31,6 +31,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 MADE_BY_THE_BUILD = [DOCS / "_build", DOCS / "api", DOCS / "environments"]
 PAGES = sorted(page for page in DOCS.rglob("*.md") if not set(page.parents) & set(MADE_BY_THE_BUILD))
+WITH_README = [ROOT / "README.md", *PAGES]
 FENCE = re.compile(
     r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*|\{code-cell\} ipython3)\n"
     r"(?:---\n.*?^---\n)?(?P<code>.*?)^```$",
@@ -43,7 +44,7 @@ HAS_OWN_TEST = {DOCS / "howto" / "own-fault.md"}
 
 
 def name(page: Path) -> str:
-    return page.relative_to(DOCS).as_posix()
+    return page.relative_to(ROOT).as_posix()
 
 
 def script(page: Path) -> str:
@@ -170,7 +171,7 @@ def test_every_page_of_the_api_reference_has_an_example() -> None:
     assert [page for page in pages if ">>>" not in (importlib.import_module(page).__doc__ or "")] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize("page", WITH_README, ids=name)
 def test_links_and_pictures_exist(page: Path) -> None:
     text = re.sub(r"```.*?```|`[^`\n]*`|\$[^$\n]*\$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     targets = [link.split("#")[0] for link in LINK.findall(text)]
@@ -181,7 +182,7 @@ def test_links_and_pictures_exist(page: Path) -> None:
     ] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
+@pytest.mark.parametrize("page", WITH_README, ids=name)
 def test_pictures_have_alternative_text(page: Path) -> None:
     assert re.findall(r"!\[\s*\]\([^)]*\)", page.read_text(encoding="utf-8")) == []
 

@@ -1,10 +1,9 @@
 """Pictures of the documentation show what the code draws today; `make pictures` draws them anew."""
 
-import importlib.util
 import json
 import re
+from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 import film
 import numpy as np
@@ -21,16 +20,6 @@ ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
 
 
-def module(path: Path) -> ModuleType:
-    """A script of the documentation."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made
-
-
 def far_off(kept: Image.Image, drawn: Image.Image) -> float:
     """Share of the pixels that differ by more than the reduction to a few colours does."""
     assert kept.size == drawn.size
@@ -39,7 +28,7 @@ def far_off(kept: Image.Image, drawn: Image.Image) -> float:
 
 
 def test_the_film_ends_with_the_screen_of_today_and_begins_with_it() -> None:
-    today = Image.fromarray(film.last_screen(film.FILM))
+    today = Image.fromarray(film.last_screen())
     with Image.open(film.FILM) as kept:
         assert far_off(kept, today) < 0.001
         kept.seek(kept.n_frames - 1)
@@ -50,19 +39,19 @@ def test_the_verdict_of_the_first_page_is_that_of_today() -> None:
     """Same shapes and words; numbers may round otherwise on another processor."""
     number = re.compile(r"-?\d+\.\d+")
     kept = (IMAGES / "verdict.svg").read_text(encoding="utf-8")
-    drawn = module(ROOT / "docs" / "make_pictures.py").verdict()
+    drawn = import_module("make_pictures").verdict()
     assert number.sub("#", kept) == number.sub("#", drawn)
     was, now = (np.array(number.findall(text), float) for text in (kept, drawn))
     np.testing.assert_allclose(now, was, atol=0.3)
 
 
 def test_the_picture_of_the_fleet_is_that_of_today() -> None:
-    drawn = module(ROOT / "docs" / "make_pictures.py").fleet()
+    drawn = import_module("make_pictures").fleet()
     assert (IMAGES / "fleet.svg").read_text(encoding="utf-8") == drawn
 
 
 def test_the_picture_of_the_rooms_is_that_of_today(tmp_path: Path) -> None:
-    module(ROOT / "docs" / "make_pages.py").draw_rooms(tmp_path / "rooms.svg")
+    import_module("make_pages").draw_rooms(tmp_path / "rooms.svg")
     assert (tmp_path / "rooms.svg").read_text(encoding="utf-8") == (IMAGES / "rooms.svg").read_text(
         encoding="utf-8"
     )
@@ -120,6 +109,6 @@ def test_every_picture_is_shown_and_has_a_test() -> None:
 
 
 def test_the_picture_of_the_readme_is_that_of_today(tmp_path: Path) -> None:
-    module(IMAGES / "make_hero.py").main(tmp_path / "hero.png")
+    import_module("make_hero").main(tmp_path / "hero.png")
     with Image.open(IMAGES / "hero.png") as kept, Image.open(tmp_path / "hero.png") as drawn:
         assert far_off(kept, drawn) < 0.001

@@ -55,10 +55,3 @@ def test_commands_run(
         expected = (0, 1) if arguments[0] in ("diagnose", "predict") else (0,)
         assert PROGRAMS[program](arguments) in expected, f"{command}\n{capsys.readouterr().err}"
     plt.close("all")
-
-
-def test_linked_files_exist() -> None:
-    links = re.findall(r"\]\((?!https?:)([^)#]+)", README.read_text(encoding="utf-8"))
-    assert links
-    missing = [link for link in links if not (README.parent / link).exists()]
-    assert missing == []

@@ -2,13 +2,11 @@
 
 import ast
 import importlib
-import importlib.util
 import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -41,17 +39,8 @@ SHARED = {
 }
 """Inner modules that tests of every room may import, and why."""
 REACHES_IN = "# Reaches in: "
+PAGES = importlib.import_module("site_pages")
 COMPILED = ("njit", "vectorize", "compiled", "inlined")
-
-
-def site_pages() -> ModuleType:
-    """The script docs/site_pages.py as a module."""
-    spec = importlib.util.spec_from_file_location("site_pages", ROOT / "docs" / "site_pages.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
@@ -115,12 +104,12 @@ def test_no_eight_lines_stand_twice() -> None:
     assert [where for where in places.values() if len(where) > 1] == []
 
 
-@pytest.mark.parametrize("name", site_pages().PACKAGES)
+@pytest.mark.parametrize("name", PAGES.PACKAGES)
 def test_public_names_exist_and_say_what_they_are(name: str) -> None:
-    pages, package = site_pages(), importlib.import_module(name)
-    listed = pages.homes(pages.stub_of(package))
+    package = importlib.import_module(name)
+    listed = PAGES.homes(PAGES.stub_of(package))
     assert sorted(listed) == sorted(package.__all__)
-    assert [each for each, home in listed.items() if not pages.summary(package, each, home)] == []
+    assert [each for each, home in listed.items() if not PAGES.summary(package, each, home)] == []
     with pytest.raises(AttributeError):
         _ = package.no_such_name
 

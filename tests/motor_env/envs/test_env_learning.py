@@ -9,7 +9,6 @@ import pytest
 from gymnasium.spaces import Box
 
 from motor_env.envs import (
-    BayesPolicy,
     MonitorVectorEnv,
     PosteriorView,
     ProbeBelief,
@@ -132,21 +131,3 @@ def test_ppo_learns_in_one_file() -> None:
     learner = ppo.Learner("monitor", 0)
     curve = ppo.train(learner, 150_000, points=3)
     assert curve[-1]["mean_return"] > 0.5
-
-
-@pytest.mark.long
-@pytest.mark.timeout(600)
-def test_a_bracket_scores_the_posterior_as_the_environment_does() -> None:
-    pytest.importorskip("torch")
-    import bracket
-
-    paths = bracket.collect("medium", 100, seed=3)
-    surprise = paths.surprise.sum(axis=1)
-    assert (abs(surprise.mean(axis=0)) < 4.0 * surprise.std(axis=0) / 10.0).all()
-    envs = MonitorVectorEnv(100, recipe="medium", observe=("measured_current",))
-    true = run_episodes(envs, BayesPolicy(envs.setup, 0.9), seed=3).returns
-    difference = bracket.one_threshold(paths, np.zeros_like(paths.stop), 0.9) - true
-    assert abs(difference.mean()) < 4.0 * difference.std() / 10.0
-    network = bracket.fit(paths, 20)
-    price = bracket.price_of(network, paths)
-    assert (paths.stop - price).max(axis=1).mean() < paths.stop.max(axis=1).mean()

@@ -1,10 +1,7 @@
 """Baselines and their scores: against the truth, against the posterior built by hand, and below their bounds."""
 
-import json
-import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import bounds
@@ -504,21 +501,3 @@ def test_the_bound_of_a_probe_takes_the_worst_shares(monkeypatch: pytest.MonkeyP
     share = np.linspace(0.0, 1.0, 100_001)
     wanted = np.interp(share, tried, np.square(tried)) + np.interp(1.0 - share, tried, 2.0 * np.square(tried))
     assert bounds.upper_bound(ProbeOptions(recipe=recipe)) == pytest.approx(wanted.min(), abs=1e-3)
-
-
-@pytest.mark.long
-def test_agent_trains_and_is_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("stable_baselines3", reason="extra rl")
-    import train_probe
-
-    out = tmp_path / "agent"
-    arguments = ["train_probe.py", "--steps", "600", "--envs", "8", "--episodes", "20", "--out", str(out)]
-    monkeypatch.setattr(sys, "argv", arguments)
-    train_probe.main()
-    found = json.loads((out / "evaluation.json").read_text())
-    assert found["scores"]["agent"]["episodes"] == 100
-    assert len(found["curve"]) >= 2
-    assert all(
-        (out / name).stat().st_size > 1000
-        for name in ("learning-curve.svg", "learning-curve.png", "episode.gif")
-    )
