@@ -104,8 +104,9 @@ def test_distance_tells_foreign_faults_and_confidence_does_not() -> None:
         n_threshold=600, n_known=600, n_foreign=100,
     )  # fmt: skip
     assert 0.0 <= got["false_alarms"] < 0.03
-    heavy, _, weak = got["faults"]
+    heavy, magnets, weak = got["faults"]
     assert heavy["auroc"][DISTANCE] > 0.99
+    assert magnets["auroc"][DISTANCE] > 0.99
     assert heavy["called_other"] > 0.99
     assert weak["auroc"][DISTANCE] > 0.92
     assert weak["auroc"]["limit"] < 0.5
