@@ -30,13 +30,9 @@ def opinions_of(
         recording = read_recording(path)
         return [predict_recording(model, recipe, recording)], second_opinion(recording, recipe, motor)
     cases = load(path, split)
-    _check_same_axis(cases.recipe, recipe, path)
-    return opinions(model, recipe, cases.X), None
-
-
-def _check_same_axis(cases: Recipe, trained: Recipe, path: Path) -> None:
-    if (cases.timing, cases.channels) != (trained.timing, trained.channels):
+    if (cases.recipe.timing, cases.recipe.channels) != (recipe.timing, recipe.channels):
         raise InputError(f"{path}: has another time axis or other channels than the model was trained on")
+    return opinions(model, recipe, cases.X), None
 
 
 def opinion_lines(path: Path, opinions_given: list[Opinion], second: dict[str, Any] | None) -> list[str]:

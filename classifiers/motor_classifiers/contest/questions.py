@@ -15,8 +15,8 @@ from motor_classifiers.scoring.task import (
     Cases,
     ClassTask,
     DrawnTask,
-    Task,
     judged_starts,
+    mean_figures,
 )
 from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_starts
 from motor_datasets.arrays import Dataset
@@ -69,7 +69,7 @@ class SeverityTask(DrawnTask):
 
     def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
         """Root of the mean squared error, in points."""
-        roots: FloatArray = np.sqrt(0.01 * Task.figures(self, costs, weights))
+        roots: FloatArray = np.sqrt(0.01 * mean_figures(costs, weights))
         return roots
 
     def limit(self, X: NDArray[np.float32]) -> FloatArray | None:

@@ -5,42 +5,19 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from motor_classifiers.scoring.metrics import resampling_weights
-from motor_classifiers.scoring.score import score
-from motor_classifiers.scoring.task import Cases, Task
+from motor_classifiers.scoring.metrics import interval, resampling_weights
+from motor_classifiers.scoring.task import mean_figures
 from motor_env.errors import InputError
 from motor_env.files import LARGEST_TABLE_BYTES, read_file, read_json
-from motor_env.motor.parameters import FloatArray
 
 MOST_RECORDINGS = 20_000
 COLUMNS = ("file", "motor", "verdict")
 _SILENT = "unusable"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordingsTask(Task):
-    """Verdicts on recordings that somebody brings; no verdict counts as wrong.
-
-    Attributes:
-        given: true verdicts, and motors; what was measured stays with its owner.
-    """
-
-    given: Cases
-
-    def test(self) -> Cases:
-        """The recordings that are there."""
-        return self.given
-
-    def costs(self, truth: NDArray[Any], answers: NDArray[Any]) -> FloatArray:
-        """1 for a wrong verdict."""
-        return np.asarray(answers != truth, dtype=np.float64)
 
 
 def score_recordings(truth: Path | str, said: Path | str) -> list[dict[str, Any]]:
@@ -60,29 +37,22 @@ def score_recordings(truth: Path | str, said: Path | str) -> list[dict[str, Any]
         InputError: a file cannot be read, or names a recording twice, or not all of them.
     """
     rows = _truth(Path(truth))
-    answers = {}
+    motors = np.unique([row["motor"] for row in rows], return_inverse=True)[1]
+    right = np.array([row["verdict"] for row in rows])
+    weights = resampling_weights(len(rows), 0, groups=motors)
+    counts = {"n_recordings": len(rows), "n_motors": int(motors.max()) + 1}
+    scored = []
     for method, verdicts in _said(Path(said)).items():
         missing = [row["file"] for row in rows if row["file"] not in verdicts]
         if missing:
             raise InputError(
                 f"{said}: has no verdict of {method} on {len(missing)} recordings, the first is {missing[0]}"
             )
-        answers[method] = np.array([verdicts[row["file"]] for row in rows])
-    motors = np.unique([row["motor"] for row in rows], return_inverse=True)[1]
-    verdicts_of = np.array([row["verdict"] for row in rows])
-    cases = Cases(np.empty((len(rows), 0, 0), np.float32), verdicts_of, motors)
-    task = RecordingsTask("recordings", "Verdicts on your own recordings", len(rows), given=cases)
-    weights = resampling_weights(len(rows), 0, groups=motors)
-    counts = {"n_recordings": len(rows), "n_motors": int(motors.max()) + 1}
-    return [
-        {
-            "method": method,
-            **counts,
-            **{name: end / 100.0 for name, end in zip(("wrong", "low", "high"), result.value, strict=True)},
-            "silent": float((answers[method] == _SILENT).mean()),
-        }
-        for method, result in score(task, cases.truth, answers, weights).items()
-    ]
+        answers = np.array([verdicts[row["file"]] for row in rows])
+        percent = interval(mean_figures((answers != right).astype(np.float64), weights))
+        wrong = {name: end / 100.0 for name, end in zip(("wrong", "low", "high"), percent, strict=True)}
+        scored.append({"method": method, **counts, **wrong, "silent": float((answers == _SILENT).mean())})
+    return scored
 
 
 def _truth(path: Path) -> list[dict[str, str]]:

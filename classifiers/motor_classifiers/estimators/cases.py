@@ -46,13 +46,17 @@ def flat_cases(estimator: BaseEstimator, X: Any, *, reset: bool, min_features: i
     Raises:
         ValueError: no cases, a value that is not finite, or another number of values than at the fit.
     """
-    if not hasattr(X, "columns") and getattr(X, "ndim", 2) == 3:
-        X = validation.check_array(X, allow_nd=True, dtype=[np.float64, np.float32])
-        X = X.reshape(len(X), -1)
     checked: FloatArray = validation.validate_data(
-        estimator, X, reset=reset, dtype=np.float64, ensure_min_features=min_features
+        estimator, _flattened(X), reset=reset, dtype=np.float64, ensure_min_features=min_features
     )
     return checked
+
+
+def _flattened(X: Any) -> Any:
+    """Checked and flattened where there are channels; everything else as it is."""
+    if hasattr(X, "columns") or getattr(X, "ndim", 2) != 3:
+        return X
+    return validation.check_array(X, allow_nd=True, dtype=[np.float64, np.float32]).reshape(len(X), -1)
 
 
 def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
@@ -109,13 +113,7 @@ def labelled_cases(estimator: BaseEstimator, X: Any, y: Any) -> tuple[FloatArray
     Raises:
         ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
     """
-    flat = flat_cases(estimator, X, reset=True)
-    if y is None:
-        raise ValueError("requires y to be passed, but the target y is None")
-    checked = validation.column_or_1d(y, warn=True)
-    if checked.dtype.kind == "f":
-        validation.assert_all_finite(checked, input_name="y")
-    validation.check_consistent_length(flat, checked)
+    flat, checked = validation.validate_data(estimator, _flattened(X), y, dtype=np.float64)
     check_classification_targets(checked)
     estimator.classes_, labels = np.unique(checked, return_inverse=True)
     if len(estimator.classes_) < 2:

@@ -58,22 +58,6 @@ def signal_family(recipe: Recipe, n_draws: int) -> FloatArray:
     return whitened_residual(recipe, clean)
 
 
-def residual_map(recipe: Recipe, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Weights and offset such that measurements @ weights.T + offset is the residual along the directions.
-
-    The filter's gains do not depend on the data, so its residual is an affine map of the measurements: one product
-    with a small matrix does the work of the filter and of the projection.
-
-    Args:
-        recipe: whose filter.
-        directions: shape (n_components, n_samples * n_channels).
-
-    Returns:
-        Weights (n_components, n_channels * n_samples) and offset (n_components,).
-    """
-    return affine_map(recipe, lambda measured: whitened_residual(recipe, measured) @ directions.T)
-
-
 def affine_map(recipe: Recipe, numbers: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Weights and offset such that flattened measurements @ weights.T + offset are some numbers affine in them.
 
@@ -131,7 +115,11 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
             recipe = fitting_recipe(self.recipe, flat.shape[1])
             family = signal_family(recipe, self.n_draws)
             directions = np.linalg.svd(family, full_matrices=False)[2][: self.n_components]
-            self.weights_, self.offset_ = residual_map(recipe, directions)
+            # The filter's gains do not depend on the data, so its residual is affine in the measurements: one product
+            # with a small matrix does the work of the filter and of the projection.
+            self.weights_, self.offset_ = affine_map(
+                recipe, lambda measured: whitened_residual(recipe, measured) @ directions.T
+            )
         return self
 
     def restore(self, weights: FloatArray, offset: FloatArray) -> int:

@@ -36,8 +36,6 @@ def referenced_starts(recipe: Recipe, seed: int, motors: ArrayLike, n_references
         motors: motor numbers, shape (n_motors,).
         n_references: healthy starts of each motor, k.
     """
-    if n_references < 0:
-        raise ValueError(f"n_references must be >= 0, got {n_references}")
     starts = n_references + 1
     several = replace(recipe, starts_per_motor=starts, healthy_starts=n_references)
     numbers = np.atleast_1d(np.asarray(motors, dtype=np.int64))

@@ -141,7 +141,8 @@ def _loaded(content: bytes, most_wrappers: int) -> Loaded:
         if _WRAPPER in members:
             loaded = _loaded_wrapper(members, most_wrappers)
         elif _MEMBER in members:
-            head, recipe = _checked_head(members.pop(_MEMBER))
+            head = containers.parsed(members.pop(_MEMBER))
+            recipe = _checked_recipe(head)
             loaded = load_pipeline(members, recipe), recipe, str(head["method"])
             own = [str(name) for name in loaded[0].classes_]
             require(own == head["classes"], "its classes are not those of its pipeline")
@@ -152,16 +153,16 @@ def _loaded(content: bytes, most_wrappers: int) -> Loaded:
         require(length <= containers.LARGEST_TEXT_BYTES, "its header is too long")
         arrays = load_tensors(content)
         metadata = containers.parsed(content[8 : 8 + length])["__metadata__"]
-        stated = containers.parsed(metadata[FORMAT])
-        own = stated.pop(_DIGEST, None)  # files of older versions have none
+        head = containers.parsed(metadata[FORMAT])
+        own = head.pop(_DIGEST, None)  # files of older versions have none
         require(
-            own in (None, containers.digest(json.dumps(stated), arrays)), "its content is not what was saved"
+            own in (None, containers.digest(json.dumps(head), arrays)), "its content is not what was saved"
         )
         for name, values in arrays.items():
             require(
                 values.dtype.kind in "fi" and bool(np.isfinite(values).all()), f"{name[:60]} is not finite"
             )
-        head, recipe = _checked_head(metadata[FORMAT])
+        recipe = _checked_recipe(head)
         model = _KINDS[head["kind"]].from_state(State(arrays, head), recipe)
         loaded = model, recipe, str(head["method"])
     _try_out(*loaded[:2])
@@ -180,7 +181,7 @@ def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
     """Judge one quiet case: a file whose parts do not fit each other fails here, and not in the user's hands.
 
     Raises:
-        ValueError: classes or probabilities are not what the recipe needs.
+        ValueError: its cases are no starts of the recipe, or its answer no probability of each class.
     """
     starts, rest = divmod(model.n_features_in_, values_of_start(recipe))
     first = innermost(model)
@@ -196,8 +197,6 @@ def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
         probabilities = answered(model, np.zeros((1, model.n_features_in_)))
     require(probabilities.shape == (1, len(model.classes_)), "it gives no probability for each class")
     require(bool(np.isfinite(probabilities).all()), "its probabilities are not finite")
-    foreign = {str(name) for name in model.classes_} - set(recipe.class_names)
-    require(not foreign, f"its recipe does not know the class {min(foreign, default='')!r}")
 
 
 def _check_format(head: dict[str, Any]) -> None:
@@ -207,8 +206,8 @@ def _check_format(head: dict[str, Any]) -> None:
         )
 
 
-def _checked_head(text: bytes | str) -> tuple[dict[str, Any], Recipe]:
-    head = containers.parsed(text)
+def _checked_recipe(head: dict[str, Any]) -> Recipe:
+    """The recipe of a head whose method and classes are such."""
     _check_format(head)
     recipe = recipe_from_dict(head["recipe"])
     classes = head["classes"]
@@ -222,4 +221,4 @@ def _checked_head(text: bytes | str) -> tuple[dict[str, Any], Recipe]:
         raise InputError(f"names the class {min(unknown)!r}, which its recipe does not know")
     require(classes == sorted(set(classes)) and len(classes) >= 2, "classes must be two or more, sorted")
     require(values_of_start(recipe) <= MOST_FEATURES, f"a case has more than {MOST_FEATURES} values")
-    return head, recipe
+    return recipe

@@ -7,7 +7,6 @@ arrays. So trees and support vector machines are neither saved nor loaded.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from copy import copy
 from typing import Any
 
@@ -89,7 +88,7 @@ def load_pipeline(members: dict[str, bytes], recipe: Recipe) -> Pipeline:
     """The fitted pipeline of an archive; its content is no longer a stranger's afterwards.
 
     Raises:
-        InputError: it would load a type that no model of ours needs.
+        InputError: it would load a type or a step that no model of ours needs.
         ValueError: a step asks for workers.
     """
     import skops.io
@@ -104,10 +103,7 @@ def load_pipeline(members: dict[str, bytes], recipe: Recipe) -> Pipeline:
     model = skops.io.loads(content, trusted=TRUSTED)
     if type(model) is not Pipeline:
         raise InputError(f"holds a {type(model).__name__}, not a pipeline")
-    for step in _steps(model):
-        if type(step) not in _STEPS:
-            raise InputError(f"is refused: it has a {type(step).__name__}, which no model of ours needs")
-        require(getattr(step, "n_jobs", None) is None, "it asks for workers")
+    check_pipeline(model)
     return with_recipe(model, recipe)
 
 
@@ -138,11 +134,3 @@ def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
         for name in ("_random_state", "_optimizer"):  # of the training alone, and not safe to load
             vars(changed).pop(name, None)
     return changed
-
-
-def _steps(model: BaseEstimator) -> Iterator[BaseEstimator]:
-    """The model and all that it is made of."""
-    yield model
-    parts = model.steps if isinstance(model, Pipeline) else getattr(model, "transformer_list", [])
-    for _, part in parts:
-        yield from _steps(part)

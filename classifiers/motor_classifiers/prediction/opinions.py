@@ -174,16 +174,13 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
     """
     if not isinstance(recording, Recording):
         recording = read_recording(Path(recording))
-    core = innermost(model)
     references = model.n_features_in_ // values_of_start(recipe) - 1
     if references:
         return Opinion(
             UNDECIDED, reason=f"the model wants {references} healthy starts of the same motor beside each"
         )
     try:
-        case = aligned_case(
-            recording, recipe, core.noise_range if isinstance(core, PosteriorNetwork) else None
-        )
+        case = aligned_case(recording, recipe, _noise_range(model))
     except UnusableError as error:
         return Opinion(UNDECIDED, reason=str(error))
     return opinions(abstaining(model, recipe), recipe, case)[0]
@@ -196,9 +193,12 @@ def abstaining(model: BaseEstimator, recipe: Recipe) -> BaseEstimator:
         layer = layer.wrapped_model
     if isinstance(layer, OpenSetClassifier) or any(kind.is_sensor for kind in recipe.kinds):
         return model
+    return OpenSetClassifier.around(model, recipe, _noise_range(model))
+
+
+def _noise_range(model: BaseEstimator) -> tuple[float, float] | None:
     core = innermost(model)
-    noise_range = core.noise_range if isinstance(core, PosteriorNetwork) else None
-    return OpenSetClassifier.around(model, recipe, noise_range)
+    return core.noise_range if isinstance(core, PosteriorNetwork) else None
 
 
 def second_opinion(recording: Recording, recipe: Recipe, motor: Motor | None = None) -> dict[str, Any]:

@@ -69,7 +69,6 @@ def examples(result: Results, best: ClassResult) -> list[dict[str, Any]]:
                 "right": answer.decided[case] == n,
                 "probability": answer.probabilities[case].max(),
                 "limit_probability": result.limit.answer.probabilities[case, n],
-                "alarm_ms": alarm_ms,
                 "current": trace_chart(
                     time_ms, curves, "A", span=(min(-0.1, float(cases[:, column].min())), top)
                 ),

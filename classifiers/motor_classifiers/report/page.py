@@ -43,7 +43,7 @@ def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
         "motor_classifiers.report",
         "report.html.j2",
         title=f"Motor fault classifiers on {recipe.name}",
-        filters={"share": _share, "points": _points, "quantity": _quantity, "readable": readable},
+        filters={"share": _share, "points": _points, "quantity": _quantity},
         task=result.task,
         recipe=recipe,
         machine=machine,

@@ -62,6 +62,6 @@ def _sets(result: Results) -> Figures:
 
 def _scored(plan: Plan, task: ClassTask, store: AnswerStore) -> Results:
     answers: dict[str, Answer] = {name: store.find(unit_of(task, name)) for name in plan.methods}
-    peers = {} if plan.peers is None else read_peers(plan.peers, task) or {}
+    peers = {} if plan.peers is None else read_peers(plan.peers, task)
     limit: Answer = store.find(unit_of(task, limit_of(task)))
     return score_classes(task, answers | peers, limit, plan.n_comparisons)

@@ -53,13 +53,12 @@ class CalibrationScores(NamedTuple):
     reliability: Reliability
 
 
-def reliability(probabilities: FloatArray, truth: ArrayLike, edges: FloatArray = BIN_EDGES) -> Reliability:
+def reliability(probabilities: FloatArray, truth: ArrayLike) -> Reliability:
     """Confidence and accuracy in fixed bins of the largest probability.
 
     Args:
         probabilities: shape (n_cases, n_classes).
         truth: true class of each case as a column of `probabilities`, shape (n_cases,).
-        edges: of the bins, rising from 0 to 1.
     """
     labels = np.asarray(truth)
     require(
@@ -69,8 +68,8 @@ def reliability(probabilities: FloatArray, truth: ArrayLike, edges: FloatArray =
     )
     confidence = probabilities.max(axis=1)
     right = probabilities.argmax(axis=1) == labels
-    n_bins = len(edges) - 1
-    index = np.clip(np.searchsorted(edges, confidence, side="left") - 1, 0, n_bins - 1)
+    n_bins = len(BIN_EDGES) - 1
+    index = np.clip(np.searchsorted(BIN_EDGES, confidence, side="left") - 1, 0, n_bins - 1)
     count = np.bincount(index, minlength=n_bins).astype(np.float64)
     filled = np.where(count > 0.0, count, np.nan)
     return Reliability(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom
 
-from motor_classifiers.scoring.task import Task
+from motor_classifiers.scoring.task import DrawnTask
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
@@ -79,24 +79,21 @@ def level_distance(recipe: Recipe) -> FloatArray:
     return distance
 
 
-def resampling_weights(
-    n_cases: int, random_state: int, n_resamples: int = N_RESAMPLES, groups: IntArray | None = None
-) -> FloatArray:
-    """How often each case is drawn, shape (1 + n_resamples, n_cases); the first row counts each case once.
+def resampling_weights(n_cases: int, random_state: int, groups: IntArray | None = None) -> FloatArray:
+    """How often each case is drawn, shape (1 + N_RESAMPLES, n_cases); the first row counts each case once.
 
     The same weights for all methods make their intervals comparable in pairs.
 
     Args:
         n_cases: cases to be resampled.
         random_state: of the draws.
-        n_resamples: draws.
         groups: motor of each case, shape (n_cases,): starts of one motor are no independent witnesses, so motors are
             drawn, each with all its starts; every case is a motor of its own by default.
     """
     motors = np.arange(n_cases) if groups is None else np.unique(groups, return_inverse=True)[1]
     n_motors = int(motors.max()) + 1
     rng = np.random.default_rng(random_state)
-    drawn = rng.multinomial(n_motors, np.full(n_motors, 1.0 / n_motors), size=n_resamples)
+    drawn = rng.multinomial(n_motors, np.full(n_motors, 1.0 / n_motors), size=N_RESAMPLES)
     return np.vstack([np.ones((1, n_cases)), drawn[:, motors]])
 
 
@@ -185,7 +182,7 @@ class Comparison(NamedTuple):
     p_above: float
 
 
-def compare(task: Task, first: FloatArray, second: FloatArray, weights: FloatArray) -> Comparison:
+def compare(task: DrawnTask, first: FloatArray, second: FloatArray, weights: FloatArray) -> Comparison:
     """Compare in pairs; `first` and `second` are costs of the same cases, shape (n_cases,)."""
     only_first, only_second = int((first < second).sum()), int((second < first).sum())
     p_above = float(binom.sf(only_first - 1, only_first + only_second, 0.5)) if only_first else 1.0

@@ -61,8 +61,8 @@ def export_starts(train: Dataset, test: Dataset, path: Path, **more: NDArray[Any
         np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
 
 
-def read_peers(path: Path, task: ClassTask) -> dict[str, Answer] | None:
-    """Answers of peers to the starts of a setting, by name; None when the file's starts are others.
+def read_peers(path: Path, task: ClassTask) -> dict[str, Answer]:
+    """Answers of peers to the starts of a setting, by name; none when the file's starts are others.
 
     A slow peer may have judged the first starts only.
 
@@ -73,7 +73,7 @@ def read_peers(path: Path, task: ClassTask) -> dict[str, Answer] | None:
     try:
         facts = json.loads(str(arrays["facts"]))
         if not _same_starts(arrays, task):
-            return None
+            return {}
         origin = f"{facts['date']}, {facts['machine']}, aeon {facts['aeon']}, {facts['command']}"
         return {
             name: _answer(arrays[name].astype(np.float64), measured, task)._replace(origin=origin)

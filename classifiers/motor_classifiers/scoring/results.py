@@ -17,9 +17,9 @@ SCORES = tuple(name for name in Scores._fields if name not in ("recall", "confus
 """Scores with an interval, as they stand in the rows."""
 
 
-def _number(value: float | None) -> float | None:
+def _number(value: float) -> float | None:
     """JSON knows no nan."""
-    return None if value is None or math.isnan(value) else value
+    return None if math.isnan(value) else value
 
 
 def _interval_fields(name: str, score: Score) -> dict[str, float | None]:

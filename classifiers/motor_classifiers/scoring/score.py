@@ -21,7 +21,7 @@ from motor_classifiers.scoring.metrics import (
     root_mean_square,
     scores,
 )
-from motor_classifiers.scoring.task import ClassTask, Task
+from motor_classifiers.scoring.task import ClassTask, DrawnTask
 from motor_env.motor.parameters import FloatArray
 
 SIGNIFICANCE = 0.01
@@ -116,7 +116,7 @@ class Results:
 
 
 def score(
-    task: Task,
+    task: DrawnTask,
     truth: NDArray[Any],
     answers: Mapping[str, NDArray[Any]],
     weights: FloatArray,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,7 +43,7 @@ class Cases(NamedTuple):
     Attributes:
         X: measurements, float32, shape (n_cases, n_channels, n_samples).
         truth: what the task's costs compare answers with, shape (n_cases,): class index, severity, unknown fault
-            (0: none), time of the onset in seconds (nan: no fault) or verdict.
+            (0: none) or time of the onset in seconds (nan: no fault).
         motor: of each case, shape (n_cases,), where several are of one motor: intervals then draw motors.
     """
 
@@ -53,8 +53,8 @@ class Cases(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Task(ABC):
-    """One task, of cases that are drawn or that somebody brings.
+class DrawnTask(ABC):
+    """A task whose cases a recipe draws.
 
     Attributes:
         name: on the command line, and in tables.
@@ -62,6 +62,10 @@ class Task(ABC):
         n_test: cases to be judged.
         metric: what the mean cost is called; smaller is better.
         bracket: between which the best possible lies on average, where it is not known case by case (docs/limits.md).
+        recipe: what motors are drawn from.
+        n_train: starts to learn from; no motor of theirs is judged.
+        seed: of motors and noise.
+        sealed: secret seed of the test split; None for the public one.
     """
 
     name: str
@@ -69,32 +73,7 @@ class Task(ABC):
     n_test: int = 5000
     metric: str = "error rate, %"
     bracket: tuple[float, float] | None = None
-
-    @abstractmethod
-    def test(self) -> Cases:
-        """What is judged, with the truth."""
-
-    @abstractmethod
-    def costs(self, truth: NDArray[Any], answers: NDArray[Any]) -> FloatArray:
-        """Cost of each case, shape (n_test,), for answers of shape (n_test, n_columns)."""
-
-    def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
-        """The metric, once for each row of weights, shape (n_rows,), from costs of shape (n_test,)."""
-        means: FloatArray = 100.0 * (weights @ costs) / weights.sum(axis=1)
-        return means
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DrawnTask(Task):
-    """A task whose cases a recipe draws.
-
-    Attributes:
-        recipe: what motors are drawn from.
-        n_train: starts to learn from; no motor of theirs is judged.
-        seed: of motors and noise.
-        sealed: secret seed of the test split; None for the public one.
-    """
-
+    _: KW_ONLY
     recipe: Recipe = field(repr=False)
     n_train: int = 2000
     seed: int = SEED
@@ -104,6 +83,18 @@ class DrawnTask(Task):
     @abstractmethod
     def columns(self) -> tuple[str, ...]:
         """What is answered for each case, by name."""
+
+    @abstractmethod
+    def test(self) -> Cases:
+        """What is judged, with the truth."""
+
+    @abstractmethod
+    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
+        """Cost of each case, shape (n_test,), for answers of shape (n_test, n_columns)."""
+
+    def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
+        """The metric, once for each row of weights, shape (n_rows,), from costs of shape (n_test,)."""
+        return mean_figures(costs, weights)
 
     @property
     def test_seed(self) -> int:
@@ -159,6 +150,12 @@ class DrawnTask(Task):
             "n_test": self.n_test,
             "recipe": recipe_to_dict(self.recipe),
         }
+
+
+def mean_figures(costs: FloatArray, weights: FloatArray) -> FloatArray:
+    """Mean costs in per cent, once for each row of weights, shape (n_rows,), from costs of shape (n_cases,)."""
+    means: FloatArray = 100.0 * (weights @ costs) / weights.sum(axis=1)
+    return means
 
 
 def _digest(arrays: Iterable[NDArray[Any]]) -> str:

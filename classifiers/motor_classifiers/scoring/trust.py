@@ -22,7 +22,7 @@ from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import digest_of
 from motor_classifiers.scoring.metrics import IntArray
 from motor_classifiers.scoring.task import TEST_FIRST_CASE, ClassTask, judged_starts
-from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, Confidence, foreign_scores
+from motor_classifiers.scoring.unknown_faults import Confidence, foreign_scores
 from motor_classifiers.scoring.verdict_times import (
     accuracy_by_moment,
     moments,
@@ -210,7 +210,7 @@ def _unknown(task: ClassTask, network: PosteriorNetwork | None) -> Figures:
         if own is not None:
             confidences[ESTIMATE] = own.predict_proba
         scores = foreign_scores(
-            recipe, confidences, UNKNOWN_FAULTS, seed=task.seed, first_case=FIRST_CASE,
+            recipe, confidences, seed=task.seed, first_case=FIRST_CASE,
             n_threshold=COUNTS.threshold, n_known=COUNTS.known, n_foreign=COUNTS.foreign,
         )  # fmt: skip
         rows.append({"sampling_rate_hz": recipe.timing.sampling_rate_hz, **scores})

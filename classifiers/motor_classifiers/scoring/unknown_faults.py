@@ -87,7 +87,6 @@ def foreign_starts(
 def foreign_scores(
     recipe: Recipe,
     confidences: Mapping[str, Confidence],
-    faults: tuple[ForeignFault, ...],
     *,
     seed: int,
     first_case: int,
@@ -95,14 +94,13 @@ def foreign_scores(
     n_known: int,
     n_foreign: int,
 ) -> dict[str, Any]:
-    """Measure how well distance, and the confidence of classifiers, tell foreign faults.
+    """Measure how well distance, and the confidence of classifiers, tell `UNKNOWN_FAULTS`.
 
     The threshold of the distance, for 1 % of false alarms, is set on other motors than it is tried on.
 
     Args:
         recipe: the known classes.
         confidences: classifiers by name; the smaller their largest probability, the more foreign a start.
-        faults: what is told from the known classes.
         seed: the random seed.
         first_case: of the starts of known classes; the foreign ones are motors of the same numbers.
         n_threshold: starts of known classes that set the threshold.
@@ -125,7 +123,7 @@ def foreign_scores(
 
     of_known = scores_of(known)
     scored = []
-    for fault in faults:
+    for fault in UNKNOWN_FAULTS:
         of_foreign = scores_of(foreign_starts(recipe, fault, seed, known_cases[:n_foreign]))
         areas, curves = {}, {}
         for name, low in of_foreign.items():

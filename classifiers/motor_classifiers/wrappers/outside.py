@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,26 +35,6 @@ ADVICE = {
     "`motor-env diagnose`",
 }
 """What can be off, and what to do."""
-
-
-class Knowledge(Protocol):
-    """What is known of a recipe: `World` for starts, `WorkWorld` for motors at work, each with its own coordinates."""
-
-    @property
-    def freedom(self) -> int:
-        """Degrees of freedom of the energy."""
-
-    def coordinates(self, flat: FloatArray) -> Any:
-        """A named tuple of arrays, one row a case, `energy` among them."""
-
-    def fresh(self, level: float) -> Any:
-        """The same of fresh cases of the recipe at so many times the noise's variance."""
-
-    def distance(self, at: Any, levels: Levels) -> FloatArray:
-        """How foreign, shape (n,); `levels` of the noise's variance are those that the recipe allows."""
-
-    def off(self, at: Any, levels: Levels) -> NDArray[Any]:
-        """What is off, shape (n,)."""
 
 
 _QUIETEST = 1e-6
@@ -95,8 +75,9 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         low, high = self._variances
         levels = np.geomspace(low, high, 1 if low == high else _LEVELS)
         self.levels_ = np.log(levels)
-        starts = map(self._world.fresh, levels) if given is None else (self._at(given) for _ in levels)
-        distances = [self._world.distance(own, (low, high)) for own in starts]
+        world = self._world
+        starts: list[Any] = [world.fresh(level) if given is None else self._at(given) for level in levels]
+        distances = [world.distance(own, (low, high)) for own in starts]
         self.offset_ = np.array([np.quantile(-distance, rate) for distance in distances])
         return self
 
@@ -133,7 +114,7 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         return low**2, high**2
 
     @property
-    def _world(self) -> Knowledge:
+    def _world(self) -> World | WorkWorld:
         return _world(fitting_recipe(self.recipe, self.n_features_in_))
 
     def _at(self, X: Any) -> Any:
@@ -142,5 +123,5 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
 
 
 @lru_cache(maxsize=4)
-def _world(recipe: Recipe) -> Knowledge:
+def _world(recipe: Recipe) -> World | WorkWorld:
     return World.from_recipe(recipe) if recipe.duty is None else WorkWorld.from_recipe(recipe)

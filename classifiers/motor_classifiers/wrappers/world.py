@@ -146,17 +146,15 @@ class World:
 
     def distance(self, at: Coordinates, levels: Levels) -> FloatArray:
         """Log likelihood ratio of anything to the recipe, shape (n,); `levels` are those that the recipe allows."""
-        return self._against(self.anything, at, (levels[0], np.inf), levels)
-
-    def _against(self, other: Cloud, at: Coordinates, theirs: Levels, levels: Levels) -> FloatArray:
-        return other.log_density(at, self.freedom, theirs) - self.own.log_density(at, self.freedom, levels)
+        anything = self.anything.log_density(at, self.freedom, (levels[0], np.inf))
+        return anything - self.own.log_density(at, self.freedom, levels)
 
     def off(self, at: Coordinates, levels: Levels) -> NDArray[Any]:
         """What is off in starts that are not of the recipe: a key of `outside.ADVICE`, shape (n,)."""
-        ratios = [self._against(self.own, at, (levels[0], np.inf), levels)]
-        ratios += [self._against(cloud, at, levels, levels) for cloud in self.departures.values()]
+        logs = [self.own.log_density(at, self.freedom, (levels[0], np.inf))]
+        logs += [cloud.log_density(at, self.freedom, levels) for cloud in self.departures.values()]
         names = np.array(["noise", *self.departures], dtype=object)
-        found: NDArray[Any] = names[np.argmax(ratios, axis=0)]
+        found: NDArray[Any] = names[np.argmax(logs, axis=0)]
         return found
 
     def fresh(self, level: float) -> Coordinates:

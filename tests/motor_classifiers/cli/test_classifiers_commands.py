@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from made_results import RECIPE, TASK, answer, decisions, made_results
 
@@ -14,14 +13,14 @@ from motor_classifiers.cli.main import main
 from motor_classifiers.cli.opinions import opinion_lines
 from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
 from motor_classifiers.cli.sweep import plan_lines, table_lines
-from motor_classifiers.cli.training import network_recipe, noise_factors
+from motor_classifiers.cli.training import noise_factors
 from motor_classifiers.estimators.methods import AT_WORK
 from motor_classifiers.scoring.plan import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
 
 # Reaches in: made-up answers and costs fill a plan at once; defaults are the rooms' own.
 from motor_classifiers.scoring.task import class_task
-from motor_env import InputError, diagnose, load_motor, load_recipe
+from motor_env import InputError, diagnose, load_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -218,6 +217,8 @@ def test_a_sealed_seed_has_64_bits(
     (tmp_path / "seed").write_text(text)
     assert main(["score", "folder", "--sealed", str(tmp_path / "seed")]) == status
     assert seeds == ([int(text)] if status == 0 else [])
+    wrong = "must hold one whole number from 2^48 to 2^64 - 1" in capsys.readouterr().err
+    assert wrong is (status == 2)
     assert main(["score", "folder", "--sealed", str(tmp_path / "none")]) == 2
     assert "no such file" in capsys.readouterr().err
     assert main(["score", "folder"]) == 0
@@ -259,18 +260,6 @@ def test_options_with_several_numbers(tmp_path: Path) -> None:
         require_writable(tmp_path / "file")
     require_writable(tmp_path / "new")
     assert list(tmp_path.rglob(".*")) == []
-
-
-def test_a_network_for_a_motor_learns_faults_of_5_to_30_percent() -> None:
-    recipe = network_recipe(load_motor(str(ROOT / "examples" / "motor.toml")))
-    assert [(str(c.kind), c.severity, c.severity_to) for c in recipe.classes[1:]] == [
-        (kind, 0.05, 0.30) for kind in ("bearing", "winding_contact", "winding_short")
-    ]
-    assert recipe.classes[0].kind is None
-    np.testing.assert_allclose(recipe.class_probabilities, 0.25)
-    assert recipe.channels == ("current",)
-    assert recipe.field is None
-    assert RECIPE.name == "bench"
 
 
 def test_predict_with_a_motor_file_has_the_diagnosis_of_motor_env(capsys: pytest.CaptureFixture[str]) -> None:

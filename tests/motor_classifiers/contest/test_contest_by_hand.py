@@ -61,9 +61,9 @@ def test_costs_and_figures_of_the_other_tasks() -> None:
     assert bench.costs(np.array([1, 1]), answers).tolist() == [0.0, 1.0]
     assert bench.figures(np.array([0.0, 1.0]), np.array([[1.0, 1.0], [3.0, 1.0]])).tolist() == [50.0, 25.0]
     stream = load_task("stream")
-    truth = np.array([0.2, 0.2, 0.2, np.nan, 0.2, np.nan])
-    alarm = np.array([0.2, 0.3, 0.4, np.nan, 0.19, 0.0])
-    np.testing.assert_allclose(stream.costs(truth, alarm[:, None]), [0.0, 0.5, 1.0, 0.0, 1.0, 1.0])
+    truth = np.array([0.2, 0.2, 0.2, np.nan, 0.2, np.nan, 0.2, 0.2])
+    alarm = np.array([0.2, 0.3, 0.4, np.nan, 0.19, 0.0, 0.6, np.nan])
+    np.testing.assert_allclose(stream.costs(truth, alarm[:, None]), [0.0, 0.5, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0])
     stream.check(np.array([[0.0], [np.nan]]))
     with pytest.raises(InputError, match=r"case 1: alarm_s must be >= 0 or nan, got -0\.1"):
         stream.check(np.array([[0.0], [-0.1]]))

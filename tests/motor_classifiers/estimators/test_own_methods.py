@@ -11,12 +11,13 @@ from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.linear_model import LogisticRegression, RidgeClassifier
+from sklearn.naive_bayes import GaussianNB
 from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import FeatureUnion, make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
 from torch import nn
 
-from motor_classifiers import TorchClassifier, load_model, save_model
+from motor_classifiers import ResidualProjection, TorchClassifier, load_model, save_model
 from motor_classifiers.cli.main import main
 from motor_classifiers.estimators import own_methods
 from motor_classifiers.estimators.own_methods import answered, fed, find_method
@@ -161,11 +162,13 @@ def test_a_torch_module_learns_the_same_from_the_same_seed() -> None:
     "model",
     [
         make_pipeline(PCA(5, random_state=0), StandardScaler(), LogisticRegression()),
+        make_pipeline(ResidualProjection(RECIPE, 6), MinMaxScaler(), GaussianNB()),
+        make_pipeline(ResidualProjection(RECIPE, 6), RobustScaler(), GaussianNB()),
         LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"),
         MLPClassifier((8,), max_iter=40, random_state=0),
         MLPClassifier((8,), solver="lbfgs", max_iter=2000, random_state=0),
     ],
-    ids=["pipeline", "alone", "perceptron", "perceptron of lbfgs"],
+    ids=["pipeline", "range", "quartiles", "alone", "perceptron", "perceptron of lbfgs"],
 )
 @pytest.mark.filterwarnings("ignore:Stochastic Optimizer")
 def test_trusted_steps_are_saved_and_loaded(model: BaseEstimator, tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from sklearn.base import clone
 
 from motor_classifiers import PosteriorNetwork
 from motor_classifiers.estimators.networks import severity_density
-from motor_classifiers.estimators.networks.severity_density import severity_priors, severity_recipe
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, with_more_noise
 from motor_datasets import generate_arrays
 from motor_env import Channel, FaultKind, Recipe, SensorParameters, Timing, load_recipe, severity_posterior
@@ -211,9 +210,3 @@ def test_any_recipe_trains(recipe: Recipe) -> None:
     np.testing.assert_allclose(probabilities.sum(axis=1), 1.0)
     assert model.classes_.tolist() == sorted(recipe.class_names)
     assert np.isfinite(model.predict_severity(data.X).mean).all()
-
-
-def test_severities_are_drawn_uniformly() -> None:
-    drawn = generate_arrays(severity_recipe(FULL), 1, 2000)
-    for n, prior in enumerate(severity_priors(FULL)):
-        assert kstest(drawn.severity[drawn.class_index == n] / prior.largest, "uniform").pvalue > 1e-3

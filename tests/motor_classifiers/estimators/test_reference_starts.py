@@ -119,8 +119,6 @@ def test_a_plain_classifier_uses_references_by_recentred_starts() -> None:
     best = referenced_probabilities(recipe, test.X).argmax(axis=1) == test.class_index
     difference = one.astype(np.float64) - best
     assert abs(difference.mean()) < 0.005 + 3.0 * difference.std() / np.sqrt(len(best))
-    with pytest.raises(ValueError, match="a case must be starts of 1 x 200 values"):
-        split_starts(test.X[:, :, :-1], recipe)
 
 
 def test_recentred_starts_are_those_of_the_nominal_motor() -> None:

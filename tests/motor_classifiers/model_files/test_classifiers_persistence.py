@@ -87,8 +87,3 @@ def test_poisoned_files_are_refused_with_one_sentence(tmp_path: Path) -> None:
         path.write_bytes(file)
         assert refused(lambda: load_model(path), path).startswith(str(path))
     assert not (tmp_path / "mark").exists()
-
-
-def test_a_missing_file_is_one_sentence(tmp_path: Path) -> None:
-    path = tmp_path / "none"
-    assert "no such file" in refused(lambda: load_model(path), path)

@@ -87,10 +87,7 @@ def test_an_unchanged_head_loads(tmp_path: Path) -> None:
     ("name", "changes"),
     [
         ("threshold", {"rule": {"needed": "two"}}),
-        ("threshold", {"rule": {"among": 99}}),
         ("threshold", {"rule": {"threshold": None}}),
-        ("threshold", {"rule": {"healthy_index": 77}}),
-        ("threshold", {"rule": {"edges": [0, 10**12]}}),
         ("threshold", {"rule": {"with_spread": 3}}),
         ("threshold", {"rule": {"unheard_of": 1}}),
         ("threshold", {"false_alarm_rate": "rare"}),
@@ -269,7 +266,6 @@ def test_a_poisoned_model_inside_a_wrapper_is_refused(tmp_path: Path) -> None:
     assert isinstance(load_model(tmp_path / "good")[0], OpenSetClassifier)
     for inner in (skops.io.dumps(CALLING), b"", content("threshold")[:200]):
         refusal(wrapper_of(inner), tmp_path)
-    assert "too many classifiers" in refusal(wrapper_of(wrapper_of(good)), tmp_path)
     for cut in cuts(good, 8):
         refusal(cut, tmp_path)
 

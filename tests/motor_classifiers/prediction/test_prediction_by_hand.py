@@ -254,12 +254,6 @@ def test_an_opinion_adds_up_the_classes_of_its_verdict() -> None:
     assert Opinion("bearing", severity_interval=(0.1, 0.2)).as_json()["severity_interval"] == [0.1, 0.2]
 
 
-def test_the_worst_opinion_is_the_status() -> None:
-    fault, sound, unsure = Opinion("bearing", "b", 0.9), Opinion("healthy", "h", 0.9), Opinion(UNDECIDED)
-    statuses = [one.status for one in (sound, unsure, fault)]
-    assert statuses == [ExitStatus.HEALTHY, ExitStatus.UNDECIDED, ExitStatus.FAULT]
-
-
 class Open(OpenSetClassifier):
     """Around `Told`: foreign, out of range, ordinary, ordinary."""
 

@@ -35,7 +35,7 @@ from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_tasks, 
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.task import ClassTask, class_task
 from motor_classifiers.scoring.trust import TRUST, Counts
-from motor_env import InputError, Recipe, Timing, load_recipe
+from motor_env import InputError, Timing, load_recipe
 
 SLOW = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 TASK = class_task(SLOW, 300, 200)
@@ -153,14 +153,10 @@ def test_a_method_that_fails_is_named_and_costs_no_other_answer(
     assert [store.find(unit) is not None for unit in units(plan)] == [True, False, True, True]
 
 
-def test_sweep_crosses_rates_and_noises_and_tries_sizes_at_the_usual_noise() -> None:
+def test_answers_that_sizes_share_are_had_once() -> None:
     cells = make_tasks(
         (SLOW,), rates_hz=(1e3, 1e4), noises_a=(0.02, 0.1), train_sizes=(300, 100), n_test=200, seed=0
     )
-    found = {(c.recipe.timing.sampling_rate_hz, c.recipe.sensor.current_noise_a, c.n_train) for c in cells}
-    assert found == {
-        (rate, noise, 300) for rate in (1e3, 1e4) for noise in (0.02, 0.1)
-    } | {(rate, 0.02, 100) for rate in (1e3, 1e4)}  # fmt: skip
     plan = Plan(cells, ("residual-qda", "posterior-network"))
     names = [unit.name for unit in units(plan)]
     # Neither the limit nor a network with a stream of its own depends on the given training starts.
@@ -305,17 +301,13 @@ def test_dry_run_tells_what_is_there_and_makes_nothing(
     assert not list(tmp_path.iterdir())
 
 
-def _field_cell() -> ClassTask:
-    recipe: Recipe = load_recipe("field", timing=Timing(1_000.0, 0.1, 0.02))
-    return class_task(recipe, 200, 100)
-
-
 def test_the_limit_of_the_field_is_called_an_estimate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The estimate itself is made elsewhere; here a quick method stands for it."""
     monkeypatch.setattr(benchmark_module, "judge_apart", lambda name, cell: judge("residual-qda", cell))
-    plan = Plan((_field_cell(),), ("residual-qda",))
+    field = class_task(load_recipe("field", timing=Timing(1_000.0, 0.1, 0.02)), 200, 100)
+    plan = Plan((field,), ("residual-qda",))
     results = run_plan(plan)
     rows = result_rows(results)
     assert rows[0]["method"] == "Bayes estimate"

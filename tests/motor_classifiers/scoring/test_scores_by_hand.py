@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,17 +11,12 @@ import numpy as np
 import pytest
 from made_results import RECIPE, TASK, answer, decisions, made_results
 from scipy.stats import binom
-from sklearn.metrics import brier_score_loss, log_loss
+from sklearn.metrics import brier_score_loss, confusion_matrix, log_loss
 
 from motor_classifiers.scoring import progress, trust as trust_module, unknown_faults, verdict_times
-from motor_classifiers.scoring.calibration import calibration_scores, plot_reliability, reliability
+from motor_classifiers.scoring.calibration import BIN_EDGES, calibration_scores, plot_reliability, reliability
 from motor_classifiers.scoring.evaluation import evaluation_lines
-from motor_classifiers.scoring.judging import (
-    LIMIT,
-    Answer,
-    expected_severity,
-    in_recipe_order,
-)
+from motor_classifiers.scoring.judging import LIMIT, expected_severity, in_recipe_order
 from motor_classifiers.scoring.metrics import (
     compare,
     level_distance,
@@ -30,7 +24,6 @@ from motor_classifiers.scoring.metrics import (
     root_mean_square,
     scores,
 )
-from motor_classifiers.scoring.peers import export_starts, read_peers
 from motor_classifiers.scoring.plan import Plan, make_tasks, unit_of, units
 from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_classifiers.scoring.results import as_csv, result_rows
@@ -59,22 +52,23 @@ def test_intervals_are_the_middle_95_percent() -> None:
 
 
 def test_weights_are_draws_of_motors_with_replacement() -> None:
-    weights = resampling_weights(6, 3, 400)
-    assert weights.shape == (401, 6)
+    weights = resampling_weights(6, 3)
+    assert weights.shape == (2001, 6)
     assert (weights[0] == 1.0).all()
     assert (weights.sum(axis=1) == 6.0).all()
-    np.testing.assert_array_equal(weights[1:], np.random.default_rng(3).multinomial(6, [1 / 6] * 6, size=400))
-    grouped = resampling_weights(6, 3, 400, groups=np.array([7, 7, 9, 9, 9, 2]))
-    drawn = np.random.default_rng(3).multinomial(3, [1 / 3] * 3, size=400)
+    np.testing.assert_array_equal(
+        weights[1:], np.random.default_rng(3).multinomial(6, [1 / 6] * 6, size=2000)
+    )
+    grouped = resampling_weights(6, 3, groups=np.array([7, 7, 9, 9, 9, 2]))
+    drawn = np.random.default_rng(3).multinomial(3, [1 / 3] * 3, size=2000)
     np.testing.assert_array_equal(grouped[1:], drawn[:, [1, 1, 2, 2, 2, 0]])
-    assert resampling_weights(2, 0).shape == (2001, 2)
 
 
 def test_scores_of_a_small_table_of_confusions() -> None:
     """Healthy, bearing 10 and 25, contact 10 and 25; eight cases by hand."""
     truth = np.array([0, 0, 1, 1, 2, 3, 4, 4])
     decided = np.array([0, 1, 1, 2, 3, 3, 0, 4])
-    got = scores(RECIPE, truth, decided, resampling_weights(8, 0, 10))
+    got = scores(RECIPE, truth, decided, resampling_weights(8, 0))
     assert got.accuracy.value == 4 / 8
     assert got.false_alarm_rate.value == 1 / 2
     assert got.missed_detection_rate.value == 1 / 6
@@ -85,11 +79,29 @@ def test_scores_of_a_small_table_of_confusions() -> None:
     assert got.level.value == pytest.approx(3 / 4)
     assert [one.value for one in got.recall] == [0.5, 0.5, 0.0, 1.0, 0.5]
     assert got.macro_f1.value == pytest.approx((0.5 + 0.5 + 0.0 + 2 / 3 + 2 / 3) / 5)
-    assert np.trace(got.confusion) == 4
+    np.testing.assert_array_equal(got.confusion, confusion_matrix(truth, decided))
     assert level_distance(RECIPE)[2, 3] == pytest.approx(0.35)
-    never = scores(RECIPE, truth[:2], decided[:2], resampling_weights(2, 0, 10))
+    never = scores(RECIPE, truth[:2], decided[:2], resampling_weights(2, 0))
     assert np.isnan(never.missed_detection_rate.value)
     assert np.isnan(never.recall[4].value)
+
+
+def test_bootstrap_interval_is_that_of_the_binomial() -> None:
+    truth = np.zeros(1000, dtype=np.int64)
+    decided = (np.arange(1000) < 200).astype(np.int64)
+    found = scores(RECIPE, truth, decided, resampling_weights(1000, 3)).accuracy
+    deviation = np.sqrt(0.8 * 0.2 / 1000)
+    assert (found.low, found.high) == pytest.approx(
+        (0.8 - 1.96 * deviation, 0.8 + 1.96 * deviation), abs=0.003
+    )
+
+
+def test_a_recipe_without_windings_has_no_winding_score() -> None:
+    bearings = replace(RECIPE, classes=RECIPE.classes[:3])
+    truth = np.arange(90) % 3
+    found = scores(bearings, truth, truth, resampling_weights(90, 0))
+    assert np.isnan(found.winding.value)
+    assert found.bearing.value == 1.0
 
 
 def test_a_comparison_counts_wins() -> None:
@@ -118,10 +130,9 @@ def test_calibration_against_scikit_learn_and_on_the_edges() -> None:
         for n in np.unique(bins)
     ]
     assert got.ece == pytest.approx(sum(gaps) / 50)
-    edge = reliability(
-        np.array([[0.75, 0.25], [0.5, 0.5], [1.0, 0.0]]), [0, 0, 0], np.array([0.0, 0.5, 0.75, 1.0])
-    )
-    assert edge.n_cases.tolist() == [1.0, 1.0, 1.0]
+    edges = BIN_EDGES[[9, 12, 15]]
+    edge = reliability(np.column_stack([edges, 1.0 - edges]), [0, 0, 0])
+    assert np.flatnonzero(edge.n_cases).tolist() == [8, 11, 14]
     lost = calibration_scores(np.array([[1.0, 0.0]]), [1])
     assert lost.log_loss == pytest.approx(15.0 * np.log(10.0))
     assert (lost.accuracy, lost.ece, lost.brier) == (0.0, 1.0, 2.0)
@@ -340,11 +351,11 @@ def test_foreign_faults_are_found_above_the_threshold(monkeypatch: pytest.Monkey
     )
     got = foreign_scores(
         RECIPE, {"limit": lambda X: 0.5 + np.stack([X[:, 0, -1], -X[:, 0, -1]], axis=1).astype(np.float64) / 100.0},
-        UNKNOWN_FAULTS[:1], seed=1, first_case=0, n_threshold=50, n_known=20, n_foreign=10,
+        seed=1, first_case=0, n_threshold=50, n_known=20, n_foreign=10,
     )  # fmt: skip
     # Thresholds come from cases 20 .. 69: 99 % of them lie below 68.5; the judged ones are 0 .. 19.
     assert got["false_alarms"] == 0.0
-    (row,) = got["faults"]
+    row = got["faults"][0]
     assert row["called_other"] == 0.0
     # Foreign cases 15 .. 24 against known ones 0 .. 19: 16 to 20 of the known lie below, ties half.
     below = [sum(k < f for k in range(20)) + 0.5 * sum(k == f for k in range(20)) for f in range(15, 25)]
@@ -462,36 +473,6 @@ def test_figures_of_sets_are_those_of_the_coverage() -> None:
     assert set_figures({"one": told[:3]}, few) == {
         "reason": "3 test starts are too few: a class has none in one of their halves"
     }
-
-
-def test_peers_answers_are_scaled_to_the_starts_shown(tmp_path: Path) -> None:
-    export_starts(TASK.train(), TASK.starts(), tmp_path / "cases.npz")
-    with np.load(tmp_path / "cases.npz") as held:
-        arrays = {name: held[name] for name in held.files if name.endswith(("mean", "index"))}
-    told = {
-        "train_s": 7.0,
-        "microseconds_per_transient": 250.0,
-        "train_memory_mb": 3.0,
-        "inference_memory_mb": 4.0,
-    }
-    facts = {"date": "d", "machine": "m", "aeon": "a", "command": "c", "methods": {"quant": told}}
-    uneven = np.tile([2.0, 1.0, 0.0, 0.0, 1.0], (60, 1))
-    for off, found in ((0.99e-6, True), (1.01e-6, False)):
-        moved = arrays["test_mean"].astype(np.float64) + off
-        np.savez(
-            tmp_path / "p.npz",
-            facts=np.array(json.dumps(facts)),
-            quant=uneven,
-            **(arrays | {"test_mean": moved}),
-        )
-        peers = read_peers(tmp_path / "p.npz", TASK)
-        assert (peers is not None) is found
-        if peers is not None:
-            got: Answer = peers["quant"]
-            assert got.probabilities[0].tolist() == [0.5, 0.25, 0.0, 0.0, 0.25]
-            assert (got.train, got.inference.memory_mb) == (Cost(7.0, 3.0), 4.0)
-            assert got.inference.seconds == pytest.approx(0.015)
-            assert got.origin == "d, m, aeon a, c"
 
 
 def test_lines_of_an_evaluation() -> None:

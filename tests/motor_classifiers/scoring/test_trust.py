@@ -95,19 +95,15 @@ def test_a_field_needs_a_reference() -> None:
         foreign_starts(still, UNKNOWN_FAULTS[0], 0, np.arange(2))
 
 
-def foreign() -> Any:
-    """Three foreign faults on few starts, told by distance and by the exact posterior's confidence."""
-    return foreign_scores(
-        BENCH, {"limit": Posterior(BENCH).predict_proba}, UNKNOWN_FAULTS, seed=5, first_case=0,
+def test_distance_tells_foreign_faults_and_confidence_does_not() -> None:
+    got = foreign_scores(
+        BENCH, {"limit": Posterior(BENCH).predict_proba}, seed=5, first_case=0,
         n_threshold=600, n_known=600, n_foreign=100,
     )  # fmt: skip
-
-
-def test_distance_tells_foreign_faults_and_confidence_does_not() -> None:
-    got = foreign()
     assert 0.0 <= got["false_alarms"] < 0.03
-    heavy, _, weak = got["faults"]
+    heavy, magnets, weak = got["faults"]
     assert heavy["auroc"][DISTANCE] > 0.99
+    assert magnets["auroc"][DISTANCE] > 0.99
     assert heavy["called_other"] > 0.99
     assert weak["auroc"][DISTANCE] > 0.92
     assert weak["auroc"]["limit"] < 0.5

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
-from sklearn.metrics import roc_auc_score
 from sklearn.pipeline import make_pipeline
 
 from motor_classifiers import OpenSetClassifier, ResidualProjection
@@ -80,17 +79,6 @@ def test_the_distance_is_that_of_another_minimiser() -> None:
         assert distance == pytest.approx(best - anyhow, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    ("fault", "least"), [(fault, 0.92 if "supply" in fault.name else 0.99) for fault in UNKNOWN_FAULTS]
-)
-def test_faults_never_trained_on_are_told(fault: ForeignFault, least: float) -> None:
-    known = family_fit(BENCH, generate_arrays(BENCH, 0, np.arange(600) + 20_000).X)
-    foreign = family_fit(BENCH, foreign_starts(BENCH, fault, 1, np.arange(300)))
-    assert known.out_of_range.mean() < 0.02
-    truth = np.repeat([0, 1], [600, 300])
-    assert roc_auc_score(truth, np.concatenate([known.distance, foreign.distance])) > least
-
-
 def test_a_bearing_beyond_the_trained_range_is_a_bearing() -> None:
     recipe = replace(BENCH, classes=(FaultClass(FaultKind.BEARING, 0.60),))
     worn = generate_arrays(recipe, 5, 300)
@@ -105,9 +93,10 @@ def test_a_bearing_beyond_the_trained_range_is_a_bearing() -> None:
     foreign = model.verdicts(foreign_starts(BENCH, UNKNOWN_FAULTS[0], 1, np.arange(50)))
     assert (foreign.label[foreign.is_outside] == OUTSIDE).all()
     assert foreign.is_outside.mean() > 0.95
-    ordinary = model.verdicts(train.X[:200])
+    ordinary = model.verdicts(train.X[:600])
+    assert ordinary.out_of_range.mean() < 0.02
     inside = ~ordinary.is_outside & ~ordinary.out_of_range
-    np.testing.assert_array_equal(ordinary.label[inside], model.predict(train.X[:200])[inside])
+    np.testing.assert_array_equal(ordinary.label[inside], model.predict(train.X[:600])[inside])
 
 
 def test_shorts_noise_and_joint_faults_have_their_places() -> None:

@@ -169,6 +169,22 @@ class EpochClassifier(LogitClassifier):
         """The network on the device `meta`: no memory is taken for its weights, which are not yet set."""
 
 
+class WaveformClassifier(EpochClassifier):
+    """A network that sees the samples of each channel, each standardised by the training set."""
+
+    _at_once = 256
+
+    def _shape(self) -> tuple[int, int]:
+        """Channels and samples of a case; one channel without a recipe."""
+        if self.recipe is None:
+            return 1, self.n_features_in_
+        channels = cases.fitting_recipe(self.recipe, self.n_features_in_).channels
+        return len(channels), self.n_features_in_ // len(channels)
+
+    def _inputs(self, features: FloatArray) -> FloatArray:
+        return super()._inputs(features).reshape(len(features), *self._shape())
+
+
 @dataclass(eq=False, repr=False)
 class PerceptronClassifier(EpochClassifier):
     """A perceptron on the filter's residual along the model's own signal directions.

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from motor_classifiers.estimators.cases import flat_cases
-from motor_classifiers.estimators.networks.epoch_classifier import logits_in_parts, perceptron
+from motor_classifiers.estimators.networks.epoch_classifier import logits_in_parts
 from motor_classifiers.estimators.networks.parameter_density import (
     N_OUT,
     PARAMETERS,
@@ -29,7 +29,7 @@ from motor_classifiers.estimators.networks.parameter_density import (
 from motor_classifiers.estimators.networks.posterior import Posterior
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.severity_density import grid_like, severity_recipe, weights
-from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases
+from motor_classifiers.estimators.networks.signal_space import fresh_cases
 from motor_classifiers.estimators.networks.training import Batch, one_thread
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import FloatArray, require
@@ -55,14 +55,6 @@ class JointDraws(NamedTuple):
     parameters: dict[str, FloatArray]
 
 
-class _Given(Posterior):
-    """A network that is told the fault beside what it sees of the start."""
-
-    def __init__(self, space: SignalSpace, n_kinds: int, *, n_hidden: int, n_layers: int) -> None:
-        super().__init__(space, n_hidden=1, n_layers=0, n_out=1)
-        self.network = perceptron(space.n_coordinates + n_kinds, n_hidden, n_layers, N_OUT)
-
-
 @dataclass(eq=False)
 class JointPosterior:
     """The joint posterior of class, severity and parameters, around a trained network.
@@ -78,7 +70,7 @@ class JointPosterior:
     network: PosteriorNetwork
     recipe: Recipe
     severity: Posterior
-    density: _Given
+    density: Posterior
     scales: Scales
 
     @classmethod
@@ -106,8 +98,12 @@ class JointPosterior:
         ranges = replace(ranges, starts_per_motor=1, sensor=ranges.sensor.with_noise(low))
         scales = Scales.of(generate_arrays(ranges, _STREAM, _SCALED_BY))
         tops = torch.tensor([prior.largest for prior in network.severity_priors_])
-        density = _Given(
-            deepcopy(severity.space), len(tops), n_hidden=network.n_hidden, n_layers=network.n_layers
+        density = Posterior(
+            deepcopy(severity.space),
+            n_told=len(tops),
+            n_hidden=network.n_hidden,
+            n_layers=network.n_layers,
+            n_out=N_OUT,
         ).float()
 
         def batches(part: int, batch_size: int) -> Iterator[Batch]:

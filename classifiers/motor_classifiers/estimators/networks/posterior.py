@@ -26,12 +26,17 @@ _AVERAGE_BEGINS = 20
 
 
 class Posterior(nn.Module):
-    """Coordinates of a transient and a perceptron on them: from flattened cases to the numbers of a posterior."""
+    """Coordinates of a transient and a perceptron on them: from flattened cases to the numbers of a posterior.
 
-    def __init__(self, space: SignalSpace, *, n_hidden: int, n_layers: int, n_out: int) -> None:
+    A perceptron that is told `n_told` numbers beside the coordinates has to be called by itself.
+    """
+
+    def __init__(
+        self, space: SignalSpace, *, n_hidden: int, n_layers: int, n_out: int, n_told: int = 0
+    ) -> None:
         super().__init__()
         self.space = space
-        self.network = perceptron(space.n_coordinates, n_hidden, n_layers, n_out)
+        self.network = perceptron(space.n_coordinates + n_told, n_hidden, n_layers, n_out)
 
     def forward(self, X: torch.Tensor) -> torch.Tensor:
         """Outputs of the network, shape (n_cases, n_out)."""
@@ -100,11 +105,10 @@ class Posterior(nn.Module):
             ValueError, KeyError, TypeError, RuntimeError: values or arrays of a wrong type or shape.
         """
         require(type(sees_noise) is bool, f"sees_noise must be true or false, got {sees_noise!r}")
-        for name, values in arrays.items():
-            require(
-                values.dtype in (np.float32, np.float64) and bool(np.isfinite(values).all()),
-                f"{name} is not finite",
-            )
+        types = {values.dtype for values in arrays.values()}
+        require(
+            types <= {np.dtype(np.float32), np.dtype(np.float64)}, "its numbers are no floating-point ones"
+        )
         require(bool((arrays["space.noise"] > 0.0).all()), "its noise must be > 0")
         require(bool((arrays["space.variance"] >= 0.0).all()), "its variances must be >= 0")
         require(not sees_noise or arrays["space.level"][1] > 0.0, "its spread of the noise must be > 0")

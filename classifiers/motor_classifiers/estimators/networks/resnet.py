@@ -8,10 +8,9 @@ from dataclasses import KW_ONLY, dataclass
 import torch
 from torch import nn
 
-from motor_classifiers.estimators.cases import fitting_recipe
-from motor_classifiers.estimators.networks.epoch_classifier import EpochClassifier
+from motor_classifiers.estimators.networks.epoch_classifier import WaveformClassifier
 from motor_classifiers.estimators.networks.training import Batch
-from motor_env.motor.parameters import FloatArray, require
+from motor_env.motor.parameters import require
 
 
 def _convolution(n_in: int, n_out: int, kernel: int, stride: int = 1) -> nn.Module:
@@ -34,7 +33,7 @@ class _Block(nn.Module):
 
 
 @dataclass(eq=False, repr=False)
-class ResNetClassifier(EpochClassifier):
+class ResNetClassifier(WaveformClassifier):
     """A one-dimensional residual network on the raw transient.
 
     Residual blocks after He et al. (2016), for time series Wang, Yan & Oates (2017). Batch normalisation alone: a norm
@@ -62,8 +61,6 @@ class ResNetClassifier(EpochClassifier):
         n_features_in_: n_channels * n_timepoints.
     """
 
-    _at_once = 256
-
     width: int = 12
     _: KW_ONLY
     stem: int = 10
@@ -83,14 +80,6 @@ class ResNetClassifier(EpochClassifier):
                 noise = torch.randn(inputs[rows].shape, generator=generator)
                 yield inputs[rows] + self.noise * noise, labels[rows]
 
-    def _n_channels(self) -> int:
-        if self.recipe is None:
-            return 1
-        return len(fitting_recipe(self.recipe, self.n_features_in_).channels)
-
-    def _inputs(self, features: FloatArray) -> FloatArray:
-        return super()._inputs(features).reshape(len(features), self._n_channels(), -1)
-
     def _network(self, n_inputs: int) -> nn.Module:
         """A stem that thins the samples out, three residual blocks, the mean over time, logits."""
         width, kernel = self.width, self.kernel
@@ -98,7 +87,7 @@ class ResNetClassifier(EpochClassifier):
         require(min(sizes) >= 1, f"width, stem and kernel must be >= 1, got {sizes}")
         with torch.device("meta"):
             return nn.Sequential(
-                _convolution(self._n_channels(), width, 2 * self.stem + 1, stride=self.stem),
+                _convolution(self._shape()[0], width, 2 * self.stem + 1, stride=self.stem),
                 nn.ReLU(),
                 _Block(width, width, kernel=kernel),
                 _Block(width, 2 * width, kernel=kernel),

@@ -7,7 +7,6 @@ that ONNX has too. Severities here run from 0 (the smallest of the range) to 1 (
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import torch
@@ -89,8 +88,6 @@ def mean(share: torch.Tensor) -> torch.Tensor:
 
 def quantile(share: torch.Tensor, probability: float) -> torch.Tensor:
     """Position below which the weights hold the probability, shape (...)."""
-    if not 0.0 < probability < 1.0 or math.isnan(probability):
-        raise ValueError(f"probability must be in (0, 1), got {probability:g}")
     # Half of a point's weight lies on either side of it.
     cumulated = torch.cumsum(share, dim=-1) - 0.5 * share
     above = (cumulated < probability).sum(dim=-1, keepdim=True).clamp(1, _GRID - 1)

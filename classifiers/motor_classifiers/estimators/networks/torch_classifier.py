@@ -9,14 +9,12 @@ import torch
 from sklearn.utils import Tags
 from torch import nn
 
-from motor_classifiers.estimators.cases import fitting_recipe
-from motor_classifiers.estimators.networks.epoch_classifier import EpochClassifier
+from motor_classifiers.estimators.networks.epoch_classifier import WaveformClassifier
 from motor_classifiers.estimators.networks.training import seed_of
-from motor_env.motor.parameters import FloatArray
 
 
 @dataclass(eq=False, repr=False)
-class TorchClassifier(EpochClassifier):
+class TorchClassifier(WaveformClassifier):
     """A torch module of your own, trained by cross-entropy, AdamW and one cosine cycle of the learning rate.
 
     The module gets (n_cases, n_channels, n_samples), each sample standardised by the training set, and gives a logit
@@ -41,22 +39,12 @@ class TorchClassifier(EpochClassifier):
 
     _: KW_ONLY
     module: Callable[[int, int, int], nn.Module] | None = None
-    _at_once = 256
 
     def __sklearn_tags__(self) -> Tags:
         """It takes transients with their channels, and flat ones."""
         tags = super().__sklearn_tags__()
         tags.input_tags.three_d_array = True
         return tags
-
-    def _shape(self) -> tuple[int, int]:
-        if self.recipe is None:
-            return 1, self.n_features_in_
-        channels = fitting_recipe(self.recipe, self.n_features_in_).channels
-        return len(channels), self.n_features_in_ // len(channels)
-
-    def _inputs(self, features: FloatArray) -> FloatArray:
-        return super()._inputs(features).reshape(len(features), *self._shape())
 
     def _network(self, n_inputs: int) -> nn.Module:
         # Layers of strangers draw from the global generator: it is put back afterwards.
