@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.detection.rules import calibration
-from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
+from motor_env.detection.rules.thresholds import Request, Threshold
 from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
 
@@ -19,16 +19,50 @@ if TYPE_CHECKING:
 _RUNS = 2_000
 
 
-class Rule(Statistic):
+class Rule(ABC):
     """A decision rule on whitened innovations, which are white and standard normal while the motor is healthy.
 
     That they are: Kailath 1968; that faults show in them: Mehra & Peschon 1971.
 
-    A rule is a value: it holds settings and no running state. `start` and `scan` define it; the batch and the stream
-    both call them, so they cannot disagree.
+    A rule is a value: it holds settings and no running state. `start` and `scan` define it; the batch, the stream and
+    the simulations all call them, so they cannot disagree.
     """
 
     __slots__ = ()
+
+    def start(self, n_streams: int) -> FloatArray:
+        """State before the first sample, shape (n_streams, width): one number, 0, unless a rule says otherwise."""
+        return np.zeros((n_streams, 1))
+
+    @abstractmethod
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Statistic after each sample, shape (n_streams, n_samples); the state is carried on in place.
+
+        Args:
+            state: as `start` gives it.
+            whitened: shape (n_streams, n_samples, n_channels). A channel that is NaN was not measured: the rule takes
+                no notice of it.
+        """
+
+    def exact_threshold(self, request: Request, n_channels: int) -> Threshold | None:
+        """Threshold by theory, None where there is none and it has to be simulated."""
+        return None
+
+    def statistic(self, whitened: ArrayLike) -> FloatArray:
+        """Statistic after each sample.
+
+        Args:
+            whitened: shape (..., n_samples, n_channels), as in `FilterResult.whitened`.
+
+        Returns:
+            Shape (..., n_samples).
+        """
+        values = np.asarray(whitened, dtype=np.float64)
+        require(
+            values.ndim >= 2, f"whitened must have shape (..., n_samples, n_channels), got {values.shape}"
+        )
+        flat = np.ascontiguousarray(values.reshape(-1, *values.shape[-2:]))
+        return self.scan(self.start(len(flat)), flat).reshape(values.shape[:-1])
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm, from the start, for samples of one channel and of mean `shift`.
@@ -93,9 +127,9 @@ class Rule(Statistic):
         limit = threshold.value if isinstance(threshold, Threshold) else threshold
         return first_above(self.statistic(whitened), limit)
 
-    def stream(self, n_streams: int = 1, n_channels: int = 1) -> RuleStream:
+    def stream(self, n_streams: int = 1) -> RuleStream:
         """A running copy of the rule, fed one sample at a time."""
-        return RuleStream(self, n_streams, n_channels=n_channels)
+        return RuleStream(self, n_streams)
 
 
 class ExactRule(Rule):
@@ -114,15 +148,13 @@ class ExactRule(Rule):
         """A threshold that is surely too low, and the first step upwards from there."""
         return 1e-3, 0.5
 
-    def average_run_length(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> float:
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm, from the start, for samples of mean `shift`: 0 gives ARL0."""
-        return self.run_law(threshold, shift, n_channels).average_run_length()
+        return self.run_law(threshold, shift).average_run_length()
 
-    def alarm_probability(
-        self, threshold: float, n_samples: int, shift: float = 0.0, n_channels: int = 1
-    ) -> float:
+    def alarm_probability(self, threshold: float, n_samples: int, shift: float = 0.0) -> float:
         """Probability of an alarm within n samples, for samples of mean `shift`."""
-        return self.run_law(threshold, shift, n_channels).alarm_probability(n_samples)
+        return self.run_law(threshold, shift).alarm_probability(n_samples)
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
         """Exact threshold."""
@@ -139,23 +171,17 @@ class RuleStream:
         state: its running state, shape (n_streams, width).
     """
 
-    def __init__(self, rule: Rule, n_streams: int, *, n_channels: int) -> None:
-        require(
-            rule.n_channels in (None, n_channels),
-            f"n_channels must be {rule.n_channels} for this rule, got {n_channels}",
-        )
-        self.rule = rule
-        self._shape = (n_streams, n_channels)
-        self.state = rule.start(n_streams, n_channels)
+    def __init__(self, rule: Rule, n_streams: int) -> None:
+        self.rule, self.state = rule, rule.start(n_streams)
 
     def update(self, whitened: ArrayLike) -> FloatArray:
         """Statistic after one more sample, shape (n_streams,), from shape (n_streams, n_channels)."""
-        values = np.asarray(whitened, dtype=np.float64).reshape(self._shape)
-        return self.rule.scan(self.state, values[:, None, :])[:, 0]
+        values = np.asarray(whitened, dtype=np.float64).reshape(len(self.state), 1, -1)
+        return self.rule.scan(self.state, values)[:, 0]
 
     def reset(self, streams: NDArray[np.bool_] | None = None) -> None:
         """Begin anew: all streams, or those where the mask is true."""
-        fresh = self.rule.start(*self._shape)
+        fresh = self.rule.start(len(self.state))
         self.state = fresh if streams is None else np.where(streams[:, None], fresh, self.state)
 
 

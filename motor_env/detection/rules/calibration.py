@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.detection.rules.kernels import first_passages
-from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
+from motor_env.detection.rules.thresholds import Request, Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.random_streams import Stream, normals
 from motor_env.simulation.recipes import FaultClass, Recipe
 
+if TYPE_CHECKING:
+    from motor_env.detection.rules.base import Rule
+
 IntArray = NDArray[np.int64]
-Progress = Callable[[float], None]
 
 CALIBRATION_SEED = 20_101
 
@@ -32,7 +35,7 @@ _AT_ONCE = 400_000  # values in one array: they stay in the cache
 
 
 def simulated_threshold(
-    rule: Statistic, request: Request, *, runs: int | None, n_channels: int, seed: int
+    rule: Rule, request: Request, *, runs: int | None, n_channels: int, seed: int
 ) -> Threshold:
     """Threshold from simulated healthy runs of white noise, with its standard error.
 
@@ -54,7 +57,6 @@ def simulated_threshold(
         largest = largest_values(rule, request.n_samples, np.arange(count), n_channels, seed)
         method = f"simulated: {count} runs of {request.n_samples} samples"
         return _order_statistic(largest, request.probability, method)
-    require(request.arl0 is not None, "a threshold needs arl0 or a false-alarm probability")
     arl0 = float(request.arl0 or 0.0)
     count = runs or int(np.clip(_SAMPLES / arl0, _LEAST_RUNS, _MOST_RUNS))
     _check_effort(f"arl0 {arl0:g}", arl0, max(count, _PILOT))
@@ -77,13 +79,12 @@ def _check_effort(request: str, samples: float, runs: int) -> None:
 
 
 def recipe_thresholds(
-    rules: Sequence[Statistic],
+    rules: Sequence[Rule],
     recipe: Recipe,
     false_alarm_probability: float,
     *,
     runs: int | None = None,
     seed: int = CALIBRATION_SEED,
-    progress: Progress | None = None,
 ) -> list[Threshold]:
     """Thresholds of several rules from the same simulated healthy motors of a recipe; one: `Rule.threshold_for`.
 
@@ -97,7 +98,6 @@ def recipe_thresholds(
         false_alarm_probability: in a transient.
         runs: healthy motors to simulate, by default 100,000; at least 10 / probability.
         seed: of the motors and their noise.
-        progress: called with the share done.
     """
     if recipe.field is None and not recipe.spread.std.any():
         n_samples, n_channels = recipe.timing.n_samples, len(recipe.sensor.channels)
@@ -117,8 +117,6 @@ def recipe_thresholds(
         white = tolerant.white(healthy_measurements(recipe, seed, cases))
         for row, rule in zip(largest, rules, strict=True):
             row[cases] = rule.statistic(white).max(axis=1)
-        if progress is not None:
-            progress((cases[-1] + 1) / count)
     method = f"simulated: {count} healthy motors of {recipe.name}"
     return [_order_statistic(row, false_alarm_probability, method) for row in largest]
 
@@ -129,15 +127,13 @@ def healthy_measurements(recipe: Recipe, seed: int, cases: ArrayLike) -> NDArray
     return measure_draw(draw(healthy, seed, cases), healthy, seed)
 
 
-def largest_values(
-    rule: Statistic, n_samples: int, cases: IntArray, n_channels: int, seed: int
-) -> FloatArray:
+def largest_values(rule: Rule, n_samples: int, cases: IntArray, n_channels: int, seed: int) -> FloatArray:
     """Largest statistic of each of many healthy runs, shape (n_cases,)."""
     answer = np.empty(len(cases))
     batch = max(1, _AT_ONCE // (n_samples * n_channels))
     for first in range(0, len(cases), batch):
         here = cases[first : first + batch]
-        state = rule.start(len(here), n_channels)
+        state = rule.start(len(here))
         best = np.full(len(here), -np.inf)
         for begin in range(0, n_samples, _AT_ONCE):
             count = min(_AT_ONCE, n_samples - begin)
@@ -148,7 +144,7 @@ def largest_values(
 
 
 def run_lengths(
-    rule: Statistic,
+    rule: Rule,
     levels: ArrayLike,
     runs: int,
     *,
@@ -175,7 +171,7 @@ def run_lengths(
         cases = np.arange(first, min(first + batch, runs))
         passed = np.zeros(len(cases), dtype=np.int64)
         passages = np.zeros((len(cases), len(thresholds)), dtype=np.int64)
-        state, block = rule.start(len(cases), n_channels), 0
+        state, block = rule.start(len(cases)), 0
         while len(cases):
             values = _noise(seed, cases, block, _BLOCK, n_channels)
             begin = block * _BLOCK
@@ -204,7 +200,7 @@ def _order_statistic(largest: FloatArray, probability: float, method: str) -> Th
     return Threshold(float(value), 0.5 * float(above - below), method)
 
 
-def _for_run_length(rule: Statistic, arl0: float, runs: int, n_channels: int, seed: int) -> Threshold:
+def _for_run_length(rule: Rule, arl0: float, runs: int, n_channels: int, seed: int) -> Threshold:
     # Run lengths are near exponential (Pollak & Tartakovsky 2009): a run of L = arl0 samples stays silent with
     # probability exp(-1), and exp(-exp(-+0.3)) at thresholds for exp(+-0.3) arl0.
     pilot = largest_values(rule, max(1, int(arl0)), runs + np.arange(_PILOT), n_channels, seed)
