@@ -26,9 +26,7 @@ from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, gain_and_covaria
 from motor_env.filters.kernels import covariance_step
 from motor_env.motor.parameters import FloatArray
 
-BOTH = SensorParameters(
-    channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
-)
+BOTH = SensorParameters((Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=2.0)
 SENSORS = {
     "current": SensorParameters(),
     "speed": SensorParameters(channels=(Channel.SPEED,)),
