@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.detection.rules import calibration
-from motor_env.detection.rules.thresholds import Request, Threshold
+from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
 from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
 
@@ -19,50 +19,16 @@ if TYPE_CHECKING:
 _RUNS = 2_000
 
 
-class Rule(ABC):
+class Rule(Statistic):
     """A decision rule on whitened innovations, which are white and standard normal while the motor is healthy.
 
     That they are: Kailath 1968; that faults show in them: Mehra & Peschon 1971.
 
-    A rule is a value: it holds settings and no running state. `start` and `scan` define it; the batch, the stream and
-    the simulations all call them, so they cannot disagree.
+    A rule is a value: it holds settings and no running state. `start` and `scan` define it; the batch and the stream
+    both call them, so they cannot disagree.
     """
 
     __slots__ = ()
-
-    def start(self, n_streams: int) -> FloatArray:
-        """State before the first sample, shape (n_streams, width): one number, 0, unless a rule says otherwise."""
-        return np.zeros((n_streams, 1))
-
-    @abstractmethod
-    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """Statistic after each sample, shape (n_streams, n_samples); the state is carried on in place.
-
-        Args:
-            state: as `start` gives it.
-            whitened: shape (n_streams, n_samples, n_channels). A channel that is NaN was not measured: the rule takes
-                no notice of it.
-        """
-
-    def exact_threshold(self, request: Request, n_channels: int) -> Threshold | None:
-        """Threshold by theory, None where there is none and it has to be simulated."""
-        return None
-
-    def statistic(self, whitened: ArrayLike) -> FloatArray:
-        """Statistic after each sample.
-
-        Args:
-            whitened: shape (..., n_samples, n_channels), as in `FilterResult.whitened`.
-
-        Returns:
-            Shape (..., n_samples).
-        """
-        values = np.asarray(whitened, dtype=np.float64)
-        require(
-            values.ndim >= 2, f"whitened must have shape (..., n_samples, n_channels), got {values.shape}"
-        )
-        flat = np.ascontiguousarray(values.reshape(-1, *values.shape[-2:]))
-        return self.scan(self.start(len(flat)), flat).reshape(values.shape[:-1])
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm, from the start, for samples of one channel and of mean `shift`.

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.detection.rules.kernels import first_passages
-from motor_env.detection.rules.thresholds import Request, Threshold
+from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.random_streams import Stream, normals
 from motor_env.simulation.recipes import FaultClass, Recipe
-
-if TYPE_CHECKING:
-    from motor_env.detection.rules.base import Rule
 
 IntArray = NDArray[np.int64]
 
@@ -35,7 +31,7 @@ _AT_ONCE = 400_000  # values in one array: they stay in the cache
 
 
 def simulated_threshold(
-    rule: Rule, request: Request, *, runs: int | None, n_channels: int, seed: int
+    rule: Statistic, request: Request, *, runs: int | None, n_channels: int, seed: int
 ) -> Threshold:
     """Threshold from simulated healthy runs of white noise, with its standard error.
 
@@ -79,7 +75,7 @@ def _check_effort(request: str, samples: float, runs: int) -> None:
 
 
 def recipe_thresholds(
-    rules: Sequence[Rule],
+    rules: Sequence[Statistic],
     recipe: Recipe,
     false_alarm_probability: float,
     *,
@@ -127,7 +123,9 @@ def healthy_measurements(recipe: Recipe, seed: int, cases: ArrayLike) -> NDArray
     return measure_draw(draw(healthy, seed, cases), healthy, seed)
 
 
-def largest_values(rule: Rule, n_samples: int, cases: IntArray, n_channels: int, seed: int) -> FloatArray:
+def largest_values(
+    rule: Statistic, n_samples: int, cases: IntArray, n_channels: int, seed: int
+) -> FloatArray:
     """Largest statistic of each of many healthy runs, shape (n_cases,)."""
     answer = np.empty(len(cases))
     batch = max(1, _AT_ONCE // (n_samples * n_channels))
@@ -144,7 +142,7 @@ def largest_values(rule: Rule, n_samples: int, cases: IntArray, n_channels: int,
 
 
 def run_lengths(
-    rule: Rule,
+    rule: Statistic,
     levels: ArrayLike,
     runs: int,
     *,
@@ -200,7 +198,7 @@ def _order_statistic(largest: FloatArray, probability: float, method: str) -> Th
     return Threshold(float(value), 0.5 * float(above - below), method)
 
 
-def _for_run_length(rule: Rule, arl0: float, runs: int, n_channels: int, seed: int) -> Threshold:
+def _for_run_length(rule: Statistic, arl0: float, runs: int, n_channels: int, seed: int) -> Threshold:
     # Run lengths are near exponential (Pollak & Tartakovsky 2009): a run of L = arl0 samples stays silent with
     # probability exp(-1), and exp(-exp(-+0.3)) at thresholds for exp(+-0.3) arl0.
     pilot = largest_values(rule, max(1, int(arl0)), runs + np.arange(_PILOT), n_channels, seed)

@@ -1,16 +1,21 @@
-"""What a threshold of a rule is asked for, and the solution where theory gives one."""
+"""The statistic of a rule, sample by sample, and what a threshold on it is asked for.
+
+The batch, the stream and the simulations of a rule all run its `Statistic`.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from motor_env.detection.run_length import RunLaw
-from motor_env.motor.parameters import require
+from motor_env.motor.parameters import FloatArray, require
 
 _MOST = 1e290  # beyond, probabilities underflow
 
@@ -86,3 +91,43 @@ class Request:
         while excess(high) < 0.0:
             low, high, step = high, high + 1.5 * step, 1.5 * step
         return float(brentq(excess, low, high, xtol=1e-10, rtol=1e-12))
+
+
+class Statistic(ABC):
+    """A running statistic of whitened innovations, and the exact threshold on it where theory gives one."""
+
+    __slots__ = ()
+
+    def start(self, n_streams: int) -> FloatArray:
+        """State before the first sample, shape (n_streams, width): one number, 0, unless a rule says otherwise."""
+        return np.zeros((n_streams, 1))
+
+    @abstractmethod
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """Statistic after each sample, shape (n_streams, n_samples); the state is carried on in place.
+
+        Args:
+            state: as `start` gives it.
+            whitened: shape (n_streams, n_samples, n_channels). A channel that is NaN was not measured: the rule takes
+                no notice of it.
+        """
+
+    def exact_threshold(self, request: Request, n_channels: int) -> Threshold | None:
+        """Threshold by theory, None where there is none and it has to be simulated."""
+        return None
+
+    def statistic(self, whitened: ArrayLike) -> FloatArray:
+        """Statistic after each sample.
+
+        Args:
+            whitened: shape (..., n_samples, n_channels), as in `FilterResult.whitened`.
+
+        Returns:
+            Shape (..., n_samples).
+        """
+        values = np.asarray(whitened, dtype=np.float64)
+        require(
+            values.ndim >= 2, f"whitened must have shape (..., n_samples, n_channels), got {values.shape}"
+        )
+        flat = np.ascontiguousarray(values.reshape(-1, *values.shape[-2:]))
+        return self.scan(self.start(len(flat)), flat).reshape(values.shape[:-1])
