@@ -78,10 +78,7 @@ class Rule(Statistic):
             )
             return threshold
         request = Request.checked(arl0, false_alarm_probability, n_samples)
-        exact = self.exact_threshold(request, n_channels)
-        return exact or calibration.simulated_threshold(
-            self, request, runs=runs, n_channels=n_channels, seed=seed
-        )
+        return calibration.threshold_of(self, request, runs=runs, n_channels=n_channels, seed=seed)
 
     def alarm_index(self, whitened: ArrayLike, threshold: float | Threshold) -> NDArray[np.int64]:
         """First sample at which the statistic is above the threshold, -1 where there is none; shape (...).

@@ -30,10 +30,10 @@ _BLOCK = 500
 _AT_ONCE = 400_000  # values in one array: they stay in the cache
 
 
-def simulated_threshold(
+def threshold_of(
     rule: Statistic, request: Request, *, runs: int | None, n_channels: int, seed: int
 ) -> Threshold:
-    """Threshold from simulated healthy runs of white noise, with its standard error.
+    """Exact threshold where theory gives it; else from simulated healthy runs of white noise, with its standard error.
 
     For a probability it is an order statistic of the runs' largest values. For an average run length a pilot finds a
     narrow range of thresholds, and every run goes on to its alarm at each of them; the mean run length, whose logarithm
@@ -46,6 +46,9 @@ def simulated_threshold(
         n_channels: measured channels.
         seed: seed of the noise.
     """
+    exact = rule.exact_threshold(request, n_channels)
+    if exact is not None:
+        return exact
     if request.probability is not None:
         count = runs or _TRANSIENTS
         _check_runs(request.probability, count)
@@ -98,11 +101,7 @@ def recipe_thresholds(
     if recipe.field is None and not recipe.spread.std.any():
         n_samples, n_channels = recipe.timing.n_samples, len(recipe.sensor.channels)
         request = Request.checked(None, false_alarm_probability, n_samples)
-        return [
-            rule.exact_threshold(request, n_channels)
-            or simulated_threshold(rule, request, runs=runs, n_channels=n_channels, seed=seed)
-            for rule in rules
-        ]
+        return [threshold_of(rule, request, runs=runs, n_channels=n_channels, seed=seed) for rule in rules]
     count = runs or _TRANSIENTS
     _check_runs(false_alarm_probability, count)
     tolerant = TolerantFilter.from_recipe(recipe)
