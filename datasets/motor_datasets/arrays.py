@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.motor.parameters import Channel, FloatArray
-from motor_env.simulation.duty import VOLTAGE
+from motor_env.simulation.failed_sensors import VOLTAGE
 from motor_env.simulation.recipes import Recipe
 
 

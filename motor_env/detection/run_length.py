@@ -46,14 +46,13 @@ class Chain:
     The alarm's probabilities stand beside the kernel: they may be far smaller than the rounding of 1 - kernel 1.
 
     Attributes:
-        kernel: weights from each state to each state, shape (n_states, n_states); rows sum to less than 1.
+        kernel: weights from each state to each state, shape (n_states, n_states); rows sum to less than 1. The first
+            state is the start.
         alarm: probability of an alarm at the next sample from each state, shape (n_states,).
-        start: index of the state in which a rule begins.
     """
 
     kernel: FloatArray
     alarm: FloatArray
-    start: int = 0
 
     def average_run_length(self) -> float:
         """Expected samples to the alarm, from the start (Brook & Evans 1972)."""
@@ -62,14 +61,14 @@ class Chain:
         # L = c + w with w = 0 at the start. (1 - kernel) 1 is the probability of the alarm, so this multiplies c,
         # where it may be far smaller than the rounding of 1 - kernel.
         matrix = np.eye(len(self.kernel)) - self.kernel
-        matrix[:, self.start] = self.alarm
-        return float(np.linalg.solve(matrix, np.ones(len(matrix)))[self.start])
+        matrix[:, 0] = self.alarm
+        return float(np.linalg.solve(matrix, np.ones(len(matrix)))[0])
 
     def alarm_pmf(self, n_samples: int) -> FloatArray:
         """Probability that the alarm comes at sample 1, 2, ..., `n_samples`, shape (n_samples,)."""
         ahead, answer = self.alarm, np.empty(n_samples)
         for k in range(n_samples):
-            answer[k] = ahead[self.start]
+            answer[k] = ahead[0]
             ahead = self.kernel @ ahead
         return answer
 
@@ -84,7 +83,7 @@ class Chain:
             if left:
                 within = within + power @ within
                 power = power @ power
-        return float(total[self.start])
+        return float(total[0])
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,17 +59,10 @@ class Residuals(NamedTuple):
     nis: kernels.AnyFloat
 
 
-class _Series(NamedTuple):
-    """Checked measurements, shape (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
-
-    measured: kernels.AnyFloat
-    batch: tuple[int, ...]
-    nominal: FloatArray
-
-
 def _series(
     kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
-) -> _Series:
+) -> tuple[kernels.AnyFloat, tuple[int, ...], FloatArray]:
+    """Checked measurements, shape (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
     samples = np.asarray(measurements)
     measured = samples if samples.dtype == np.float32 else samples.astype(np.float64, copy=False)
     n_channels = len(kalman.observation)
@@ -99,7 +92,7 @@ def _series(
     gain = np.ascontiguousarray(kalman.model.gain.reshape(-1, N_STATES, len(Input)))
     begin = np.tile(kalman.initial_state, (len(nominal), 1))
     propagate(transition, gain, inputs, np.empty((0, n_samples, N_STATES)), begin, nominal)
-    return _Series(flat, batch, nominal)
+    return flat, batch, nominal
 
 
 def output_coordinates(
@@ -140,8 +133,8 @@ def filter_residuals(
     """
     require(dtype in {np.float32, np.float64}, f"dtype must be float32 or float64, got {np.dtype(dtype)}")
     plan = schedule(kalman, np.shape(measurements)[-1])
-    series = _series(kalman, measurements, voltage_v, load_torque_n_m)
-    n_cases, n_channels, n_samples = series.measured.shape
+    measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
+    n_cases, n_channels, n_samples = measured.shape
     # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
     # be zeroed anew in the next one, which took longer than to filter.
     block = np.empty(n_cases * n_samples * (n_channels + 1), dtype=dtype)
@@ -149,7 +142,7 @@ def filter_residuals(
     nis = block[-n_cases * n_samples :].reshape(n_cases, n_samples)
     transition, observation = kalman.model.transition, kalman.observation
     forward = transition @ plan.gain
-    expected = series.nominal @ observation.T
+    expected = nominal @ observation.T
     if n_channels == 1:
         a, gain = output_coordinates(transition, observation[0], forward[:, :, 0])
         kernels.filter_one_channel(
@@ -157,7 +150,7 @@ def filter_residuals(
             gain.astype(dtype),
             (1.0 / plan.innovation_covariance[:, 0, 0]).astype(dtype),
             expected[:, :, 0],
-            series.measured[:, 0],
+            measured[:, 0],
             innovation[:, :, 0],
             nis,
         )
@@ -168,7 +161,7 @@ def filter_residuals(
             forward.astype(dtype),
             np.linalg.inv(plan.innovation_covariance).astype(dtype),
             expected,
-            series.measured,
+            measured,
             innovation,
             nis,
         )
@@ -176,9 +169,9 @@ def filter_residuals(
     finite = bool(np.isfinite(innovation[:, -1]).all())
     require(finite, "measurements must be finite, got a value that is not")
     return Residuals(
-        innovation.reshape(*series.batch, n_samples, n_channels),
+        innovation.reshape(*batch, n_samples, n_channels),
         plan.innovation_covariance,
-        nis.reshape(*series.batch, n_samples),
+        nis.reshape(*batch, n_samples),
     )
 
 
@@ -212,14 +205,13 @@ def run_filter(
     Raises:
         ValueError: shapes do not fit, or a measurement is infinite.
     """
-    series = _series(kalman, measurements, voltage_v, load_torque_n_m)
-    require(not bool(np.isinf(series.measured).any()), "measurements must be finite, got an infinite value")
-    missing = np.isnan(series.measured).swapaxes(1, 2)
+    measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
+    require(not bool(np.isinf(measured).any()), "measurements must be finite, got an infinite value")
+    missing = np.isnan(measured).swapaxes(1, 2)
     own_covariance = kalman.model.transition.ndim > 2 or bool(missing.any())
     rows = schedules(kalman, missing if own_covariance else np.zeros((1, *missing.shape[1:]), np.bool_))
-    innovation, state = innovations_and_states(kalman, series.measured, series.nominal, rows.gain)
+    innovation, state = innovations_and_states(kalman, measured, nominal, rows.gain)
     whitened, nis, log_likelihood = score(innovation, rows.innovation_covariance)
-    batch = series.batch
     lead = batch if own_covariance else ()
     _, n_samples, n_channels = innovation.shape
     return FilterResult(

@@ -26,7 +26,6 @@ class Consistency:
         nis_p: that their mean square is 1.
         whiteness_p: that they are uncorrelated over the lags (Ljung & Box 1978).
         mean_square: mean square of the innovations.
-        coverage: share of the innovations within 1.96 standard deviations; 0.95 while the belief holds.
         level: false-alarm rate of all three together.
     """
 
@@ -35,7 +34,6 @@ class Consistency:
     nis_p: float
     whiteness_p: float
     mean_square: float
-    coverage: float
     level: float = 0.01
 
     @property
@@ -95,6 +93,5 @@ def check_consistency(whitened: ArrayLike, *, lags: int = 20, level: float = 0.0
         nis_p=2.0 * min(tail, float(special.chdtrc(count, squares))),
         whiteness_p=float(special.chdtrc(lags, statistic)),
         mean_square=squares / count,
-        coverage=float((np.abs(values[measured]) < special.ndtri(0.975)).mean()),
         level=level,
     )

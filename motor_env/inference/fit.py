@@ -42,11 +42,6 @@ class Prior:
     precision: FloatArray
 
     @classmethod
-    def flat(cls, size: int) -> Prior:
-        """Nothing is known: maximum likelihood."""
-        return cls(np.zeros(size), np.zeros((size, size)))
-
-    @classmethod
     def from_std(cls, std: ArrayLike) -> Prior:
         """Independent about 0, from standard deviations, infinite where nothing is known."""
         deviations = np.asarray(std, dtype=np.float64)
@@ -78,7 +73,6 @@ class Fit(NamedTuple):
         information: shape (n, size, size).
         chi2: sum of squared residuals in units of the noise, shape (n,); near n_values for a right model.
         objective: chi2 plus the prior's squares, shape (n,).
-        log_likelihood: of the measurements, shape (n,).
         converged: shape (n,).
     """
 
@@ -88,7 +82,6 @@ class Fit(NamedTuple):
     information: FloatArray
     chi2: FloatArray
     objective: FloatArray
-    log_likelihood: FloatArray
     converged: NDArray[np.bool_]
 
     @property
@@ -142,7 +135,7 @@ def fit(
     Raises:
         ValueError: the samples and the prior together leave a direction open.
     """
-    belief = Prior.flat(coordinates.size) if prior is None else prior
+    belief = Prior.from_std(np.full(coordinates.size, np.inf)) if prior is None else prior
     parts = []
     for first in range(0, max(observed.n_cases, 1), _CHUNK):
         chosen = slice(first, first + _CHUNK)
@@ -195,7 +188,6 @@ def _fit_together(observed: Observed, coordinates: Coordinates, belief: Prior, *
         information=best.information,
         chi2=chi2,
         objective=best.chi2,
-        log_likelihood=observed.log_normaliser - 0.5 * chi2,
         converged=converged,
     )
 

@@ -1,6 +1,6 @@
 """Compiled loops of the fits: states of the linear motor, their slopes, and normal equations case by case.
 
-`motor_env.inference.sensitivities` calls them. A series of voltage or load with one row serves all cases.
+`motor_env.inference.sensitivities` calls them. Motors begin at rest.
 """
 
 from __future__ import annotations
@@ -21,17 +21,16 @@ def fill_sensitivities(
     gain_slope: FloatArray,
     voltage: FloatArray,
     load: FloatArray,
-    initial_state: FloatArray,
     states: FloatArray,
     slopes: FloatArray,
 ) -> None:
     """One motor's states, (2, n_samples), and their derivatives, (size, 2, n_samples), by the exact recursion.
 
-    s[k+1] = A s[k] + A' x[k] + B' u[k]; the initial state does not depend on the parameters.
+    s[k+1] = A s[k] + A' x[k] + B' u[k], from rest.
     """
     a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
     b00, b01, b10, b11 = gain[0, 0], gain[0, 1], gain[1, 0], gain[1, 1]
-    x0, x1 = initial_state[0], initial_state[1]
+    x0, x1 = 0.0, 0.0
     for k in range(states.shape[1]):
         v, t = voltage[k], load[k]
         x0, x1 = (
@@ -44,8 +43,7 @@ def fill_sensitivities(
         d10, d11 = transition_slope[j, 1, 0], transition_slope[j, 1, 1]
         e00, e01 = gain_slope[j, 0, 0], gain_slope[j, 0, 1]
         e10, e11 = gain_slope[j, 1, 0], gain_slope[j, 1, 1]
-        x0, x1 = initial_state[0], initial_state[1]
-        s0, s1 = 0.0, 0.0
+        x0, x1, s0, s1 = 0.0, 0.0, 0.0, 0.0
         for k in range(states.shape[1]):
             v, t = voltage[k], load[k]
             f0 = d00 * x0 + d01 * x1 + e00 * v + e01 * t
@@ -63,17 +61,15 @@ def fill_normal_equations(
     transition_slope: FloatArray,
     gain_slope: FloatArray,
     voltage: FloatArray,
-    load: FloatArray,
     measurements: FloatArray,
     observation: FloatArray,
-    initial_state: FloatArray,
     chi2: FloatArray,
     gradient: FloatArray,
     information: FloatArray,
 ) -> None:
     """Weighted squares, J'r and J'J of each row; `observation` is C divided by the noise, as `measurements` are."""
     n_channels, n_samples, size = measurements.shape[1], measurements.shape[2], gradient.shape[1]
-    states = np.empty((N_STATES, n_samples))
+    no_load, states = np.zeros(n_samples), np.empty((N_STATES, n_samples))
     slopes = np.empty((size, N_STATES, n_samples))
     residual = np.empty(n_samples)
     jacobian = np.empty((size, n_samples))
@@ -84,9 +80,8 @@ def fill_normal_equations(
             gain[n],
             transition_slope[n],
             gain_slope[n],
-            voltage[row if voltage.shape[0] > 1 else 0],
-            load[row if load.shape[0] > 1 else 0],
-            initial_state,
+            voltage,
+            no_load,
             states,
             slopes,
         )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.motor.model import N_INPUTS, N_STATES, Input, discretize
+from motor_env.motor.model import N_STATES, Input, discretize
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters, require
 
 _FIELDS: dict[str, tuple[str, ...]] = {"supply": (), **QUANTITY_FIELDS}
@@ -18,9 +18,8 @@ _FIELDS: dict[str, tuple[str, ...]] = {"supply": (), **QUANTITY_FIELDS}
 QUANTITIES = tuple(_FIELDS)
 """What a fit can free: a factor on the supply, or on a parameter; `constants` is one common factor on Kt and Kb."""
 
-_DIFFERENCE = (
-    1e-5  # of a relative change: truncation and rounding of a central difference are both near 1e-10
-)
+# Of a relative change: truncation and rounding of a central difference are both near 1e-10.
+_DIFFERENCE = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +89,7 @@ def model_slopes(coordinates: Coordinates, values: FloatArray, dt_s: float) -> t
     motors, supply = coordinates.motors(shifted)
     model = discretize(motors, dt_s)
     transition = np.broadcast_to(model.transition, (*supply.shape, N_STATES, N_STATES)).copy()
-    gain = np.broadcast_to(model.gain, (*supply.shape, N_STATES, N_INPUTS)).copy()
+    gain = np.broadcast_to(model.gain, (*supply.shape, N_STATES, len(Input))).copy()
     gain[..., Input.VOLTAGE] *= supply[..., None]
     steps = 2.0 * steps[:, None, None]
     centre = np.ascontiguousarray(transition[:, 0]), np.ascontiguousarray(gain[:, 0])

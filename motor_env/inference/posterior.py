@@ -37,26 +37,18 @@ def variance_factor(fault_class: FaultClass) -> float:
     return float(noise_variance_factor(fault_class.faults, NoiseSource.MEASUREMENT, np.zeros(1))[0, 0])
 
 
-def recipe_observed(recipe: Recipe, measurements: ArrayLike, voltage_v: ArrayLike | None = None) -> Observed:
+def recipe_observed(recipe: Recipe, measurements: ArrayLike) -> Observed:
     """The measured transients as the recipe sees them; the first part of a transient is taken for a shorter one.
 
     Args:
         recipe: what the cases were drawn from.
         measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
-        voltage_v: nominal voltage; the recipe's step by default.
     """
-    measured = np.asarray(measurements, dtype=np.float64)
-    voltage = recipe.nominal_voltage_v if voltage_v is None else voltage_v
-    shown = np.asarray(voltage)[..., : measured.shape[-1]]
-    return Observed.from_measurements(measured, shown, recipe.sensor, recipe.timing.dt_s)
+    voltage = recipe.nominal_voltage_v[: np.shape(measurements)[-1]]
+    return Observed.from_measurements(measurements, voltage, recipe.sensor, recipe.timing.dt_s)
 
 
-def class_log_evidence(
-    recipe: Recipe,
-    measurements: ArrayLike,
-    voltage_v: ArrayLike | None = None,
-    prior: Prior | None = None,
-) -> FloatArray:
+def class_log_evidence(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
     """Log probability density of each transient under each class (Laplace 1774), shape (n_cases, n_classes).
 
     Exact for a recipe without spread: then it is the plain likelihood. A process noise fault leaves no trace here.
@@ -64,7 +56,6 @@ def class_log_evidence(
     Args:
         recipe: what the cases were drawn from.
         measurements: shape (n_cases, n_channels, n_samples); fewer samples than the recipe's are its first ones.
-        voltage_v: nominal voltage, shape (n_samples,) or (n_cases, n_samples); the recipe's step by default.
         prior: of the nuisances, in the coordinates of `class_coordinates`, such as `prior_from_starts` gives; standard
             normal by default.
 
@@ -73,7 +64,7 @@ def class_log_evidence(
             fails.
     """
     recipe.require_motor_faults()
-    observed = recipe_observed(recipe, measurements, voltage_v)
+    observed = recipe_observed(recipe, measurements)
     return np.column_stack([class_evidence(recipe, observed, each, prior) for each in recipe.classes])
 
 
@@ -97,16 +88,11 @@ def class_evidence(
     return evidence
 
 
-def class_probabilities(
-    recipe: Recipe,
-    measurements: ArrayLike,
-    voltage_v: ArrayLike | None = None,
-    prior: Prior | None = None,
-) -> FloatArray:
+def class_probabilities(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
     """Posterior of each class (Bayes 1763), shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
     with np.errstate(divide="ignore"):  # a class that is never drawn
         log_prior = np.log(recipe.class_probabilities)
-    joint = class_log_evidence(recipe, measurements, voltage_v, prior) + log_prior
+    joint = class_log_evidence(recipe, measurements, prior) + log_prior
     posterior: FloatArray = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
     return posterior
 

@@ -33,23 +33,16 @@ class NormalEquations(NamedTuple):
     information: FloatArray
 
 
-def _own(values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """Values of that shape in an array of their own: for one that cannot be written to, kernels are compiled again."""
-    return np.array(np.broadcast_to(np.asarray(values, dtype=np.float64), shape), order="C")
-
-
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """Measured transients in units of their noise, and what drove them.
+    """Measured transients in units of their noise, all from rest, and what drove them.
 
     Attributes:
         whitened: measurements divided by the noise's standard deviation, shape (n_cases, n_channels, n_samples).
-        voltage_v: nominal voltage, shape (1 or n_cases, n_samples).
+        voltage_v: nominal voltage of all, shape (n_samples,).
         dt_s: sampling interval.
         observation: C divided by the noise, shape (n_channels, 2).
         log_normaliser: log-likelihood of a transient with chi2 = 0.
-        initial_state: state before the first interval, shape (2,).
-        load_torque_n_m: known load, shape (1 or n_cases, n_samples).
     """
 
     whitened: FloatArray
@@ -57,29 +50,18 @@ class Observed:
     dt_s: float
     observation: FloatArray
     log_normaliser: float
-    initial_state: FloatArray
-    load_torque_n_m: FloatArray
 
     @classmethod
     def from_measurements(
-        cls,
-        measurements: ArrayLike,
-        voltage_v: ArrayLike,
-        sensor: SensorParameters,
-        dt_s: float,
-        *,
-        initial_state: ArrayLike = (0.0, 0.0),
-        load_torque_n_m: ArrayLike = 0.0,
+        cls, measurements: ArrayLike, voltage_v: ArrayLike, sensor: SensorParameters, dt_s: float
     ) -> Observed:
         """Check and whiten.
 
         Args:
             measurements: shape (n_cases, n_channels, n_samples), or (n_channels, n_samples) for one case.
-            voltage_v: nominal voltage held in each interval, shape (n_samples,) or (n_cases, n_samples).
+            voltage_v: nominal voltage held in each interval, shape (n_samples,).
             sensor: channels, and the noise that is believed.
             dt_s: sampling interval.
-            initial_state: known current and speed before the first interval.
-            load_torque_n_m: known load, a scalar or the shape of `voltage_v`.
 
         Raises:
             ValueError: shapes do not fit, a value is not finite, or a channel is believed to have no noise.
@@ -94,24 +76,17 @@ class Observed:
         require(bool(np.isfinite(measured).all()), "measurements must be finite, got a value that is not")
         std = sensor.noise_std
         require(bool((std > 0.0).all()), f"noise of each channel must be > 0, got {std}")
-        voltage = np.atleast_2d(np.asarray(voltage_v, dtype=np.float64))
+        voltage, n_samples = np.ascontiguousarray(voltage_v, dtype=np.float64), measured.shape[-1]
         require(
-            voltage.shape[-1] == measured.shape[-1] and voltage.shape[0] in (1, len(measured)),
-            f"voltage_v must have shape ({measured.shape[-1]},) or {(len(measured), measured.shape[-1])}, "
-            f"got {np.shape(voltage_v)}",
+            voltage.shape == (n_samples,), f"voltage_v must have shape ({n_samples},), got {voltage.shape}"
         )
-        load = _own(load_torque_n_m, voltage.shape)
-        for name, driving in (("voltage_v", voltage), ("load_torque_n_m", load)):
-            require(bool(np.isfinite(driving).all()), f"{name} must be finite, got a value that is not")
-        n_samples = measured.shape[-1]
+        require(bool(np.isfinite(voltage).all()), "voltage_v must be finite, got a value that is not")
         return cls(
             whitened=np.ascontiguousarray(measured / std[:, None]),
-            voltage_v=np.ascontiguousarray(voltage),
+            voltage_v=voltage,
             dt_s=float(dt_s),
             observation=sensor.observation / std[:, None],
             log_normaliser=-n_samples * float(np.log(std).sum() + 0.5 * n_channels * np.log(2.0 * np.pi)),
-            initial_state=np.asarray(initial_state, dtype=np.float64),
-            load_torque_n_m=load,
         )
 
     def with_variance(self, factor: float) -> Observed:
@@ -126,11 +101,7 @@ class Observed:
 
     def rows(self, chosen: slice) -> Observed:
         """Some of the cases."""
-        voltage, load = (
-            series if len(series) == 1 else series[chosen]
-            for series in (self.voltage_v, self.load_torque_n_m)
-        )
-        return replace(self, whitened=self.whitened[chosen], voltage_v=voltage, load_torque_n_m=load)
+        return replace(self, whitened=self.whitened[chosen])
 
     @property
     def n_cases(self) -> int:
@@ -157,25 +128,17 @@ def normal_equations(
         *centre,
         *slope,
         observed.voltage_v,
-        observed.load_torque_n_m,
         observed.whitened,
         observed.observation,
-        observed.initial_state,
         *result,
     )
     return result
 
 
 def common_equations(observed: Observed, coordinates: Coordinates, value: FloatArray) -> NormalEquations:
-    """`normal_equations` at one point, shape (size,), for all cases: one motor's slopes serve them all.
-
-    Cases with voltages or loads of their own have none in common.
-    """
-    n, size = observed.n_cases, coordinates.size
-    if len(observed.voltage_v) > 1 or len(observed.load_torque_n_m) > 1:
-        return normal_equations(observed, coordinates, np.broadcast_to(value, (n, size)))
-    driving = observed.voltage_v[0], observed.load_torque_n_m[0], observed.initial_state
-    states, slopes = _state_slopes(coordinates, value, observed.dt_s, driving)
+    """`normal_equations` at one point, shape (size,), for all cases: one motor's slopes serve them all."""
+    n, size, voltage = observed.n_cases, coordinates.size, observed.voltage_v
+    states, slopes = _state_slopes(coordinates, value, observed.dt_s, voltage, np.zeros_like(voltage))
     moved = (observed.observation @ slopes).reshape(size, -1)
     residual = (observed.whitened - observed.observation @ states).reshape(n, -1)
     return NormalEquations(
@@ -188,13 +151,7 @@ def common_equations(observed: Observed, coordinates: Coordinates, value: FloatA
 def fitted_residuals(observed: Observed, coordinates: Coordinates, values: FloatArray) -> FloatArray:
     """Measured less expected at coordinates of shape (n, size), in units of the noise, shape as `observed.whitened`."""
     motors, supply = coordinates.motors(values)
-    states = simulate_states(
-        motors,
-        supply[:, None] * observed.voltage_v,
-        observed.dt_s,
-        load_torque_n_m=observed.load_torque_n_m,
-        initial_state=observed.initial_state,
-    )
+    states = simulate_states(motors, supply[:, None] * observed.voltage_v, observed.dt_s)
     return observed.whitened - observed.observation @ states.swapaxes(1, 2)
 
 
@@ -204,23 +161,21 @@ def jacobian(
     sensor: SensorParameters,
     dt_s: float,
     *,
-    values: ArrayLike | None = None,
     load_torque_n_m: ArrayLike = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Response (n_channels, n_samples) from rest of one motor, and its derivative (n_channels, n_samples, size).
+    """Response of the nominal motor from rest, (n_channels, n_samples), and its derivative, with `size` behind that.
 
     Args:
         coordinates: what the derivative is taken with respect to.
         voltage_v: nominal voltage, shape (n_samples,).
         sensor: channels.
         dt_s: sampling interval.
-        values: coordinates of the motor, shape (size,); the nominal motor by default.
         load_torque_n_m: known load, scalar or shape (n_samples,).
     """
-    at = np.zeros(coordinates.size) if values is None else np.asarray(values, dtype=np.float64)
     voltage = np.ascontiguousarray(voltage_v, dtype=np.float64)
-    load = _own(load_torque_n_m, voltage.shape)
-    states, slopes = _state_slopes(coordinates, at, dt_s, (voltage, load, np.zeros(N_STATES)))
+    # An array of its own: for one that cannot be written to, kernels are compiled again.
+    load = np.array(np.broadcast_to(load_torque_n_m, voltage.shape), dtype=np.float64, order="C")
+    states, slopes = _state_slopes(coordinates, np.zeros(coordinates.size), dt_s, voltage, load)
     response: FloatArray = sensor.observation @ states
     return response, np.einsum("cs,jsk->ckj", sensor.observation, slopes)
 
@@ -229,14 +184,13 @@ def _state_slopes(
     coordinates: Coordinates,
     value: FloatArray,
     dt_s: float,
-    driving: tuple[FloatArray, FloatArray, FloatArray],
+    voltage_v: FloatArray,
+    load_torque_n_m: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """States of one motor, (2, n_samples), and their slopes, (size, 2, n_samples).
-
-    `driving` is voltage and load, each of shape (n_samples,), and the initial state.
-    """
+    """States of one motor, (2, n_samples), and their slopes, (size, 2, n_samples)."""
     centre, slope = model_slopes(coordinates, value[None], dt_s)
-    n_samples = len(driving[0])
+    n_samples = len(voltage_v)
     states, slopes = np.empty((N_STATES, n_samples)), np.empty((coordinates.size, N_STATES, n_samples))
-    fill_sensitivities(*(part[0] for part in (*centre, *slope)), *driving, states, slopes)
+    motor = (part[0] for part in (*centre, *slope))
+    fill_sensitivities(*motor, voltage_v, load_torque_n_m, states, slopes)
     return states, slopes

@@ -91,9 +91,7 @@ class SeverityPosterior(NamedTuple):
         return np.column_stack([self.quantile(tail), self.quantile(1.0 - tail)])
 
 
-def severity_posterior(
-    recipe: Recipe, prior: SeverityPrior, measurements: ArrayLike, voltage_v: ArrayLike | None = None
-) -> SeverityPosterior:
+def severity_posterior(recipe: Recipe, prior: SeverityPrior, measurements: ArrayLike) -> SeverityPosterior:
     """Posterior of the severity of one kind of fault, given that the motor has this kind (or, from 0, none).
 
     Laplace's method at Chebyshev nodes (Laplace 1774; Trefethen 2013, ch. 4).
@@ -102,9 +100,8 @@ def severity_posterior(
         recipe: nominal motor, tolerances, sensor, timing; its classes are not looked at.
         prior: kind and range of the severity.
         measurements: shape (n_cases, n_channels, n_samples); fewer samples than the recipe's are its first ones.
-        voltage_v: nominal voltage, shape (n_samples,) or (n_cases, n_samples); the recipe's step by default.
     """
-    observed = recipe_observed(recipe, measurements, voltage_v)
+    observed = recipe_observed(recipe, measurements)
     # Chebyshev's points of the second kind: they hold the ends.
     nodes = np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))[::-1]
     at_nodes = [

@@ -12,15 +12,12 @@ from motor_env.inference.severity import SeverityPrior, severity_posterior
 from motor_env.inference.work_features import work_features
 from motor_env.motor.faults import FaultKind
 from motor_env.simulation.drawing import draw, measure_draw
-from motor_env.simulation.named_recipes import RECIPES, named_recipe
+from motor_env.simulation.named_recipes import RECIPES
 
 
 def _recipes() -> None:
-    for name in RECIPES:
-        recipe = named_recipe(name)
-        drawn = draw(recipe, 0, np.arange(3))
-        measured = np.empty((3, len(recipe.channels), recipe.timing.n_samples), np.float32)
-        measure_draw(drawn, recipe, 0, measured)
+    for recipe in RECIPES.values():
+        measured = measure_draw(draw(recipe, 0, np.arange(3)), recipe, 0)
         if recipe.duty is not None:
             work_features(recipe, measured.astype(np.float64))
         else:

@@ -177,14 +177,14 @@ class MatchedTest:
     signature: FloatArray
 
     @classmethod
-    def from_recipe(cls, recipe: Recipe, fault: Fault, belief: KalmanFilter | None = None) -> Self:
+    def from_recipe(cls, recipe: Recipe, fault: Fault) -> Self:
         """Test for the fault on a motor drawn from the recipe's tolerances.
+
+        The filter has no process noise: its innovations are the differences from the nominal trajectory.
 
         Args:
             recipe: what the healthy motors are drawn from; its classes are not looked at.
             fault: what is looked for; it must be there from the beginning, and change the motor.
-            belief: filter of the nominal motor; by default one without process noise, whose innovations are the
-                differences from the nominal trajectory.
 
         Raises:
             ValueError: the fault has an onset in mid-run, or leaves the motor as it is.
@@ -192,16 +192,16 @@ class MatchedTest:
         require(fault.is_constant, f"onset_s must be that of a fault always there, got {fault.onset_s:g}")
         faulty = apply_fault(recipe.motor, fault)
         require(faulty != recipe.motor, f"fault must change the motor, got {fault.kind} of {fault.severity}")
-        believed = belief or KalmanFilter.from_parameters(
+        belief = KalmanFilter.from_parameters(
             recipe.motor, recipe.sensor, recipe.timing.dt_s, process_noise_std=(0.0, 0.0)
         )
-        whitener = MarginalWhitener.from_slopes(innovation_slopes(recipe, believed))
+        whitener = MarginalWhitener.from_slopes(innovation_slopes(recipe, belief))
         voltage = recipe.nominal_voltage_v
         whitened = [
-            whitener.whiten(noise_free_innovations(recipe, believed, motor, voltage))
+            whitener.whiten(noise_free_innovations(recipe, belief, motor, voltage))
             for motor in (recipe.motor, faulty)
         ]
-        return cls(recipe, fault, believed, whitener, whitened[1] - whitened[0])
+        return cls(recipe, fault, belief, whitener, whitened[1] - whitened[0])
 
     @property
     def separation(self) -> float:
@@ -225,7 +225,6 @@ class MatchedTest:
     def law(self, *, faulty: bool = False) -> StatisticLaw:
         """Distribution of the statistic over the recipe's motors, healthy or with the fault.
 
-        Innovations are taken for white with unit variance: a belief's process noise must be the motors' own.
         Along the direction of the nuisances that moves the statistic most it is sampled, fitted by a polynomial and
         integrated on a fine grid; across it Gauss-Hermite nodes suffice.
         """

@@ -147,20 +147,11 @@ def in_silence() -> Iterator[None]:
 class _Part(CPUDispatcher):
     """A function that stands in others, where they call it: it has no entry of its own to be called from Python.
 
-    To compile the entry takes a sixth of the time of such a function. Python's call gets a function of its own.
+    To compile the entry takes a sixth of the time of such a function, and numba crashes where there is none.
     """
 
     def __call__(self, *arguments: Any) -> Any:
-        return _alone(self)(*arguments)
-
-
-@cache
-def _alone(part: _Part) -> Any:
-    options = {name: value for name, value in part.targetoptions.items() if name not in _OF_A_PART}
-    return numba.njit(**options)(part.py_func)
-
-
-_OF_A_PART = ("forceinline", "no_cpython_wrapper", "nopython", "boundscheck")
+        raise TypeError(f"{self.py_func.__name__} is called by compiled functions alone")
 
 
 def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -63,9 +63,8 @@ _UNITS: dict[str, dict[str, float]] = {
 }
 """Quantity: the keys that give it, each with its factor; the first key is the one that is written."""
 
-_LARGEST_DISAGREEMENT = (
-    0.10  # of two numbers of a sheet for one quantity: sheets round, and K falls with warmth
-)
+# Of two numbers of a sheet for one quantity: sheets round, and K falls with warmth.
+_LARGEST_DISAGREEMENT = 0.10
 _MAY_BE_ZERO = ("viscous_friction_n_m_s_per_rad", "coulomb_friction_n_m", "brush_drop_v")
 _MotorTable = make_dataclass(
     "_MotorTable",
@@ -183,6 +182,8 @@ def _to_motor(file: _File) -> Motor:
         require(quantity in si, f"motor.{usual_key} is missing")
     si |= constants
     si["viscous_friction_n_m_s_per_rad"] = _friction(si)
+    unknown = [key for key in file.assumed if getattr(file.motor, key, None) is None]
+    require(not unknown, f"assumed.{', '.join(unknown)} is no value of the table motor")
     return Motor(
         file.name,
         file.kind,
@@ -194,15 +195,8 @@ def _to_motor(file: _File) -> Motor:
         brush_drop_v=si.get("brush_drop_v", 0.0),
         healthy=file.healthy,
         notes=file.notes,
-        assumed=_assumed(file),
+        assumed=file.assumed,
     )
-
-
-def _assumed(file: _File) -> dict[str, str]:
-    """Values of the table `motor` that were not measured, each with its source."""
-    unknown = [key for key in file.assumed if getattr(file.motor, key, None) is None]
-    require(not unknown, f"assumed.{', '.join(unknown)} is no value of the table motor")
-    return file.assumed
 
 
 def _constants(si: Mapping[str, float]) -> dict[str, float]:

@@ -193,8 +193,7 @@ def register_fault_kind(
 def _moved_words(powers: Mapping[str, float]) -> str:
     up = [quantity for quantity, power in powers.items() if power > 0.0]
     down = [quantity for quantity in powers if quantity not in up]
-    parts = [f"{' and '.join(names)} up" for names in [up] if up]
-    parts += [f"{' and '.join(names)} down" for names in [down] if down]
+    parts = [f"{' and '.join(names)} {way}" for names, way in ((up, "up"), (down, "down")) if names]
     return f"{', '.join(parts)}, and nothing else moved"
 
 

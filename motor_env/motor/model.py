@@ -35,7 +35,6 @@ class Input(IntEnum):
 
 
 N_STATES = len(State)
-N_INPUTS = len(Input)
 
 
 class ContinuousModel(NamedTuple):

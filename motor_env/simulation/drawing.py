@@ -107,10 +107,10 @@ def _draw_severities(
     recipe: Recipe, seed: int, class_index: NDArray[np.int64], motor_id: NDArray[np.int64]
 ) -> dict[FaultKind, FloatArray]:
     """Severity of each fault kind that the recipe has, shape (n_cases,); one draw a motor where it is continuous."""
-    severities: dict[FaultKind, FloatArray] = {}
-    u = None
     others = [kind for kind in recipe.kinds if kind not in BUILT_IN_KINDS]
     columns = [*BUILT_IN_KINDS, *others]  # a case depends on its recipe, not on what else is registered
+    u = uniforms(seed, Stream.SEVERITY, motor_id, len(columns))
+    severities: dict[FaultKind, FloatArray] = {}
     for kind in recipe.kinds:
         low, high = np.array(
             [
@@ -118,10 +118,7 @@ def _draw_severities(
                 for c in recipe.classes
             ]
         )[class_index].T
-        if (low != high).any():
-            u = uniforms(seed, Stream.SEVERITY, motor_id, len(columns)) if u is None else u
-            low = low + (high - low) * u[:, columns.index(kind)]
-        severities[kind] = np.ascontiguousarray(low)
+        severities[kind] = low + (high - low) * u[:, columns.index(kind)]
     return severities
 
 

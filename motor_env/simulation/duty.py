@@ -12,9 +12,6 @@ from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.disturbances import NOTHING, Range
 from motor_env.simulation.simulate import Timing
 
-VOLTAGE = "voltage"
-"""The applied voltage as a channel: after the measured ones, without noise, since the drive knows what it applies."""
-
 PROFILES = ("steps", "reversals", "staircase", "binary", "sine", "speed_loop")
 
 DUTY_PRIORS = ("load_end_ratio", "fan_ratio")

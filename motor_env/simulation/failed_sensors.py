@@ -17,8 +17,9 @@ from motor_env.motor.faults import ALWAYS, Fault
 from motor_env.motor.parameters import FloatArray, require
 
 VOLTAGE = "voltage"
+"""The applied voltage as a channel: after the measured ones, without noise, since the drive knows what it applies."""
+
 SWAPPED = "swapped"
-_AFTER_NOISE = ("stuck", "clipped")
 Readings = NDArray[Any]
 
 

@@ -20,8 +20,6 @@ from motor_env.simulation.random_streams import Stream, normals, uniforms, whole
 from motor_env.simulation.sensor import SensorChain, read_sensors
 from motor_env.simulation.simulate import Scenario, scenario_states
 
-_NO_CHAIN = np.empty((0, 5))
-
 
 @njit(cache=True)
 def _step_response(
@@ -102,10 +100,10 @@ def measure(
     constant = all(fault.is_constant or fault.kind.is_sensor for fault in scenario.faults) and not any(
         scenario.process_noise_std
     )
+    faulty = apply_faults(scenario.parameters, scenario.faults)
     if effects is not None:
         require(constant, "effects need faults without an onset, and no process noise")
         motor = scenario.parameters if nominal is None else nominal
-        faulty = apply_faults(scenario.parameters, scenario.faults)
         steps = substeps(motor, timing.dt_s, float(np.max(effects.ripple_hz)))
         sampling = Sampling(timing.dt_s, steps, is_current, out)
         if driving is None:
@@ -114,9 +112,8 @@ def measure(
             noise_a = _noise_of_loop(scenario, driving, seed, numbers)
             integrate_driven(faulty, effects, driving, sampling, noise_a)
     elif constant:
-        parameters = apply_faults(scenario.parameters, scenario.faults)
-        transition = discretize(parameters, timing.dt_s).transition.reshape(-1, 2, 2)
-        rest = steady_state(parameters, scenario.supply.voltage_v, scenario.load_torque_n_m)
+        transition = discretize(faulty, timing.dt_s).transition.reshape(-1, 2, 2)
+        rest = steady_state(faulty, scenario.supply.voltage_v, scenario.load_torque_n_m)
         rest = np.ascontiguousarray(np.broadcast_to(rest, (n_cases, 2)))
         _step_response(transition, rest, timing.n_quiet, is_current, out)
     else:
@@ -128,7 +125,7 @@ def measure(
     )
     channels = [*sensor.channels, *([] if driving is None else [VOLTAGE])]
     fail_before_noise(out, channels, scenario.faults, timing.interval_start_s)
-    rows = _NO_CHAIN if chain is None else chain.rows(n_cases, timing.dt_s)
+    rows = np.empty((0, 5)) if chain is None else chain.rows(n_cases, timing.dt_s)
     read = out if driving is None else np.ascontiguousarray(out[:, :-1])
     read_sensors(read, is_current, rows, _noise_std(scenario), np.uint64(seed), numbers.astype(np.uint64))
     if driving is not None:

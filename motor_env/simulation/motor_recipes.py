@@ -33,9 +33,8 @@ _FACTOR_OF = {
     "B/J": ("friction", 1.0),
 }
 """The recipe's factor that a quantity's spread becomes, and with which share. L has no factor in a recipe."""
-_SETTLED = (
-    25.0  # mechanical time constants: the level that shows the friction then lasts for most of the time
-)
+# Mechanical time constants: the level that shows the friction then lasts for most of the time.
+_SETTLED = 25.0
 _SAMPLES = 1000
 _NOISE_SHARE = 0.004  # of the stall current, where the sensor's noise is not known
 

@@ -36,9 +36,8 @@ from motor_env.motor.parameters import (
 )
 
 LANES = 8
-_STEPS_PER_TIME_CONSTANT = (
-    4.3  # at 10 kHz four steps a sample for the paper's motor; the error is in docs/datasets.md
-)
+# At 10 kHz four steps a sample for the paper's motor; the error is in docs/datasets.md.
+_STEPS_PER_TIME_CONSTANT = 4.3
 _STEPS_PER_PERIOD = 12.0
 _MOST_STEPS = 10_000
 

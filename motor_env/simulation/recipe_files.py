@@ -43,11 +43,9 @@ def load_recipe(name_or_path: str | Path, **changes: Any) -> Recipe:
     Raises:
         InputError: no such recipe or file, not TOML, an unknown key, a value out of range.
     """
-    if str(name_or_path) in RECIPES:
-        return replace(RECIPES[str(name_or_path)], **changes)
     path = Path(name_or_path)
     if path.suffix != ".toml":
-        named_recipe(str(name_or_path))
+        return named_recipe(str(name_or_path), **changes)
     content = read_toml(path, f"no such recipe file; named recipes are {', '.join(sorted(RECIPES))}")
     try:
         return replace(_from_toml(content, path), **changes)

@@ -20,15 +20,13 @@ from motor_env.motor.parameters import (
     require_positive,
 )
 from motor_env.simulation.disturbances import PRIORS, Field, Range
-from motor_env.simulation.duty import DUTY_PRIORS, VOLTAGE, Duty
+from motor_env.simulation.duty import DUTY_PRIORS, Duty
+from motor_env.simulation.failed_sensors import VOLTAGE
 from motor_env.simulation.nonlinear import substeps
 from motor_env.simulation.simulate import Timing
 
-LARGEST_SPREAD = (
-    0.14  # a normal number of the streams stays below 6.77, so a factor 1 + 0.14 z stays positive
-)
-
-
+# A normal number of the streams stays below 6.77, so a factor 1 + 0.14 z stays positive.
+LARGEST_SPREAD = 0.14
 MOST_STARTS = 1_000_000_000
 
 

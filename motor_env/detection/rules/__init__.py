@@ -4,6 +4,7 @@ Each rule has `statistic(whitened)`, `alarm_index(whitened, threshold)`, `stream
 `threshold_for(arl0=...)`, `threshold_for(false_alarm_probability=..., n_samples=...)` or
 `threshold_for(false_alarm_probability=..., recipe=...)`. They read whitened innovations, shape (..., n_samples,
 n_channels): `FilterResult.whitened` of a known motor, `TolerantFilter.white` of one known up to its tolerances.
+Rules on the NIS read all channels, the others the first one.
 """
 
 from motor_env.detection.rules.base import Rule, RuleStream, first_above

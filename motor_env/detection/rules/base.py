@@ -78,10 +78,7 @@ class Rule(Statistic):
             )
             return threshold
         request = Request.checked(arl0, false_alarm_probability, n_samples)
-        exact = self.exact_threshold(request, n_channels)
-        return exact or calibration.simulated_threshold(
-            self, request, runs=runs, n_channels=n_channels, seed=seed
-        )
+        return calibration.threshold_of(self, request, runs=runs, n_channels=n_channels, seed=seed)
 
     def alarm_index(self, whitened: ArrayLike, threshold: float | Threshold) -> NDArray[np.int64]:
         """First sample at which the statistic is above the threshold, -1 where there is none; shape (...).
@@ -93,9 +90,9 @@ class Rule(Statistic):
         limit = threshold.value if isinstance(threshold, Threshold) else threshold
         return first_above(self.statistic(whitened), limit)
 
-    def stream(self, n_streams: int = 1, n_channels: int = 1) -> RuleStream:
+    def stream(self, n_streams: int = 1) -> RuleStream:
         """A running copy of the rule, fed one sample at a time."""
-        return RuleStream(self, n_streams, n_channels=n_channels)
+        return RuleStream(self, n_streams)
 
 
 class ExactRule(Rule):
@@ -114,15 +111,13 @@ class ExactRule(Rule):
         """A threshold that is surely too low, and the first step upwards from there."""
         return 1e-3, 0.5
 
-    def average_run_length(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> float:
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm, from the start, for samples of mean `shift`: 0 gives ARL0."""
-        return self.run_law(threshold, shift, n_channels).average_run_length()
+        return self.run_law(threshold, shift).average_run_length()
 
-    def alarm_probability(
-        self, threshold: float, n_samples: int, shift: float = 0.0, n_channels: int = 1
-    ) -> float:
+    def alarm_probability(self, threshold: float, n_samples: int, shift: float = 0.0) -> float:
         """Probability of an alarm within n samples, for samples of mean `shift`."""
-        return self.run_law(threshold, shift, n_channels).alarm_probability(n_samples)
+        return self.run_law(threshold, shift).alarm_probability(n_samples)
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
         """Exact threshold."""
@@ -139,23 +134,17 @@ class RuleStream:
         state: its running state, shape (n_streams, width).
     """
 
-    def __init__(self, rule: Rule, n_streams: int, *, n_channels: int) -> None:
-        require(
-            rule.n_channels in (None, n_channels),
-            f"n_channels must be {rule.n_channels} for this rule, got {n_channels}",
-        )
-        self.rule = rule
-        self._shape = (n_streams, n_channels)
-        self.state = rule.start(n_streams, n_channels)
+    def __init__(self, rule: Rule, n_streams: int) -> None:
+        self.rule, self.state = rule, rule.start(n_streams)
 
     def update(self, whitened: ArrayLike) -> FloatArray:
         """Statistic after one more sample, shape (n_streams,), from shape (n_streams, n_channels)."""
-        values = np.asarray(whitened, dtype=np.float64).reshape(self._shape)
-        return self.rule.scan(self.state, values[:, None, :])[:, 0]
+        values = np.asarray(whitened, dtype=np.float64).reshape(len(self.state), 1, -1)
+        return self.rule.scan(self.state, values)[:, 0]
 
     def reset(self, streams: NDArray[np.bool_] | None = None) -> None:
         """Begin anew: all streams, or those where the mask is true."""
-        fresh = self.rule.start(*self._shape)
+        fresh = self.rule.start(len(self.state))
         self.state = fresh if streams is None else np.where(streams[:, None], fresh, self.state)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,6 @@ from motor_env.simulation.random_streams import Stream, normals
 from motor_env.simulation.recipes import FaultClass, Recipe
 
 IntArray = NDArray[np.int64]
-Progress = Callable[[float], None]
 
 CALIBRATION_SEED = 20_101
 
@@ -31,10 +30,10 @@ _BLOCK = 500
 _AT_ONCE = 400_000  # values in one array: they stay in the cache
 
 
-def simulated_threshold(
+def threshold_of(
     rule: Statistic, request: Request, *, runs: int | None, n_channels: int, seed: int
 ) -> Threshold:
-    """Threshold from simulated healthy runs of white noise, with its standard error.
+    """Exact threshold where theory gives it; else from simulated healthy runs of white noise, with its standard error.
 
     For a probability it is an order statistic of the runs' largest values. For an average run length a pilot finds a
     narrow range of thresholds, and every run goes on to its alarm at each of them; the mean run length, whose logarithm
@@ -47,6 +46,9 @@ def simulated_threshold(
         n_channels: measured channels.
         seed: seed of the noise.
     """
+    exact = rule.exact_threshold(request, n_channels)
+    if exact is not None:
+        return exact
     if request.probability is not None:
         count = runs or _TRANSIENTS
         _check_runs(request.probability, count)
@@ -54,7 +56,6 @@ def simulated_threshold(
         largest = largest_values(rule, request.n_samples, np.arange(count), n_channels, seed)
         method = f"simulated: {count} runs of {request.n_samples} samples"
         return _order_statistic(largest, request.probability, method)
-    require(request.arl0 is not None, "a threshold needs arl0 or a false-alarm probability")
     arl0 = float(request.arl0 or 0.0)
     count = runs or int(np.clip(_SAMPLES / arl0, _LEAST_RUNS, _MOST_RUNS))
     _check_effort(f"arl0 {arl0:g}", arl0, max(count, _PILOT))
@@ -83,7 +84,6 @@ def recipe_thresholds(
     *,
     runs: int | None = None,
     seed: int = CALIBRATION_SEED,
-    progress: Progress | None = None,
 ) -> list[Threshold]:
     """Thresholds of several rules from the same simulated healthy motors of a recipe; one: `Rule.threshold_for`.
 
@@ -97,16 +97,11 @@ def recipe_thresholds(
         false_alarm_probability: in a transient.
         runs: healthy motors to simulate, by default 100,000; at least 10 / probability.
         seed: of the motors and their noise.
-        progress: called with the share done.
     """
     if recipe.field is None and not recipe.spread.std.any():
         n_samples, n_channels = recipe.timing.n_samples, len(recipe.sensor.channels)
         request = Request.checked(None, false_alarm_probability, n_samples)
-        return [
-            rule.exact_threshold(request, n_channels)
-            or simulated_threshold(rule, request, runs=runs, n_channels=n_channels, seed=seed)
-            for rule in rules
-        ]
+        return [threshold_of(rule, request, runs=runs, n_channels=n_channels, seed=seed) for rule in rules]
     count = runs or _TRANSIENTS
     _check_runs(false_alarm_probability, count)
     tolerant = TolerantFilter.from_recipe(recipe)
@@ -117,8 +112,6 @@ def recipe_thresholds(
         white = tolerant.white(healthy_measurements(recipe, seed, cases))
         for row, rule in zip(largest, rules, strict=True):
             row[cases] = rule.statistic(white).max(axis=1)
-        if progress is not None:
-            progress((cases[-1] + 1) / count)
     method = f"simulated: {count} healthy motors of {recipe.name}"
     return [_order_statistic(row, false_alarm_probability, method) for row in largest]
 
@@ -137,7 +130,7 @@ def largest_values(
     batch = max(1, _AT_ONCE // (n_samples * n_channels))
     for first in range(0, len(cases), batch):
         here = cases[first : first + batch]
-        state = rule.start(len(here), n_channels)
+        state = rule.start(len(here))
         best = np.full(len(here), -np.inf)
         for begin in range(0, n_samples, _AT_ONCE):
             count = min(_AT_ONCE, n_samples - begin)
@@ -175,7 +168,7 @@ def run_lengths(
         cases = np.arange(first, min(first + batch, runs))
         passed = np.zeros(len(cases), dtype=np.int64)
         passages = np.zeros((len(cases), len(thresholds)), dtype=np.int64)
-        state, block = rule.start(len(cases), n_channels), 0
+        state, block = rule.start(len(cases)), 0
         while len(cases):
             values = _noise(seed, cases, block, _BLOCK, n_channels)
             begin = block * _BLOCK

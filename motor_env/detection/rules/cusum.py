@@ -1,4 +1,7 @@
-"""Rules for an onset in mid-run: CUSUM, Shiryaev-Roberts, Wald's test that both come from, and a bank of models."""
+"""Rules for an onset in mid-run: CUSUM, Shiryaev-Roberts, Wald's test that both come from, and a bank of models.
+
+They read the first channel of the whitened innovations.
+"""
 
 from __future__ import annotations
 
@@ -14,29 +17,13 @@ from motor_env.detection.run_length import RunLaw, TwoSided, cusum_chain, shirya
 from motor_env.motor.parameters import FloatArray, require, require_positive
 
 
-class DirectedRule(Rule):
-    """A rule on one number a sample: the whitened innovation along a direction (by default the first channel)."""
-
-    __slots__ = ()
-
-    direction: tuple[float, ...] | None
-
-    @property
-    def n_channels(self) -> int | None:
-        """Number of channels: the entries of the direction; None, any number, if the first channel is taken."""
-        return None if self.direction is None else len(self.direction)
-
-    def series(self, whitened: FloatArray) -> FloatArray:
-        """Standard normal samples along the direction, shape (n_streams, n_samples); NaN where nothing was measured."""
-        if self.direction is None:
-            return np.ascontiguousarray(whitened[..., 0])
-        unit = np.asarray(self.direction, dtype=np.float64)
-        along: FloatArray = kernels.project(whitened, unit / np.linalg.norm(unit))
-        return along
+def first_channel(whitened: FloatArray) -> FloatArray:
+    """Standard normal samples, shape (n_streams, n_samples); NaN where nothing was measured."""
+    return np.ascontiguousarray(whitened[..., 0])
 
 
 @dataclass(frozen=True, slots=True)
-class Cusum(DirectedRule, ExactRule):
+class Cusum(ExactRule):
     """CUSUM: S = max(0, S + r - d/2), for a shift d of the mean that begins at an unknown time (Page 1954).
 
     With the true shift it has the least worst-case delay for its ARL0 (Moustakides 1986). The two-sided rule runs one
@@ -45,23 +32,21 @@ class Cusum(DirectedRule, ExactRule):
     Attributes:
         shift: d, the shift looked for, in standard deviations of the innovation; > 0.
         two_sided: whether a fall is looked for beside a rise.
-        direction: over the channels; by default the first one.
     """
 
     shift: float
     two_sided: bool = False
-    direction: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         require_positive("shift", self.shift)
 
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+    def start(self, n_streams: int) -> FloatArray:
         """Sums of 0."""
         return np.zeros((n_streams, 2 if self.two_sided else 1))
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """The larger sum."""
-        statistic: FloatArray = kernels.cusum(self.series(whitened), 0.5 * self.shift, state)
+        statistic: FloatArray = kernels.cusum(first_channel(whitened), 0.5 * self.shift, state)
         return statistic
 
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
@@ -73,7 +58,7 @@ class Cusum(DirectedRule, ExactRule):
 
 
 @dataclass(frozen=True, slots=True)
-class ShiryaevRoberts(DirectedRule, ExactRule):
+class ShiryaevRoberts(ExactRule):
     """Shiryaev-Roberts: R = (1 + R) L, with L the likelihood ratio of a shift d; the statistic is log R.
 
     Optimal on average over onsets long after the start (Shiryaev 1963, Roberts 1966, Pollak & Tartakovsky 2009). That
@@ -81,18 +66,16 @@ class ShiryaevRoberts(DirectedRule, ExactRule):
 
     Attributes:
         shift: d, > 0.
-        direction: over the channels; by default the first one.
     """
 
     shift: float
-    direction: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         require_positive("shift", self.shift)
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log R, a bank of one model."""
-        return kernels.mixture(self.series(whitened), np.array([self.shift]), np.ones(1), state)
+        return kernels.mixture(first_channel(whitened), np.array([self.shift]), np.ones(1), state)
 
     @property
     def lowest(self) -> tuple[float, float]:
@@ -105,7 +88,7 @@ class ShiryaevRoberts(DirectedRule, ExactRule):
 
 
 @dataclass(frozen=True, slots=True)
-class Sprt(DirectedRule, ExactRule):
+class Sprt(ExactRule):
     """Wald's sequential probability ratio test of a shift d, there from the start (Wald 1945).
 
     The statistic is the log-likelihood ratio; at `lower` the motor is accepted as healthy, and the test begins anew
@@ -117,13 +100,11 @@ class Sprt(DirectedRule, ExactRule):
         restart: whether an accepted test begins anew. Without, there is no ARL0: most healthy motors are accepted
             once and for all, so the average time to a false alarm is infinite. With `lower` towards 0 the repeated
             test is the CUSUM (Page 1954).
-        direction: over the channels; by default the first one.
     """
 
     shift: float
     lower: float = -4.6
     restart: bool = False
-    direction: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         require_positive("shift", self.shift)
@@ -131,7 +112,7 @@ class Sprt(DirectedRule, ExactRule):
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins."""
-        series = self.series(whitened)
+        series = first_channel(whitened)
         statistic: FloatArray = kernels.sprt(series, self.shift, self.lower, self.restart, state)
         return statistic
 
@@ -139,9 +120,9 @@ class Sprt(DirectedRule, ExactRule):
         """By integral equation from ratio 1."""
         return sprt_chain(self.shift, self.lower, threshold, restart=self.restart, shift=shift)
 
-    def average_run_length(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> float:
+    def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
-        return ExactRule.average_run_length(self, threshold, shift, n_channels) if self.restart else np.inf
+        return ExactRule.average_run_length(self, threshold, shift) if self.restart else np.inf
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
         """Exact upper bound (integral equation)."""
@@ -153,7 +134,7 @@ class Sprt(DirectedRule, ExactRule):
 
 
 @dataclass(frozen=True, slots=True)
-class ModelBank(DirectedRule):
+class ModelBank(Rule):
     """Multiple models with an onset: each model j is a shift d_j of the whitened innovation that begins at any sample.
 
     With a hazard rho of an onset in each sample the odds of model j against health obey
@@ -163,23 +144,21 @@ class ModelBank(DirectedRule):
 
     Attributes:
         shifts: d_j in standard deviations of the innovation; either sign.
-        direction: over the channels; by default the first one.
     """
 
     shifts: tuple[float, ...]
-    direction: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         require(len(self.shifts) > 0 and all(self.shifts), f"shifts must be other than 0, got {self.shifts}")
 
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+    def start(self, n_streams: int) -> FloatArray:
         """Odds over rho of each model; none so far."""
         return np.zeros((n_streams, len(self.shifts)))
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log of the summed odds over rho."""
         weights = np.full(len(self.shifts), 1.0 / len(self.shifts))
-        return kernels.mixture(self.series(whitened), np.asarray(self.shifts), weights, state)
+        return kernels.mixture(first_channel(whitened), np.asarray(self.shifts), weights, state)
 
     def probabilities(self, whitened: FloatArray, hazard: float) -> FloatArray:
         """Posterior of health and of each model after each sample.
@@ -198,7 +177,7 @@ class ModelBank(DirectedRule):
         start = np.log(hazard / len(shifts))
         log_odds = np.full((len(flat), len(shifts)), -np.inf)
         answer = np.empty((*flat.shape[:2], 1 + len(shifts)))
-        series = self.series(flat)[..., None]
+        series = first_channel(flat)[..., None]
         ratios = np.where(np.isnan(series), 0.0, shifts * (series - 0.5 * shifts))
         for k in range(flat.shape[1]):
             log_odds = np.logaddexp(log_odds, start) - np.log1p(-hazard) + ratios[:, k]

@@ -16,22 +16,6 @@ LARGEST_ODDS = 1e250
 
 
 @njit(cache=True)
-def project(whitened: FloatArray, unit: FloatArray) -> FloatArray:
-    """Along a direction of the channels; a missing one adds nothing, and all missing is a missing sample."""
-    out = np.empty(whitened.shape[:2])
-    for n in range(whitened.shape[0]):
-        for k in range(whitened.shape[1]):
-            total, seen = 0.0, False
-            for c in range(whitened.shape[2]):
-                value = whitened[n, k, c]
-                if not np.isnan(value):
-                    total += unit[c] * value
-                    seen = True
-            out[n, k] = total if seen else np.nan
-    return out
-
-
-@njit(cache=True)
 def square(whitened: FloatArray) -> FloatArray:
     """Normalised innovation squared; a missing channel adds nothing."""
     out = np.empty(whitened.shape[:2])

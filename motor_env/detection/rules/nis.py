@@ -34,7 +34,7 @@ class MOfN(ExactRule):
     def __post_init__(self) -> None:
         HitChain(0.5, self.needed, self.among)  # checks them
 
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+    def start(self, n_streams: int) -> FloatArray:
         """A ring of the last N squares, none so far, and the place of the oldest."""
         return np.zeros((n_streams, self.among + 1))
 

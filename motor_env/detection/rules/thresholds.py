@@ -98,12 +98,7 @@ class Statistic(ABC):
 
     __slots__ = ()
 
-    @property
-    def n_channels(self) -> int | None:
-        """Channels that the rule needs, or None where it takes any number."""
-        return None
-
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+    def start(self, n_streams: int) -> FloatArray:
         """State before the first sample, shape (n_streams, width): one number, 0, unless a rule says otherwise."""
         return np.zeros((n_streams, 1))
 
@@ -132,8 +127,7 @@ class Statistic(ABC):
         """
         values = np.asarray(whitened, dtype=np.float64)
         require(
-            values.ndim >= 2 and self.n_channels in (None, values.shape[-1]),
-            f"whitened must have shape (..., n_samples, {self.n_channels or 'n_channels'}), got {values.shape}",
+            values.ndim >= 2, f"whitened must have shape (..., n_samples, n_channels), got {values.shape}"
         )
         flat = np.ascontiguousarray(values.reshape(-1, *values.shape[-2:]))
-        return self.scan(self.start(len(flat), flat.shape[-1]), flat).reshape(values.shape[:-1])
+        return self.scan(self.start(len(flat)), flat).reshape(values.shape[:-1])

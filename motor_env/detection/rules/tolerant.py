@@ -16,9 +16,8 @@ from motor_env.inference.whitening import MarginalWhitener, noise_free_innovatio
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import FaultClass, Recipe
 
-_UNSEEN = (
-    0.01  # standard deviations of the noise: a direction of the tolerances that moves the residual by less
-)
+# Standard deviations of the noise: a direction of the tolerances that moves the residual by less is left out.
+_UNSEEN = 0.01
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from motor_env.detection.rules import glr_kernels, kernels
 from motor_env.detection.rules.base import Rule
-from motor_env.detection.rules.cusum import DirectedRule
+from motor_env.detection.rules.cusum import first_channel
 from motor_env.detection.rules.thresholds import Threshold
 from motor_env.motor.parameters import FloatArray, require
 
@@ -34,7 +34,7 @@ class WindowedNis(Rule):
     def __post_init__(self) -> None:
         require(self.window >= 1, f"window must be >= 1, got {self.window}")
 
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+    def start(self, n_streams: int) -> FloatArray:
         """A ring of the last w squares, the place of the oldest, and their sum."""
         return np.zeros((n_streams, self.window + 2))
 
@@ -50,7 +50,7 @@ class WindowedNis(Rule):
 
 
 @dataclass(frozen=True, slots=True)
-class Glr(DirectedRule):
+class Glr(Rule):
     """Generalised likelihood ratio of a fault of unknown size that began m samples ago, maximised over m and size.
 
     The statistic is the largest of x|x| + 2 ln m over the ages m, x = sum_i s_i r_i / sqrt(sum_i s_i^2), i = 1 .. m
@@ -63,15 +63,13 @@ class Glr(DirectedRule):
         shortest: least age of an onset that is scanned, in samples.
         longest: greatest one.
         two_sided: whether both signs of the fault count (|x|^2 for x|x|); else a positive multiple of the signature.
-        signature: shape (n,) for one channel; beyond its end it keeps its last value. None: a step.
-        direction: over the channels; by default the first one.
+        signature: shape (n,); beyond its end it keeps its last value. None: a step.
     """
 
     shortest: int = 1
     longest: int = 1000
     two_sided: bool = False
     signature: tuple[float, ...] | None = None
-    direction: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         require(
@@ -96,7 +94,7 @@ class Glr(DirectedRule):
         given = np.asarray(self.signature, dtype=np.float64)[: self.longest]
         return np.concatenate([given, np.full(self.longest - len(given), given[-1])])
 
-    def start(self, n_streams: int, n_channels: int) -> FloatArray:
+    def start(self, n_streams: int) -> FloatArray:
         """The last samples (their running sums for a step), how many are held, and how many there have been."""
         held = self.longest + 1 + max(self.longest + 1, _LEAST_BUFFER)
         state = np.zeros((n_streams, held + 2))
@@ -107,6 +105,6 @@ class Glr(DirectedRule):
         """Largest value over the ages that fit into the samples so far; minus infinity before there is one."""
         answer, ages = np.empty(whitened.shape[:2]), self.ages
         glr_kernels.glr(
-            self.series(whitened), ages, self._shape(), 2.0 * np.log(ages), self.two_sided, state, answer
+            first_channel(whitened), ages, self._shape(), 2.0 * np.log(ages), self.two_sided, state, answer
         )
         return answer

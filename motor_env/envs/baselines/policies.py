@@ -169,7 +169,7 @@ class RulePolicy(_Isolating):
         """The rule's statistic. The first observation follows no sample, so the rule does not see it."""
         declaration = self._isolate(observations)
         if self._stream is None:
-            self._stream = self.rule.stream(self.count, 1)
+            self._stream = self.rule.stream(self.count)
             return np.full(self.count, -np.inf), declaration
         return self._stream.update(observations[:, [self._innovation]].astype(np.float64)), declaration
 

@@ -171,14 +171,6 @@ def test_stream_gives_what_the_batch_gives(name: str) -> None:
     np.testing.assert_array_equal(stream.update(values[:, 0]), streamed[:, 0])
 
 
-def test_direction_projects_the_channels() -> None:
-    values = np.random.default_rng(4).standard_normal((3, 40, 2))
-    along = (values @ np.array([0.6, 0.8]))[..., None]
-    np.testing.assert_allclose(
-        Cusum(0.5, direction=(3.0, 4.0)).statistic(values), Cusum(0.5).statistic(along), atol=1e-12
-    )
-
-
 def test_bad_requests_are_refused_in_one_sentence() -> None:
     with pytest.raises(ValueError, match="give one of arl0 and false_alarm_probability, got none"):
         nis_rule().threshold_for()
@@ -199,7 +191,7 @@ def test_bad_requests_are_refused_in_one_sentence() -> None:
     with pytest.raises(ValueError, match="shift must be finite and > 0"):
         Cusum(0.0)
     with pytest.raises(ValueError, match="whitened must have shape"):
-        Cusum(1.0, direction=(1.0, 0.0)).statistic(np.zeros((10, 1)))
+        Cusum(1.0).statistic(np.zeros(10))
 
 
 def test_statistics_are_their_definitions() -> None:

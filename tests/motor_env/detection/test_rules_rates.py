@@ -205,9 +205,7 @@ def test_tolerances_are_taken_out_to_second_order(monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_tolerant_stream_gives_what_the_batch_gives() -> None:
-    both = SensorParameters(
-        channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
-    )
+    both = SensorParameters((Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=2.0)
     recipe = load_recipe("bench", timing=Timing(1_000.0, 0.05), sensor=both)
     measurements = healthy_measurements(recipe, 3, np.arange(4)).astype(np.float64)
     measurements[1, 0, 20:25] = np.nan

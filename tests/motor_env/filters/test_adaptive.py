@@ -20,9 +20,7 @@ from motor_env.filters.adaptive import MEMORY, adapted_noise
 from motor_env.motor.parameters import FloatArray
 
 TIMING = Timing(duration_s=0.2)
-BOTH = SensorParameters(
-    channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
-)
+BOTH = SensorParameters((Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=2.0)
 
 
 def starts(sensor: SensorParameters, process_noise_std: tuple[float, float]) -> tuple[FloatArray, FloatArray]:

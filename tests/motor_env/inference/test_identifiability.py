@@ -22,9 +22,7 @@ from motor_env.motor.faults import apply_fault, motor_kinds
 
 TIMING = Timing(10_000.0, 0.1)
 CURRENT = SensorParameters()
-BOTH = SensorParameters(
-    channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
-)
+BOTH = SensorParameters((Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=2.0)
 START = Experiment.start(TIMING, CURRENT)
 STEADY = replace(Experiment.start(Timing(10_000.0, 0.2), CURRENT), first_sample=1000)
 

@@ -57,9 +57,7 @@ def test_whitening_is_the_cholesky_factor_of_the_dense_covariance() -> None:
 @pytest.mark.parametrize("process_noise_std", [(0.0, 0.0), (1e-3, 0.1)])
 def test_innovation_slopes_are_those_of_the_filter(process_noise_std: tuple[float, float]) -> None:
     """Filtering two motors whose friction differs by a little gives the friction's slope."""
-    both = SensorParameters(
-        channels=(Channel.CURRENT, Channel.SPEED), current_noise_a=0.02, speed_noise_rad_s=2.0
-    )
+    both = SensorParameters((Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=2.0)
     recipe = replace(BENCH, sensor=both, timing=Timing(1_000.0, 0.1))
     belief = KalmanFilter.from_parameters(recipe.motor, both, 1e-3, process_noise_std=process_noise_std)
     slopes = innovation_slopes(recipe, belief)

@@ -18,35 +18,22 @@ from motor_env.motor.faults import (
 from motor_env.motor.parameters import QUANTITY_FIELDS
 
 GRID_S = np.arange(1000, dtype=np.float64) * 1e-4
+WEAKER = {"back_emf_constant_v_s_per_rad": 0.8, "torque_constant_n_m_per_a": 0.8}
 
 
-def test_bearing_raises_friction_alone() -> None:
-    assert apply_fault(PAPER_MOTOR, Fault(FaultKind.BEARING, 0.25)) == PAPER_MOTOR.scaled(
-        viscous_friction_n_m_s_per_rad=1.25
-    )
-    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.BEARING, 0.10))
-    assert faulty.viscous_friction_n_m_s_per_rad == pytest.approx(13.2e-7)
-
-
-def test_winding_contact_raises_resistance_alone() -> None:
-    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.WINDING_CONTACT, 0.10))
-    assert faulty == PAPER_MOTOR.scaled(resistance_ohm=1.10)
-    assert faulty.resistance_ohm == pytest.approx(2.398)
-
-
-def test_winding_short_of_a_fifth_of_the_turns() -> None:
-    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.WINDING_SHORT, 0.2))
-    assert faulty.resistance_ohm == pytest.approx(2.18 * 0.8)
-    assert faulty.inductance_h == pytest.approx(0.238e-3 * 0.64)
-    assert faulty.torque_constant_n_m_per_a == pytest.approx(0.0235 * 0.8)
-    assert faulty.back_emf_constant_v_s_per_rad == pytest.approx(0.02352 * 0.8)
-    assert faulty.inertia_kg_m2 == PAPER_MOTOR.inertia_kg_m2
-    assert faulty.viscous_friction_n_m_s_per_rad == PAPER_MOTOR.viscous_friction_n_m_s_per_rad
-
-
-def test_a_weak_magnet_lowers_both_constants_alone() -> None:
-    faulty = apply_fault(PAPER_MOTOR, Fault(FaultKind.MAGNET, 0.2))
-    assert faulty == PAPER_MOTOR.scaled(back_emf_constant_v_s_per_rad=0.8, torque_constant_n_m_per_a=0.8)
+@pytest.mark.parametrize(
+    ("kind", "severity", "factors"),
+    [
+        (FaultKind.BEARING, 0.25, {"viscous_friction_n_m_s_per_rad": 1.25}),
+        (FaultKind.WINDING_CONTACT, 0.10, {"resistance_ohm": 1.10}),
+        (FaultKind.WINDING_SHORT, 0.2, {"resistance_ohm": 0.8, "inductance_h": 0.8 * 0.8} | WEAKER),
+        (FaultKind.MAGNET, 0.2, WEAKER),
+    ],
+)
+def test_a_fault_changes_its_parameters_and_no_other(
+    kind: FaultKind, severity: float, factors: dict[str, float]
+) -> None:
+    assert apply_fault(PAPER_MOTOR, Fault(kind, severity)) == PAPER_MOTOR.scaled(**factors)
 
 
 def test_the_order_of_the_kinds_is_that_of_a_cases_random_numbers() -> None:

@@ -66,6 +66,13 @@ def test_discretisation_against_expm(motor: MotorParameters, shift: float) -> No
         assert error < 1e-9 * scale
 
 
+@njit()
+def all_three(a: float, b: float, c: float, d: float) -> tuple[tuple[float, ...], ...]:
+    """As it stands in its callers, which compile it."""
+    answer: tuple[tuple[float, ...], ...] = exponential_and_phis(a, b, c, d)
+    return answer
+
+
 @pytest.mark.parametrize("size", [0.1, 0.9, 20.0])
 @pytest.mark.parametrize(
     "unit", [[[-1.0, 0.0], [0.7, -0.2]], [[-1.0, 0.6], [0.0, -0.3]], [[0.4, 5.0], [-0.01, 0.1]]]
@@ -78,7 +85,7 @@ def test_exponential_and_phi_of_any_matrix(unit: list[list[float]], size: float)
     matrix = np.eye(6, k=2)
     matrix[:2, :2] = size * np.array(unit)
     entries = matrix[:2, :2].ravel().tolist()
-    found = exponential_and_phis.py_func(*entries)  # as it stands in its callers, which compile it
+    found = all_three(*entries)
     expected = expm(matrix)[:2]
     for n, block in enumerate(np.hsplit(expected, 3)):
         np.testing.assert_allclose(np.reshape(found[n], (2, 2)), block, rtol=1e-12, atol=1e-15)
@@ -86,7 +93,7 @@ def test_exponential_and_phi_of_any_matrix(unit: list[list[float]], size: float)
 
 
 def test_exponential_of_what_is_infinite_comes_to_an_end() -> None:
-    assert not np.isfinite(exponential_and_phis.py_func(-np.inf, 0.0, 0.0, -1.0)).all()
+    assert not np.isfinite(all_three(-np.inf, 0.0, 0.0, -1.0)).all()
 
 
 @given(motor=motors(), shift=st.floats(-5.0, 0.0))

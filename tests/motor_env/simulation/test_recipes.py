@@ -19,46 +19,6 @@ from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import FACTORS, FaultClass, Spread
 from motor_env.simulation.simulate import MOST_SAMPLES
 
-N = 20_000
-
-
-def test_classes_of_bench_are_equally_likely() -> None:
-    counts = np.bincount(draw(RECIPES["bench"], 1, np.arange(N)).class_index, minlength=5)
-    assert RECIPES["bench"].class_names == (
-        "healthy",
-        "bearing_10",
-        "bearing_25",
-        "winding_contact_10",
-        "winding_contact_25",
-    )
-    assert np.abs(counts - N / 5).max() < 4.0 * np.sqrt(N * 0.2 * 0.8)
-
-
-def test_weights_are_frequencies() -> None:
-    classes = (
-        FaultClass(weight=6.0),
-        FaultClass(FaultKind.BEARING, 0.1, 3.0),
-        FaultClass(FaultKind.NOISE, 2.0),
-    )
-    recipe = Recipe("mine", classes=classes)
-    counts = np.bincount(draw(recipe, 2, np.arange(N)).class_index, minlength=3)
-    np.testing.assert_allclose(counts / N, recipe.class_probabilities, atol=4.0 * 0.5 / np.sqrt(N))
-
-
-def test_factors_have_their_deviations_and_are_independent() -> None:
-    factors = draw(RECIPES["bench"], 3, np.arange(N)).factors
-    assert FACTORS == ("supply", "resistance", "constants", "inertia", "friction")
-    std = np.array([0.01, 0.01, 0.01, 0.02, 0.02])
-    assert np.abs(factors.mean(axis=0) - 1.0).max() < 4.0 * std.max() / np.sqrt(N)
-    np.testing.assert_allclose(factors.std(axis=0), std, rtol=4.0 / np.sqrt(2 * N))
-    correlation = np.corrcoef(factors.T) - np.eye(5)
-    assert np.abs(correlation).max() < 4.5 / np.sqrt(N)
-
-
-def test_paper_recipe_has_no_spread() -> None:
-    drawn = draw(RECIPES["paper"], 3, np.arange(10))
-    assert np.all(drawn.factors == 1.0)
-
 
 def test_a_case_does_not_depend_on_its_batch() -> None:
     whole = draw(RECIPES["bench"], 4, np.arange(100))
@@ -222,12 +182,6 @@ def test_refusals() -> None:
         Recipe("none", classes=())
     with pytest.raises(ValueError, match="motor of recipe many must be one motor, got a batch"):
         Recipe("many", motor=PAPER_MOTOR.scaled(resistance_ohm=np.ones(2)))
-
-
-def test_named_recipe_with_changes() -> None:
-    changed = named_recipe("bench", classes=(FaultClass(),))
-    assert (changed.name, changed.class_names) == ("bench", ("healthy",))
-    assert changed.spread == RECIPES["bench"].spread
 
 
 def test_no_factor_can_reach_zero_at_the_largest_spread() -> None:

@@ -82,6 +82,17 @@ def test_all_strange_files_give_finite_data_or_one_sentence(tmp_path: Path) -> N
         ("starts_per_motor = " + "9" * 5000, "is not TOML"),
         ("# " + "x" * 1_000_000, "is larger than 1 MB"),
         ('motor = "/dev/zero"', "/dev/zero: is no regular file"),
+        ("sampling_rate = 3", "unknown key 'sampling_rate' in the recipe"),
+        ("[timing]\nrate = 3", "unknown key 'rate' in timing"),
+        ("[timing]\nduration_s = 'long'", "timing.duration_s must be a valid number, got 'long'"),
+        ("[timing]\nduration_s = -1", "duration_s must be finite and > 0, got -1"),
+        ("[[classes]]\nkind = 'rust'", "classes[0].kind: kind must be one of bearing"),
+        ("[spread]\nsupply = 3.0", "spread of supply must be <= 0.14, got 3"),
+        ("[field]\nramp_s = [2.0, 1.0]", "field.ramp_s must be a finite [low, high]"),
+        ("[field]\nramp_s = 2.0", "field.ramp_s must be a valid array, got 2.0"),
+        ("healthy_starts = 2", "healthy_starts must be in 0 .. starts_per_motor (1)"),
+        ("base = 'nope'", "recipe must be one of"),
+        ("a = [", "is not TOML"),
     ],
 )
 def test_a_strange_recipe_is_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
