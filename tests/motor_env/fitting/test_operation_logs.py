@@ -1,11 +1,11 @@
 """`motor-env identify` on logs of a motor at work, and which it refuses."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from operation_simulator import draw_motor, simulate
 from recording_csv import write_recording
 
 from motor_env import Recording, load_motor
@@ -15,9 +15,6 @@ from motor_env.recordings.defects import UnusableError
 
 # Reaches in: what a recording is refused for, without the fit that public names go on to.
 from motor_env.recordings.regime import refuse_aliased
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
-from operation_simulator import draw_motor, simulate
 
 
 def test_logs_are_identified_jointly(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
