@@ -43,10 +43,9 @@ def beginnings(record: Record) -> list[FloatArray]:
 
 def _changes(sums: FloatArray, record: Record, width: int) -> FloatArray:
     """Change of a series over each window, those across two recordings left out."""
-    starts = np.arange(0, len(sums) - width, max(width // 2, 1))
-    counted = np.cumsum(record.begins)
-    changes: FloatArray = sums[starts + width] - sums[starts]
-    return changes[counted[starts + width] == counted[starts]]
+    counted, starts = np.cumsum(record.begins), np.arange(0, len(sums) - width, max(width // 2, 1))
+    starts = starts[counted[starts + width] == counted[starts]]
+    return np.asarray(sums[starts + width] - sums[starts], dtype=np.float64)
 
 
 def _means(column: FloatArray, record: Record, width: int) -> FloatArray:

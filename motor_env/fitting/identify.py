@@ -21,9 +21,7 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.recording import Recording
 
-FEWEST_STEPS = (
-    0.2  # of the voltage's changes: where holes hide more, the smallest misfit may be that of another motor
-)
+FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's
 UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the inductance"
 _UNTOLD = 0.5
 _LONGEST_LAG_S = 0.2  # L/R of brushed motors, with a margin

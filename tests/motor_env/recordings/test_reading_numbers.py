@@ -579,10 +579,8 @@ def test_eight_jumps_of_the_voltage_must_show_in_the_current() -> None:
         with refusal if is_refused else nullcontext():
             refuse_aliased(off_on(*lengths), noise)
     volts, noise = off_on(*([20] * 500)), np.random.default_rng(7).standard_normal(10_000)
-    for off_level, is_refused in (
-        (200, True),
-        (201, False),
-    ):  # of a hundred samples two lie between the levels
+    # Of a hundred samples two lie between the levels.
+    for off_level, is_refused in ((200, True), (201, False)):
         volts[10 : 10 + 20 * off_level : 20] = 6.0
         with refusal if is_refused else nullcontext():
             refuse_aliased(volts, noise)
