@@ -8,11 +8,9 @@ the motor is a gain, a time constant and a dead voltage.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from motor_env.fitting import places
-from motor_env.fitting.places import N_VALUES
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import noise_of
 from motor_env.motor.parameters import FloatArray
@@ -25,7 +23,7 @@ _LEAST_LAG = 0.3  # of R dt
 
 
 def beginnings(record: Record) -> list[FloatArray]:
-    """Values to begin a fit from, each of shape (N_VALUES,)."""
+    """Values to begin a fit from, each of shape (places.N_VALUES,)."""
     found = []
     for window in _WINDOWS:
         if len(record.voltage_v) < 12 * window:
@@ -43,25 +41,28 @@ def beginnings(record: Record) -> list[FloatArray]:
     return [values for values in found if values is not None]
 
 
-def _windows(column: FloatArray, width: int, begins: FloatArray) -> FloatArray:
-    """Mean over each window (trapezoids), those across two recordings left out."""
+def _changes(sums: FloatArray, record: Record, width: int) -> FloatArray:
+    """Change of a series over each window, those across two recordings left out."""
+    counted, starts = np.cumsum(record.begins), np.arange(0, len(sums) - width, max(width // 2, 1))
+    starts = starts[counted[starts + width] == counted[starts]]
+    return np.asarray(sums[starts + width] - sums[starts], dtype=np.float64)
+
+
+def _means(column: FloatArray, record: Record, width: int) -> FloatArray:
+    """Mean over each window (trapezoids)."""
     sums = np.concatenate([[0.0], np.cumsum(0.5 * (column[1:] + column[:-1]))])
-    starts = np.arange(0, len(column) - width, max(width // 2, 1))
-    means = (sums[starts + width] - sums[starts]) / width
-    return np.asarray(means[_whole(starts, width, begins)], dtype=np.float64)
+    return _changes(sums, record, width) / width
 
 
-def _rises(column: FloatArray, width: int, begins: FloatArray, dt_s: float) -> FloatArray:
+def _slopes(column: FloatArray, record: Record, width: int) -> FloatArray:
     """Slope from end to end of each window."""
-    starts = np.arange(0, len(column) - width, max(width // 2, 1))
-    slopes = (column[starts + width] - column[starts]) / (width * dt_s)
-    return np.asarray(slopes[_whole(starts, width, begins)], dtype=np.float64)
+    return _changes(column, record, width) / (width * record.dt_s)
 
 
-def _whole(starts: NDArray[np.intp], width: int, begins: FloatArray) -> NDArray[np.bool_]:
-    counted = np.cumsum(begins)
-    kept: NDArray[np.bool_] = counted[starts + width] == counted[starts]
-    return kept
+def _volts(record: Record, width: int) -> FloatArray:
+    """Mean over each window of the voltage, which may be held between the samples."""
+    sums = np.concatenate([[0.0], np.cumsum(record.between()[1:].mean(axis=1))])
+    return _changes(sums, record, width) / width
 
 
 def _solve(columns: list[FloatArray], target: FloatArray) -> FloatArray:
@@ -84,7 +85,7 @@ def _torques(
 
 def _values(record: Record, **given: float) -> FloatArray:
     """Physical values with noises, from what a regression told."""
-    values = np.zeros(N_VALUES)
+    values = np.zeros(places.N_VALUES)
     for name, value in given.items():
         values[getattr(places, name)] = value
     values[places.L] = max(values[places.L], _LEAST_LAG * values[places.R] * record.dt_s)
@@ -93,29 +94,15 @@ def _values(record: Record, **given: float) -> FloatArray:
     return values
 
 
-def _held(record: Record, column: FloatArray, window: int) -> FloatArray:
-    """Mean of the voltage, which may be held between the samples."""
-    if record.hold == "straight":
-        return _windows(column, window, record.begins)
-    pairs = record.between()[:, 0]
-    sums = np.concatenate([[0.0], np.cumsum(pairs[1:])])
-    starts = np.arange(0, len(column) - window, max(window // 2, 1))
-    means = (sums[starts + window] - sums[starts]) / window
-    return np.asarray(means[_whole(starts, window, record.begins)], dtype=np.float64)
-
-
 def _both(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
     """Current and speed: V = R i + L di/dt + K w + drop, K i = J dw/dt + B w + Tc sign(w)."""
     i, w = filled(record.readings[:, 0]), filled(record.readings[:, 1])
-    means = {name: _windows(column, window, record.begins) for name, column in (("i", i), ("w", w))}
-    direction = _windows(_sign(w), window, record.begins)
-    volts = _held(record, record.voltage_v, window)
-    slope_i = _rises(i, window, record.begins, record.dt_s)
-    slope_w = _rises(w, window, record.begins, record.dt_s)
-    r, inductance, k = _solve([means["i"], slope_i, means["w"]], volts)
+    mean_i, mean_w, direction = (_means(column, record, window) for column in (i, w, _sign(w)))
+    slope_i, slope_w = (_slopes(column, record, window) for column in (i, w))
+    r, inductance, k = _solve([mean_i, slope_i, mean_w], _volts(record, window))
     if k <= 0.0 or r <= 0.0:
         return None
-    inertia, drag, dry, load = _torques([slope_w, means["w"], direction], k * means["i"], loaded=loaded)
+    inertia, drag, dry, load = _torques([slope_w, mean_w, direction], k * mean_i, loaded=loaded)
     if inertia <= 0.0:
         return None
     return _values(record, R=r, L=inductance, K=k, J=inertia, B=drag, COULOMB=dry, LOAD=load)
@@ -123,11 +110,9 @@ def _both(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
 
 def _current(record: Record, window: int, share: float, *, loaded: bool) -> FloatArray | None:
     """Current alone, with K = 1: the speed is what is left of the voltage."""
-    i = filled(record.readings[:, 0])
     volts, amps, _ = record.peaks
-    r = share * volts / amps
-    v, mean_i = _held(record, record.voltage_v, window), _windows(i, window, record.begins)
-    w = v - r * mean_i
+    r, mean_i = share * volts / amps, _means(filled(record.readings[:, 0]), record, window)
+    w = _volts(record, window) - r * mean_i
     slope = (w[2:] - w[:-2]) / (2.0 * max(window // 2, 1) * record.dt_s)
     inertia, drag, dry, load = _torques([slope, w[1:-1], _sign(w)[1:-1]], mean_i[1:-1], loaded=loaded)
     if inertia <= 0.0:
@@ -138,15 +123,8 @@ def _current(record: Record, window: int, share: float, *, loaded: bool) -> Floa
 def _speed(record: Record, window: int) -> FloatArray | None:
     """Speed alone, with R = 1 and B = 0: V = K w + J/K dw/dt + Tc/K sign(w)."""
     w = filled(record.readings[:, 1])
-    volts = _held(record, record.voltage_v, window)
-    k, lag, dead = _solve(
-        [
-            _windows(w, window, record.begins),
-            _rises(w, window, record.begins, record.dt_s),
-            _windows(_sign(w), window, record.begins),
-        ],
-        volts,
-    )
+    columns = [_means(w, record, window), _slopes(w, record, window), _means(_sign(w), record, window)]
+    k, lag, dead = _solve(columns, _volts(record, window))
     if k <= 0.0 or lag <= 0.0:
         return None
     return _values(record, R=1.0, K=k, J=lag * k, COULOMB=dead * k)

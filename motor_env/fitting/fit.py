@@ -49,13 +49,12 @@ def fit(record: Record) -> Solution:
     """
     if len(record.voltage_v) > 2 * CHOSEN_ON:
         return _timed(_refined(fit(record.sample(CHOSEN_ON)), record))
-    rivals = [_chosen(first, every) for first, every in _first(record)]
+    rivals = [_chosen(first) for first in _first(record)]
     best = min(rivals, key=lambda one: one.penalised())
     others = sorted(_behaviours(best, record), key=lambda one: one.penalised())
     if others and (other := _solved(others[0], [])).penalised() < best.penalised():
-        best = _chosen(other, terms(other.problem.record, other.problem.known))
-    shaped = _shaped(_timely(best))
-    return _timed(_grown(shaped, terms(shaped.problem.record, shaped.problem.known)))
+        best = _chosen(other)
+    return _timed(_grown(_shaped(_timely(best))))
 
 
 def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
@@ -101,11 +100,11 @@ def _timely(best: Solution) -> Solution:
     even = convolve1d(record.voltage_v, [beside, 1.0 - 2.0 * beside, beside], mode="nearest")
     for hold in ("held", "late"):
         problem = replace(timed.problem, record=replace(record, hold=hold, voltage_v=even))
-        averaged = Solution(problem, *problem.solve(timed.theta))
+        averaged = problem.solve(timed.theta)
         is_as_good = _free_misfit(averaged) < _free_misfit(best) + _CLEARLY
         if averaged.penalised() < best.penalised() and is_as_good:
             problem = replace(problem, record=replace(record, hold=hold))
-            return Solution(problem, *problem.solve(averaged.theta))
+            return problem.solve(averaged.theta)
     return best
 
 
@@ -133,8 +132,7 @@ def _refined(best: Solution, record: Record) -> Solution:
     record = replace(
         record if (best.problem.record.marks == kernel.OPEN).any() else record.closed(), hold=hold
     )
-    problem = replace(best.problem, record=record)
-    return _grown(Solution(problem, *problem.solve(best.theta, most=_FEW)), terms(record, problem.known))
+    return _grown(replace(best.problem, record=record).solve(best.theta, most=_FEW))
 
 
 def _behaviours(best: Solution, record: Record) -> list[Solution]:
@@ -144,8 +142,7 @@ def _behaviours(best: Solution, record: Record) -> list[Solution]:
     for behaved in _records(record):
         is_same = behaved.hold == best.problem.record.hold and "delay" not in best.names
         if not (is_same and np.array_equal(behaved.marks, best.problem.record.marks)):
-            problem = replace(timed.problem, record=behaved)
-            found.append(Solution(problem, *problem.solve(timed.theta, most=_FEW)))
+            found.append(replace(timed.problem, record=behaved).solve(timed.theta, most=_FEW))
     return found
 
 
@@ -162,8 +159,7 @@ def _shaped(best: Solution) -> Solution:
     It also begins again from a calm motor, without offsets: noise and a wandering load may have carried a fit away. And
     where dry friction and a constant load may stand for each other, from less and from more of it.
     """
-    every = terms(best.problem.record, best.problem.known)
-    added = [every[shape] for shape, of in SHAPES.items() if of in best.names]
+    added = [best.problem.every[shape] for shape, of in SHAPES.items() if of in best.names]
     problem = best.problem.with_terms(added)
     begin = np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added])
     calm = np.array([_CALM.get(name, one) for name, one in zip(problem.names, begin, strict=True)])
@@ -176,24 +172,24 @@ def _shaped(best: Solution) -> Solution:
             moved[dry] += more
             moved[load] -= turns * more
             begins.append(moved)
-    tried = [Solution(problem, *problem.solve(theta)) for theta in begins]
+    tried = [problem.solve(theta) for theta in begins]
     found = min(tried, key=lambda one: one.misfit)
     if found.misfit > best.misfit + len(added):
         return best
     return replace(found, rivals=tuple((one.theta, one.misfit) for one in tried if one is not found))
 
 
-def _chosen(first: Solution, every: dict[str, Term]) -> Solution:
+def _chosen(first: Solution) -> Solution:
     """The terms that the evidence supports, from a fit of those that every motor has."""
     best = first
     for name in ("load_walk", "load_constant"):
         best = _without(best, name)
-    best = _grown(best, every)
+    best = _grown(best)
     for name in _DISTURBING:
         if name not in best.names:
-            disturbed = _solved(_less(best, _DISTURBING), [every[name]])
+            disturbed = _solved(_less(best, _DISTURBING), [best.problem.every[name]])
             if disturbed.penalised() < best.penalised() - STRONG_EVIDENCE:
-                best = _grown(disturbed, every)
+                best = _grown(disturbed)
     # It may have stood for a term that came later.
     best = _without(best, "load_walk")
     return min([best, *_undisturbed([first, best])], key=_free_misfit)
@@ -201,11 +197,8 @@ def _chosen(first: Solution, every: dict[str, Term]) -> Solution:
 
 def _undisturbed(solutions: Sequence[Solution]) -> list[Solution]:
     """Fits of the same terms without noise inside the motor: output errors, which real model errors may leave ahead."""
-    found = []
-    for one in solutions:
-        less = _less(one, ("noise_voltage", *_DISTURBING))
-        found.append(Solution(less.problem, *less.problem.solve(less.theta, most=60)))
-    return found
+    begun = [_less(one, ("noise_voltage", *_DISTURBING)) for one in solutions]
+    return [less.problem.solve(less.theta, most=60) for less in begun]
 
 
 def _free_misfit(one: Solution) -> float:
@@ -214,9 +207,9 @@ def _free_misfit(one: Solution) -> float:
     return float(left.sum()) + (0.0 if "noise_voltage" not in one.names else -_CLEARLY * len(left))
 
 
-def _grown(best: Solution, every: dict[str, Term]) -> Solution:
+def _grown(best: Solution) -> Solution:
     """The fit with all terms for which the evidence is strong."""
-    while (richer := _richer(best, every)) is not None:
+    while (richer := _richer(best)) is not None:
         best = richer
     return best
 
@@ -246,20 +239,19 @@ def _base(record: Record) -> list[str]:
     return names
 
 
-def _first(record: Record) -> list[tuple[Solution, dict[str, Term]]]:
-    """Fits of the first terms, one for each behaviour of the voltage that may be true, with all terms."""
+def _first(record: Record) -> list[Solution]:
+    """Fits of the first terms, one for each behaviour of the voltage that may be true."""
     few = []
     for behaved in _records(record):
         begun = begins(behaved)[:_TRIED]
-        tried = [Solution(problem, *problem.solve(theta, most=_FEW)) for problem, theta in begun]
+        tried = [problem.solve(theta, most=_FEW) for problem, theta in begun]
         few += sorted(tried, key=lambda one: one.misfit)[:1]
     if not few:
         raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
     ahead = min(one.misfit for one in few)
     fits = [_solved(one, []) for one in few if one.misfit - ahead < _HOPELESS * one.problem.count]
     best = min(one.misfit for one in fits)
-    rivals = [one for one in fits if one.misfit - best < _RIVAL * one.problem.count]
-    return [(one, terms(one.problem.record, one.problem.known)) for one in rivals]
+    return [one for one in fits if one.misfit - best < _RIVAL * one.problem.count]
 
 
 def begins(record: Record) -> list[tuple[Problem, FloatArray]]:
@@ -286,12 +278,12 @@ def _solved(before: Solution, added: list[Term]) -> Solution:
     """The fit with more terms, from the one without them."""
     problem = before.problem.with_terms(added)
     begin = np.concatenate([before.theta, [0.0 if term.is_log else 1e-3 for term in added]])
-    theta, misfit = problem.solve(begin)
-    return Solution(problem, theta, misfit)
+    return problem.solve(begin)
 
 
-def _richer(best: Solution, every: dict[str, Term]) -> Solution | None:
+def _richer(best: Solution) -> Solution | None:
     """The fit with the one more term that the evidence wants most, if it does strongly."""
+    every = best.problem.every
     tested = [(test.chi_square, name) for name, test in score_tests(best, every, candidates(best)).items()]
     for chi_square, name in sorted(tested, reverse=True):
         if chi_square < math.log(best.problem.count) + STRONG_EVIDENCE:

@@ -13,7 +13,7 @@ from motor_env.fitting.fit import fit, without_lines
 from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
-from motor_env.fitting.terms import NOISES, SHAPES, terms
+from motor_env.fitting.terms import NOISES, SHAPES
 from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import covariance, motor_places
 from motor_env.motor.parameters import FloatArray
@@ -21,9 +21,7 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.recording import Recording
 
-FEWEST_STEPS = (
-    0.2  # of the voltage's changes: where holes hide more, the smallest misfit may be that of another motor
-)
+FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's
 UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the inductance"
 _UNTOLD = 0.5
 _LONGEST_LAG_S = 0.2  # L/R of brushed motors, with a margin
@@ -80,7 +78,6 @@ class Operation:
         quantities: of the motor, those that are not told among them.
         covariance: of the unknowns that are no noises, shape (p, p), in their units.
         expected: current and speed of the model that runs freely under the voltage, shape (n, 2).
-        load_n_m: load torque that varies slowly, shape (n,); zero where the model has none.
         warmth_k: how much warmer the winding is than at the begin, shape (n,).
         r2_current, r2_speed: share of the variance that the free model explains; None where not used.
         notes: what the record cannot tell, in sentences.
@@ -91,7 +88,6 @@ class Operation:
     quantities: tuple[Quantity, ...]
     covariance: FloatArray
     expected: FloatArray
-    load_n_m: FloatArray
     warmth_k: FloatArray
     r2_current: float | None
     r2_speed: float | None
@@ -110,20 +106,17 @@ class Operation:
         return next(one for one in self.quantities if one.name == name)
 
 
-def identify_operation(
-    recordings: Sequence[Recording], *, voltage_v: float | None = None, most: int = MOST
-) -> Operation:
+def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> Operation:
     """Fit one motor to recordings of it at work, jointly.
 
     Args:
-        recordings: with voltage (or duty cycle), current and, where measured, speed.
-        voltage_v: supply, for a duty cycle.
+        recordings: with voltage, current and, where measured, speed.
         most: number of samples beyond which neighbours are averaged.
 
     Raises:
         UnusableError: they cannot be used together, or no motor explains them.
     """
-    return identify_record(from_recordings(recordings, voltage_v=voltage_v, most=most))
+    return identify_record(from_recordings(recordings, most=most))
 
 
 @on_one_thread
@@ -160,8 +153,7 @@ def _refuse_poor(found: Operation) -> None:
 
 def _described(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> Operation:
     record = solution.problem.record
-    every = terms(record, solution.problem.known)
-    spread = covariance(solution, every)
+    spread = covariance(solution)
     filtered, free = solution.free
     r2 = solution.explained()
     quantities = tuple(_quantities(solution, spread))
@@ -171,7 +163,6 @@ def _described(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> Oper
         quantities=quantities,
         covariance=spread,
         expected=free[:, 2:4],
-        load_n_m=filtered[:, 4],
         warmth_k=filtered[:, 5],
         r2_current=r2[0],
         r2_speed=r2[1],

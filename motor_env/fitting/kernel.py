@@ -31,15 +31,7 @@ from motor_env.fitting.places import (
     K,
     R,
 )
-from motor_env.fitting.steps import (
-    FINE,
-    at,
-    braked_step,
-    coasting_step,
-    inlined,
-    smooth_step,
-    tables,
-)
+from motor_env.fitting.steps import FINE, at, braked_step, coasting_step, inlined, smooth_step, tables
 from motor_env.fitting.update import begin, lag_of, spread, steady, update
 from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
-from motor_env.fitting.terms import Term
+from motor_env.fitting.terms import Term, terms
 from motor_env.motor.parameters import FloatArray
 
 _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
@@ -75,6 +75,11 @@ class Problem:
         return residuals
 
     @cached_property
+    def every(self) -> dict[str, Term]:
+        """All terms that its record may have, in units of what is known."""
+        return terms(self.record, self.known)
+
+    @cached_property
     def count(self) -> int:
         """Number of readings."""
         return self.record.count
@@ -101,14 +106,14 @@ class Problem:
         """
         low = max(theta[n] - step, self.free[n].low)
         high = min(theta[n] + step, self.free[n].high)
-        rise = self.residuals(_moved(theta, n, high - theta[n])) - self.residuals(
-            _moved(theta, n, low - theta[n])
-        )
-        slope: FloatArray = rise / max(high - low, 1e-12)
+        sides = np.tile(theta, (2, 1))
+        sides[:, n] += low - theta[n], high - theta[n]
+        below, above = self.residuals_each(sides)
+        slope: FloatArray = (above - below) / max(high - low, 1e-12)
         return slope
 
-    def solve(self, theta: FloatArray, most: int = 40) -> tuple[FloatArray, float]:
-        """The best unknowns and their misfit, from a beginning; never worse than that."""
+    def solve(self, theta: FloatArray, most: int = 40) -> Solution:
+        """The best unknowns from a beginning; never worse than that."""
         low = np.array([term.low for term in self.free])
         high = np.array([term.high for term in self.free])
         begin = np.clip(theta, low + 1e-9, high - 1e-9)
@@ -132,7 +137,7 @@ class Problem:
             max_nfev=most,
             ftol=1e-7,
         )
-        return np.asarray(found.x, dtype=np.float64), self.misfit(2.0 * found.cost)
+        return Solution(self, np.asarray(found.x, dtype=np.float64), self.misfit(2.0 * found.cost))
 
     def misfit(self, squares: float) -> float:
         """-2 log likelihood, noise level concentrated out."""
@@ -146,12 +151,6 @@ class Problem:
     def names(self) -> tuple[str, ...]:
         """Names of the terms."""
         return tuple(term.name for term in self.free)
-
-
-def _moved(theta: FloatArray, n: int, step: float) -> FloatArray:
-    moved = theta.copy()
-    moved[n] += step
-    return moved
 
 
 @dataclass(frozen=True)
@@ -203,9 +202,10 @@ class Solution:
 
     def explained(self) -> tuple[float | None, float | None]:
         """Share of the variance of current and speed that the free model explains; None where not used."""
-        record, free = self.problem.record, self.free[1]
+        record = self.problem.record
+        left = record.readings - self.free[1][:, 2:4]
         r2 = [
-            _r2(record.readings[told, n], free[told, 2 + n]) if record.seen[n] else None
+            r_squared(record.readings[told, n], left[told, n]) if record.seen[n] else None
             for n, told in enumerate(record.told.T)
         ]
         return r2[0], r2[1]
@@ -215,6 +215,6 @@ class Solution:
         return self.misfit + len(self.theta) * math.log(self.problem.count)
 
 
-def _r2(measured: FloatArray, expected: FloatArray) -> float:
-    left = float(np.sum((measured - expected) ** 2))
-    return 1.0 - left / max(float(np.sum((measured - measured.mean()) ** 2)), 1e-300)
+def r_squared(measured: FloatArray, left: FloatArray) -> float:
+    """Share of the variance of what was measured that a fit explains, given what it leaves."""
+    return 1.0 - float(np.sum(left**2) / max(np.sum((measured - measured.mean()) ** 2), 1e-300))

@@ -146,36 +146,30 @@ class Record:
         self, values: FloatArray, *, learn: bool = True, load: FloatArray | None = None
     ) -> tuple[FloatArray, float]:
         """Run the filter; its table (see `kernel.predict`) and the sum of the innovations' log variances."""
-        out = np.zeros((1, len(self.voltage_v), 6))
-        if load is not None:
-            out[0, :, 4] += load
-        return out[0], float(self._run(values[None], out, learn=learn)[0])
+        tables, logs = self.predict_each(values[None], learn=learn, load=load)
+        return tables[0], float(logs[0])
 
-    def predict_each(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def predict_each(
+        self, values: FloatArray, *, learn: bool = True, load: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """What `predict` gives for several vectors of values, shape (m, N_VALUES): tables, and the sums."""
-        out = np.zeros((len(values), len(self.voltage_v), 6))
-        return out, self._run(values, out, learn=True)
-
-    def _run(self, values: FloatArray, out: FloatArray, *, learn: bool) -> FloatArray:
-        p, which = values.copy(), []
-        supplies: list[tuple[FloatArray, FloatArray, float]] = []
+        out, p = np.zeros((len(values), len(self.voltage_v), 6)), values.copy()
+        if load is not None:
+            out[:, :, 4] += load
         p[:, R] += self.shunt_ohm
-        known: dict[bytes, int] = {}
-        for one in p:
-            key = one[_OF_SUPPLY].tobytes()
-            if key not in known:
-                known[key] = len(supplies)
-                supplies.append(self.supply(one))
-            which.append(known[key])
-            one[AFTER] = supplies[known[key]][2]
-        voltage, marks = (np.stack([each[n] for each in supplies]) for n in (0, 1))
-        logs: FloatArray = predict_each(
-            p, self.dt_s, voltage, marks, np.array(which), self.readings, self.seen, learn, out
-        )
+        keys = [one[_OF_SUPPLY].tobytes() for one in p]
+        supplies: dict[bytes, tuple[FloatArray, FloatArray, float]] = {}
+        for key, one in zip(keys, p, strict=True):
+            if key not in supplies:
+                supplies[key] = self.supply(one)
+            one[AFTER] = supplies[key][2]
+        voltage, marks = (np.stack([each[n] for each in supplies.values()]) for n in (0, 1))
+        which = np.array([list(supplies).index(key) for key in keys])
+        logs = predict_each(p, self.dt_s, voltage, marks, which, self.readings, self.seen, learn, out)
         for one, table in zip(p, out, strict=True):
             if one[ZONE] > 0.0 or self.rectified_a is not None:
                 self._hide(one, table)
-        return logs
+        return out, logs
 
     def _hide(self, p: FloatArray, table: FloatArray) -> None:
         """What a sensor shows that has a dead zone or no current below 0."""
@@ -194,18 +188,10 @@ class Record:
 
     def sample(self, count: int) -> Record:
         """So many of its samples: stretches of equal length, evenly spread."""
-        begins = np.arange(STRETCHES) * (len(self.voltage_v) // STRETCHES)
-        some = (begins[:, None] + np.arange(count // STRETCHES)).ravel()
-        return self._begun(some, np.arange(0, len(some), count // STRETCHES))
-
-    def part(self, first: int, count: int) -> Record:
-        """So many of its samples from one on, as a recording of its own."""
-        return self._begun(np.arange(first, first + count), np.array([0]))
-
-    def _begun(self, some: NDArray[np.intp], begins: NDArray[np.intp]) -> Record:
-        """Some of its samples, of which some begin a recording."""
+        firsts = np.arange(STRETCHES) * (len(self.voltage_v) // STRETCHES)
+        some = (firsts[:, None] + np.arange(count // STRETCHES)).ravel()
         marks, readings = self.marks[some], self.readings[some]
-        marks[begins] = BEGIN
+        marks[:: count // STRETCHES] = BEGIN
         marks = with_begins(marks, readings, self.seen)
         return replace(self, voltage_v=self.voltage_v[some], readings=readings, marks=marks)
 

@@ -28,14 +28,11 @@ _COASTS, _SLOWS, _ZERO = 0.02, 0.1, 0.003  # of the largest voltage, speed, curr
 _BESIDE_JUMP, _JUMP, _JUMP_NOISE = 5, 2.5, 6.0
 
 
-def from_recordings(
-    recordings: Sequence[Recording], *, voltage_v: float | None = None, most: int = MOST
-) -> Record:
+def from_recordings(recordings: Sequence[Recording], *, most: int = MOST) -> Record:
     """Recordings of one motor as one record, averaged where they hold more samples than are needed.
 
     Args:
         recordings: of one motor, with the same columns and the same sampling interval.
-        voltage_v: supply, for a voltage that was recorded as a duty cycle.
         most: number of samples beyond which neighbours are averaged.
 
     Raises:
@@ -44,31 +41,23 @@ def from_recordings(
     steps = np.array([recording.dt_s for recording in recordings])
     if np.ptp(steps) > _SAME_DT * steps.mean():
         raise UnusableError("the recordings differ in their sampling interval: identify them one by one")
-    whole = [at_terminals(recording, voltage_v) for recording in recordings]
-    if len({_seen(recording) for recording in whole}) > 1:
+    if len({_seen(recording) for recording in recordings}) > 1:
         raise UnusableError("the recordings hold different columns: identify them one by one")
-    wanted = max(math.ceil(sum(len(recording.time_s) for recording in whole) / most), 1)
-    factor = min(_averageable(whole[0], wanted), wanted)
-    share = 1.0
+    total = sum(len(recording.time_s) for recording in recordings)
+    wanted = max(math.ceil(total / most), 1)
+    factor = min(_averageable(recordings[0], wanted), wanted)
+    share, parts = 1.0, list(recordings)
     if factor < wanted:
-        share = most * factor / sum(len(recording.time_s) for recording in whole)
-        count = math.ceil(STRETCHES / len(whole))
-        whole = [part for recording in whole for part in liveliest(recording, share, count)]
-    parts = [_columns(recording) for recording in whole]
-    columns: list[list[FloatArray]] = [[], [], [], []]
-    for part in parts:
-        voltage = block_means(part[0], factor)
-        columns[0].append(voltage)
-        for place in (1, 2):
-            column = part[place]
-            columns[place].append(np.zeros(len(voltage)) if column is None else block_means(column, factor))
-        columns[3].append(np.eye(1, len(voltage))[0])
-    volts, current, speed, begins = (np.concatenate(each) for each in columns)
-    missing = np.concatenate([missing_blocks(recording, factor) for recording in whole])
-    seen = np.array([float(parts[0][1] is not None), float(parts[0][2] is not None)])
+        share = most * factor / total
+        count = math.ceil(STRETCHES / len(recordings))
+        parts = [part for recording in recordings for part in liveliest(recording, share, count)]
+    columns = [_columns(part, factor) for part in parts]
+    volts, current, speed, begins = (np.concatenate(each) for each in zip(*columns, strict=True))
+    missing = np.concatenate([missing_blocks(part, factor) for part in parts])
+    seen = np.array(_seen(parts[0]), dtype=np.float64)
     if len(volts) < FEWEST:
         raise UnusableError(f"only {len(volts)} samples; at least {FEWEST} are needed")
-    readings = np.ascontiguousarray(np.stack([current, speed], axis=1))
+    readings = np.stack([current, speed], axis=1)
     if seen[0]:
         begins = np.where(open_circuit(volts, readings, begins) & (begins == 0.0), OPEN, begins)
     if missing.any():
@@ -216,8 +205,12 @@ def at_terminals(
     return replace(recording, voltage_v=voltage)
 
 
-def _columns(recording: Recording) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
-    """Voltage, current, speed."""
+def _columns(recording: Recording, factor: int) -> list[FloatArray]:
+    """Voltage, current, speed, zeros where one is not recorded, and 1 where the recording begins; means of neighbours.
+
+    Raises:
+        UnusableError: no voltage, neither current nor speed, or an alias of a pulse-width modulation.
+    """
     voltage, (has_current, has_speed) = recording.voltage_v, _seen(recording)
     if voltage is None:
         raise UnusableError("a motor at work can be identified only where the voltage was recorded")
@@ -227,4 +220,7 @@ def _columns(recording: Recording) -> tuple[FloatArray, FloatArray | None, Float
         raise UnusableError("neither the current nor the speed ever changes")
     if has_current:
         refuse_aliased(voltage, recording.current_a)
-    return voltage, recording.current_a if has_current else None, recording.speed_rad_s if has_speed else None
+    shown = (recording.current_a if has_current else None, recording.speed_rad_s if has_speed else None)
+    columns = (voltage, *(np.zeros(len(voltage)) if column is None else column for column in shown))
+    means = [block_means(column, factor) for column in columns]
+    return [*means, np.eye(1, len(means[0]))[0]]

@@ -11,7 +11,7 @@ from scipy import fft
 from motor_env.fitting import places
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.score import candidates, lacking, rounded, score_tests
-from motor_env.fitting.terms import NOISES, Term
+from motor_env.fitting.terms import NOISES
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise
 
@@ -47,7 +47,7 @@ def motor_places(problem: Problem) -> list[int]:
     return [n for n, name in enumerate(problem.names) if name not in NOISES]
 
 
-def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
+def covariance(best: Solution) -> FloatArray:
     """Covariance of the unknowns that are no noises, with what correlated residuals and the choice of terms add.
 
     A term that was left out counts with its posterior probability (Hoeting et al. 1999), its size believed to be as
@@ -56,11 +56,11 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     `rounded`, and the model's error.
     """
     problem, chosen = best.problem, motor_places(best.problem)
-    jacobian = secants(problem, best.theta)
-    total, _ = sandwich(problem, best.theta, jacobian, chosen)
-    total += model_error(problem, best.theta, jacobian, chosen, total, states=states_of(best))
-    for name, test in score_tests(best, every, candidates(best)).items():
-        occam = test.sd / math.hypot(test.sd, every[name].usual)
+    white, rows = normalised(problem, best.theta, secants(problem, best.theta), chosen)
+    total, _ = sandwich(white, rows)
+    total += model_error(white, rows, total, states=states_of(best))
+    for name, test in score_tests(best, problem.every, candidates(best)).items():
+        occam = test.sd / math.hypot(test.sd, problem.every[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
         weight, moves = odds / (1.0 + odds), test.moves[chosen]
         total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
@@ -79,46 +79,54 @@ def covariance(best: Solution, every: dict[str, Term]) -> FloatArray:
     return total
 
 
-def sandwich(
-    problem: Problem,
-    theta: FloatArray,
-    jacobian: FloatArray,
-    chosen: Sequence[int],
-    *,
-    begin: int = 0,
-    level: float = 0.0,
-) -> tuple[FloatArray, tuple[float, ...]]:
-    """Covariance of some unknowns under residuals that remember, and the number of independent samples by channel.
-
-    Each channel's residual is taken as a stationary series with the autocovariance that it shows up to a tenth of
-    the record (Bartlett window; Newey & West 1987), and with no less power at any frequency than its white noise. What
-    no sample tells has a standard deviation of 3 in its logarithm, a prior that is too weak to matter elsewhere, and
-    the onset is known to half an interval and half the current's rise: between two samples far apart, the fit's slope
-    at one place does not see their bounds.
+def normalised(
+    problem: Problem, theta: FloatArray, jacobian: FloatArray, chosen: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals in units of their size, and derivatives so: what `sandwich` and `model_error` tell errors by.
 
     Args:
         problem: what was fitted.
         theta: its best unknowns.
         jacobian: derivatives of the residuals, one column for each chosen unknown.
         chosen: their places.
+
+    Returns:
+        Residuals of the samples, shape (n, channels); the derivatives of all residuals, and rows of what is weakly
+        believed: what no sample tells has a standard deviation of 3 in its logarithm, a prior that is too weak to
+        matter elsewhere, and the onset is known to half an interval and half the current's rise. Between two samples
+        far apart, the fit's slope at one place does not see their bounds.
+    """
+    base, channels = problem.residuals(theta), int(problem.record.seen.sum())
+    size, n = math.sqrt(float(base @ base) / problem.count), len(problem.record.voltage_v)
+    rows = np.concatenate([jacobian / size, np.diag(1.0 / _weakly_believed(problem, theta)[chosen])])
+    return (base / size)[: n * channels].reshape(n, channels), rows
+
+
+def sandwich(
+    white: FloatArray, rows: FloatArray, *, begin: int = 0, level: float = 0.0
+) -> tuple[FloatArray, tuple[float, ...]]:
+    """Covariance of some unknowns under residuals that remember, and the number of independent samples by channel.
+
+    Each channel's residual is taken as a stationary series with the autocovariance that it shows up to a tenth of
+    the record (Bartlett window; Newey & West 1987), and with no less power at any frequency than its white noise.
+
+    Args:
+        white: residuals, see `normalised`.
+        rows: their derivatives.
         begin: first sample of the running motor.
         level: standard deviation of an error that is the same in every sample of the running motor, over the noise.
     """
-    white, jacobian = _believed(problem, theta, jacobian, chosen)
     n, channels = white.shape
-    bread = _inverse(jacobian.T @ jacobian)
-    meat = jacobian[n * channels :].T @ jacobian[n * channels :]  # what is believed beforehand
+    bread = _inverse(rows.T @ rows)
+    meat = rows[n * channels :].T @ rows[n * channels :]  # what is believed beforehand
     independent = []
     for channel in range(channels):
-        series, part = (
-            white[:, channel] - white[:, channel].mean(),
-            jacobian[channel : n * channels : channels],
-        )
+        series, part = white[:, channel] - white[:, channel].mean(), rows[channel : n * channels : channels]
         taper = _autocovariance(series, max(n // 10, 2))
         meat += part.T @ _coloured(part, taper, difference_noise(series[begin:]))
         inflation = max(float(2.0 * np.sum(taper) - taper[0]) / max(float(taper[0]), 1e-300), 1.0)
         independent.append(n / inflation)
-    moved = level * jacobian[begin * channels : n * channels : channels].sum(axis=0)
+    moved = level * rows[begin * channels : n * channels : channels].sum(axis=0)
     meat += np.outer(moved, moved)
     # Rounding may leave a direction that hardly matters a negative variance.
     variances, vectors = np.linalg.eigh(0.5 * (meat + meat.T))
@@ -133,13 +141,7 @@ def states_of(best: Solution) -> FloatArray:
 
 
 def model_error(
-    problem: Problem,
-    theta: FloatArray,
-    jacobian: FloatArray,
-    chosen: Sequence[int],
-    series: FloatArray,
-    *,
-    states: FloatArray | None = None,
+    white: FloatArray, rows: FloatArray, series: FloatArray, *, states: FloatArray | None = None
 ) -> FloatArray:
     """Covariance that a model's error adds to that of a stationary series, shape (p, p).
 
@@ -154,32 +156,29 @@ def model_error(
     (Marchenko & Pastur 1967).
 
     Args:
-        problem: what was fitted.
-        theta: its best unknowns.
-        jacobian: derivatives of the residuals, one column for each chosen unknown.
-        chosen: their places.
+        white: residuals, see `normalised`.
+        rows: their derivatives.
         series: covariance under a stationary series, see `sandwich`.
         states: what the record is cut by beside time, shape (n, m); None for time alone.
     """
-    white, jacobian = _believed(problem, theta, jacobian, chosen)
     n, channels = white.shape
-    values, axes = np.linalg.eigh(_inverse(jacobian.T @ jacobian))
+    values, axes = np.linalg.eigh(_inverse(rows.T @ rows))
     root = axes * np.sqrt(np.maximum(values, 0.0))  # unknowns of which the record tells all equally much
-    rows = jacobian[: n * channels].reshape(n, channels, -1) @ root
-    leverage = np.einsum("ncp,ncp->n", rows, rows)
+    shares = rows[: n * channels].reshape(n, channels, -1) @ root
+    leverage = np.einsum("ncp,ncp->n", shares, shares)
     total, by_chance = series, (1.0 + math.sqrt(len(series) / _PARTS)) ** 2
     orders = [np.arange(n)]
     if states is not None:
         # At rest, only rounding tells states apart: they keep their order in time, so that every machine says the same.
-        shares = np.round(states / np.maximum(np.ptp(states, axis=0), 1e-300), 6)
-        orders.extend(np.argsort(shares.T, kind="stable"))
+        rounded = np.round(states / np.maximum(np.ptp(states, axis=0), 1e-300), 6)
+        orders.extend(np.argsort(rounded.T, kind="stable"))
     for order, usual in zip(orders, [1.0] + [by_chance] * (len(orders) - 1), strict=True):
         told = np.cumsum(leverage[order])
         parts = np.minimum((_PARTS * told / max(float(told[-1]), 1e-300)).astype(int), _PARTS - 1)
         moved = np.zeros_like(series)
         for part in np.unique(parts):
             of = order[parts == part]
-            some = rows[of].reshape(-1, len(series))
+            some = shares[of].reshape(-1, len(series))
             leverages, across = np.linalg.eigh(some.T @ some)
             score = across.T @ (some.T @ white[of].ravel())
             move = root @ (across @ (score / np.sqrt(np.maximum(1.0 - leverages, _HARDLY))))
@@ -196,16 +195,6 @@ def beyond(known: FloatArray, covariance: FloatArray, usual: float = 1.0) -> Flo
     sizes, axes = np.linalg.eigh(inverse @ covariance @ inverse.T)
     more = root @ axes * np.sqrt(np.maximum(sizes - usual, 0.0))
     return np.asarray(more @ more.T, dtype=np.float64)
-
-
-def _believed(
-    problem: Problem, theta: FloatArray, jacobian: FloatArray, chosen: Sequence[int]
-) -> tuple[FloatArray, FloatArray]:
-    """Residuals in units of their size, shape (n, channels); derivatives so, with rows of what is weakly believed."""
-    base, channels = problem.residuals(theta), int(problem.record.seen.sum())
-    size, n = math.sqrt(float(base @ base) / problem.count), len(problem.record.voltage_v)
-    rows = np.concatenate([jacobian / size, np.diag(1.0 / _weakly_believed(problem, theta)[chosen])])
-    return (base / size)[: n * channels].reshape(n, channels), rows
 
 
 def _weakly_believed(problem: Problem, theta: FloatArray) -> FloatArray:

@@ -19,10 +19,7 @@ from motor_env.fitting.places import (
     L,
     R,
 )
-from motor_env.fitting.steps import (
-    inlined,
-    product,
-)
+from motor_env.fitting.steps import inlined, product
 from motor_env.motor.parameters import FloatArray
 
 _WILD = 6.0

@@ -16,7 +16,7 @@ import numpy as np
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.fit import without_lines
-from motor_env.fitting.problem import STEP, Problem, Solution
+from motor_env.fitting.problem import STEP, Problem
 from motor_env.fitting.record import Record
 from motor_env.fitting.score import behind_brushes
 from motor_env.fitting.terms import NOISES, terms
@@ -26,6 +26,7 @@ from motor_env.fitting.uncertainty import (
     information_covariance,
     model_error,
     motor_places,
+    normalised,
     sandwich,
     secants,
 )
@@ -66,17 +67,17 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     The error of f is that of a sum, so that of log f is taken over the way from 1 to f: the slope at f would count an
     error upwards for more than one downwards.
     """
-    others = [name for name in (*_LOADS, *NOISES) if name in wanted]
-    problem, begin = _problem(record, known, others)
-    best = Solution(problem, *problem.solve(begin, _MOST_ROUNDS))
+    problem, begin = _problem(record, known, wanted)
+    best = problem.solve(begin, _MOST_ROUNDS)
     record, lines = without_lines(best, record)
     if lines:
         problem = replace(problem, record=record)
-        best = Solution(problem, *problem.solve(best.theta, _MOST_ROUNDS))
+        best = problem.solve(best.theta, _MOST_ROUNDS)
     chosen, jacobian = motor_places(problem), secants(problem, best.theta)
     values, spread = best.values, information_covariance(problem, best.theta, jacobian)
-    robust, _ = sandwich(problem, best.theta, jacobian, chosen)
-    robust += model_error(problem, best.theta, jacobian, chosen, robust)
+    white, derivatives = normalised(problem, best.theta, jacobian, chosen)
+    robust, _ = sandwich(white, derivatives)
+    robust += model_error(white, derivatives, robust)
     rows = [problem.names[n] for n in chosen]
     at = np.ix_(*2 * [[rows.index(name) for name in _MOTOR]])
     factor = best.theta[problem.names.index("drag")]
@@ -110,7 +111,7 @@ def moved_by_held(
     Returns:
         Logarithms of R, K, J and the drag for each row of errors, shape (n, 4).
     """
-    problem, theta = _problem(record, known, [name for name in (*_LOADS, *NOISES) if name in wanted])
+    problem, theta = _problem(record, known, wanted)
     base = problem.residuals(theta)
     inverse = np.linalg.pinv(problem.jacobian(theta, base))[: len(_MOTOR)]
     inverse[_MOTOR.index("drag")] /= known[places.DRAG]  # of its logarithm
@@ -170,8 +171,7 @@ def scores(
         peaks: largest voltage, current and speed of its work.
         ends: first sample of the first section, and where each ends.
     """
-    others = [name for name in _LOADS if name in wanted]
-    problem, theta = _problem(record, known, others, peaks)
+    problem, theta = _problem(record, known, [name for name in wanted if name in _LOADS], peaks)
     white, slopes = _slopes(problem, theta)
     slopes[_MOTOR.index("drag")] *= known[places.DRAG]  # of its logarithm
     belief = [_UNTOLD] * len(_MOTOR) + [term.prior_sd for term in problem.free[len(_MOTOR) :]]
@@ -187,16 +187,16 @@ def scores(
 
 
 def _problem(
-    record: Record, known: FloatArray, others: Sequence[str], peaks: tuple[float, float, float] | None = None
+    record: Record, known: FloatArray, wanted: Sequence[str], peaks: tuple[float, float, float] | None = None
 ) -> tuple[Problem, FloatArray]:
-    """R, K, J, the drag and others as unknowns; their known values.
+    """R, K, J, the drag and those of the wanted terms that differ from window to window as unknowns; known values.
 
     Raises:
         InputError: a noise or a constant that is 0 gives them no unit.
     """
     every = terms(record, known, peaks)
     every["drag"] = replace(every["coulomb"], name="drag", place=places.DRAG, unit=1.0, low=0.05, high=20.0)
-    free = tuple(every[name] for name in (*_MOTOR, *others))
+    free = tuple(every[name] for name in (*_MOTOR, *_LOADS, *NOISES) if name in (*_MOTOR, *wanted))
     with np.errstate(divide="ignore", invalid="ignore"):
         at = [known[term.place] / term.unit for term in free]
     if not np.isfinite(at).all():
@@ -210,12 +210,7 @@ def _slopes(problem: Problem, theta: FloatArray) -> tuple[FloatArray, FloatArray
 
     Wild innovations are cut, but not their derivatives: where a fault makes all of them wild, it is seen.
     """
-    base = _white(problem, theta)
-    slopes = [(_white(problem, theta + STEP * axis) - base) / STEP for axis in np.eye(len(theta))]
-    return np.clip(base, -_WILD, _WILD), np.array(slopes)
-
-
-def _white(problem: Problem, theta: FloatArray) -> FloatArray:
-    out, _ = problem.record.predict(problem.values(theta))
-    white: FloatArray = out[:, :2][:, problem.record.seen > 0.0]
-    return white
+    moved = theta + STEP * np.eye(len(theta))
+    out, _ = problem.record.predict_each(problem.values_each(np.vstack([theta, moved])))
+    base, *white = out[:, :, :2][:, :, problem.record.seen > 0.0]
+    return np.clip(base, -_WILD, _WILD), (np.array(white) - base) / STEP

@@ -25,9 +25,7 @@ _GUARD = 2  # samples before the onset that may belong to it already
 _COARSE_STEP = 0.02  # of the span: above it the steps are what is seen, not the motor
 _SEEN_STEP = 0.002  # of the span: above it the steps are part of the noise
 _QUANTISED_STEP = 0.005  # of the span: above it the steps are worth a note
-_RECTIFIED_SHARE = (
-    0.2  # of the samples before the start are exactly 0 behind a rectifier: one half, less the offset
-)
+_RECTIFIED_SHARE = 0.2  # of the samples before the start are 0 behind a rectifier: half, less the offset
 _CLIPPED_DROP = 4.5  # steps: a round peak in steps leaves its top slowly, a clipped one drops
 
 

@@ -250,9 +250,8 @@ def _column(
 
 
 def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Column:
-    middles: FloatArray = (
-        np.arange(len(table.values), dtype=np.float64) + 0.5
-    ) * table.averaged - 0.5  # of what was averaged
+    # The middles of what was averaged.
+    middles: FloatArray = (np.arange(len(table.values), dtype=np.float64) + 0.5) * table.averaged - 0.5
     return Column(begin_s + interval_s * middles, f"{1.0 / interval_s:.6g} samples a second, {reason}")
 
 

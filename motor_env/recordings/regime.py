@@ -23,11 +23,7 @@ _MOST_SWITCHES = 5
 _PAUSE_S, BOUNCE_S = 0.1, 0.02  # a motor does not stop in so short a pause; a contact has bounced and settled
 _INRUSH, _STILL_TURNS = 0.75, 0.1  # of the largest inrush, and of the top speed
 _FEWEST_JUMPS = 8  # of the voltage
-_CHANCE, _UNKNOWN, _KNOWN = (
-    3.0,
-    0.25,
-    0.8,
-)  # rank correlation with the current's: standard errors, and its bounds
+_CHANCE, _UNKNOWN, _KNOWN = 3.0, 0.25, 0.8  # rank correlation with the current's: standard errors; its bounds
 _NOISE_SPAN = 10.0  # a voltage that is only noise spans so many standard deviations
 _LEVEL, _OFF_LEVEL = 0.05, 0.02  # of the way between two levels; share of the samples that may lie off them
 

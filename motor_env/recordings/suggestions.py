@@ -107,10 +107,8 @@ class Suggestions:
             form, words = self._form(fitting[0], is_said=False)
             hint = f"if {self.name(fitting[0])} is the current, say --column {_quoted(form)} ({words})"
         else:
-            forms = [self._form(k, is_said=False) for k in fitting[:_MOST_NAMED]]
-            form, words = (
-                one.replace(f"current={self.name(fitting[0])}", "current=COLUMN") for one in forms[0]
-            )
+            first = self._form(fitting[0], is_said=False)
+            form, words = (one.replace(f"current={self.name(fitting[0])}", "current=COLUMN") for one in first)
             names = ", ".join(map(self.name, fitting[:_MOST_NAMED]))
             hint = f'say --column "{form}", where COLUMN is one of {names}, and {words}'
         return self.missing("current_a", hint)

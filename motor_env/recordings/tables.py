@@ -84,16 +84,7 @@ def read_text_table(path: Path) -> TextTable:
     Raises:
         InputError: the file is missing, empty or too large, or no text.
     """
-    return cells(path, read_text(path).splitlines())
-
-
-def read_text(path: Path) -> str:
-    """Read a text file, whatever its code page.
-
-    Raises:
-        InputError: the file is missing, empty or too large, or no text.
-    """
-    return _decoded(path, _content(path, LARGEST_TABLE_BYTES))
+    return cells(path, _decoded(path, _content(path, LARGEST_TABLE_BYTES)).splitlines())
 
 
 def _content(path: Path, largest: int = LARGEST_DATA_BYTES) -> bytes:

@@ -54,7 +54,7 @@ def solution(
     every = terms(record, known)
     problem = Problem(record, known, tuple(every[name] for name in names))
     if theta is None:
-        return Solution(problem, *problem.solve(np.zeros(len(names))))
+        return problem.solve(np.zeros(len(names)))
     residuals = problem.residuals(theta)
     return Solution(problem, theta, problem.misfit(float(residuals @ residuals)))
 
@@ -70,6 +70,7 @@ class Line:
         n = len(target)
         self.record = plain(n).only(current=True, speed=False)
         self.count = n
+        self.every: dict[str, Term] = {}
         self.free = [Term(name, place, 1.0, -5.0, 5.0, is_log=True) for place, name in enumerate(names)]
 
     def residuals(self, theta: FloatArray) -> FloatArray:

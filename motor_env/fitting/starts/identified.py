@@ -8,7 +8,7 @@ import numpy as np
 
 from motor_env.fitting import places
 from motor_env.fitting.kernel import REST, STEADY
-from motor_env.fitting.problem import Solution
+from motor_env.fitting.problem import Solution, r_squared
 from motor_env.fitting.record import Record
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -107,13 +107,13 @@ class Identified:
     def r2_current(self) -> float:
         """Share of the current's variance that the fit explains; that of the supply's ripple is none of it."""
         counted = self.start.counted
-        return _r2((self.start.current_a - self.start.ripple_a)[counted], self.residual_a[counted])
+        return r_squared((self.start.current_a - self.start.ripple_a)[counted], self.residual_a[counted])
 
     @property
     def r2_speed(self) -> float | None:
         """Share of the speed's variance that the fit explains; None where it was not recorded."""
         speed = self.start.speed_rad_s
-        return None if speed is None else _r2(speed, speed - self.expected[:, 1])
+        return None if speed is None else r_squared(speed, speed - self.expected[:, 1])
 
     @property
     def misfit(self) -> tuple[float, ...]:
@@ -208,7 +208,3 @@ def record_of(start: Start) -> Record:
         shunt_ohm=start.circuit.shunt_ohm,
         rectified_a=alignment.noise_a if alignment.rectified else None,
     )
-
-
-def _r2(measured: FloatArray, left: FloatArray) -> float:
-    return 1.0 - float(np.sum(left**2) / max(np.sum((measured - measured.mean()) ** 2), 1e-300))

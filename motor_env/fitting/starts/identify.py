@@ -15,7 +15,7 @@ from motor_env.fitting.score import unmeasured
 from motor_env.fitting.starts.belief import CURVE, Belief, believed
 from motor_env.fitting.starts.identified import Identified, record_of
 from motor_env.fitting.threads import on_one_thread
-from motor_env.fitting.uncertainty import capped, model_error, sandwich, states_of
+from motor_env.fitting.uncertainty import capped, model_error, normalised, sandwich, states_of
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.recordings.defects import UnusableError
@@ -56,15 +56,14 @@ def identify(
     belief = believed(start, constant, typical)
     problem, best = belief.problem(model), None
     for guess in belief.guesses(problem) if simpler is None else belief.richer(problem, simpler.solution):
-        found = Solution(problem, *problem.solve(guess, most=60))
+        found = problem.solve(guess, most=60)
         if best is None or found.misfit < best.misfit:
             best = found
         if simpler is None and belief.is_typical(best.theta):
             break
     if best is None or not math.isfinite(best.misfit):
         raise UnusableError("no motor model can be fitted")
-    weighed = best.weighed()
-    fit = _result(belief, model, Solution(weighed, *weighed.solve(best.theta, most=100)))
+    fit = _result(belief, model, best.weighed().solve(best.theta, most=100))
     cleaner = _cleaner(fit)
     if cleaner is None:
         return fit
@@ -102,10 +101,9 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
     n_core, values = len(belief.core), problem.values(theta)
     jacobian = problem.jacobian(theta, problem.residuals(theta))
     level = start.alignment.unseen_level_a / values[places.NOISE_I]
-    covariance, independent = sandwich(
-        problem, theta, jacobian, range(len(theta)), begin=start.alignment.onset_index, level=level
-    )
-    more = model_error(problem, theta, jacobian, range(len(theta)), covariance, states=states_of(best))
+    white, rows = normalised(problem, theta, jacobian, range(len(theta)))
+    covariance, independent = sandwich(white, rows, begin=start.alignment.onset_index, level=level)
+    more = model_error(white, rows, covariance, states=states_of(best))
     # Per volt of a supply that nobody knows, nothing is claimed.
     if start.voltage_known and start.voltage_v is None:
         wanted = math.log(problem.count) + STRONG_EVIDENCE

@@ -38,12 +38,8 @@ def whole_block(path: Path, text: str) -> Table:
     return table_of(block, values, at)
 
 
-def large_block(path: Path, most: int = MOST_ROWS) -> Table:
-    """The block of numbers in a file that begins and ends as text.
-
-    Args:
-        path: of the file.
-        most: number of rows beyond which neighbours are averaged.
+def large_block(path: Path) -> Table:
+    """The block of numbers in a file that begins and ends as text; neighbours are averaged beyond MOST_ROWS.
 
     Raises:
         InputError: there is no block, it tells the time by a clock, or a cell in it is no number.
@@ -60,7 +56,7 @@ def large_block(path: Path, most: int = MOST_ROWS) -> Table:
         if block.clocks:
             raise InputError(f"{path}: so large a file needs its time in seconds, or --sampling-rate HZ")
         rows = size / (len(tail) / len(last))
-        factor = max(math.ceil(rows / most), 1)
+        factor = max(math.ceil(rows / MOST_ROWS), 1)
         file.seek(0)
         for _ in range(block.begin - 1):
             file.readline()

@@ -1,13 +1,12 @@
 """Ripple of constant frequency in the current of a motor at work: taken off, whatever it is called."""
 
 import math
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from operation_simulator import draw_motor, simulate
 
 from motor_env import Recording
 from motor_env.fitting import places
@@ -20,9 +19,6 @@ from motor_env.motor.parameters import FloatArray
 
 # Reaches in: what the fits of starts and of logs take for ripple.
 from motor_env.recordings.periodic_lines import constant_lines
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
-from operation_simulator import draw_motor, simulate
 
 
 def work(seed: int, profile: str, samples: int) -> Recording:

@@ -13,8 +13,7 @@ from motor_env.fitting import places, uncertainty
 from motor_env.fitting.fit import fit
 from motor_env.fitting.record import Record
 from motor_env.fitting.score import lacking
-from motor_env.fitting.terms import terms
-from motor_env.fitting.uncertainty import beyond, covariance, model_error, motor_places, sandwich
+from motor_env.fitting.uncertainty import beyond, covariance, model_error, motor_places, normalised, sandwich
 from motor_env.motor.parameters import FloatArray
 
 
@@ -26,11 +25,14 @@ def line(seed: int = 0, n: int = 400) -> Line:
     return Line(design, rng.standard_normal(n), ("R", "K"))
 
 
+def told(of: Line) -> tuple[FloatArray, FloatArray]:
+    return normalised(cast("Any", of), least_squares(of), of.design, range(of.design.shape[1]))
+
+
 def both(of: Line) -> tuple[FloatArray, FloatArray]:
     """Covariance of a stationary series, and what the model's error adds."""
-    problem, theta = cast("Any", of), least_squares(of)
-    series, _ = sandwich(problem, theta, of.design, [0, 1])
-    return series, model_error(problem, theta, of.design, [0, 1], series)
+    series, _ = sandwich(*told(of))
+    return series, model_error(*told(of), series)
 
 
 def test_scores_of_parts_are_scaled_as_bell_and_mccaffrey_have_it() -> None:
@@ -69,10 +71,8 @@ def test_an_error_that_follows_a_state_shows_under_a_periodic_command() -> None:
     design, noise = np.stack([current, np.sin(phase)], axis=1), np.random.default_rng(4).standard_normal(1600)
     for bent, seen in ((0.0, False), (2.0, True)):
         of = Line(design, noise + bent * np.cos(3.0 * phase), ("R", "K"))
-        problem, theta = cast("Any", of), least_squares(of)
-        series, _ = sandwich(problem, theta, design, [0, 1])
-        in_time = model_error(problem, theta, design, [0, 1], series)
-        by_state = model_error(problem, theta, design, [0, 1], series, states=current[:, None])
+        series, in_time = both(of)
+        by_state = model_error(*told(of), series, states=current[:, None])
         assert np.trace(in_time) < np.trace(series)
         assert (np.trace(by_state) > 5.0 * np.trace(series)) == seen
         assert np.linalg.eigvalsh(by_state - in_time).min() > -1e-12
@@ -84,13 +84,9 @@ def test_states_that_have_no_part_in_it_add_next_to_nothing() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         of = Line(rng.standard_normal((400, 6)), rng.standard_normal(400), tuple("RLKJBT"))
-        problem, theta = cast("Any", of), least_squares(of)
-        series, _ = sandwich(problem, theta, of.design, range(6))
-        found = [
-            np.trace(model_error(problem, theta, of.design, range(6), series, states=states))
-            for states in (rng.standard_normal((400, 4)), None)
-        ]
-        added.append((found[0] - found[1]) / np.trace(series))
+        series, in_time = both(of)
+        by_state = model_error(*told(of), series, states=rng.standard_normal((400, 4)))
+        added.append(np.trace(by_state - in_time) / np.trace(series))
     assert np.mean(added) < 0.1
 
 
@@ -129,13 +125,13 @@ def test_brushes_that_resist_nearly_all_currents_alike_are_found_at_their_size()
 
 def test_what_real_motors_have_widens_the_errors_by_what_it_moves() -> None:
     wrong = solution(lossy(brushes=0.08), LOGS, values())
-    spread = np.sqrt(np.diag(covariance(wrong, terms(wrong.problem.record, values()))))
+    spread = np.sqrt(np.diag(covariance(wrong)))
     test = lacking(wrong)[0]
     assert test.value > 1.0
     assert abs(wrong.theta[0]) > 0.02  # R is off by more than 2 %
     assert spread[0] > 0.5 * abs(wrong.theta[0])
     right = solution(lossy(), LOGS, values())
-    assert np.sqrt(np.diag(covariance(right, terms(right.problem.record, values()))))[0] < 0.2 * spread[0]
+    assert np.sqrt(np.diag(covariance(right)))[0] < 0.2 * spread[0]
 
 
 def test_the_speed_alone_says_nothing_of_brushes_and_gears() -> None:
@@ -157,7 +153,7 @@ def test_a_voltage_without_steps_may_be_timed_otherwise(
         clean = record.predict(p, learn=False)[0][:, 2:4]
         shown = clean + 10.0 * rng.standard_normal((800, 2)) * p[[places.NOISE_I, places.NOISE_W]]
         found = fit(replace(record, readings=shown))
-        spread = covariance(found, terms(found.problem.record, found.problem.known))
+        spread = covariance(found)
         row = motor_places(found.problem).index(found.names.index("L"))
         told = found.problem.free[found.names.index("L")].unit * np.sqrt(spread[row, row])
         others = [found.problem.values(theta)[places.L] for theta, _ in found.rivals]
@@ -176,12 +172,12 @@ def test_errors_allow_for_what_the_steps_of_a_reading_hide(
     cut[:, channel] = step * np.trunc(cut[:, channel] / step)
     coarse = replace(record, readings=cut)
     assert coarse.steps[channel] == pytest.approx(step)
-    wrong, every = solution(coarse, LOGS, values()), terms(coarse, values())
+    wrong = solution(coarse, LOGS, values())
     at = wrong.names.index(told)
-    allowed = abs(wrong.theta[at]) / math.sqrt(covariance(wrong, every)[at, at])
+    allowed = abs(wrong.theta[at]) / math.sqrt(covariance(wrong)[at, at])
     monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
     assert 1.0 < allowed < 1.5
-    assert abs(wrong.theta[at]) > 3.0 * math.sqrt(covariance(wrong, every)[at, at])
+    assert abs(wrong.theta[at]) > 3.0 * math.sqrt(covariance(wrong)[at, at])
 
 
 def test_a_channel_that_never_changes_has_no_steps() -> None:

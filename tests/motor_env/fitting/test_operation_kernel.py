@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import recorded_motor
+from recorded_motor import DT_S, plain
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -17,24 +19,15 @@ from motor_env.fitting.record import HOLDS, Hold, Record
 from motor_env.fitting.recorded import open_circuit
 from motor_env.motor.parameters import FloatArray
 
-DT_S = 2e-3
-
 
 def values(**given: float) -> FloatArray:
-    """A small motor, with what is given."""
-    base = {"R": 2.0, "L": 1e-3, "K": 0.03, "J": 4e-6, "B": 2e-6, "NOISE_I": 1e-3, "NOISE_W": 0.1}
-    out = np.zeros(places.N_VALUES)
-    for name, value in (base | given).items():
-        out[getattr(places, name)] = value
-    return out
+    """A small motor without dry friction, with what is given."""
+    return recorded_motor.values(**({"COULOMB": 0.0, "NOISE_I": 1e-3, "NOISE_W": 0.1} | given))
 
 
 def free_run(p: FloatArray, voltage: FloatArray) -> FloatArray:
     """Current and speed of the model without readings."""
-    n = len(voltage)
-    marks = np.eye(1, n)[0]
-    record = Record(DT_S, voltage, np.zeros((n, 2)), np.ones(2), marks)
-    return record.predict(p, learn=False)[0][:, 2:4]
+    return plain(len(voltage), voltage).predict(p, learn=False)[0][:, 2:4]
 
 
 def solved(p: FloatArray, voltage: FloatArray) -> FloatArray:
@@ -107,8 +100,7 @@ def test_innovations_of_the_right_model_are_white_and_of_unit_size() -> None:
     voltage = np.repeat(rng.uniform(-8.0, 8.0, 100), 30)
     true = free_run(p, voltage)
     readings = true + rng.standard_normal(true.shape) * [p[places.NOISE_I], p[places.NOISE_W]]
-    record = Record(DT_S, voltage, readings, np.ones(2), np.eye(1, len(voltage))[0])
-    white = record.predict(p)[0][1:, :2]
+    white = replace(plain(len(voltage), voltage), readings=readings).predict(p)[0][1:, :2]
     assert np.std(white, axis=0) == pytest.approx([1.0, 1.0], abs=0.05)
     assert abs(np.corrcoef(white[1:, 0], white[:-1, 0])[0, 1]) < 0.06
 
@@ -116,8 +108,7 @@ def test_innovations_of_the_right_model_are_white_and_of_unit_size() -> None:
 def test_warmth_follows_the_heat_of_the_winding() -> None:
     p = values(COULOMB=0.004, HEATING=5.0, COOLING=0.5)
     n = 4000
-    record = Record(DT_S, np.full(n, 0.2), np.zeros((n, 2)), np.ones(2), np.eye(1, n)[0])
-    warm = record.predict(p, learn=False)[0][-1, 5]
+    warm = plain(n, np.full(n, 0.2)).predict(p, learn=False)[0][-1, 5]
     assert warm == pytest.approx(5.0 * 2.0 * 0.01 / 0.5 * (1.0 - np.exp(-0.5 * n * DT_S)), rel=0.01)
 
 
@@ -317,10 +308,10 @@ def test_innovations_are_those_of_a_textbook_filter(given: dict[str, float], hol
     n = 60
     volts = np.repeat(rng.uniform(-8.0, 8.0, 10), 6)
     p = values(B=2e-5, **given)
-    clean = Record(DT_S, volts, np.zeros((n, 2)), np.ones(2), np.eye(1, n)[0], hold).predict(p, learn=False)
-    readings = clean[0][:, 2:4] + rng.standard_normal((n, 2)) * [2e-3, 0.2]
+    clean = plain(n, volts, hold)
+    readings = clean.predict(p, learn=False)[0][:, 2:4] + rng.standard_normal((n, 2)) * [2e-3, 0.2]
     readings[33, 0] += 0.5  # a wild one
-    record = Record(DT_S, volts, readings, np.ones(2), np.eye(1, n)[0], hold)
+    record = replace(clean, readings=readings)
     out, logs = record.predict(p)
     expected = textbook_filter(p, record)
     np.testing.assert_allclose(out[:, :2], expected.white, rtol=1e-7, atol=1e-8)
@@ -355,7 +346,7 @@ def test_a_known_beginning_and_missing_readings_are_those_of_a_textbook_filter(
     n, p = 60, values(B=2e-5, **given)
     volts = np.repeat(np.random.default_rng(8).uniform(2.0, 8.0, 10), 6)
     marks = (mark or kernel.BEGIN) * np.eye(1, n)[0]
-    record = noisy(Record(DT_S, volts, np.zeros((n, 2)), np.ones(2), marks), p, 9)
+    record = noisy(replace(plain(n, volts), marks=marks), p, 9)
     out, logs = record.predict(p)
     expected = textbook_filter(p, record)
     np.testing.assert_allclose(out[:, :2], expected.white, rtol=1e-7, atol=1e-8)
@@ -376,8 +367,8 @@ def test_a_known_beginning_and_missing_readings_are_those_of_a_textbook_filter(
 def test_a_switched_motor_is_that_of_a_textbook_filter(onset: float, given: dict[str, float]) -> None:
     """Its first interval is one of its own, also before the first sample; the voltage's noise acts in it."""
     n, p = 60, values(B=2e-5, **(given | {"LOAD": 0.0}))  # which would turn a motor that waits for its supply
-    plain = Record(DT_S, np.full(n, 6.0), np.zeros((n, 2)), np.ones(2), kernel.REST * np.eye(1, n)[0])
-    record = noisy(replace(plain, onset_s=onset * DT_S), p, 10)
+    waiting = replace(plain(n, np.full(n, 6.0)), marks=kernel.REST * np.eye(1, n)[0], onset_s=onset * DT_S)
+    record = noisy(waiting, p, 10)
     out, logs = record.predict(p)
     expected = textbook_filter(p, record)
     np.testing.assert_allclose(out[:, :2], expected.white, rtol=1e-7, atol=1e-8)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +21,7 @@ from motor_env.diagnosis import identify as identifying
 from motor_env.diagnosis.motor_files import motor_of_log
 from motor_env.fitting import fit as fitting, kernel, places, uncertainty
 from motor_env.fitting.beginnings import _sign, beginnings
-from motor_env.fitting.identify import Operation, identify_operation, identify_record
+from motor_env.fitting.identify import Operation, _refuse_poor, identify_operation, identify_record
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import Hold
 from motor_env.fitting.recorded import (
@@ -33,7 +34,7 @@ from motor_env.fitting.recorded import (
 )
 from motor_env.fitting.score import ScoreTest, candidates, score_tests
 from motor_env.fitting.terms import terms
-from motor_env.fitting.uncertainty import information_covariance, motor_places, secants
+from motor_env.fitting.uncertainty import information_covariance, motor_places, normalised, sandwich, secants
 from motor_env.fitting.window import fit_window, scores
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -67,19 +68,16 @@ def test_parts_of_a_record_by_hand() -> None:
     volts = np.arange(100.0)
     record = replace(plain(100), readings=np.stack([volts + 0.5, -volts], axis=1))
     record.marks[[30, 31, 55]] = kernel.OPEN
-    part = record.part(30, 20)
-    assert (part.voltage_v[0], part.voltage_v[-1], len(part.voltage_v)) == (30.0, 49.0, 20)
-    assert part.readings[0].tolist() == [30.5, -30.0]
-    assert part.marks.tolist() == [kernel.BEGIN, kernel.OPEN, *[0.0] * 18]
     assert record.closed().marks.tolist() == [kernel.BEGIN, *[0.0] * 99]
     some = record.sample(40)
     assert some.voltage_v.tolist() == [10.0 * k + n for k in range(10) for n in range(4)]
-    assert np.flatnonzero(some.marks == kernel.BEGIN).tolist() == list(range(0, 40, 4))
-    assert some.readings[:, 1].tolist() == (-some.voltage_v).tolist()
+    marks = np.where(np.arange(40) % 4 == 0, kernel.BEGIN, 0.0)
+    marks[13] = kernel.OPEN
+    assert some.marks.tolist() == marks.tolist()
+    assert some.readings.tolist() == [[volts + 0.5, -volts] for volts in some.voltage_v]
     assert record.duration_s == pytest.approx(100 * DT_S)
     assert record.peaks == pytest.approx([98.901, 99.401, 98.901])
     assert record.only(current=False, speed=True).seen.tolist() == [0.0, 1.0]
-    assert part.marks[0] == kernel.BEGIN
     assert record.marks[30] == kernel.OPEN  # the record itself stays
 
 
@@ -135,11 +133,9 @@ def test_records_hold_the_means_of_their_recordings() -> None:
     for ratio, is_same in ((1.0199, True), (1.0203, False)):
         # They may differ by two hundredths of their mean.
         pair = [one, recorded(current, dt_s=1e-3 * ratio)]
-        if is_same:
+        differ = pytest.raises(UnusableError, match="differ in their sampling interval")
+        with nullcontext() if is_same else differ:
             assert from_recordings(pair).dt_s == pytest.approx(0.5e-3 * (1.0 + ratio))
-        else:
-            with pytest.raises(UnusableError, match="differ in their sampling interval"):
-                from_recordings(pair)
     with pytest.raises(UnusableError, match="different columns"):
         from_recordings([one, replace(one, speed_rad_s=None)])
 
@@ -404,7 +400,6 @@ def test_a_term_is_taken_where_the_evidence_is_strong(
     monkeypatch: pytest.MonkeyPatch, small: Solution
 ) -> None:
     """Its score lies beyond log(n) + 6, and its fit is better by 6 than the criterion asks."""
-    every = {name: terms(small.problem.record, small.problem.known)[name] for name in ("delay", "speed_lag")}
     border = math.log(small.problem.count) + 6.0
     better: list[float] = [0.0]
     refits: list[str] = []
@@ -428,7 +423,7 @@ def test_a_term_is_taken_where_the_evidence_is_strong(
         monkeypatch.setattr(fitting, "score_tests", lambda *_, tests=tests: tests)
         better[0] = gain
         refits.clear()
-        found = fitting._richer(small, every)
+        found = fitting._richer(small)
         assert (found is not None and found.names[-1] == "delay") is is_taken
         assert refits == (["delay"] if score > border else [])
 
@@ -462,7 +457,7 @@ def test_errors_of_white_residuals_are_those_of_least_squares() -> None:
 def test_errors_of_residuals_that_remember_are_those_of_newey_and_west(rho: float) -> None:
     line = walked(rho)
     theta = least_squares(line)
-    found, _ = uncertainty.sandwich(cast("Any", line), theta, line.design[:, :2], [0, 1])
+    found, _ = sandwich(*normalised(cast("Any", line), theta, line.design[:, :2], [0, 1]))
     size = math.sqrt(float(line.residuals(theta) @ line.residuals(theta)) / 600)
     left, design = line.residuals(theta) / size, line.design[:, :2] / size
     series = left - left.mean()
@@ -484,34 +479,34 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     line = walked(0.0)
     theta = least_squares(line)
     tests = {"delay": ScoreTest(4.0, 0.5, 0.2, np.array([0.1, -0.3, 9.0]))}
-    every = {"delay": SimpleNamespace(usual=0.6)}
+    line.every["delay"] = cast("Any", SimpleNamespace(usual=0.6))
     best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0, free=(None, np.zeros((600, 4))))
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
     monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
     monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
-    without = uncertainty.covariance(cast("Any", best), {})
+    without = uncertainty.covariance(cast("Any", best))
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: tests)
-    added = uncertainty.covariance(cast("Any", best), cast("Any", every)) - without
+    added = uncertainty.covariance(cast("Any", best)) - without
     odds = 0.2 / math.hypot(0.2, 0.6) * math.exp(2.0)
     size = odds / (1.0 + odds) * (0.5**2 + 0.2**2)
     np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
     best.rivals = ((theta + np.array([0.2, 0.0, 5.0]), 12.0), (theta - np.array([0.0, 0.1, 5.0]), 11.0))
-    added = uncertainty.covariance(cast("Any", best), {}) - without
+    added = uncertainty.covariance(cast("Any", best)) - without
     shares = np.exp([-1.0, -0.5])
     shares /= 1.0 + shares.sum()
     np.testing.assert_allclose(added, np.diag(shares * [0.04, 0.01]), rtol=1e-7, atol=1e-12)
     # What no term says is believed to be of size 1; the record settles a share of it.
     best.rivals = ()
     monkeypatch.setattr(uncertainty, "lacking", lambda _: [tests["delay"]])
-    added = uncertainty.covariance(cast("Any", best), {}) - without
+    added = uncertainty.covariance(cast("Any", best)) - without
     settled = 1.0 / (1.0 + 0.2**2)
     size = (settled * 0.5) ** 2 + settled * 0.2**2
     np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
     # What rounding moves counts in full.
     monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
     monkeypatch.setattr(uncertainty, "rounded", lambda _: [tests["delay"]])
-    added = uncertainty.covariance(cast("Any", best), {}) - without
+    added = uncertainty.covariance(cast("Any", best)) - without
     np.testing.assert_allclose(added, np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
 
 
@@ -646,8 +641,9 @@ def identified() -> Operation:
     return identify_operation([Recording(Path("log.csv"), time_s, current, volts, speed)])
 
 
-def intervals(found: Operation) -> None:
+def test_intervals_are_those_of_the_covariance(identified: Operation) -> None:
     """Each interval by its unknown's standard error: 95 of 100, 1.959964 of them on either side."""
+    found = identified
     spread, problem = found.covariance, found.solution.problem
     free = [problem.free[n] for n in motor_places(problem)]
     theta = found.solution.theta[motor_places(problem)]
@@ -683,13 +679,9 @@ def intervals(found: Operation) -> None:
     expected = (max(torque - 1.959964 * sd, 0.0), torque + 1.959964 * sd)
     assert (drag.low, drag.high) == pytest.approx(expected, rel=1e-4)
     assert drag.log_sd == pytest.approx(sd / torque)
-
-
-def test_intervals_are_those_of_the_covariance(identified: Operation) -> None:
-    intervals(identified)
     for name, true in {"R": 2.0, "K": 0.03, "J": 4e-6}.items():
-        one = identified.quantity(name)
-        assert one.low < true < one.high or abs(math.log(one.value / true)) < 3.5 * one.log_sd
+        told = found.quantity(name)
+        assert told.low < true < told.high or abs(math.log(told.value / true)) < 3.5 * told.log_sd
 
 
 def test_one_channel_alone_tells_ratios_in_their_units(identified: Operation) -> None:
@@ -774,26 +766,19 @@ def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
 
 def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
     """The free model explains half of what was measured; L/R lies below 0.2 s."""
-    from motor_env.fitting.identify import _refuse_poor
-
     for r2, is_refused in ((0.499, True), (0.501, False), (math.nan, True)):
         for name in ("r2_current", "r2_speed"):
-            poor = replace(identified, **cast("Any", {name: r2}))
-            if is_refused:
-                with pytest.raises(UnusableError, match="no motor model explains"):
-                    _refuse_poor(poor)
-            else:
-                _refuse_poor(poor)
+            refusal = pytest.raises(UnusableError, match="no motor model explains")
+            with refusal if is_refused else nullcontext():
+                _refuse_poor(replace(identified, **cast("Any", {name: r2})))
     ohm = identified.quantity("R").value
     for lag, is_refused in ((0.201, True), (0.199, False)):
         slow = tuple(
             replace(one, value=lag * ohm, is_told=True) if one.name == "L" else one
             for one in identified.quantities
         )
-        if is_refused:
-            with pytest.raises(UnusableError, match="is that of no motor"):
-                _refuse_poor(replace(identified, quantities=slow))
-        else:
+        refusal = pytest.raises(UnusableError, match="is that of no motor")
+        with refusal if is_refused else nullcontext():
             _refuse_poor(replace(identified, quantities=slow))
 
 

@@ -28,7 +28,7 @@ from motor_env.fitting.starts.commutation import (
 from motor_env.fitting.starts.identified import Identified, record_of
 from motor_env.fitting.starts.identify import _wild_against, identify
 from motor_env.fitting.starts.plausibility import NOT_TURNING, implausible, shows_turning
-from motor_env.fitting.uncertainty import capped, model_error, sandwich, states_of
+from motor_env.fitting.uncertainty import capped, model_error, normalised, sandwich, states_of
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
@@ -377,7 +377,8 @@ def test_the_covariance_is_the_sandwich_of_dense_matrices(unseen_a: float) -> No
     problem = Solution(problem, theta, 0.0).weighed()
     jacobian = problem.jacobian(theta, problem.residuals(theta))
     level, begin = unseen_a / problem.known[places.NOISE_I], measured.alignment.onset_index
-    got, independent = sandwich(problem, theta, jacobian, range(len(theta)), begin=begin, level=level)
+    white, rows = normalised(problem, theta, jacobian, range(len(theta)))
+    got, independent = sandwich(white, rows, begin=begin, level=level)
     expected, counts = dense_covariance(problem, theta, measured)
     assert independent == pytest.approx(counts, rel=1e-9)
     std = np.sqrt(np.diag(expected))
@@ -427,7 +428,7 @@ def moved_by_an_inductance(best: Solution, share: float) -> FloatArray:
     begun[at] += np.log1p(small * more)
     free = tuple(term for term in best.problem.free if term.name != "L")
     fixed = replace(best.problem, free=free, known=best.problem.values(begun))
-    moved = (fixed.solve(np.delete(begun, at))[0] - np.delete(best.theta, at)) / small
+    moved = (fixed.solve(np.delete(begun, at)).theta - np.delete(best.theta, at)) / small
     return np.insert(moved, at, min(np.log1p(more), 3.0))
 
 
@@ -465,10 +466,11 @@ def test_what_a_fit_says_of_itself() -> None:
     states = states_of(fit.solution)
     np.testing.assert_allclose(states[:, :2], fit.run(fit.physical), atol=0.03)
     np.testing.assert_allclose(states[1:-1, 2:], 0.5 * (states[2:, :2] - states[:-2, :2]))
-    more = model_error(problem, theta, jacobian, range(len(theta)), covariance, states=states)
+    told = normalised(problem, theta, jacobian, range(len(theta)))
+    more = model_error(*told, covariance, states=states)
     rounded = states * (1.0 + 1e-9 * np.random.default_rng(1).standard_normal(states.shape))
     rounded += 1e-12 * np.random.default_rng(2).standard_normal(states.shape)
-    again = model_error(problem, theta, jacobian, range(len(theta)), covariance, states=rounded)
+    again = model_error(*told, covariance, states=rounded)
     np.testing.assert_allclose(np.diag(again), np.diag(more), rtol=1e-3)  # another machine's rounding
     covariance += more
     usual = moved_by_an_inductance(fit.solution, 0.03)

@@ -242,13 +242,6 @@ def test_the_mean_of_a_supply_that_rises(shares: tuple[float, ...]) -> None:
     np.testing.assert_array_equal(mean_rise(values_of(PAPER_MOTOR), begin, begin + 1.7e-4), np.ones(8))
 
 
-def test_five_equal_parts_of_a_rise_are_a_straight_line() -> None:
-    edges: FloatArray = np.linspace(0.0, 2e-3, 60)
-    area = np.where(edges < 1.3e-3, 0.5 * edges**2 / 1.3e-3, edges - 0.65e-3)
-    got = mean_rise(values_of(PAPER_MOTOR, RISE=1.3e-3), edges[:-1], edges[1:])
-    np.testing.assert_allclose(got, np.diff(area) / np.diff(edges), rtol=1e-9)
-
-
 @pytest.mark.parametrize("onset_s", [ONSET_S, 0.0, -0.4 * DT_S])
 def test_a_rising_supply_drives_by_its_means(onset_s: float) -> None:
     got = step_start(PAPER_MOTOR, TIME_S, onset_s, 12.0, RISE=1.3e-3)

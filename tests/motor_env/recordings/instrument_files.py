@@ -1,15 +1,10 @@
-"""One start of a motor as common instruments save it, after their makers' documented formats.
-
-`python tests/motor_env/recordings/instrument_files.py FOLDER` writes the files.
-"""
+"""One start of a motor as common instruments save it, after their makers' documented formats."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -235,10 +230,3 @@ INSTRUMENTS = (
 
 def _text(lines: Iterable[str]) -> str:
     return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    folder, start = Path(sys.argv[1]), capture()
-    folder.mkdir(parents=True, exist_ok=True)
-    for instrument in INSTRUMENTS:
-        (folder / f"{instrument.__name__}.csv").write_text(instrument(start).text)

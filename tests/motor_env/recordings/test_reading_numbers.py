@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,7 +61,13 @@ def test_each_unit_has_its_factor(quantity: str) -> None:
         ("U/kV", "voltage", 1e3, "kV"),
         ("motor_current_ma", "current", 1e-3, "ma"),
         ("rpm", "speed", RPM, "rpm"),
+        ("time_s", "time", 1.0, "s"),
         ("t_us", "time", 1e-6, "us"),
+        ("speed_rad_s", "speed", 1.0, "rad_s"),
+        ("Speed in deg/s", "speed", math.pi / 180.0, "deg/s"),
+        ("CH2 (V)", "voltage", 1.0, "V"),
+        ("duty", "duty", 1.0, ""),
+        ("temperature", None, 1.0, ""),
         ("t [µs]", "time", 1e-6, "µs"),
         ("Current in V", None, 1.0, "V"),
         ("ms", "time", 1e-3, "ms"),
@@ -168,10 +175,8 @@ def test_a_count_of_samples_begins_where_the_settings_say(tmp_path: Path) -> Non
 def test_twenty_one_whole_numbers_are_counts(tmp_path: Path) -> None:
     for different, is_count in ((20, False), (21, True)):
         path = table(tmp_path / "a.csv", "time_s,current", [1e-3 * PLACES, PLACES % different])
-        if is_count:
-            with pytest.raises(InputError, match="holds whole numbers, and no unit is stated"):
-                read_recording(path)
-        else:
+        no_unit = pytest.raises(InputError, match="holds whole numbers, and no unit is stated")
+        with no_unit if is_count else nullcontext():
             assert read_recording(path).current_a.max() == 19.0
 
 
@@ -184,17 +189,11 @@ def test_borders_of_what_is_a_recording(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least 20 samples, got 19"):
         read(1e-3 * PLACES[:19], WAVE[:19])
     for step, is_read in ((1.1e-10, True), (0.9e-10, False), (0.99e4, True), (1.01e4, False)):
-        if is_read:
+        with nullcontext() if is_read else pytest.raises(InputError, match="are no recording of a motor"):
             assert read(step * PLACES, WAVE).dt_s == pytest.approx(step)
-        else:
-            with pytest.raises(InputError, match="are no recording of a motor"):
-                read(step * PLACES, WAVE)
     for size, is_read in ((0.99e9 / 2.5, True), (1.01e9 / 2.4, False), (1.1e-12, True), (0.39e-12, False)):
-        if is_read:
+        with nullcontext() if is_read else pytest.raises(InputError, match="is no reading of a motor"):
             np.testing.assert_allclose(read(PLACES, WAVE, size * BACK).voltage_v, size * BACK)  # type: ignore[arg-type]
-        else:
-            with pytest.raises(InputError, match="is no reading of a motor"):
-                read(PLACES, WAVE, size * BACK)
     largest = WAVE / WAVE.max()
     np.testing.assert_allclose(read(PLACES, 999.0 * largest).current_a, 999.0 * largest)
     with pytest.raises(InputError, match="reaches 1001 A, which is no reading"):
@@ -315,12 +314,10 @@ def test_a_clipped_top_falls_by_more_than_four_and_a_half_steps(
 def test_fifteen_samples_follow_a_start() -> None:
     for count, is_enough in ((15, True), (14, False)):
         short = noisy(n=200 + count)
-        if is_enough:
-            assert align(short).onset_index == 200
+        assert align(short).onset_index == 200
+        too_few = pytest.raises(UnusableError, match="only 14 samples follow the start; at least 15")
+        with nullcontext() if is_enough else too_few:
             assert prepare(short).level_v == 1.0
-        else:
-            with pytest.raises(UnusableError, match="only 14 samples follow the start; at least 15"):
-                prepare(short)
 
 
 def test_a_peak_within_six_noises_is_no_start() -> None:
@@ -335,11 +332,9 @@ def test_a_peak_within_six_noises_is_no_start() -> None:
         size += 6.0 * difference_noise(current) - peak
     for more, is_start in ((-0.02, False), (0.02, True)):
         recording = Recording(Path("x"), 1e-3 * np.arange(2000.0), noise + (size + more) * step)
-        if is_start:
+        no_start = pytest.raises(UnusableError, match="the current never rises above its noise")
+        with nullcontext() if is_start else no_start:
             assert align(recording).onset_index > 0
-        else:
-            with pytest.raises(UnusableError, match="the current never rises above its noise"):
-                align(recording)
 
 
 def stepped(quantum: float, *, noise: float = 0.0, top: float | None = None) -> Recording:
@@ -488,6 +483,15 @@ def off_on(*lengths: int) -> FloatArray:
     return np.concatenate([np.full(n, 12.0 * (k % 2)) for k, n in enumerate(lengths)])
 
 
+@pytest.mark.parametrize(
+    "voltage",
+    [off_on(100, 900), off_on(100, 5, 4, 900), off_on(100, 900, 900, 900, 900, 900), np.full(500, 12.0)],
+    ids=["start", "bouncing switch", "three starts", "always on"],
+)
+def test_starts_stay_starts(voltage: FloatArray) -> None:
+    assert work_seen(driven(voltage)) is None
+
+
 def test_borders_of_a_motor_at_work() -> None:
     start = off_on(1000, 9000)
     for reversed_, is_work in ((50, False), (51, True)):
@@ -562,6 +566,7 @@ def test_levels_and_gaps_by_hand() -> None:
 
 def test_eight_jumps_of_the_voltage_must_show_in_the_current() -> None:
     noise, more = np.random.default_rng(7).standard_normal(400), [20] * 7
+    refusal = pytest.raises(UnusableError, match="does not follow the voltage")
     for lengths, is_refused in (
         ([*more, 260], False),
         ([*more, 20, 240], True),
@@ -571,22 +576,13 @@ def test_eight_jumps_of_the_voltage_must_show_in_the_current() -> None:
         ([*more, 258, 2], False),
         ([*more, 257, 3], True),
     ):
-        volts = off_on(*lengths)
-        if is_refused:
-            with pytest.raises(UnusableError, match="does not follow the voltage"):
-                refuse_aliased(volts, noise)
-        else:
-            refuse_aliased(volts, noise)
+        with refusal if is_refused else nullcontext():
+            refuse_aliased(off_on(*lengths), noise)
     volts, noise = off_on(*([20] * 500)), np.random.default_rng(7).standard_normal(10_000)
-    for off_level, is_refused in (
-        (200, True),
-        (201, False),
-    ):  # two of a hundred samples lie between the levels
+    # Of a hundred samples two lie between the levels.
+    for off_level, is_refused in ((200, True), (201, False)):
         volts[10 : 10 + 20 * off_level : 20] = 6.0
-        if is_refused:
-            with pytest.raises(UnusableError, match="does not follow the voltage"):
-                refuse_aliased(volts, noise)
-        else:
+        with refusal if is_refused else nullcontext():
             refuse_aliased(volts, noise)
 
 
@@ -657,10 +653,8 @@ def test_the_supply_of_a_start() -> None:
         assert (start.alignment.n_quiet > 0) is from_rest
     for change in (0.03, 0.3):  # of a voltage that is on before the recording begins
         going = 9.0 + change * step + 0.01 * rng.standard_normal(n)
-        if change < 0.05:
-            with pytest.raises(UnusableError, match=r"the voltage is \S+ V in the first sample already"):
-                prepare(replace(given, voltage_v=going))
-        else:
+        begun = pytest.raises(UnusableError, match=r"the voltage is \S+ V in the first sample already")
+        with begun if change < 0.05 else nullcontext():
             assert not prepare(replace(given, voltage_v=going)).from_rest
     duty = prepare(replace(given, duty=step / 9.0 * 0.5), 24.0)
     assert (duty.level_v, duty.voltage_known) == (12.0, True)

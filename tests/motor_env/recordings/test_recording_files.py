@@ -10,7 +10,6 @@ from recording_csv import csv_text, write_csv
 from scipy.io import savemat
 
 from motor_env import ColumnChoice, InputError, Recording, cli, load_motor, read_recording
-from motor_env.recordings.headers import understand
 from motor_env.recordings.recording import understood
 
 TIME = np.linspace(0.0, 0.049, 50)
@@ -109,26 +108,6 @@ def test_a_pickle_in_a_numpy_file_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "a.npy", tmp_path / "b.npy"):
         assert "is not a NumPy file that can be read" in refused(partial(read_recording, path), path)
     assert not (tmp_path / "mark").exists()
-
-
-@pytest.mark.parametrize(
-    ("header", "quantity", "factor"),
-    [
-        ("time_s", "time", 1.0),
-        ("t_us", "time", 1e-6),
-        ("I (mA)", "current", 1e-3),
-        ("speed_rad_s", "speed", 1.0),
-        ("n [1/min]", "speed", 2.0 * np.pi / 60.0),
-        ("Speed in deg/s", "speed", np.pi / 180.0),
-        ("CH2 (V)", "voltage", 1.0),
-        ("duty", "duty", 1.0),
-        ("temperature", None, 1.0),
-    ],
-)
-def test_headers(header: str, quantity: str | None, factor: float) -> None:
-    meaning = understand(header)
-    assert meaning.quantity == quantity
-    assert meaning.factor == pytest.approx(factor)
 
 
 def malformed(kind: int, good: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
