@@ -52,7 +52,7 @@ def identify_best(
     """Fit the textbook, and add the term for which the evidence is strongest, as long as it is strong.
 
     Raises:
-        UnusableError: the fit does not converge to a motor.
+        UnusableError: the current flows against the voltage.
     """
     best = identify(start, constant=constant, typical=typical)
     start = best.start

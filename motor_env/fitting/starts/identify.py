@@ -18,7 +18,6 @@ from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import capped, model_error, normalised, sandwich, states_of
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.periodic_lines import constant_lines
 from motor_env.recordings.start import Start
 
@@ -51,18 +50,16 @@ def identify(
         simpler: a fit of the same start that lacks the last term of the model, to begin from.
 
     Raises:
-        UnusableError: the fit does not converge to a motor.
+        UnusableError: the current flows against the voltage.
     """
     belief = believed(start, constant, typical)
-    problem, best = belief.problem(model), None
-    for guess in belief.guesses(problem) if simpler is None else belief.richer(problem, simpler.solution):
-        found = problem.solve(guess, most=60)
-        if best is None or found.misfit < best.misfit:
-            best = found
+    problem = belief.problem(model)
+    first, *others = belief.guesses(problem) if simpler is None else belief.richer(problem, simpler.solution)
+    best = problem.solve(first, most=60)
+    for guess in others:
         if simpler is None and belief.is_typical(best.theta):
             break
-    if best is None or not math.isfinite(best.misfit):
-        raise UnusableError("no motor model can be fitted")
+        best = min(best, problem.solve(guess, most=60), key=lambda one: one.misfit)
     fit = _result(belief, model, best.weighed().solve(best.theta, most=100))
     cleaner = _cleaner(fit)
     if cleaner is None:
