@@ -22,13 +22,13 @@ from scipy.special import erfcx, expit, logsumexp, ndtr, softmax
 
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.prognosis.clocks import (
+    LOG_SCATTER,
     NO_GROWTH,
     PRIOR_LAW,
     SCATTERS,
     clock,
     filtered,
     hypotheses,
-    log_scatter,
 )
 from motor_env.prognosis.steps import Steps, fit_steps
 
@@ -256,7 +256,7 @@ def degradation(
         time,
         seen,
         errors**2,
-        (SCATTERS * typical, np.exp(log_scatter())),
+        (SCATTERS * typical, np.exp(LOG_SCATTER)),
         beginning=towards * beginning,
         distance=distance,
         level_std=level_std,
