@@ -378,15 +378,9 @@ def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.Mo
     watch = Watch(Lesson(0.0995, 0.4975, steady=True), State(), false_alarms_per_year=1.0)
     events = list(watch.events([HEADER, *samples(11 * 101)]))
     assert watch.healthy is TAUGHT
-    learning = [f"{0.0995 * n:g} of 0.4975 s" for n in (1, 2, 3, 4)]
-    assert [event.text for event in events[:4]] == learning
-    assert [event.kind for event in events] == [
-        *(4 * ["learning"]),
-        "not_learned",
-        *(4 * ["learning"]),
-        "learned",
-        "window",
-    ]
+    assert [event.text for event in events[:4]] == [f"{0.0995 * n:g} of 0.4975 s" for n in (1, 2, 3, 4)]
+    four = 4 * ["learning"]
+    assert [event.kind for event in events] == [*four, "not_learned", *four, "learned", "window"]
     assert events[4].text == "it stands still"
     assert given == [(5, 0.0995, True)] * 2
     assert len(judge.given) == 1
@@ -399,18 +393,11 @@ def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.Mo
 
 def test_silence_is_said_after_five_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
+    came = ((0.0, b"a\n"), (4.99, b""), (5.01, b""), (9.0, b""), (9.5, b"b\n"), (14.4, b""), (14.6, b""))
     monkeypatch.setattr("motor_env.live.pieces.time.monotonic", lambda: now[0])
 
     def pieces() -> Any:
-        for at, piece in (
-            (0.0, b"a\n"),
-            (4.99, b""),
-            (5.01, b""),
-            (9.0, b""),
-            (9.5, b"b\n"),
-            (14.4, b""),
-            (14.6, b""),
-        ):
+        for at, piece in came:
             now[0] = at
             yield piece
 
@@ -490,14 +477,8 @@ def test_the_state_is_that_of_the_motor_which_was_learned(
     monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
     monkeypatch.setattr(command, "motor_of_windows", lambda *_: None)
     monkeypatch.setattr(command, "save_motor", lambda _, path: path.write_text("learned"))
-    run = [
-        "watch",
-        *(str(tmp_path / name) for name in ("m.toml", "log.csv")),
-        "--learn",
-        "0.4975",
-        "--window",
-    ]
-    run += ["0.0995", "--state", str(tmp_path / "state.json")]
+    motor, log, state = (str(tmp_path / name) for name in ("m.toml", "log.csv", "state.json"))
+    run = ["watch", motor, log, "--learn", "0.4975", "--window", "0.0995", "--state", state]
     assert main(run) == 0
     assert len(judge.given) == 1
     assert main(run) == 0  # it goes on
@@ -624,12 +605,9 @@ def test_what_was_held_back_is_said_when_it_is_due_and_not_with_the_next(
 ) -> None:
     clock = Clock(monkeypatch)
     heard = clock.spent([HEADER, b"a\n", b"b\n", b"c\n", SILENCE], 5.0 * 0.3)
-    events = list(Watch(TAUGHT, State(), false_alarms_per_year=1.0).events(heard))
-    assert [(event.kind, event.count) for event in events] == [
-        ("malformed", 1),
-        ("silence", 1),
-        ("malformed", 2),
-    ]
+    events = Watch(TAUGHT, State(), false_alarms_per_year=1.0).events(heard)
+    said = [(event.kind, event.count) for event in events]
+    assert said == [("malformed", 1), ("silence", 1), ("malformed", 2)]
     heard = clock.spent([HEADER, b"a\n", b"b\n", *samples(3)], 6.0 * 0.5)
     kinds = [event.text for event in Watch(TAUGHT, State(), false_alarms_per_year=1.0).events(heard)]
     assert kinds == ["a", "b"]
