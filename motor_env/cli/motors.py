@@ -159,7 +159,7 @@ def commission(
             out=out,
         )
         reading = measurement.of_fleet(regime)
-        text = _of_sisters(files, output, name, motor, reading, sisters, false_alarm_rate)
+        text = _of_sisters(files, output, reading, sisters, name=name, motor=motor, rate=false_alarm_rate)
     else:
         if sisters.group is not None:
             raise InputError("--group goes with --fleet")
@@ -191,11 +191,12 @@ def commission(
 def _of_sisters(
     files: list[Path],
     output: Path,
-    name: str,
-    motor: Path | None,
     reading: Reading,
     sisters: options.Sisters,
-    false_alarm_rate: float,
+    *,
+    name: str,
+    motor: Path | None,
+    rate: float,
 ) -> str:
     """`commission` with sisters: of a fleet, or of one motor beside the fleet's file; what was learned, in words."""
     from motor_env.fleet.learning import learn_fleet
@@ -210,6 +211,6 @@ def _of_sisters(
     else:
         with sisters.fitted(files, reading) as how:
             fleet = learn_fleet(files, **how)
-        learned, text = fleet.motor(name), fleet.text(false_alarm_rate)
+        learned, text = fleet.motor(name), fleet.text(rate)
     save_motor(learned, output)
     return text

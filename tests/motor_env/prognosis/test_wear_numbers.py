@@ -29,7 +29,8 @@ def array(*values: float) -> FloatArray:
     return np.array(values)
 
 
-NO_STEPS = Steps(np.zeros((1, 128)), np.zeros((1, 129), complex), np.arange(128.0), *np.zeros((2, 1)), 0.0)
+NONE = array(0.0)
+NO_STEPS = Steps(np.zeros((1, 128)), np.zeros((1, 129), complex), np.arange(128.0), NONE, NONE, 0.0)
 
 
 def wear(
