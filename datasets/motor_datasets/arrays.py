@@ -157,7 +157,3 @@ class Dataset:
             **{name: getattr(self, name)[rows] for name in LABELS},
             parameters={name: values[rows] for name, values in self.parameters.items()},
         )
-
-    def of_split(self, split: str) -> Dataset:
-        """Only the cases of one split."""
-        return self.select(self.split == str(split))

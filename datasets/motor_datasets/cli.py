@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from cyclopts import App
 
 from motor_env import __version__, console
-from motor_env.errors import InputError, require_extra
+from motor_env.errors import require_extra
 
 if TYPE_CHECKING:
     from motor_datasets.layout import Plan
@@ -36,7 +36,6 @@ def generate(
     channels: str | None = None,
     motor: str | None = None,
     workers: console.Whole = 1,
-    backend: str | None = None,
     scheduler: str | None = None,
     resume: bool = False,
     json_: bool = False,
@@ -60,8 +59,7 @@ def generate(
         channels: Measured channels, comma between: current, or current,speed.
         motor: Catalogue name (paper), or a motor TOML.
         workers: Processes that write.
-        backend: Where they run: joblib's own processes, or dask.
-        scheduler: Address of the Dask scheduler, such as tcp://10.0.0.1:8786.
+        scheduler: Address of a Dask scheduler whose workers write, such as tcp://10.0.0.1:8786.
         resume: Finish what an interrupted generation began.
         json_: Print a summary as JSON.
         dry_run: Print what would be written, write nothing.
@@ -104,7 +102,7 @@ def generate(
     if dry_run:
         summary["seconds"] = round(plan.cases_of_all * seconds_per_case(chosen, seed) / workers, 1)
     else:
-        with _progress(plan.cases_of_all) as advance, _backend(backend, scheduler):
+        with _progress(plan.cases_of_all) as advance, _backend(scheduler):
             start = time.perf_counter()
             manifest = generate_dataset(
                 chosen, cases, seed, folder, workers=workers, resume=resume, on_progress=advance
@@ -208,15 +206,11 @@ def export(folder: str, file: Path, /, *, split: str | None = None) -> int:
 
 
 @contextmanager
-def _backend(name: str | None, scheduler: str | None) -> Iterator[None]:
+def _backend(scheduler: str | None) -> Iterator[None]:
     """Joblib's own processes, or the workers of a Dask cluster."""
-    if name is None and scheduler is None:
+    if scheduler is None:
         yield
         return
-    if name not in (None, "dask"):
-        raise InputError(f"backend must be dask, got {name!r}")
-    if scheduler is None:
-        raise InputError("backend dask needs --scheduler, the address of its scheduler")
     require_extra("distributed", "dask")
     import joblib
     from distributed import Client

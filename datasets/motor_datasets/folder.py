@@ -6,6 +6,7 @@ locally and then put.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -23,7 +24,7 @@ import numpy as np
 from motor_datasets.card import croissant, data_card
 from motor_datasets.generate import generate_arrays
 from motor_datasets.layout import Plan, PlannedFile, make_plan
-from motor_datasets.manifest import MANIFEST, Entry, Manifest, is_whole, read_manifest, size_and_digest
+from motor_datasets.manifest import MANIFEST, Entry, Manifest, defect, read_manifest
 from motor_datasets.parquet import to_table, write_table
 from motor_datasets.remote import Folder, folder_of, whole_file
 from motor_env.errors import InputError
@@ -153,7 +154,7 @@ def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> dict[str, Entry]:
         recorded = list(_recorded(text))
         _remove_partial_files(out)
     planned = {file.path for file in plan.files}
-    return {entry.path: entry for entry in recorded if entry.path in planned and is_whole(out, entry)}
+    return {entry.path: entry for entry in recorded if entry.path in planned and not defect(out, entry)}
 
 
 def _note(plan: Plan, entries: Iterable[Entry] = ()) -> str:
@@ -190,11 +191,11 @@ def _write_file(folder: Folder, file: PlannedFile, recipe: Recipe, seed: int) ->
     try:
         with whole_file(target) as temporary:
             write_table(to_table(replace(cases, split=np.full(len(cases), file.split))), temporary)
-            size, digest = size_and_digest(temporary)
+            content = temporary.read_bytes()
     except OSError as error:
         why = (os.strerror(error.errno) if error.errno else str(error)).lower()
         raise InputError(f"{target} cannot be written: {why}; what is whole stays, resume it") from error
-    return Entry(file.path, file.split, len(cases), size, digest)
+    return Entry(file.path, file.split, len(cases), len(content), hashlib.sha256(content).hexdigest())
 
 
 def _write_files(files: list[PlannedFile], folder: Folder, plan: Plan, workers: int) -> Iterator[Entry]:

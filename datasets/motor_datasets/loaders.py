@@ -33,13 +33,11 @@ def load(folder: str | Folder, split: str | None = None) -> Dataset:
 def to_torch(dataset: Dataset) -> Any:
     """The data set as `torch.utils.data.TensorDataset` of (X, class_index, severity)."""
     require_extra("torch", "classifiers")
-    import torch
+    from torch.utils.data import TensorDataset
 
-    return torch.utils.data.TensorDataset(
-        torch.from_numpy(dataset.X),
-        torch.tensor(dataset.class_index),
-        torch.tensor(dataset.severity, dtype=torch.float32),
-    )
+    from motor_datasets.torch_batches import tensors
+
+    return TensorDataset(*tensors(dataset))
 
 
 def to_torch_iterable(recipe: Recipe, seed: int, batch_size: int = 256, **options: Any) -> Any:

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 from motor_datasets.remote import Folder
 from motor_env.errors import InputError
@@ -117,13 +115,6 @@ def read_manifest(folder: Folder) -> Manifest:
         raise InputError(f"{path} cannot be read as a data set's manifest: {error}") from error
 
 
-def size_and_digest(path: Path) -> tuple[int, str]:
-    """Bytes of a file, and their SHA-256."""
-    with path.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        return stream.seek(0, os.SEEK_END), digest
-
-
 def whole_content(folder: Folder, entry: Entry) -> bytes:
     """The content of a file, exactly as it was written.
 
@@ -137,13 +128,13 @@ def whole_content(folder: Folder, entry: Entry) -> bytes:
     return content
 
 
-def is_whole(folder: Folder, entry: Entry) -> bool:
-    """Whether a file is as it was written."""
+def defect(folder: Folder, entry: Entry) -> str:
+    """Why a file is not as it was written, in one sentence; empty where it is."""
     try:
         whole_content(folder, entry)
-    except InputError:
-        return False
-    return True
+    except InputError as error:
+        return str(error).removeprefix(f"{folder}/")
+    return ""
 
 
 def problems(folder: Folder) -> list[str]:
@@ -153,12 +144,8 @@ def problems(folder: Folder) -> list[str]:
         InputError: no data set there.
     """
     manifest = read_manifest(folder)
-    defects = []
-    for entry in manifest.files:
-        try:
-            whole_content(folder, entry)
-        except InputError as error:
-            defects.append(str(error).removeprefix(f"{folder}/"))
+    defects = [defect(folder, entry) for entry in manifest.files]
     known = {entry.path for entry in manifest.files}
     present = {f"data/{path.name}" for path in (folder / "data").glob("*")}
-    return defects + [f"{name} is foreign: the manifest does not name it" for name in sorted(present - known)]
+    defects += [f"{name} is foreign: the manifest does not name it" for name in sorted(present - known)]
+    return list(filter(None, defects))

@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import torch
 
+from motor_datasets.arrays import Dataset
 from motor_datasets.streaming import stream
 from motor_env.simulation.recipes import Recipe
+
+
+def tensors(dataset: Dataset) -> tuple[torch.Tensor, ...]:
+    """X, class_index and severity."""
+    return (
+        torch.from_numpy(dataset.X),
+        torch.tensor(dataset.class_index),
+        torch.tensor(dataset.severity, dtype=torch.float32),
+    )
 
 
 class TorchBatches(torch.utils.data.IterableDataset[Any]):
@@ -22,16 +33,10 @@ class TorchBatches(torch.utils.data.IterableDataset[Any]):
     """
 
     def __init__(self, recipe: Recipe, seed: int, *, batch_size: int, **options: Any) -> None:
-        self._arguments = (recipe, seed, batch_size)
-        self._options = options
+        self._batches = partial(stream, recipe, seed, batch_size, **options)
 
     def __iter__(self) -> Iterator[Any]:
         """The batches of this process."""
         info = torch.utils.data.get_worker_info()
         share = (0, 1) if info is None else (info.id, info.num_workers)
-        for batch in stream(*self._arguments, share=share, **self._options):
-            yield (
-                torch.from_numpy(batch.X),
-                torch.tensor(batch.class_index),
-                torch.tensor(batch.severity, dtype=torch.float32),
-            )
+        return map(tensors, self._batches(share=share))

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from motor_env import console
 from motor_env.cli import options
 from motor_env.console import ExitStatus, printable
 from motor_env.errors import InputError
+
+if TYPE_CHECKING:
+    from motor_env.fleet.first import Reading
 
 
 def identify(
@@ -44,9 +46,7 @@ def identify(
         json_: Print one array with one object a start, and one for all logs of a motor at work.
     """
     if motor is not None:
-        for option, given in (("torque-constant", torque_constant), ("out", out)):
-            if given is not None:
-                raise InputError(f"--{option} does not go with --motor")
+        options.refuse("--motor", torque_constant=torque_constant, out=out)
         return _beside_sisters(files, motor, output, measurement, regime=regime, name=name, json_=json_)
     from motor_env.diagnosis.identify import identify as fitted
     from motor_env.motor.data_sheet import save_motor
@@ -78,12 +78,10 @@ def _beside_sisters(
     json_: bool,
 ) -> int:
     """`identify` with the file of a fleet as the prior."""
-    from motor_env.fleet.first import Reading
     from motor_env.fleet.own import learn_own, quantities_of
     from motor_env.motor.data_sheet import load_motor, save_motor
 
-    reading = Reading(regime=regime, **options.for_files(measurement))
-    found = learn_own(files, load_motor(motor), name, reading=reading)
+    found = learn_own(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
     rows = quantities_of(found)
     if output is not None:
         save_motor(found, output)
@@ -123,11 +121,8 @@ def commission(
     no_load_current: float | None = None,
     name: str = "commissioned motor",
     fleet: bool = False,
-    group: str | None = None,
     motor: Path | None = None,
-    workers: console.Whole = 1,
-    scheduler: str | None = None,
-    kept: Path | None = None,
+    sisters: options.Sisters = options.SISTERS,
 ) -> int:
     """Learn a motor from three or more healthy starts, or from logs of it at work, for `motor-env diagnose --motor`.
 
@@ -149,102 +144,73 @@ def commission(
         no_load_current: In A, of the motor uncoupled from its load: tells its own friction from the load.
         name: Name of the motor in that file.
         fleet: Each file is of another motor; learn how healthy sisters differ.
-        group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
-            groups, such as `(?P<machine>[0-9]+)_(?P<motor>left|right)`.
         motor: Motor file of --fleet: one healthy recording of this motor is enough beside its sisters.
-        workers: Processes, for --fleet.
-        scheduler: For --fleet: address of a Dask scheduler, whose workers fit instead.
-        kept: For --fleet: file that keeps the fits as they come. A fleet that was stopped goes on where it was.
+        sisters: Which motors the files are of, with --fleet.
     """
     if fleet or motor is not None:
-        for option, given in (
-            ("motor", fleet and motor is not None),
-            ("temperature-c", temperature_c is not None),
-            ("window", window is not None),
-            ("steady", steady),
-            ("torque-constant", torque_constant is not None),
-            ("no-load-current", no_load_current is not None),
-            ("out", out is not None),
-        ):
-            if given:
-                raise InputError(f"--{option} does not go with --{'fleet' if fleet else 'motor'}")
-        return _sisters(
-            files,
-            output,
-            measurement,
-            regime=regime,
-            name=name,
-            group=group,
-            motor=motor,
-            spread=(workers, scheduler),
-            kept=kept,
-            false_alarm_rate=false_alarm_rate,
+        options.refuse(
+            "--fleet" if fleet else "--motor",
+            motor=motor if fleet else None,
+            temperature_c=temperature_c,
+            window=window,
+            steady=steady,
+            torque_constant=torque_constant,
+            no_load_current=no_load_current,
+            out=out,
         )
-    if group is not None:
-        raise InputError("--group goes with --fleet")
-    from motor_env.diagnosis.commission import commission as learned
-    from motor_env.motor.data_sheet import save_motor
+        reading = measurement.of_fleet(regime)
+        text = _of_sisters(files, output, reading, sisters, name=name, motor=motor, rate=false_alarm_rate)
+    else:
+        if sisters.group is not None:
+            raise InputError("--group goes with --fleet")
+        from motor_env.diagnosis.commission import commission as learned
+        from motor_env.motor.data_sheet import save_motor
 
-    result = learned(
-        files,
-        name,
-        false_alarm_rate=false_alarm_rate,
-        temperature_c=temperature_c,
-        regime=regime,
-        window_s=window,
-        steady=steady,
-        **measurement.options,
-        constant=torque_constant,
-        no_load_current_a=no_load_current,
-    )
-    save_motor(result.motor, output)
-    if out is not None:
-        result.plot(out / f"{output.stem}.png")
-    print(printable(result.text()))
+        result = learned(
+            files,
+            name,
+            false_alarm_rate=false_alarm_rate,
+            temperature_c=temperature_c,
+            regime=regime,
+            window_s=window,
+            steady=steady,
+            **measurement.options,
+            constant=torque_constant,
+            no_load_current_a=no_load_current,
+        )
+        save_motor(result.motor, output)
+        if out is not None:
+            result.plot(out / f"{output.stem}.png")
+        text = result.text()
+    print(printable(text))
     print(printable(f"written: {output}"))
     measurement.keep()
     return 0
 
 
-def _sisters(
+def _of_sisters(
     files: list[Path],
     output: Path,
-    measurement: options.Measurement,
+    reading: Reading,
+    sisters: options.Sisters,
     *,
-    regime: str,
     name: str,
-    group: str | None,
     motor: Path | None,
-    spread: tuple[int, str | None],
-    kept: Path | None,
-    false_alarm_rate: float,
-) -> int:
-    """`commission` with sisters: of a fleet, or of one motor beside the fleet's file."""
-    from motor_env.fleet.first import Reading
+    rate: float,
+) -> str:
+    """`commission` with sisters: of a fleet, or of one motor beside the fleet's file; what was learned, in words."""
     from motor_env.fleet.learning import learn_fleet
-    from motor_env.fleet.mapping import processes
     from motor_env.fleet.own import learn_own
     from motor_env.motor.data_sheet import load_motor, save_motor
     from motor_env.recordings.recording import read_recording, understood
 
-    reading = Reading(regime=regime, **options.for_files(measurement))
     if motor is not None:
         learned = learn_own(files, load_motor(motor), name, reading=reading)
         read = [(path, read_recording(path, reading.columns).columns) for path in files]
         text = "\n".join([f"{_recordings(files, 'own ')} beside the sisters of {motor}", *understood(read)])
     else:
-        with console.progress_bar(2 * len(files), "fitting") as advance, processes(*spread) as each:
-            fleet = learn_fleet(
-                files,
-                group=group,
-                reading=reading,
-                each=each,
-                kept=kept,
-                progress=lambda _: advance(advance=1),
-            )
-        learned, text = fleet.motor(name), fleet.text(false_alarm_rate)
+        with sisters.fitted(files, reading) as how:
+            fleet = learn_fleet(files, **how)
+        learned, text = fleet.motor(name), fleet.text(rate)
     save_motor(learned, output)
-    print(printable(text))
-    print(printable(f"written: {output}"))
-    measurement.keep()
-    return 0
+    return text

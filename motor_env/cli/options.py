@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,7 @@ from motor_env.console import json_text, printable
 from motor_env.errors import InputError
 
 if TYPE_CHECKING:
+    from motor_env.fleet import first
     from motor_env.recordings.profiles import Profile
 
 
@@ -37,6 +39,17 @@ Duration = Annotated[float, Parameter(converter=_seconds)]
 def show(as_json: bool, objects: Callable[[], Any], text: Callable[[], str]) -> None:
     """Print a result: as JSON where that is asked for, else as text."""
     print(json_text(objects()) if as_json else printable(text()))
+
+
+def refuse(beside: str, **given: object) -> None:
+    """Refuse the options that were given beside one that they do not go with.
+
+    Raises:
+        InputError: one of them is neither None nor False.
+    """
+    for name, value in given.items():
+        if value is not None and value is not False:
+            raise InputError(f"--{name.replace('_', '-')} does not go with {beside}")
 
 
 @Parameter(name="*")
@@ -100,6 +113,14 @@ class Measurement(Reading):
         """Arguments of the functions behind the commands."""
         return self.chosen.options | {"start": self.start}
 
+    def of_fleet(self, regime: str) -> first.Reading:
+        """How the records of a fleet are read: each has one piece, so that none is asked for."""
+        from motor_env.fleet import first
+
+        if self.start is not None:
+            raise InputError("--start does not go with a fleet: give each start in a file of its own")
+        return first.Reading(regime=regime, **self.chosen.options)
+
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
@@ -113,11 +134,40 @@ class StartMeasurement(Measurement):
     ripple_periods_per_turn: float | None = None
 
 
-def for_files(measurement: Measurement) -> dict[str, Any]:
-    """Options of recordings with one piece each; which start of several is none of them."""
-    if measurement.start is not None:
-        raise InputError("--start does not go with a fleet: give each start in a file of its own")
-    return measurement.chosen.options
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Sisters:
+    """Which motors of a fleet the files are of, and where they are fitted.
+
+    Attributes:
+        group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
+            groups, such as `(?P<machine>[0-9]+)_(?P<motor>left|right)`.
+        workers: Processes, for --fleet.
+        scheduler: For --fleet: address of a Dask scheduler, whose workers fit instead.
+        kept: For --fleet: file that keeps the fits as they come. A fleet that was stopped goes on where it was.
+    """
+
+    group: str | None = None
+    workers: console.Whole = 1
+    scheduler: str | None = None
+    kept: Path | None = None
+
+    @contextmanager
+    def fitted(self, files: list[Path], reading: first.Reading) -> Iterator[dict[str, Any]]:
+        """Arguments of the functions that fit a fleet, as long as its workers and a bar on the terminal last."""
+        from motor_env.fleet.mapping import processes
+
+        with (
+            console.progress_bar(2 * len(files), "fitting") as advance,
+            processes(self.workers, self.scheduler) as each,
+        ):
+            yield {
+                "group": self.group,
+                "reading": reading,
+                "each": each,
+                "kept": self.kept,
+                "progress": lambda _: advance(advance=1),
+            }
 
 
-READING, MEASUREMENT, START = Reading(), Measurement(), StartMeasurement()
+READING, MEASUREMENT, START, SISTERS = Reading(), Measurement(), StartMeasurement(), Sisters()

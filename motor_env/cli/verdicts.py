@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from motor_env import console
-from motor_env.cli.options import READING, START, Reading, StartMeasurement, for_files, show
+from motor_env.cli.options import READING, SISTERS, START, Reading, Sisters, StartMeasurement, refuse, show
 from motor_env.console import printable
 from motor_env.errors import InputError
 
@@ -27,10 +27,7 @@ def diagnose(
     verbose: bool = False,
     json_: bool = False,
     fleet: bool = False,
-    group: str | None = None,
-    workers: console.Whole = 1,
-    scheduler: str | None = None,
-    kept: Path | None = None,
+    sisters: Sisters = SISTERS,
 ) -> int:
     """Verdict on recordings: healthy, sensor, bearing, winding, magnet, noise, other, no_reference or unusable.
 
@@ -55,28 +52,22 @@ def diagnose(
         verbose: Print how well model and filter fit, too.
         json_: Print one array with one object a file, with --fleet one a motor.
         fleet: Judge each motor by its sisters. Those of its own machine do not count.
-        group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
-            groups, such as `(?P<machine>[0-9]+)_(?P<motor>left|right)`.
-        workers: Processes, for --fleet.
-        scheduler: For --fleet: address of a Dask scheduler, whose workers fit instead.
-        kept: For --fleet: file that keeps the fits as they come. A fleet that was stopped goes on where it was.
+        sisters: Which motors the files are of, with --fleet.
     """
     if fleet:
-        for option, given in (("motor", motor), ("healthy", healthy), ("temperature-c", temperature_c)):
-            if given is not None:
-                raise InputError(f"--{option} does not go with --fleet, where sisters are the reference")
-        return _fleet(
-            files,
-            out,
-            measurement,
-            group=group,
-            regime=regime,
-            spread=(workers, scheduler),
-            kept=kept,
-            false_alarm_rate=false_alarm_rate,
-            json_=json_,
-        )
-    if group is not None:
+        beside = "--fleet, where sisters are the reference"
+        refuse(beside, motor=motor, healthy=healthy, temperature_c=temperature_c)
+        from motor_env.files import write_text
+        from motor_env.fleet.judging import diagnose_fleet
+
+        with sisters.fitted(files, measurement.of_fleet(regime)) as how:
+            found = diagnose_fleet(files, false_alarm_rate=false_alarm_rate, **how)
+        if out is not None:
+            write_text(out / "fleet.html", found.page())
+        show(json_, found.to_json, found.text)
+        measurement.keep()
+        return int(found.status)
+    if sisters.group is not None:
         raise InputError("--group goes with --fleet")
     from motor_env.diagnosis.files import diagnose_files
 
@@ -105,41 +96,6 @@ def diagnose(
         )
     measurement.keep()
     return int(console.worst(outcome.status for outcome in outcomes))
-
-
-def _fleet(
-    files: list[Path],
-    out: Path | None,
-    measurement: StartMeasurement,
-    *,
-    group: str | None,
-    regime: str,
-    spread: tuple[int, str | None],
-    kept: Path | None,
-    false_alarm_rate: float,
-    json_: bool,
-) -> int:
-    """`diagnose --fleet`."""
-    from motor_env.files import write_text
-    from motor_env.fleet.first import Reading
-    from motor_env.fleet.judging import diagnose_fleet
-    from motor_env.fleet.mapping import processes
-
-    with console.progress_bar(2 * len(files), "fitting") as advance, processes(*spread) as each:
-        found = diagnose_fleet(
-            files,
-            group=group,
-            reading=Reading(regime=regime, **for_files(measurement)),
-            false_alarm_rate=false_alarm_rate,
-            each=each,
-            kept=kept,
-            progress=lambda _: advance(advance=1),
-        )
-    if out is not None:
-        write_text(out / "fleet.html", found.page())
-    show(json_, found.to_json, found.text)
-    measurement.keep()
-    return int(found.status)
 
 
 def trend(

@@ -95,7 +95,6 @@ class Numbers:
         ranges: largest readings of current, speed, voltage.
         stuck_after: so many equal readings in a row are no readings.
         telling: the model's current above which a reading of nothing is that of a dead sensor.
-        dead_after: so many of these in a row.
         n_friction: how many of the sums look for friction; they are the first.
         memory: of the slow current and speed: the mechanical time constant in samples, as the nearest power of two.
     """
@@ -114,7 +113,6 @@ class Numbers:
     ranges: Values
     stuck_after: int
     telling: Values
-    dead_after: int
     n_friction: int
     memory: int
 
@@ -184,7 +182,6 @@ def _numbers(
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
         stuck_after=limits.stuck_after,
         telling=rounded(np.array(TELLING * limits.current_a / 2.0 / units[0]), dtype),
-        dead_after=DEAD_AFTER,
         n_friction=len(rule.friction),
         memory=max(memory, 0),
     )
@@ -270,10 +267,10 @@ class _Twin:
             return np.asarray(predicted >> bits if numbers.is_fixed else predicted * np.float32(2.0**-bits))
 
         is_told = ~wrong & (predicted > numbers.telling)
-        more = np.minimum(self.hidden + 1, numbers.dead_after)
+        more = np.minimum(self.hidden + 1, DEAD_AFTER)
         self.hidden = np.where(is_told & (shown < of(NOTHING_BITS)), more, self.hidden)
         self.hidden = np.where(is_told & (shown >= of(SOMETHING_BITS)), 0, self.hidden)
-        return np.asarray(self.hidden == numbers.dead_after)
+        return np.asarray(self.hidden == DEAD_AFTER)
 
     def _growth(self) -> Values:
         (current, speed), drag = self.state, self.numbers.drag

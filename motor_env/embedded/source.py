@@ -23,7 +23,7 @@ from motor_env.embedded.arithmetic import (
     floating,
     readings_of,
 )
-from motor_env.embedded.monitor import Monitor
+from motor_env.embedded.monitor import DEAD_AFTER, Monitor
 from motor_env.errors import InputError
 from motor_env.files import filling, require_ours, write_text
 from motor_env.pages.html import render
@@ -130,6 +130,7 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "statistic_count": literal(np.float32(2.0**-STATISTIC_BITS if n.is_fixed else 1.0)),
         "largest": LARGEST,
         "slack": 0 if n.is_fixed else "1e-3f",
+        "dead_after": DEAD_AFTER,
         "checks": checks(monitor, n),
     }
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,8 +60,7 @@ class FleetFits:
     """The records of a fleet that a motor explains, fitted with one model.
 
     Attributes:
-        files: of these records.
-        seconds: their fits.
+        seconds: their fits, by file.
         quantities: that they tell.
         windows: how they were fitted, of motors at work; None for starts.
         troubles: why each other record is not among them, by its file.
@@ -69,8 +68,7 @@ class FleetFits:
         read: how their columns were understood, in words.
     """
 
-    files: tuple[Path, ...]
-    seconds: tuple[Second, ...]
+    seconds: dict[Path, Second]
     quantities: tuple[str, ...]
     windows: Windows | None
     troubles: dict[Path, str]
@@ -122,19 +120,15 @@ def fit_fleet(
     else:
         windows = _shared_by_logs(good, reading)
         job = partial(second_log, reading, windows)
-    again = dict(zip(good, _told(each(job, list(good)), list(good), progress), strict=True))
-    troubles |= {path: one for path, one in again.items() if isinstance(one, str)}
-    seconds = {path: one for path, one in again.items() if not isinstance(one, str)}
-    read = tuple(understood((path, notes) for path, (_, notes) in zip(files, looks, strict=True)))
-    return FleetFits(tuple(seconds), tuple(seconds.values()), quantities, windows, troubles, reading, read)
-
-
-def _told(found: Iterable[Any], files: Sequence[Path], progress: Callable[[Path], None]) -> list[Any]:
-    every = []
-    for path, one in zip(files, found, strict=True):
+    seconds: dict[Path, Second] = {}
+    for path, again in zip(good, each(job, list(good)), strict=True):
+        if isinstance(again, str):
+            troubles[path] = again
+        else:
+            seconds[path] = again
         progress(path)
-        every.append(one)
-    return every
+    read = tuple(understood((path, notes) for path, (_, notes) in zip(files, looks, strict=True)))
+    return FleetFits(seconds, quantities, windows, troubles, reading, read)
 
 
 def _wanted(firsts: Sequence[First]) -> list[str]:

@@ -75,24 +75,13 @@ class FleetDiagnosis:
 
     def page(self) -> str:
         """A self-contained HTML page: a picture of the fleet, and the table."""
-        rows = [
-            {
-                "name": sister.place.name,
-                "verdict": str(sister.verdict),
-                "status": "limit" if sister.verdict.is_fault else "good" if not sister.verdict.status else "",
-                "severity": sister.shown_severity,
-                "odd": sister.odd,
-                "why": sister.why,
-            }
-            for sister in self.sisters
-        ]
         return render(
             "motor_env.fleet",
             "fleet.html.j2",
             title="A motor among its sisters",
             summary=self.summary,
             chart=picture(self.quantities, self.sisters),
-            rows=rows,
+            sisters=self.sisters,
         )
 
 

@@ -6,8 +6,7 @@ import json
 import os
 from hashlib import sha256
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any
+from typing import IO
 
 from pydantic import TypeAdapter
 
@@ -68,9 +67,7 @@ class Kept:
                 print(self._head(), file=self.file, flush=True)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self.file is not None:
             self.file.close()
 
@@ -83,10 +80,8 @@ class Kept:
     def add(self, path: Path, first: First) -> None:
         """Keep a fit."""
         self.found[_record(path)] = first
-        self._write({"record": _record(path), "first": first._asdict()})
-
-    def _write(self, row: dict[str, Any]) -> None:
         if self.file is not None:
+            row = {"record": _record(path), "first": first._asdict()}
             print(json.dumps(row), file=self.file, flush=True)
 
 

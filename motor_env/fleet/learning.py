@@ -54,15 +54,16 @@ class LearnedFleet:
 
     Attributes:
         fits: of its records.
-        of: number of the motor of each record.
-        motors: whose they are.
         every: all files with their motors, those that no motor explains too.
     """
 
     fits: FleetFits
-    of: tuple[int, ...]
-    motors: tuple[Place, ...]
     every: dict[Path, Place]
+
+    @cached_property
+    def motors(self) -> list[Place]:
+        """Whose records were fitted."""
+        return list(dict.fromkeys(self.every[path] for path in self.fits.seconds))
 
     @property
     def positions(self) -> list[str]:
@@ -72,11 +73,11 @@ class LearnedFleet:
     @cached_property
     def records(self) -> Motors:
         """What the records tell."""
-        exponents = identifiable.matrix(self.fits.quantities)
+        exponents, seconds = identifiable.matrix(self.fits.quantities), self.fits.seconds
         return Motors(
-            np.array([one.log_values for one in self.fits.seconds]),
-            np.array([one.covariance for one in self.fits.seconds]),
-            np.array(self.of),
+            np.array([one.log_values for one in seconds.values()]),
+            np.array([one.covariance for one in seconds.values()]),
+            np.array([self.motors.index(self.every[path]) for path in seconds]),
             np.array([self.positions.index(motor.motor) for motor in self.motors]),
             exponents @ identifiable.tolerance_covariance(BELIEVED) @ exponents.T + _least(exponents),
             np.eye(len(exponents)) * START_SPREAD**2,
@@ -128,10 +129,8 @@ class LearnedFleet:
     @cached_property
     def _good(self) -> list[Identified]:
         """Starts of motors that seem healthy."""
-        seen = zip(self.fits.seconds, self.of, strict=True)
-        return [
-            one.start for one, motor in seen if one.start is not None and self.core.probability[motor] > _LOST
-        ]
+        seen = zip(self.fits.seconds.values(), self.core.probability[self.records.motor], strict=True)
+        return [one.start for one, sure in seen if one.start is not None and sure > _LOST]
 
     def _next(self, core: Core, position: str | None) -> tuple[FloatArray, FloatArray]:
         """Centre and covariance of another healthy motor's record."""
@@ -150,7 +149,7 @@ class LearnedFleet:
         sick = int(np.sum(core.probability < _LOST))
         seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
         lines = [
-            f"{len(self.motors)} motors with {len(self.of)} records; {sick} of them {seem} nothing",
+            f"{len(self.motors)} motors with {len(self.fits.seconds)} records; {sick} of them {seem} nothing",
             f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t, {core.degrees_of_freedom:.0f} degrees)",
             *(
                 f"  {name:<12} {math.exp(at):11.4g} {UNITS[name]:<12}"
@@ -230,9 +229,8 @@ def learn_fleet(
         raise InputError("a record of the fleet is given twice: it would count as two motors")
     every = dict(zip(files, places_of(files, group), strict=True))
     fits = fit_fleet(files, reading or Reading(), each=each, kept=kept, progress=progress)
-    motors = tuple(dict.fromkeys(every[path] for path in fits.files))
-    if len(motors) < FEWEST_SISTERS:
-        raise InputError(
-            f"a fleet needs at least {FEWEST_SISTERS} motors that can be fitted, got {len(motors)}"
-        )
-    return LearnedFleet(fits, tuple(motors.index(every[path]) for path in fits.files), motors, every)
+    learned = LearnedFleet(fits, every)
+    count = len(learned.motors)
+    if count < FEWEST_SISTERS:
+        raise InputError(f"a fleet needs at least {FEWEST_SISTERS} motors that can be fitted, got {count}")
+    return learned

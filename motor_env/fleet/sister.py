@@ -37,23 +37,6 @@ class Apart:
     spread: FloatArray
     degrees_of_freedom: float
 
-    @property
-    def ratios(self) -> dict[str, float]:
-        """The quantities over those of a healthy sister."""
-        return dict(zip(self.names, np.exp(self.off).tolist(), strict=True))
-
-    @property
-    def deviations(self) -> dict[str, float]:
-        """The differences in standard deviations of another healthy motor."""
-        sd = np.sqrt(np.diag(self.spread))
-        return dict(zip(self.names, (self.off / sd).tolist(), strict=True))
-
-    @property
-    def p_value(self) -> float:
-        """Share of healthy sisters that are as odd (Hotelling)."""
-        squared = float(self.off @ np.linalg.solve(self.spread, self.off))
-        return float(fdtrc(len(self.off), self.degrees_of_freedom, squared / len(self.off)))
-
 
 @dataclass(frozen=True, slots=True)
 class Sister:
@@ -74,17 +57,26 @@ class Sister:
     @property
     def ratios(self) -> dict[str, float]:
         """Its quantities over those of a healthy sister; none where no fit tells."""
-        return {} if self.apart is None else self.apart.ratios
+        if self.apart is None:
+            return {}
+        return dict(zip(self.apart.names, np.exp(self.apart.off).tolist(), strict=True))
 
     @property
     def off(self) -> dict[str, float]:
         """How far each lies from the core, in standard deviations of another healthy motor."""
-        return {} if self.apart is None else self.apart.deviations
+        if self.apart is None:
+            return {}
+        sd = np.sqrt(np.diag(self.apart.spread))
+        return dict(zip(self.apart.names, (self.apart.off / sd).tolist(), strict=True))
 
     @property
     def p_value(self) -> float | None:
-        """Share of healthy sisters that are as odd."""
-        return None if self.apart is None else self.apart.p_value
+        """Share of healthy sisters that are as odd (Hotelling)."""
+        if self.apart is None:
+            return None
+        off = self.apart.off
+        squared = float(off @ np.linalg.solve(self.apart.spread, off))
+        return float(fdtrc(len(off), self.apart.degrees_of_freedom, squared / len(off)))
 
     @property
     def telling(self) -> Diagnosis:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from array import array
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +18,7 @@ import numpy as np
 
 from motor_env.diagnosis.running.lessons import FEWEST_WINDOWS, learn_windows
 from motor_env.diagnosis.running.vigil import CONTEXT, YEAR_S, Vigil
-from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, averaged, judge_of
+from motor_env.diagnosis.running.windows import averaged, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
 from motor_env.live.events import Event, Seldom
@@ -96,12 +96,11 @@ class Watch:
     def __init__(self, healthy: Healthy | Lesson, state: State, *, false_alarms_per_year: float) -> None:
         require_options(false_alarms_per_year=false_alarms_per_year)
         self.state = state
-        self.healthy = None if isinstance(healthy, Lesson) else healthy
+        self.healthy: Healthy | None = None
         self._per_year = false_alarms_per_year
-        self._motor: Lesson | WindowJudge
-        self._vigil: Vigil | None = None
+        self._work: Lesson | Vigil
         if isinstance(healthy, Lesson):
-            self._motor = healthy
+            self._work = healthy
         else:
             self._guard(healthy, state.memory)
         self.rate = min(false_alarms_per_year * self._pace.window_s / YEAR_S, 0.5)
@@ -118,23 +117,18 @@ class Watch:
             raise InputError(f"columns must name {', '.join(_QUANTITIES)}, got {state.header[:80]!r}")
 
     def _guard(self, healthy: Healthy, memory: dict[str, list[float]] | None = None) -> None:
-        self.healthy, self._motor = healthy, judge_of(healthy)
-        self._vigil = Vigil(self._motor, healthy, false_alarms_per_year=self._per_year, memory=memory)
-
-    @property
-    def _ends(self) -> Callable[[FittedWindow], bool] | None:
-        """What decides on a whole window."""
-        return None if self._vigil is None else self._vigil.ended
+        self.healthy = healthy
+        self._work = Vigil(judge_of(healthy), healthy, false_alarms_per_year=self._per_year, memory=memory)
 
     @property
     def promise(self) -> str:
         """What holds of the rate of false alarms, in words; empty before anything is learned."""
-        return "" if self._vigil is None else self._vigil.promise
+        return "" if isinstance(self._work, Lesson) else self._work.promise
 
     @property
     def _pace(self) -> Windows | Lesson:
         """What tells the length of a window and the sampling interval."""
-        return self._motor if isinstance(self._motor, Lesson) else self._motor.windows
+        return self._work if isinstance(self._work, Lesson) else self._work.judge.windows
 
     def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
         """Events of lines and of what their source says."""
@@ -192,24 +186,24 @@ class Watch:
                 self._streamed_s += step
         if not self._window:
             self._heard_s, self._next_piece_s = sample[0], math.inf
-            if self._vigil is not None:
-                self._vigil.begin()
-                self._next_piece_s = sample[0] + self._vigil.piece_s
+            if not isinstance(self._work, Lesson):
+                self._work.begin()
+                self._next_piece_s = sample[0] + self._work.piece_s
         self._window.extend(sample)
         if sample[0] - self._window[0] >= self._pace.window_s:
             yield from self._heard()
             self._before, self._window = self._window, array("d")
             event = self._ended(_columns(self._before))
-            if self._vigil is not None:  # before it is said: with it the state is kept
-                self.state.memory = self._vigil.memory
+            if not isinstance(self._work, Lesson):  # before it is said: with it the state is kept
+                self.state.memory = self._work.memory
             yield event
         elif sample[0] >= self._next_piece_s:
             yield from self._heard()
 
     def _heard(self) -> Iterator[Event]:
         """What the window says up to now, if it is an alarm."""
-        vigil = self._vigil
-        if vigil is None:
+        vigil = self._work
+        if isinstance(vigil, Lesson):
             return
         samples = self._before[-CONTEXT * len(_QUANTITIES) :] + self._window
         goes_on = vigil.goes_on
@@ -232,13 +226,13 @@ class Watch:
         recording = _recording(columns, self._step_s)
         if abs(recording.dt_s - self._pace.dt_s) < _SAME_STEP * self._pace.dt_s:
             self._step_s = self._pace.dt_s
-        if isinstance(self._motor, Lesson):
-            return self._taught(recording, self._motor)
+        vigil = self._work
+        if isinstance(vigil, Lesson):
+            return self._taught(recording, vigil)
         try:
-            return self._judged(self._motor.judge(recording, self.rate, self._ends)[0][0])
+            return self._judged(vigil.judge.judge(recording, self.rate, vigil.ended)[0][0])
         except UnusableError as error:
-            if self._vigil is not None:
-                self._vigil.cut()
+            vigil.cut()
             return Event(self._time_s, "window", "unusable", reason=str(error))
 
     def _taught(self, recording: Recording, lesson: Lesson) -> Event:
@@ -275,8 +269,8 @@ class Watch:
 
     def _broken(self, kind: str, text: str) -> Event:
         self._window, self._before = array("d"), array("d")
-        if self._vigil is not None:
-            self._vigil.cut()
+        if not isinstance(self._work, Lesson):
+            self._work.cut()
         return Event(self._time_s, kind, text)
 
     @property

@@ -18,6 +18,8 @@ _DIFFUSION_SCALE = 0.25  # above it the prior, even in the logarithm, falls
 _DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the limit / time since the onset
 SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])
 """Scatter from start to start beyond the standard errors, in units of the typical one."""
+LOG_SCATTER: FloatArray = log_softmax(-np.log1p(SCATTERS**2))
+"""Log prior of each of these: half-Cauchy."""
 _MOST_ONSETS = 20
 _PRIOR_STEADY = 0.5
 _PRIOR_FIRST = 0.5  # that wear began before the first estimate
@@ -82,7 +84,7 @@ def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid
     first = np.tile(onsets == 0, len(shapes))
     prior = prior * np.where(first, _PRIOR_FIRST, (1.0 - _PRIOR_FIRST) / max(len(onsets) - 1, 1))
     log_diffusion = log_softmax(-np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
-    log_sizes = np.add.outer(log_diffusion, log_scatter()).ravel()
+    log_sizes = np.add.outer(log_diffusion, LOG_SCATTER).ravel()
     diffusion, scatter = np.reshape(np.meshgrid(_DIFFUSIONS, SCATTERS, indexing="ij"), (2, -1))
     alone = (times - times[0])[:, None]
     return Grid(
@@ -95,11 +97,6 @@ def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid
         scatter * typical_error,
         np.log(np.append(prior * PRIOR_LAW, [PRIOR_LAW, _PRIOR_STEADY]))[:, None] + log_sizes,
     )
-
-
-def log_scatter() -> FloatArray:
-    """Log prior of each of `SCATTERS`: half-Cauchy."""
-    return np.asarray(log_softmax(-np.log1p(SCATTERS**2)))
 
 
 def filtered(

@@ -22,13 +22,13 @@ from scipy.special import erfcx, expit, logsumexp, ndtr, softmax
 
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.prognosis.clocks import (
+    LOG_SCATTER,
     NO_GROWTH,
     PRIOR_LAW,
     SCATTERS,
     clock,
     filtered,
     hypotheses,
-    log_scatter,
 )
 from motor_env.prognosis.steps import Steps, fit_steps
 
@@ -126,17 +126,15 @@ class Degradation:
     sign: float
     probability_trend: float
     limit_variance: FloatArray
-    steps: Steps | None = None
-    share_of_steps: float = 0.0
+    steps: Steps
+    share_of_steps: float
 
     @property
     def mean_drift(self) -> float:
         """Posterior mean of the drift at the last estimate, in the units of the estimates a unit of time."""
         rate = np.maximum(self.growth, NO_GROWTH)
         pace = float(self.weights @ (self.drift * self.exponent * rate / -np.expm1(-rate)))
-        return self.sign * (
-            pace if self.steps is None else pace + self.share_of_steps * (self.steps.mean_pace - pace)
-        )
+        return self.sign * (pace + self.share_of_steps * (self.steps.mean_pace - pace))
 
     @property
     def mean_level(self) -> float:
@@ -177,8 +175,6 @@ class Degradation:
         border = self.sign * (1.0 + share * (self.limit - 1.0))
         spread = self.covariance[:, 0, 0] + share**2 * self.limit_variance
         found = float(self.weights @ ndtr((self.level - border) / np.sqrt(spread)))
-        if self.steps is None:
-            return found
         by_steps = float(self.steps.probability_beyond(border, np.zeros(1))[0])
         return found + self.share_of_steps * (by_steps - found)
 
@@ -187,8 +183,6 @@ class Degradation:
         *normal, weights, place = self._nodes()
         ahead = np.clip(self._clock_ahead(life), 1e-9 * life[-1], 1e50)[..., place]
         found = first_passage_cdf(ahead, *normal) @ weights
-        if self.steps is None:
-            return found
         by_steps = self.steps.probability_beyond(self.sign * self.limit, life)
         return found + self.share_of_steps * (by_steps - found)
 
@@ -214,10 +208,9 @@ class Degradation:
             + self.diffusion**2 * moved
         )
         centre, square = mean @ self.weights, (spread + mean**2) @ self.weights
-        if self.steps is not None:
-            first, second = self.steps.moments(times)
-            centre = centre + self.share_of_steps * (first - centre)
-            square = square + self.share_of_steps * (second - square)
+        first, second = self.steps.moments(times)
+        centre = centre + self.share_of_steps * (first - centre)
+        square = square + self.share_of_steps * (second - square)
         return self.sign * centre, np.sqrt(np.maximum(square - centre**2, 0.0))
 
 
@@ -263,7 +256,7 @@ def degradation(
         time,
         seen,
         errors**2,
-        (SCATTERS * typical, np.exp(log_scatter())),
+        (SCATTERS * typical, np.exp(LOG_SCATTER)),
         beginning=towards * beginning,
         distance=distance,
         level_std=level_std,

@@ -5,14 +5,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from motor_datasets import generate_dataset, load
+from motor_datasets import Dataset, generate_dataset, load
+from motor_datasets.arrays import LABELS
 from motor_env import InputError, Timing, load_recipe
 
 SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
 SHARD_BYTES = 50_000
 """Of a file: some tens of short cases."""
+SMALL_SHARDS = (
+    "import sys; from motor_datasets import cli, layout; layout._SHARD_BYTES = 2**19; sys.exit(cli.main())"
+)
+"""The command, with files of half a megabyte."""
 
 
 class Stopped(Exception):  # noqa: N818  # it is no error, it stops the writing
@@ -24,6 +30,14 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
     }
+
+
+def assert_same(one: Dataset, other: Dataset) -> None:
+    """The same cases, bit for bit."""
+    for name in ("X", *LABELS):
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    for name, values in one.parameters.items():
+        assert np.array_equal(other.parameters[name], values), name
 
 
 def interrupted(place: Path | str, cases: int, after: int) -> None:

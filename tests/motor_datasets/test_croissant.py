@@ -14,6 +14,7 @@ from motor_datasets.arrays import columns
 from motor_datasets.cli import main
 from motor_env import load_recipe
 
+REQUIRED = ("@context", "@type", "conformsTo", "name", "description", "license", "distribution", "recordSet")
 FIELD = load_recipe("field", timing=replace(load_recipe("field").timing, sampling_rate_hz=1_000.0))
 
 
@@ -38,16 +39,7 @@ def test_columns_are_those_of_the_files(folder: Path) -> None:
 def test_croissant_has_what_version_1_asks_for(folder: Path) -> None:
     """The fields that its specification requires; mlcroissant 1.1.1 validated such a file and read its records."""
     content: dict[str, Any] = json.loads((folder / "croissant.json").read_bytes())
-    for name in (
-        "@context",
-        "@type",
-        "conformsTo",
-        "name",
-        "description",
-        "license",
-        "distribution",
-        "recordSet",
-    ):
+    for name in REQUIRED:
         assert content[name], name
     assert content["conformsTo"] == "http://mlcommons.org/croissant/1.0"
     entries = {entry["path"]: entry for entry in json.loads((folder / "dataset.json").read_bytes())["files"]}

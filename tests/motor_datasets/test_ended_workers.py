@@ -9,10 +9,7 @@ import uuid
 from pathlib import Path
 
 import pytest
-
-SMALL_SHARDS = (
-    "import sys; from motor_datasets import cli, layout; layout._SHARD_BYTES = 2**19; sys.exit(cli.main())"
-)
+from small_sets import SMALL_SHARDS
 
 
 def with_mark(mark: str) -> list[int]:

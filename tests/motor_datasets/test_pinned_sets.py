@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from small_sets import SHORT, assert_same
 
 from motor_datasets import (
     folder as folder_module,
@@ -34,7 +35,6 @@ from motor_datasets.manifest import LARGEST_MANIFEST_BYTES, Entry, Manifest, rea
 from motor_env import InputError, Recipe, Timing, load_recipe
 
 BENCH, FIELD = load_recipe("bench"), load_recipe("field")
-SHORT = replace(BENCH, timing=Timing(duration_s=0.01))
 LETTER = {"train": ".", "validation": "v", "test": "t"}
 
 
@@ -150,11 +150,7 @@ def test_many_cases_are_drawn_in_parts_without_a_seam(name: str, monkeypatch: py
     recipe = load_recipe(name)
     whole = generate_arrays(recipe, 1, range(12))
     monkeypatch.setattr("motor_datasets.generate._CASES_AT_ONCE", 5)
-    parts = generate_arrays(recipe, 1, range(12))
-    for label in ("X", "class_name", "class_index", "kind", "severity", "case_id", "motor_id", "split"):
-        assert np.array_equal(getattr(parts, label), getattr(whole, label)), label
-    for parameter, values in whole.parameters.items():
-        assert np.array_equal(parts.parameters[parameter], values), parameter
+    assert_same(generate_arrays(recipe, 1, range(12)), whole)
 
 
 def test_what_is_drawn_beside_the_measurements_takes_no_more_memory_for_more_cases(
@@ -321,28 +317,19 @@ def test_a_dry_run_tells_cases_by_the_time_of_one(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(folder_module, "seconds_per_case", lambda recipe, seed: 0.25)
-    command = [
-        "generate",
-        "field",
-        "--cases",
-        "400",
-        "--seed",
-        "1",
-        "--out",
-        str(tmp_path / "set"),
-        "--dry-run",
-    ]
+    out = str(tmp_path / "set")
+    command = ["generate", "field", "--cases", "400", "--seed", "1", "--out", out, "--dry-run"]
     assert main([*command, "--workers", "4", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told == {
-        "out": str(tmp_path / "set"), "recipe": "field", "seed": 1, "cases": 400, "cases_of_shifts": 200,
+        "out": out, "recipe": "field", "seed": 1, "cases": 400, "cases_of_shifts": 200,
         "classes": list(FIELD.class_names), "channels": ["current"], "samples": 1200, "files": 8,
         "bytes_uncompressed": 600 * bytes_of_case(FIELD), "seconds": 600 * 0.25 / 4,
     }  # fmt: skip
     assert main(command) == 0
     size = 600 * bytes_of_case(FIELD) / 1e6
     assert capsys.readouterr().out == (
-        f"would write 400 cases and 200 of shifts of 1200 samples in 8 files to {tmp_path / 'set'}:"
+        f"would write 400 cases and 200 of shifts of 1200 samples in 8 files to {out}:"
         f" {size:.1f} MB before compression, some 150.0 s\n"
     )
 

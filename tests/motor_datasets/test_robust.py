@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from small_sets import SHARD_BYTES, SHORT, assert_goes_on, files_of, interrupted
+from small_sets import SHARD_BYTES, SHORT, SMALL_SHARDS, assert_goes_on, files_of, interrupted
 
 from motor_datasets import generate_dataset, layout, load
 from motor_datasets.cli import main
@@ -59,11 +59,6 @@ def test_a_full_disk_leaves_whole_files_only(tmp_path: Path, monkeypatch: pytest
     assert len(list((tmp_path / "cut/data").iterdir())) == 5
     generate_dataset(SHORT, 200, 1, tmp_path / "cut", resume=True)
     assert files_of(tmp_path / "cut") == files_of(tmp_path / "whole")
-
-
-SMALL_SHARDS = (
-    "import sys; from motor_datasets import cli, layout; layout._SHARD_BYTES = 2**19; sys.exit(cli.main())"
-)
 
 
 @pytest.mark.long

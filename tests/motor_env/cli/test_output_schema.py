@@ -103,22 +103,8 @@ def test_lines_of_watch(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     lines.insert(1800, "torn")
     stream = tmp_path / "stream.csv"
     stream.write_text("\n".join(lines) + "\n")
-    assert (
-        main(
-            [
-                "watch",
-                str(motor),
-                str(stream),
-                "--learn",
-                "1.6",
-                "--window",
-                "0.4",
-                "--false-alarms-per-year",
-                "1e7",
-            ]
-        )
-        == 1
-    )
+    learn = ["--learn", "1.6", "--window", "0.4"]
+    assert main(["watch", str(motor), str(stream), *learn, "--false-alarms-per-year", "1e7"]) == 1
     told = [follows("motor-env watch", line) for line in capsys.readouterr().out.splitlines()]
     assert {"learning", "learned", "window", "malformed"} <= {one["event"] for one in told}
     assert "bearing" in {one.get("verdict") for one in told}

@@ -45,6 +45,7 @@ from motor_env.embedded.source import write_library
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
+SHARED = ["-O2", "-ffp-contract=off", "-shared", "-fPIC"]
 SANITIZERS = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 RUN = """
 #include "m.h"
@@ -132,16 +133,8 @@ def written(believed: Monitor, folder: Path, arithmetic: str) -> Numbers:
 
 def run_c(folder: Path, readings: NDArray[Any]) -> Answers:
     library = folder / "run.so"
-    command: list[str | Path] = [
-        tool("gcc"),
-        "-O2",
-        "-ffp-contract=off",
-        "-shared",
-        "-fPIC",
-        "-I",
-        folder / "src",
-    ]
-    compiled([*command, *folder.glob("src/*.c"), folder / "run.c", "-o", library])
+    sources = [*folder.glob("src/*.c"), folder / "run.c"]
+    compiled([tool("gcc"), *SHARED, "-I", folder / "src", *sources, "-o", library])
     dtype = np.int32 if readings.dtype == np.int64 else np.float32
     samples = np.ascontiguousarray(readings.swapaxes(1, 2), dtype=dtype)
     verdict = np.empty(samples.shape[:2], dtype=np.int32)

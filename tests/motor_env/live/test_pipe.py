@@ -20,6 +20,7 @@ from motor_env.motor.healthy import Healthy, Windows
 
 RATE_HZ, WINDOW_S, STREAM_S = 20_000, 5.0, 60.1
 SPEED_RAD_S = 250.0
+TERMS = ("R", "K", "J", "coulomb", "load_constant", "load_square", "offset_current", "offset_speed", *NOISES)
 
 
 def healthy() -> Healthy:
@@ -34,24 +35,12 @@ def healthy() -> Healthy:
         motor.viscous_friction_n_m_s_per_rad,
     )
     physical[[places.NOISE_I, places.NOISE_W, places.NOISE_V]] = 0.003, 0.2, 0.01
-    physical[[places.COULOMB, places.DROP]] = (
-        1e-6,
-        1e-3,
-    )  # so that a sample in which the motor turns costs its events
+    # So that a sample in which the motor turns costs its events.
+    physical[[places.COULOMB, places.DROP]] = 1e-6, 1e-3
     averaged = 17  # 100,000 samples of a window as at most 6,000
     windows = Windows(
         window_s=WINDOW_S,
-        terms=(
-            "R",
-            "K",
-            "J",
-            "coulomb",
-            "load_constant",
-            "load_square",
-            "offset_current",
-            "offset_speed",
-            *NOISES,
-        ),
+        terms=TERMS,
         physical=physical,
         hold="straight",
         dt_s=averaged / RATE_HZ,

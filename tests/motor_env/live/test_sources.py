@@ -26,13 +26,19 @@ def opened(name: str | None, *, follow: bool = False) -> Iterator[Piece]:
     return lines(source(name, follow=follow, baud=115_200))
 
 
-def test_lines_are_whole_whatever_the_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lines_are_whole_whatever_the_pieces() -> None:
     assert list(lines(iter([b"a", b"b\nc\n\nd", b"", b"e"]))) == [b"ab\n", b"c\n", b"\n", b"de"]
     assert list(lines(iter([b"a\nb"]), rest=False)) == [b"a\n"]
     gone = Notice("unplugged", "gone")
     assert list(lines(iter([b"a\nhal", gone, b"b\n"]))) == [b"a\n", gone, b"b\n"]
-    monkeypatch.setattr(pieces, "SILENCE_S", -1.0)
-    assert list(lines(iter([b"a\n", b"", b"", b"b\n", b""]))) == [b"a\n", SILENCE, b"b\n", SILENCE]
+
+
+def told(heard: Iterator[Piece], kind: str, words: str = "") -> None:
+    """The next piece is a notice of this kind."""
+    notice = next(heard)
+    assert isinstance(notice, Notice)
+    assert notice.kind == kind
+    assert words in notice.text
 
 
 def test_a_file_that_grows_and_one_that_begins_anew(tmp_path: Path) -> None:
@@ -44,17 +50,8 @@ def test_a_file_that_grows_and_one_that_begins_anew(tmp_path: Path) -> None:
         file.write(b"three\n")
     assert next(heard) == b"three\n"
     log.write_bytes(b"new\n")
-    told = next(heard)
-    assert isinstance(told, Notice)
-    assert told.kind == "new_file"
+    told(heard, "new_file")
     assert next(heard) == b"new\n"
-
-
-def told_new(heard: Iterator[Piece], words: str) -> None:
-    told = next(heard)
-    assert isinstance(told, Notice)
-    assert told.kind == "new_file"
-    assert words in told.text
 
 
 def test_a_log_that_is_rotated_is_read_to_its_end_and_then_the_new_one(tmp_path: Path) -> None:
@@ -71,11 +68,11 @@ def test_a_log_that_is_rotated_is_read_to_its_end_and_then_the_new_one(tmp_path:
         file.write(b"three\n")
     assert next(heard) == b"three\n"
     log.write_bytes(b"new\n")
-    told_new(heard, "is another file now")
+    told(heard, "new_file", "is another file now")
     assert next(heard) == b"new\n"
     log.unlink()
     log.write_bytes(b"last\n")
-    told_new(heard, "is another file now")
+    told(heard, "new_file", "is another file now")
     assert next(heard) == b"last\n"
     heard.close()  # type: ignore[attr-defined]  # a generator
 
@@ -87,7 +84,7 @@ def test_a_log_written_anew_in_its_place_is_new_however_long_it_is(tmp_path: Pat
     heard = opened(str(log), follow=True)
     assert b"".join(piece for _ in old.splitlines() if isinstance(piece := next(heard), bytes)) == old
     log.write_bytes(b"new\n" + old)
-    told_new(heard, "is not the file of before")
+    told(heard, "new_file", "is not the file of before")
     assert next(heard) == b"new\n"
     assert next(heard) == old[: old.index(b"\n") + 1]
 
@@ -123,7 +120,7 @@ def test_a_log_that_is_gone_on_with_must_be_the_one_that_was_read(tmp_path: Path
     assert list(heard) == [b"two\n", b"three\n"]
     for offset, last_read in ((4, b"ONE\n"), (20, b"x" * 20), (2**62, b"x" * 512)):
         heard = lines(source(str(log), follow=False, baud=0, offset=offset, last_read=last_read))
-        told_new(heard, "is not the file of before")
+        told(heard, "new_file", "is not the file of before")
         assert list(heard) == [b"one\n", b"two\n", b"three\n"]
 
 
@@ -164,9 +161,7 @@ def test_what_comes_faster_than_it_is_judged_is_told(monkeypatch: pytest.MonkeyP
     assert next(heard) == b""
     assert [next(heard)[:2] for _ in range(10)] == [b"%02d" % k for k in range(10)]  # type: ignore[index]
     waiting.offer(b"a\n")
-    told = next(heard)
-    assert isinstance(told, Notice)
-    assert (told.kind, told.text) == ("lost", "20 pieces of lines came faster than they could be judged")
+    assert next(heard) == Notice("lost", "20 pieces of lines came faster than they could be judged")
     waiting.put(None)
     assert list(heard) == [b"a\n"]
 
@@ -210,9 +205,7 @@ def test_a_serial_port_and_its_cable() -> None:
     assert [next(heard) for _ in sent] == sent
     os.close(slave)
     os.close(master)
-    told = next(heard)
-    assert isinstance(told, Notice)
-    assert told.kind == "unplugged"
+    told(heard, "unplugged")
     with pytest.raises(InputError, match="serial port /dev/none: no such file or directory"):
         opened("serial:/dev/none")
 
@@ -267,8 +260,7 @@ def test_mqtt_from_a_real_broker(broker: list[str]) -> None:
         assert publish_until_heard(heard, "1,2,3,4\n5,6,7,8") == b"1,2,3,4\n5,6,7,8\n"
         running.kill()
         running.wait()
-        told = next(piece for piece in heard if isinstance(piece, Notice))
-        assert told.kind == "unplugged"
+        assert next(piece for piece in heard if isinstance(piece, Notice)).kind == "unplugged"
         running = started(broker)
         assert publish_until_heard(heard, "9,9,9,9") == b"9,9,9,9\n"
     finally:
@@ -283,8 +275,8 @@ def test_a_broker_that_refuses_is_told_without_the_password(broker: list[str]) -
     running = started(broker)
     try:
         heard = source(f"mqtt://me:SECRET@127.0.0.1:{broker[3]}/plant", follow=False, baud=0)
-        told = next(piece for piece in heard if isinstance(piece, Notice))
+        said = next(piece for piece in heard if isinstance(piece, Notice))
     finally:
         running.kill()
         running.wait()
-    assert (told.kind, told.text) == ("unplugged", "127.0.0.1 refuses: not authorized")
+    assert said == Notice("unplugged", "127.0.0.1 refuses: not authorized")

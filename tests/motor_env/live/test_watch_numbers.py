@@ -118,7 +118,7 @@ class FakeVigil:
         false_alarms_per_year: float,
         memory: dict[str, list[float]] | None,
     ) -> None:
-        self.of, self.remembered = (judge.windows, healthy, false_alarms_per_year), memory
+        self.judge, self.per_year, self.remembered = judge, false_alarms_per_year, memory
         self.spoken: list[tuple[Recording, float]] = []
         self.cuts, self.begun, self.asked = 0, 0, list[tuple[Recording, float]]()
         self.ended = object()
@@ -160,7 +160,7 @@ def watched(
 def test_the_rate_is_handed_on(judge: Judge, per_year: float, rate: float) -> None:
     watched(samples(101), per_year=per_year)
     assert [given for _, given in judge.given] == pytest.approx([rate], rel=1e-12)
-    assert FakeVigil.made[0].of[2] == per_year
+    assert FakeVigil.made[0].per_year == per_year
 
 
 def test_windows_hold_the_samples_of_their_time_in_si_units(judge: Judge) -> None:
@@ -341,7 +341,7 @@ def test_a_watch_goes_on_where_it_was(judge: Judge, tmp_path: Path) -> None:
     first, path = State("m", "log"), tmp_path / "state.json"
     pieces = samples(101)
     watched(pieces, first)
-    assert first.offset == len(HEADER) + sum(len(piece) for piece in pieces if isinstance(piece, bytes))
+    assert first.offset == len(joined([HEADER, *pieces]))
     first.save(path)
     again = State.load(path, "m", "log")
     assert again == first
@@ -378,38 +378,26 @@ def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.Mo
     watch = Watch(Lesson(0.0995, 0.4975, steady=True), State(), false_alarms_per_year=1.0)
     events = list(watch.events([HEADER, *samples(11 * 101)]))
     assert watch.healthy is TAUGHT
-    learning = [f"{0.0995 * n:g} of 0.4975 s" for n in (1, 2, 3, 4)]
-    assert [event.text for event in events[:4]] == learning
-    assert [event.kind for event in events] == [
-        *(4 * ["learning"]),
-        "not_learned",
-        *(4 * ["learning"]),
-        "learned",
-        "window",
-    ]
+    assert [event.text for event in events[:4]] == [f"{0.0995 * n:g} of 0.4975 s" for n in (1, 2, 3, 4)]
+    four = 4 * ["learning"]
+    assert [event.kind for event in events] == [*four, "not_learned", *four, "learned", "window"]
     assert events[4].text == "it stands still"
     assert given == [(5, 0.0995, True)] * 2
     assert len(judge.given) == 1
     assert Lesson(0.1, 0.4).dt_s == math.inf
     for window_s, learn_s in ((0.1, 0.399), (0.0, 1.0), (1.0, math.inf)):
-        with pytest.raises(InputError, match="learn must be at least 4 windows"):
+        words = f"learn must be at least 4 windows of {window_s:g} s, got {learn_s:g} s"
+        with pytest.raises(InputError, match=words):
             Lesson(window_s, learn_s)
 
 
 def test_silence_is_said_after_five_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
+    came = ((0.0, b"a\n"), (4.99, b""), (5.01, b""), (9.0, b""), (9.5, b"b\n"), (14.4, b""), (14.6, b""))
     monkeypatch.setattr("motor_env.live.pieces.time.monotonic", lambda: now[0])
 
     def pieces() -> Any:
-        for at, piece in (
-            (0.0, b"a\n"),
-            (4.99, b""),
-            (5.01, b""),
-            (9.0, b""),
-            (9.5, b"b\n"),
-            (14.4, b""),
-            (14.6, b""),
-        ):
+        for at, piece in came:
             now[0] = at
             yield piece
 
@@ -418,23 +406,35 @@ def test_silence_is_said_after_five_seconds(monkeypatch: pytest.MonkeyPatch) -> 
     assert SILENCE.text == "no line for 5 s: is the cable in?"
 
 
-def test_the_command_reads_keeps_and_ends_with_its_status(
-    judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log, state = tmp_path / "log.csv", tmp_path / "state.json"
-    log.write_bytes(b"".join(piece for piece in [HEADER, *samples(150)] if isinstance(piece, bytes)))
+@pytest.fixture
+def watching_a_log(judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """A command that has judged one window of a log, and kept its state."""
+    (tmp_path / "log.csv").write_bytes(joined([HEADER, *samples(150)]))
+    (tmp_path / "m.toml").write_text("this motor", encoding="utf-8")
     monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
-    run = ["watch", str(tmp_path / "m.toml"), str(log), "--state", str(state)]
+    run = [str(tmp_path / name) for name in ("m.toml", "log.csv", "state.json")]
+    run = ["watch", *run[:2], "--state", run[2]]
     assert main(run) == 0
-    assert json.loads(capsys.readouterr().out)["verdict"] == "healthy"
+    return run
+
+
+def test_the_command_reads_keeps_and_ends_with_its_status(
+    watching_a_log: list[str],
+    judge: Judge,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    log, state, run = tmp_path / "log.csv", tmp_path / "state.json", watching_a_log
     # What follows the last judged window is read again.
     kept = json.loads(state.read_text())
     assert kept["counts"] == {"window healthy": 1}
     assert kept["offset"] == len(b"".join(log.read_bytes().splitlines(keepends=True)[:102]))
     with log.open("ab") as file:
-        file.write(b"".join(piece for piece in samples(60, 150.0) if isinstance(piece, bytes)))
+        file.write(joined(samples(60, 150.0)))
     judge.verdicts = [judged("bearing", 1.0, 1.0, 1.0, 1.5)]
     assert main(run) == 1
+    assert json.loads(capsys.readouterr().out)["verdict"] == "bearing"
     np.testing.assert_allclose(judge.given[-1][0].time_s[[0, -1]], [0.101, 0.201])
     assert json.loads(state.read_text())["counts"] == {"window healthy": 1, "window bearing": 1}
     assert main([*run[:2], "--follow"]) == 2
@@ -452,18 +452,6 @@ def test_a_motor_file_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> N
     said = capsys.readouterr().err
     assert "none.toml: no such motor file" in said
     assert "`motor-env commission` writes one from logs" in said
-
-
-@pytest.fixture
-def watching_a_log(judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """A command that has judged one window of a log, and kept its state."""
-    (tmp_path / "log.csv").write_bytes(joined([HEADER, *samples(150)]))
-    (tmp_path / "m.toml").write_text("this motor", encoding="utf-8")
-    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
-    run = [str(tmp_path / name) for name in ("m.toml", "log.csv", "state.json")]
-    run = ["watch", *run[:2], "--state", run[2]]
-    assert main(run) == 0
-    return run
 
 
 def test_the_state_of_another_motor_or_source_is_refused(
@@ -489,14 +477,8 @@ def test_the_state_is_that_of_the_motor_which_was_learned(
     monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
     monkeypatch.setattr(command, "motor_of_windows", lambda *_: None)
     monkeypatch.setattr(command, "save_motor", lambda _, path: path.write_text("learned"))
-    run = [
-        "watch",
-        *(str(tmp_path / name) for name in ("m.toml", "log.csv")),
-        "--learn",
-        "0.4975",
-        "--window",
-    ]
-    run += ["0.0995", "--state", str(tmp_path / "state.json")]
+    motor, log, state = (str(tmp_path / name) for name in ("m.toml", "log.csv", "state.json"))
+    run = ["watch", motor, log, "--learn", "0.4975", "--window", "0.0995", "--state", state]
     assert main(run) == 0
     assert len(judge.given) == 1
     assert main(run) == 0  # it goes on
@@ -623,12 +605,9 @@ def test_what_was_held_back_is_said_when_it_is_due_and_not_with_the_next(
 ) -> None:
     clock = Clock(monkeypatch)
     heard = clock.spent([HEADER, b"a\n", b"b\n", b"c\n", SILENCE], 5.0 * 0.3)
-    events = list(Watch(TAUGHT, State(), false_alarms_per_year=1.0).events(heard))
-    assert [(event.kind, event.count) for event in events] == [
-        ("malformed", 1),
-        ("silence", 1),
-        ("malformed", 2),
-    ]
+    events = Watch(TAUGHT, State(), false_alarms_per_year=1.0).events(heard)
+    said = [(event.kind, event.count) for event in events]
+    assert said == [("malformed", 1), ("silence", 1), ("malformed", 2)]
     heard = clock.spent([HEADER, b"a\n", b"b\n", *samples(3)], 6.0 * 0.5)
     kinds = [event.text for event in Watch(TAUGHT, State(), false_alarms_per_year=1.0).events(heard)]
     assert kinds == ["a", "b"]
@@ -646,7 +625,7 @@ def test_a_line_that_is_too_long_is_one_malformed_event_and_the_rest_of_it_nothi
     assert [event.name for event in events] == ["malformed", "time_jump", "window healthy", "malformed"]
     assert events[0].text == "longer than 65536 bytes: " + long[:60].decode()
     assert state.counts == {"malformed": 2, "time_jump": 1, "window healthy": 1}
-    assert state.offset == sum(len(piece) for piece in pieces if isinstance(piece, bytes))
+    assert state.offset == len(joined(pieces))
 
 
 def test_behind_a_notice_a_line_begins(judge: Judge) -> None:

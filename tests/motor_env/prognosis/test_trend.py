@@ -12,7 +12,7 @@ from scipy.stats import invgauss
 
 from motor_env import InputError
 from motor_env.cli import main
-from motor_env.prognosis.estimates import Series, build_series, date_of, read_estimates
+from motor_env.prognosis.estimates import Series, date_of, read_estimates
 from motor_env.prognosis.files import Trends
 from motor_env.prognosis.trend import judge, parse_limits
 from motor_env.prognosis.wear import degradation, first_passage_cdf
@@ -211,14 +211,8 @@ def test_long_tables_and_json_read_like_wide_ones(tmp_path: Path) -> None:
     wide, long, entries = tmp_path / "w.csv", tmp_path / "l.csv", tmp_path / "e.json"
     wide.write_text("time_hours;B;B_se\n1;2,5;0,1\n2;2,6;0,1\n")
     long.write_text("time_hours,parameter,estimate,standard_error\n2,B,2.6,0.1\n1,B,2.5,0.1\n")
-    entries.write_text(
-        json.dumps(
-            [
-                {"time": t, "parameter": "B", "estimate": y, "standard_error": 0.1}
-                for t, y in ((1, 2.5), (2, 2.6))
-            ]
-        )
-    )
+    both = ({"time": 1, "estimate": 2.5}, {"time": 2, "estimate": 2.6})
+    entries.write_text(json.dumps([one | {"parameter": "B", "standard_error": 0.1} for one in both]))
     for path in (wide, long, entries):
         (series,) = read_estimates(path)
         np.testing.assert_array_equal(series.time, [1.0, 2.0])
@@ -236,12 +230,6 @@ def test_tables_of_estimates_are_read_like_recordings(tmp_path: Path) -> None:
     path.write_text("# of the bench\n\ntime,B\n1,2\n2,x\n")
     with pytest.raises(InputError, match="line 5: B must be a finite number"):
         read_estimates(path)
-
-
-def test_estimates_of_one_time_are_averaged() -> None:
-    (series,) = build_series({"B": [(1.0, 2.0, 0.1), (1.0, 4.0, 0.1), (2.0, 5.0, 0.2)]}, "starts")
-    np.testing.assert_allclose(series.estimate, [3.0, 5.0])
-    np.testing.assert_allclose(series.standard_error, [0.1 / math.sqrt(2.0), 0.2])
 
 
 @pytest.mark.parametrize(

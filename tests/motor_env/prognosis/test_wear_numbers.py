@@ -20,13 +20,17 @@ from motor_env.prognosis.clocks import clock
 from motor_env.prognosis.estimates import Series, build_series, read_estimates
 from motor_env.prognosis.files import Trends
 from motor_env.prognosis.laws import at_one_temperature, last_jump, withheld
-from motor_env.prognosis.steps import fit_steps
+from motor_env.prognosis.steps import Steps, fit_steps
 from motor_env.prognosis.trend import Forecast, describe, judge
 from motor_env.prognosis.wear import Degradation, RemainingLife, degradation
 
 
 def array(*values: float) -> FloatArray:
     return np.array(values)
+
+
+NONE = array(0.0)
+NO_STEPS = Steps(np.zeros((1, 128)), np.zeros((1, 129), complex), np.arange(128.0), NONE, NONE, 0.0)
 
 
 def wear(
@@ -58,6 +62,8 @@ def wear(
         sign=sign,
         probability_trend=1.0,
         limit_variance=np.zeros(n),
+        steps=NO_STEPS,
+        share_of_steps=0.0,
     )
 
 
@@ -133,7 +139,7 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
     np.testing.assert_allclose(np.sort(found.weights), np.sort(w), rtol=1e-5)
     towards = w @ norm.cdf(drift[kept] / np.sqrt(p11[kept]))
     assert found.probability_trend == pytest.approx(by_clocks * towards + of_steps, rel=1e-6)
-    alone = replace(found, steps=None)
+    alone = replace(found, share_of_steps=0.0)
     mean, sd = alone.forecast(0.0)
     assert mean == pytest.approx(-(w @ level[kept]), rel=1e-8)
     assert sd == pytest.approx(math.sqrt(w @ (p00[kept] + (level[kept] - w @ level[kept]) ** 2)), rel=1e-4)
