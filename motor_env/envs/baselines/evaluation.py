@@ -81,7 +81,7 @@ def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
     """Monitors and probes: play one episode of a policy in each sub-environment."""
     count = envs.num_envs
     observations, info = envs.reset(seed=seed)
-    right, onset = envs.right_declaration[info["class_index"]], info["onset_sample"]
+    right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
     policy.start(count)
     returns, probing = np.zeros((2, count))
     steps, declared, lengths = np.zeros((3, count), dtype=np.int64)
@@ -110,7 +110,7 @@ def sweep(
     """
     count, limits = envs.num_envs, np.asarray(thresholds, dtype=np.float64)[:, None]
     observations, info = envs.reset(seed=seed)
-    right, onset = envs.right_declaration[info["class_index"]], info["onset_sample"]
+    right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
     policy.start(count)
     waited, probed = np.zeros((2, count))
     returns, probing = np.zeros((2, len(limits), count))

@@ -11,14 +11,14 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from motor_env.envs.base import Info, Observation, StreamEnv, whole_action
-from motor_env.envs.layout import KNOWN, TERMINATED, BoolArray, MarkArray, aligned_zeros, empty_streams
+from motor_env.envs.layout import BoolArray, MarkArray, aligned_zeros, empty_streams
 from motor_env.envs.maintain import kernel
 from motor_env.envs.maintain.belief import AT_ONCE
 from motor_env.envs.maintain.kernel import FEATURES, PARTS
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
 from motor_env.envs.maintain.picture import Logbook
 from motor_env.envs.rendering import Frame
-from motor_env.envs.vector import Step, StreamVectorEnv, whole_actions
+from motor_env.envs.vector import StreamVectorEnv, whole_actions
 from motor_env.motor.parameters import FloatArray
 
 IMPOSSIBLE = 1e-100
@@ -213,6 +213,7 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
     """Vector of `MaintainEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = MaintainOptions
+    _part_names = PARTS
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.motors = Motors(self.options, self.num_envs)
@@ -222,24 +223,16 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
     def _begin(self, mask: BoolArray) -> None:
         self.motors.begin(mask)
 
-    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
-        return self.motors.observe(), self._told(self._flags[KNOWN].copy() if known is None else known)
+    def _observe(self) -> Observation:
+        return self.motors.observe()
 
-    def _told(self, known: BoolArray) -> Info:
-        """The truth, for those who score."""
-        info: Info = {}
-        for name, value in self.motors.truth().items():
-            info[name], info[f"_{name}"] = value, known
-        return info
+    def _truth(self, active: BoolArray) -> Info:
+        return self.motors.truth()
 
-    def _step(self, actions: Any) -> tuple[Step, int]:
+    def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
         array = whole_actions(actions, self.num_envs)
         restart = self.autoreset_mode is AutoresetMode.NEXT_STEP
         observation, parts, n_over = self.motors.step(array, restart=restart)
         if n_over < 0:
             raise ValueError(f"actions must be in 0 .. {_ACTIONS - 1}, got {array.min()} .. {array.max()}")
-        info = self._told(self._flags[KNOWN].copy())
-        for name, part in zip(PARTS, parts, strict=True):
-            info[name], info[f"_{name}"] = part, self._flags[KNOWN].copy()
-        over = self._flags[TERMINATED].copy()
-        return (observation, parts.sum(axis=0), over, np.zeros(self.num_envs, dtype=np.bool_), info), n_over
+        return observation, parts.sum(axis=0), parts, n_over
