@@ -18,7 +18,6 @@ from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.screen import DriveScreen
 from motor_env.envs.drive.setup import DriveSetup, make_setup
 from motor_env.envs.layout import FAULT_ACTIVE, BoolArray
-from motor_env.envs.rendering import Frame
 from motor_env.envs.vector import StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
@@ -143,10 +142,6 @@ class DriveEnv(StreamEnv[DriveOptions]):
             "severity": self._truth["severity"].item(0),
             "temperature_k": self._truth["temperature"].item(0),
         }
-
-    def _frame(self) -> Frame:
-        assert self._screen is not None  # noqa: S101  # there is one with every render mode
-        return self._screen.draw()
 
 
 class DriveVectorEnv(StreamVectorEnv[DriveOptions]):

@@ -17,7 +17,6 @@ from motor_env.envs.maintain.belief import AT_ONCE
 from motor_env.envs.maintain.kernel import FEATURES, PARTS
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
 from motor_env.envs.maintain.picture import Logbook
-from motor_env.envs.rendering import Frame
 from motor_env.envs.vector import StreamVectorEnv, whole_actions
 from motor_env.motor.parameters import FloatArray
 
@@ -161,15 +160,15 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
         self.motors = Motors(self.options, 1)
         self._words = self.motors.words
         self._action = np.zeros(1, dtype=np.int64)
-        self._logbook = None if self.render_mode is None else Logbook(self.options)
+        self._screen = None if self.render_mode is None else Logbook(self.options)
         return self.motors.observation_space(), spaces.Discrete(_ACTIONS)
 
     def _begin(self) -> tuple[Observation, Info]:
         self.motors.begin(np.ones(1, dtype=np.bool_))
         self._over = False
         observation = self.motors.observe()[0]
-        if self._logbook is not None:
-            self._logbook.clear()
+        if self._screen is not None:
+            self._screen.clear()
             self._show(observation, kernel.RUN)
         return observation, self._truth()
 
@@ -192,21 +191,16 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
         self._action[0] = whole_action(action, _ACTIONS)
         observations, parts, n_over = self.motors.step(self._action, restart=False)
         observation, self._over = observations[0], n_over > 0
-        if self._logbook is not None:
+        if self._screen is not None:
             self._show(observation, int(self._action[0]))
         info, costs = self._truth(), parts.ravel().tolist()
         info.update(zip(PARTS, costs, strict=True))
         return observation, sum(costs), self._over, False, info
 
     def _show(self, observation: Observation, action: int) -> None:
-        assert self._logbook is not None  # noqa: S101  # the caller looked
-        self._logbook.add(observation, action, **self._truth())
+        self._screen.add(observation, action, **self._truth())
         if self.render_mode == "human":
             self.render()
-
-    def _frame(self) -> Frame:
-        assert self._logbook is not None  # noqa: S101  # there is one with every render mode
-        return self._logbook.draw()
 
 
 class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):

@@ -61,10 +61,9 @@ class Last:
         self.envs = MonitorVectorEnv(lanes, **options)
         self.options, self.setup, self.observed = self.envs.options, self.envs.setup, self.envs.setup.observed
 
-    @property
-    def _block(self) -> Any:
+    def _now(self, field: str) -> float:
         last = self.envs._arrays[2].view(block_type(self.options.precision))[-1]
-        return {name: last[name][(self.envs.num_envs - 1) % LANES :] for name in ("current", "speed")}
+        return float(last[field][(self.envs.num_envs - 1) % LANES])
 
     def _info(self, info: Info) -> Info:
         mine = {name: values[-1] for name, values in info.items()}
@@ -92,7 +91,7 @@ def rollout(env: MonitorEnv | Last, seed: int, index: int = 0) -> tuple[FloatArr
         assert truncated is False
         observations.append(observation)
         infos.append(info)
-        deviation = [env._block[name][0] for name in ("current", "speed")]
+        deviation = [env._now(name) for name in ("current", "speed")]
         states.append(deviation + env.setup.rest)
     return np.array(observations), infos, np.array(states)
 
