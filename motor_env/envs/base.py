@@ -17,7 +17,7 @@ from motor_env.envs.options import MonitorOptions, Options, with_changes
 from motor_env.envs.rendering import Scope, Window
 from motor_env.envs.setup import Setup, make_bank, make_setup
 from motor_env.motor.model import State
-from motor_env.motor.parameters import require
+from motor_env.motor.parameters import FloatArray, require
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
@@ -145,19 +145,17 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         self.observed = self.setup.observed
         numbers = self.setup.numbers
         if self.render_mode is not None:  # the picture shows the evidence of all kinds
-            bank, constants = (
-                make_bank(options, self.setup.belief.model, self.setup.rest),
-                numbers.constants.copy(),
-            )
+            bank = make_bank(options, self.setup.belief.model, self.setup.rest)
+            constants = numbers.constants.copy()
             constants[kernel.FULL] = 1.0
             numbers = numbers._replace(bank=bank, constants=constants)
         lanes = empty_lanes(1, 1, options.precision)
         self._state, self._words, self._marks, _, self._drawn = lanes
-        self._arrays = (*pack_task(numbers), *lanes)
+        self._arrays = (*pack_task(numbers, options.precision), *lanes)
         self._parts = np.empty((4, 1))
         self._truth: Info = {}
         self._offsets_v: list[float] = self.setup.offsets_v.tolist()
-        self._declarations: list[int] = self.setup.declarations.astype(int).tolist()
+        self._declarations: list[int] = self.setup.declarations.tolist()
         self._screen = Scope(self.setup) if self.render_mode is not None else None
         self._moves_voltage = options.moves_voltage
         self._samples, self._n_observed = options.samples_per_step, len(self.setup.chosen)
@@ -252,6 +250,18 @@ def whole_action(action: Any, count: int) -> int:
     if not 0 <= which < count:
         raise ValueError(f"action must be a whole number in 0 .. {count - 1}, got {action!r}")
     return which
+
+
+def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
+    """An action of a continuous space, or one for each sub-environment, as an array.
+
+    Raises:
+        ValueError: it has another shape, or a number that is not finite.
+    """
+    given = np.ascontiguousarray(action, dtype=np.float64)
+    if given.shape != shape or not np.isfinite(given).all():
+        raise ValueError(f"action must be finite and have shape {shape}, got {action!r}")
+    return given
 
 
 class DiscreteMotorEnv(MotorEnv):

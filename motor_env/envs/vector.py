@@ -194,8 +194,8 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         self.setup: Setup = make_setup(self.options)
         blocks = -(-self.num_envs // LANES)
         lanes = empty_lanes(blocks, blocks * LANES, self.options.precision)
-        _, self._words, self._marks, self._flags, _ = lanes
-        self._arrays = (*pack_task(self.setup.numbers), *lanes)
+        self._words, self._marks, self._flags = lanes.words, lanes.marks, lanes.flags
+        self._arrays = (*pack_task(self.setup.numbers, self.options.precision), *lanes)
         self._part_names = reward_parts(self.options)
         self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
         self._timing = (self.options.samples_per_step, self.autoreset_mode is AutoresetMode.NEXT_STEP)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,9 @@ class Runs(NamedTuple):
     right: NDArray[np.int64]
     onset: NDArray[np.int64]
     probing: FloatArray
+
+
+AnyRuns = TypeVar("AnyRuns", bound=NamedTuple)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +125,7 @@ def sweep(
         if says.any():
             verdict = _verdict(envs, declaration, step, right, onset)
             returns = np.where(says, waited + verdict, returns)
-            declared = np.where(says, envs.setup.declarations[declaration].astype(np.int64), declared)
+            declared = np.where(says, envs.setup.declarations[declaration], declared)
             steps[says] = step
             probing = np.where(says, probed / (step + 1), probing)
             alive &= ~says
@@ -154,9 +157,9 @@ def _verdict(
     return worth
 
 
-def joined(runs: Sequence[Runs]) -> Runs:
-    """Episodes of several seeds, one after the other."""
-    return Runs(*(np.concatenate(parts) for parts in zip(*runs, strict=True)))
+def joined(runs: Sequence[AnyRuns]) -> AnyRuns:
+    """Episodes of several seeds, one after the other; any tuple of arrays whose last axis is the episodes."""
+    return runs[0]._make(np.concatenate(parts, axis=-1) for parts in zip(*runs, strict=True))
 
 
 def interval(values: FloatArray) -> tuple[float, float]:

@@ -28,7 +28,6 @@ from motor_env import (
 from motor_env.envs import MonitorEnv, MonitorVectorEnv
 from motor_env.envs.base import Info
 from motor_env.envs.kernel import LANES, block_type
-from motor_env.envs.noise import case_of
 from motor_env.envs.setup import converged_gain
 from motor_env.envs.tasks import MEDIUM
 
@@ -249,7 +248,7 @@ def test_an_onset_is_the_draw_of_its_stream() -> None:
     """Geometric from the earliest sample on; the first sample that differs is the one after it."""
     envs = MonitorVectorEnv(60, mean_onset_s=0.004)
     _, info = envs.reset(seed=9)
-    u = uniforms(9, Stream.ONSET, case_of(np.arange(60), np.zeros(60, dtype=np.int64)), 1)[:, 0]
+    u = uniforms(9, Stream.ONSET, np.arange(60) << 32, 1)[:, 0]
     wanted = 100 + np.floor(np.log(u) / np.log(40.0 / 41.0)).astype(int)
     faulty = info["class_index"] > 0
     np.testing.assert_array_equal(info["onset_sample"], np.where(faulty, wanted, -1))
@@ -321,7 +320,7 @@ def test_noise_is_that_of_the_streams_and_a_start_that_of_the_simulation(precisi
     observed, _, states = rollout(env, seed=3, index=5)
     stall = 12.0 / PAPER_MOTOR.resistance_ohm
     noise = observed[1:, 0] * stall - states[:, 0]
-    case = case_of(np.array([5]), np.array([0]))
+    case = np.array([5 << 32])
     expected = normals(3, Stream.MEASUREMENT, case, 501)[0, 1:] * env.options.task.sensor.current_noise_a
     np.testing.assert_allclose(noise, expected, atol=2e-6)
     drawn = draw(env.options.task, 3, case)

@@ -23,9 +23,9 @@ from motor_env.envs import (
     Lqg,
     drive_episodes,
 )
+from motor_env.envs.baselines.evaluation import joined
 from motor_env.envs.drive.actions import LIMP, RUN, STOP
 from motor_env.envs.drive.env import REWARDS
-from motor_env.envs.drive.evaluation import joined_drives
 from motor_env.envs.drive.lanes import LANES
 from motor_env.envs.drive.options import LABELS
 from motor_env.envs.drive.policies import make_bank
@@ -491,7 +491,7 @@ def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
     ahead = bank.returns - fixed.returns
     assert ahead.mean() > 1.0 + 1.96 * ahead.std() / np.sqrt(40)
     np.testing.assert_array_equal(fixed.class_index, bank.class_index)
-    both = joined_drives([fixed, bank])
+    both = joined([fixed, bank])
     assert (both.returns.shape, both.parts.shape, both.class_index.shape) == ((80,), (6, 80), (80,))
     assert (clairvoyant.LIMP_FROM[:5], clairvoyant.STOP_FROM[0]) == ((0.0, 0.2, 0.35, 0.5, 0.7), 0.97)
     monkeypatch.setattr(clairvoyant, "LIMP_FROM", (0.35, 0.7))
