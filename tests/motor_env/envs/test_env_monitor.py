@@ -1,17 +1,12 @@
 """Monitor-v0: the contract of gymnasium, and the same physics and filter as everywhere else."""
 
-import warnings
 from dataclasses import replace
-from importlib.util import find_spec
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from scipy.signal import lfilter
 
-import motor_env  # noqa: F401  # registers the environments
 from motor_env import (
     PAPER_MOTOR,
     Channel,
@@ -39,13 +34,6 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 
 WAIT = 0
-
-
-def test_check_env_warns_of_nothing() -> None:
-    env = gym.make("motor_env/Monitor-v0")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env.unwrapped, skip_render_check=find_spec("pygame") is None)
 
 
 # To compile the steps of a vector in double precision, which nobody gets unasked, takes fifteen seconds.

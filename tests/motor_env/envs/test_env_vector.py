@@ -68,7 +68,7 @@ def test_every_lane_is_the_single_environment(
     count, steps = 70, 300  # more lanes than a block has, and several episodes
     envs = vector(count, autoreset_mode=mode, **options)
     actions = random_actions(envs.single_action_space, steps, count, seed=1)
-    assert_lanes_are_single(envs, single(**options), actions, "onset_sample")
+    assert_lanes_are_single(envs, single(**options), actions)
 
 
 @pytest.mark.parametrize("vector", [MonitorVectorEnv, ProbeVectorEnv, ProbeContinuousVectorEnv])
@@ -170,7 +170,7 @@ def test_a_uniform_random_policy_keeps_lanes_apart_from_each_other() -> None:
     actions = np.random.default_rng(0).integers(0, 4, (200, 130))
     seen = [envs.reset(seed=4)[0], *(envs.step(action)[0] for action in actions)]
     for index in (0, 63, 64, 129):
-        expected = follow(env, actions[:, index], 4, index, AutoresetMode.NEXT_STEP, "onset_sample")
+        expected = follow(env, actions[:, index], 4, index, AutoresetMode.NEXT_STEP)
         for mine, theirs in zip(seen, expected, strict=True):
             np.testing.assert_array_equal(mine[index], theirs[0])
 

@@ -54,21 +54,7 @@ def random_actions(steps: int, count: int) -> NDArray[np.float64]:
 def test_every_lane_is_the_single_environment(mode: AutoresetMode) -> None:
     count, actions = 12, random_actions(200, 12)
     envs = DriveVectorEnv(count, autoreset_mode=mode, **SHORT)
-    assert_lanes_are_single(envs, DriveEnv(**SHORT), actions, "severity")
-
-
-def test_disabled_autoreset_waits_for_the_mask() -> None:
-    envs = DriveVectorEnv(3, autoreset_mode="Disabled", **SHORT)
-    first, _ = envs.reset(seed=1)
-    stepped = envs.step(np.array([[0.5, RUN], [0.5, STOP], [0.5, RUN]]))
-    assert stepped[2].tolist() == [False, True, False]
-    with pytest.raises(gym.error.ResetNeeded):
-        envs.step(np.zeros((3, 2)))
-    mask = np.array([False, True, False])
-    after, info = envs.reset(options={"reset_mask": mask})
-    np.testing.assert_array_equal(after[[0, 2]], stepped[0][[0, 2]])
-    assert not np.array_equal(after[1], first[1])
-    assert info["_severity"].tolist() == mask.tolist()
+    assert_lanes_are_single(envs, DriveEnv(**SHORT), actions)
 
 
 def lane_of(env: DriveEnv) -> dict[str, float]:
