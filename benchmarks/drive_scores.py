@@ -19,9 +19,9 @@ from planned_drive import PlannedDrive
 from tables import keep_table
 
 from motor_env.envs import DriveVectorEnv, Lqg, drive_episodes
-from motor_env.envs.baselines.evaluation import interval
-from motor_env.envs.drive.evaluation import Drives, joined_drives
-from motor_env.envs.drive.policies import DrivePolicy
+from motor_env.envs.baselines.evaluation import interval, joined
+from motor_env.envs.baselines.policies import Player
+from motor_env.envs.drive.evaluation import Drives
 
 LEVELS = 8
 TUNING_SEED, SEEDS, EPISODES = 1, (11, 12, 13, 14, 15), 200
@@ -41,7 +41,7 @@ def make(task: str, count: int) -> DriveVectorEnv:
 
 
 def tuned(
-    envs: DriveVectorEnv, kind: Callable[..., DrivePolicy], grid: Mapping[str, tuple[Any, ...]]
+    envs: DriveVectorEnv, kind: Callable[..., Player], grid: Mapping[str, tuple[Any, ...]]
 ) -> dict[str, Any]:
     """The point of the grid with the best mean return."""
     points = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
@@ -67,7 +67,7 @@ def main(*, task: str = "Drive-v0") -> None:
     bank = partial(Lqg, levels=LEVELS)
     pi, best = tuned(tuning, PI, PI_GRID), tuned(tuning, bank, BANK_GRID)
     print(f"PI {pi}, bank {best}", flush=True)
-    policies: dict[str, DrivePolicy] = {
+    policies: dict[str, Player] = {
         "PI": PI(envs.setup, **pi),
         "LQG with integral action": Lqg(envs.setup),
         "voltage by the bank": bank(envs.setup, decides=False),
@@ -79,7 +79,7 @@ def main(*, task: str = "Drive-v0") -> None:
 
     def rows() -> Iterator[list[str]]:
         for name, policy in policies.items():
-            scored[name] = joined_drives([drive_episodes(envs, policy, seed) for seed in SEEDS])
+            scored[name] = joined([drive_episodes(envs, policy, seed) for seed in SEEDS])
             yield row(name, scored[name])
 
     keep_table("decisions", task, HEADER, rows())

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from motor_env.envs.baselines.policies import Observations
 from motor_env.envs.drive.actions import RUN
-from motor_env.envs.drive.policies import Observations, named
+from motor_env.envs.drive.policies import named
 from motor_env.envs.drive.setup import DriveSetup
 from motor_env.motor.parameters import FloatArray
 

@@ -20,7 +20,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from ppo import LEARNING_RATE, N_ENVS, N_STEPS, Learner, network
+from ppo import N_ENVS, Learner, train
 from safetensors.torch import load_file, save_file
 
 from motor_env.envs import (
@@ -28,6 +28,7 @@ from motor_env.envs import (
     Lqg,
     MaintainVectorEnv,
     PlannedUpkeep,
+    Policy,
     ReplaceFrom,
     drive_episodes,
     returns_of,
@@ -50,7 +51,6 @@ class Driven:
     def __init__(self, count: int) -> None:
         self.envs = DriveVectorEnv(count, autoreset_mode="SameStep")
         self.lqg = Lqg(self.envs.setup)
-        self.width = 2 * len(self.envs.setup.observed)
 
     def reset(self, seed: int) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin episodes."""
@@ -85,7 +85,7 @@ class Maintained(gym.vector.VectorWrapper[Any, Any, Any]):
     def __init__(self, count: int) -> None:
         super().__init__(MaintainVectorEnv(count, autoreset_mode="SameStep"))
         options = self.env.unwrapped.options  # type: ignore[attr-defined]  # ours
-        self.width, self._costs = 7, np.array([0.0, options.inspection_cost, options.replacement_cost])
+        self._costs = np.array([0.0, options.inspection_cost, options.replacement_cost])
         self._failure = options.failure_cost
 
     def reset(self, seed: int) -> Any:  # type: ignore[override]  # the learner always gives one
@@ -134,11 +134,10 @@ def driven_returns(choose: Any, seed: int) -> Floats:
     return total
 
 
-class Chosen(ReplaceFrom):
+class Chosen(Policy):
     """An agent as a policy of the maintenance."""
 
     def __init__(self, choose: Any) -> None:
-        super().__init__("risk", np.inf)
         self._choose = choose
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -193,38 +192,12 @@ class Decider(Learner):
     """The learner of ppo.py on such a task."""
 
     def __init__(self, task: Task, seed: int) -> None:
-        torch.manual_seed(seed)
-        self.envs, self.entropy = task.make(N_ENVS), task.entropy
-        self.width = self.envs.width
-        self.actor, self.critic = (
-            network(self.width, len(task.reluctance), 0.01),
-            network(self.width, 1, 1.0),
-        )
-        with torch.no_grad():
-            self.actor[-1].bias -= torch.tensor(task.reluctance)
-        self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
-        self.optimizer = torch.optim.Adam(self.parameters, LEARNING_RATE, eps=1e-5)
-        self.seen = torch.from_numpy(np.ascontiguousarray(self.envs.reset(seed=1000 + seed)[0]))
+        self.returns, self.entropy = task.returns, task.entropy
+        self.begin(task.make(N_ENVS), task.reluctance, seed)
 
-    @torch.no_grad()
-    def choose(self, seen: NDArray[np.float32]) -> NDArray[np.int64]:
-        """The likeliest actions."""
-        actions: NDArray[np.int64] = (
-            self.actor(torch.from_numpy(np.ascontiguousarray(seen))).argmax(1).numpy()
-        )
-        return actions
-
-
-def train(learner: Decider, task: Task, steps: int, points: int = 8) -> list[dict[str, float]]:
-    """The learning curve: mean return on validation episodes."""
-    rounds, curve = max(1, steps // (N_ENVS * N_STEPS)), []
-    for k in range(rounds):
-        learner.update(1.0 - k / rounds)
-        if (k + 1) * points // rounds > k * points // rounds:
-            mean, half = interval(task.returns(learner.choose, 800))
-            curve.append({"steps": (k + 1) * N_ENVS * N_STEPS, "mean_return": mean, "half_width": half})
-            print(f"{curve[-1]['steps']:>9} steps: {mean:+.3f} ± {half:.3f}", flush=True)  # noqa: T201
-    return curve
+    def validation(self) -> Floats:
+        """Returns of validation episodes."""
+        return self.returns(self.choose, 800)
 
 
 def main() -> None:
@@ -256,7 +229,7 @@ def main() -> None:
                 name.partition(".")[2]: each for name, each in weights.items() if name.startswith(f"{seed}.")
             }
             learner.actor.load_state_dict(own)
-        curve = [] if given.score else train(learner, task, steps)
+        curve = [] if given.score else train(learner, steps)
         ours = np.concatenate([task.returns(learner.choose, at) for at in SEEDS])
         ahead = {name: interval(ours - theirs) for name, theirs in rivals.items()}
         said = ", ".join(

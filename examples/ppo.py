@@ -17,7 +17,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
@@ -88,20 +90,21 @@ class Learner:
     entropy = ENTROPY
 
     def __init__(self, task: str, seed: int) -> None:
-        torch.manual_seed(seed)
         self.task = task
-        self.envs = PosteriorView(make(task, N_ENVS, autoreset_mode="SameStep"))
-        assert self.envs.single_observation_space.shape is not None  # noqa: S101  # a box
-        self.width, n_actions = (
-            self.envs.single_observation_space.shape[0],
-            int(self.envs.single_action_space.n),
-        )
-        self.actor, self.critic = network(self.width, n_actions, 0.01), network(self.width, 1, 1.0)
+        envs = PosteriorView(make(task, N_ENVS, autoreset_mode="SameStep"))
+        self.begin(envs, np.where(envs.belief.setup.declarations > 0, RELUCTANCE[task], 0.0), seed)
+
+    def begin(self, envs: Any, reluctance: Any, seed: int) -> None:
+        """Networks that at first are so reluctant to take each action, and the first observations."""
+        torch.manual_seed(seed)
+        self.envs = envs
+        self.seen = torch.from_numpy(np.ascontiguousarray(envs.reset(seed=1000 + seed)[0]))
+        self.width = self.seen.shape[1]
+        self.actor, self.critic = network(self.width, len(reluctance), 0.01), network(self.width, 1, 1.0)
         with torch.no_grad():
-            self.actor[-1].bias[n_actions - len(self.envs.belief.setup.kinds) :] -= RELUCTANCE[task]  # type: ignore[index,operator]
+            self.actor[-1].bias -= torch.tensor(reluctance)
         self.parameters = [*self.actor.parameters(), *self.critic.parameters()]
         self.optimizer = torch.optim.Adam(self.parameters, LEARNING_RATE, eps=1e-5)
-        self.seen = torch.from_numpy(self.envs.reset(seed=1000 + seed)[0])
 
     @torch.no_grad()
     def rollout(self) -> tuple[Tensor, ...]:
@@ -141,24 +144,31 @@ class Learner:
                 nn.utils.clip_grad_norm_(self.parameters, 0.5)
                 self.optimizer.step()
 
+    @torch.no_grad()
+    def choose(self, seen: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The likeliest actions."""
+        actions: NDArray[np.int64] = (
+            self.actor(torch.from_numpy(np.ascontiguousarray(seen))).argmax(1).numpy()
+        )
+        return actions
+
     def policy(self, envs: MotorVectorEnv) -> Policy:
         """The likeliest action."""
+        return Summarised(ProbeBelief(envs.setup), self.choose)
 
-        @torch.no_grad()
-        def choose(summary: Any) -> Any:
-            return self.actor(torch.from_numpy(summary)).argmax(1).numpy()
-
-        return Summarised(ProbeBelief(envs.setup), choose)
+    def validation(self) -> NDArray[np.float64]:
+        """Returns of validation episodes."""
+        envs = make(self.task, EPISODES // 2)
+        return run_episodes(envs, self.policy(envs), 800).returns
 
 
 def train(learner: Learner, steps: int, points: int = 8) -> list[dict[str, float]]:
     """The learning curve: mean return on validation episodes."""
-    rounds = max(1, steps // (N_ENVS * N_STEPS))
-    validation, curve = make(learner.task, EPISODES // 2), []
+    rounds, curve = max(1, steps // (N_ENVS * N_STEPS)), []
     for k in range(rounds):
         learner.update(1.0 - k / rounds)
         if (k + 1) * points // rounds > k * points // rounds:
-            mean, half = interval(run_episodes(validation, learner.policy(validation), 800).returns)
+            mean, half = interval(learner.validation())
             curve.append({"steps": (k + 1) * N_ENVS * N_STEPS, "mean_return": mean, "half_width": half})
             print(f"{curve[-1]['steps']:>9} steps: {mean:+.3f} ± {half:.3f}", flush=True)  # noqa: T201
     return curve

@@ -33,7 +33,7 @@ def main() -> None:
     given = parser.parse_args()
     env = gym.make(f"motor_env:{given.id}", render_mode="rgb_array")
     episode_of(env, given.label)
-    motor: MotorEnv[Any] = env.unwrapped  # type: ignore[assignment]  # ours
+    motor: MotorEnv = env.unwrapped  # type: ignore[assignment]  # ours
     probes, steps = "Probe" in given.id, motor.options.n_steps
     declare = len(motor.setup.offsets_v) - len(motor.setup.kinds) + ("winding" in given.label)
     frames = []

@@ -14,10 +14,10 @@ from motor_env.envs import kernel, layout, stepping
 from motor_env.envs.kernel import ROWS
 from motor_env.envs.layout import WordArray, empty_lanes, pack_task
 from motor_env.envs.options import MonitorOptions, Options, with_changes
-from motor_env.envs.rendering import Frame, Scope, Window
+from motor_env.envs.rendering import Scope, Window
 from motor_env.envs.setup import Setup, make_bank, make_setup
 from motor_env.motor.model import State
-from motor_env.motor.parameters import require
+from motor_env.motor.parameters import FloatArray, require
 
 Observation = NDArray[np.float32]
 Info = dict[str, Any]
@@ -70,6 +70,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         self.render_mode = render_mode
         self._seed: int | None = None
         self._window: Any = None
+        self._screen: Any = None  # what draws an episode: there is one with every render mode
         self._over = True
         self.options = with_changes(options, self.options_type, changes)
         self.observation_space, self.action_space = self._set_up()
@@ -80,10 +81,6 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
 
     def _begin(self) -> tuple[Observation, Info]:
         """Begin the next episode of the stream."""
-        raise NotImplementedError
-
-    def _frame(self) -> Frame:
-        """The screen, shape (height, width, 3)."""
         raise NotImplementedError
 
     def reset(
@@ -122,7 +119,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
                 "render() without a render_mode: give gym.make a render_mode, for example rgb_array"
             )
             return None
-        frame = self._frame()
+        frame = self._screen.draw()
         if self.render_mode == "rgb_array":
             return frame
         if self._window is None:
@@ -148,22 +145,18 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         self.observed = self.setup.observed
         numbers = self.setup.numbers
         if self.render_mode is not None:  # the picture shows the evidence of all kinds
-            bank, constants = (
-                make_bank(options, self.setup.belief.model, self.setup.rest),
-                numbers.constants.copy(),
-            )
+            bank = make_bank(options, self.setup.belief.model, self.setup.rest)
+            constants = numbers.constants.copy()
             constants[kernel.FULL] = 1.0
             numbers = numbers._replace(bank=bank, constants=constants)
         lanes = empty_lanes(1, 1, options.precision)
-        state, self._words, self._marks, _, drawn = lanes
-        self._severity = drawn.view(layout.DRAWN)["severity"]
-        self._block = state.view(kernel.block_type(options.precision))[0]
-        self._arrays = (*pack_task(numbers), *lanes)
+        self._state, self._words, self._marks, _, self._drawn = lanes
+        self._arrays = (*pack_task(numbers, options.precision), *lanes)
         self._parts = np.empty((4, 1))
         self._truth: Info = {}
         self._offsets_v: list[float] = self.setup.offsets_v.tolist()
-        self._declarations: list[int] = self.setup.declarations.astype(int).tolist()
-        self._scope = Scope(self.setup) if self.render_mode is not None else None
+        self._declarations: list[int] = self.setup.declarations.tolist()
+        self._screen = Scope(self.setup) if self.render_mode is not None else None
         self._moves_voltage = options.moves_voltage
         self._samples, self._n_observed = options.samples_per_step, len(self.setup.chosen)
         return observation_space(self.setup), self._actions()
@@ -177,15 +170,15 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         which, onset = self._marks.item(layout.CLASS_INDEX), self._marks.item(layout.RUNNING_ONSET)
         self._truth = {
             "label": self.setup.labels[which],
-            "severity": self._severity.item(),
+            "severity": self._drawn.item(0),
             "class_index": which,
             "onset_sample": onset,
         }
         observation = np.empty(len(self.setup.chosen), dtype=np.float32)
         stepping.observe(observation.reshape(-1, 1), *self._arrays)
         self._over = False
-        if self._scope is not None:
-            self._scope.clear()
+        if self._screen is not None:
+            self._screen.clear()
             self._show()
         return observation, {**self._truth, "fault_active": False}
 
@@ -196,9 +189,9 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         reward, self._over, fault_active, parts = stepping.step_single(
             offset_v, declared, self._samples, observation, self._parts, *self._arrays
         )
-        if self._scope is not None:
+        if self._screen is not None:
             if self._over:
-                self._scope.verdict, self._scope.good = self._verdict(self._marks.item(layout.DECLARED))
+                self._screen.verdict, self._screen.good = self._verdict(self._marks.item(layout.DECLARED))
             self._show()
         info = {
             **self._truth,
@@ -212,7 +205,8 @@ class MotorEnv(StreamEnv[MonitorOptions]):
 
     def _now(self, field: str) -> Any:
         """A field of the lane, see `kernel.block_type`."""
-        return self._block[field][..., 0].tolist()
+        block = self._state.view(kernel.block_type(self.options.precision))[0]
+        return block[field][..., 0].tolist()
 
     def _verdict(self, declared: int) -> tuple[str, bool]:
         """How the episode ended, in words, and whether well."""
@@ -228,9 +222,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
 
     def _show(self) -> None:
         """Let the scope see the sample; in a window, draw it."""
-        scope = self._scope
-        assert scope is not None  # noqa: S101  # the caller looked
-        rest = self.setup.rest
+        scope, rest = self._screen, self.setup.rest
         scope.add(
             self._now("measured_current") + rest[State.CURRENT],
             self._now("estimated_current") + rest[State.CURRENT],
@@ -243,10 +235,6 @@ class MotorEnv(StreamEnv[MonitorOptions]):
             scope.onset_step = self._truth["onset_sample"] // self._samples
         if self.render_mode == "human" and scope.step % scope.per_column == 0:
             self.render()
-
-    def _frame(self) -> Frame:
-        assert self._scope is not None  # noqa: S101  # there is one with every render mode
-        return self._scope.draw()
 
 
 def whole_action(action: Any, count: int) -> int:
@@ -262,6 +250,18 @@ def whole_action(action: Any, count: int) -> int:
     if not 0 <= which < count:
         raise ValueError(f"action must be a whole number in 0 .. {count - 1}, got {action!r}")
     return which
+
+
+def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
+    """An action of a continuous space, or one for each sub-environment, as an array.
+
+    Raises:
+        ValueError: it has another shape, or a number that is not finite.
+    """
+    given = np.ascontiguousarray(action, dtype=np.float64)
+    if given.shape != shape or not np.isfinite(given).all():
+        raise ValueError(f"action must be finite and have shape {shape}, got {action!r}")
+    return given
 
 
 class DiscreteMotorEnv(MotorEnv):

@@ -1,7 +1,7 @@
 """Lanes and tasks: the arrays that the compiled step reads and writes, beside the fields of the kernel.
 
 A call from Python to compiled code costs 0.1 us an array, and ten times that for a named tuple. So a step is called
-with few arrays, of which `unpack_task` and `unpack_lanes` make the tuples that the compiled functions pass around.
+with few arrays, of which `unpack_task` and `Lanes` make the tuples that the compiled functions pass around.
 """
 
 from __future__ import annotations
@@ -101,14 +101,9 @@ class Lanes(NamedTuple):
     drawn: FloatArray
 
 
-TaskArrays = tuple[FloatArray, FloatArray]
-LaneArrays = tuple[FloatArray, WordArray, MarkArray, BoolArray, FloatArray]
-
-
-def pack_task(task: TaskNumbers) -> TaskArrays:
+def pack_task(task: TaskNumbers, precision: str) -> tuple[FloatArray, FloatArray]:
     """The two arrays with which a compiled step is called."""
     parts = [task.constants, task.bank.ravel(), task.features.ravel(), task.motors.ravel()]
-    precision = task.constants.dtype
     return np.concatenate(parts).astype(precision), np.concatenate([task.prior, task.classes.ravel()])
 
 
@@ -198,7 +193,7 @@ def random_words(
     return made
 
 
-def empty_lanes(blocks: int, lanes: int, precision: str) -> LaneArrays:
+def empty_lanes(blocks: int, lanes: int, precision: str) -> Lanes:
     """Lanes that run no episode yet."""
     state = aligned_zeros((blocks * kernel.BLOCK,), precision)
     by_name = state.view(kernel.block_type(precision))
@@ -206,12 +201,4 @@ def empty_lanes(blocks: int, lanes: int, precision: str) -> LaneArrays:
     marks = np.zeros((ROW + 1, lanes), dtype=np.int32)
     marks[ROW] = kernel.ROWS
     words, flags = empty_streams(lanes)
-    return state, words, marks, flags, np.zeros((lanes, DRAWN_LENGTH))
-
-
-@inlined
-def unpack_lanes(
-    state: FloatArray, words: WordArray, marks: MarkArray, flags: BoolArray, drawn: FloatArray
-) -> Lanes:
-    """The lanes of `empty_lanes`."""
-    return Lanes(state, words, marks, flags, drawn)
+    return Lanes(state, words, marks, flags, np.zeros((lanes, DRAWN_LENGTH)))

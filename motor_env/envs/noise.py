@@ -1,7 +1,8 @@
 """Standard normals for many lanes at once, four rows at a time.
 
-Normal number q of an episode is number q of `random_streams.normals(seed, Stream.MEASUREMENT, case)` with the case that
-`case_of` gives, so it depends on (seed, sub-environment, episode, q) alone. A sample takes one for each channel.
+Normal number q of an episode is number q of `random_streams.normals(seed, Stream.MEASUREMENT, case)` with the case
+(sub-environment << 32) | episode, so it depends on (seed, sub-environment, episode, q) alone. A sample takes one for
+each channel.
 
 A lane may stand anywhere in its episode while all lanes are refilled at the same time. Four normals come from one
 counter, so the next normal of a lane may be in the middle of four. Each lane therefore keeps the four that were made
@@ -12,7 +13,6 @@ episode costs one counter, or two: what it finds in the rows that are left.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motor_env.envs.compiling import compiled_with_arrays, inlined
 from motor_env.envs.kernel import LANES, ROWS, Block
@@ -20,12 +20,6 @@ from motor_env.envs.layout import CASE_HIGH, CASE_LOW, SEED_HIGH, SEED_LOW, Word
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
 _STREAM = np.uint32(Stream.MEASUREMENT)
-
-
-def case_of(index: NDArray[np.int64], episode: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The case of an episode of a sub-environment, in every stream."""
-    cases: NDArray[np.int64] = (index << 32) | episode
-    return cases
 
 
 @inlined

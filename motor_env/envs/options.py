@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -113,21 +113,13 @@ class MonitorOptions:
     confirm_steps: int = 1
     precision: Precision = Precision.FLOAT32
     observe: tuple[str, ...] = ()
-
-    @property
-    def moves_voltage(self) -> bool:
-        """Whether actions can change the voltage: a monitor's cannot."""
-        return False
+    moves_voltage: ClassVar[bool] = False
+    """Whether actions can change the voltage; if so, the usual observation has the evidence of the bank of filters."""
 
     @property
     def offsets_v(self) -> tuple[float, ...]:
         """Offsets that the actions add to the supply's voltage: a monitor has none but 0."""
         return (0.0,)
-
-    @property
-    def max_offset_v(self) -> float:
-        """Largest offset: a monitor makes none."""
-        return 0.0
 
     @property
     def probe_cost_per_v2_s(self) -> float:
@@ -138,11 +130,6 @@ class MonitorOptions:
     def energy_cost_per_j(self) -> float:
         """Price of electrical energy: a monitor has no say in it."""
         return 0.0
-
-    @property
-    def shows_evidence(self) -> bool:
-        """Whether the usual observation has the evidence of the bank of filters: a monitor may ask for it by name."""
-        return False
 
     def __post_init__(self) -> None:
         require_numbers(self)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
 
 from motor_env.envs import stepping
-from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation
+from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation, finite_action
 from motor_env.envs.options import LARGEST_REWARD, LARGEST_V, MonitorOptions
 from motor_env.envs.setup import Setup
 from motor_env.envs.vector import DiscreteVectorEnv, MotorVectorEnv
@@ -49,16 +49,7 @@ class ProbeOptions(MonitorOptions):
     max_offset_v: float = 2.0
     probe_cost_per_v2_s: float = 2.0
     energy_cost_per_j: float = 0.0
-
-    @property
-    def moves_voltage(self) -> bool:
-        """Whether actions can change the voltage."""
-        return True
-
-    @property
-    def shows_evidence(self) -> bool:
-        """Whether the usual observation has the evidence of the bank of filters."""
-        return True
+    moves_voltage: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         MonitorOptions.__post_init__(self)
@@ -142,6 +133,7 @@ class ProbeContinuousEnv(MotorEnv):
     """
 
     options_type = ProbeOptions
+    options: ProbeOptions
 
     def _actions(self) -> spaces.Space[Any]:
         return _continuous_actions(self.setup)
@@ -152,7 +144,7 @@ class ProbeContinuousEnv(MotorEnv):
         Raises:
             ValueError: the action has another shape, or a value that is not finite.
         """
-        given = _checked(action, self.action_space.shape)
+        given = finite_action(action, self.action_space.shape)
         offset_v, declared = stepping.decode_continuous(given, self.options.max_offset_v)
         return self._advance(offset_v, declared)
 
@@ -161,20 +153,14 @@ class ProbeContinuousVectorEnv(MotorVectorEnv):
     """Vector of `ProbeContinuousEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = ProbeOptions
+    options: ProbeOptions
 
     def _actions(self) -> spaces.Space[Any]:
         return _continuous_actions(self.setup)
 
     def _step_lanes(self, actions: Any, *outputs: np.ndarray[Any, Any]) -> int:
-        array = _checked(actions, self.action_space.shape)
+        array = finite_action(actions, self.action_space.shape)
         n_over: int = stepping.step_continuous(
             array, self.options.max_offset_v, *self._timing, *outputs, *self._arrays
         )
         return n_over
-
-
-def _checked(action: Any, shape: tuple[int, ...] | None) -> np.ndarray[Any, np.dtype[np.float64]]:
-    given = np.ascontiguousarray(action, dtype=np.float64)
-    if given.shape != shape or not np.isfinite(given).all():
-        raise ValueError(f"action must be finite and have shape {shape}, got {action!r}")
-    return given

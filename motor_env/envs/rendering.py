@@ -93,12 +93,6 @@ def mark_moment(frame: Frame, x: int) -> None:
     frame[TOP : HEIGHT - 30 : 3, x : x + 2] = COLOURS["onset"]
 
 
-def _rows(values: FloatArray, low: float, high: float, height: int) -> NDArray[np.int64]:
-    share = np.clip((values - low) / (high - low), 0.0, 1.0)
-    rows: NDArray[np.int64] = np.round((1.0 - share) * (height - 1)).astype(np.int64)
-    return rows
-
-
 def draw_trace(
     panel: Frame,
     values: FloatArray,
@@ -111,7 +105,8 @@ def draw_trace(
     """Draw values, one to a column of the panel (a NaN is left out), as a line; the first `skip` only join it."""
     low, high = limits
     good = np.isfinite(values)
-    rows = _rows(np.where(good, values, low), low, high, panel.shape[0])
+    share = np.clip((np.where(good, values, low) - low) / (high - low), 0.0, 1.0)
+    rows = np.round((1.0 - share) * (panel.shape[0] - 1)).astype(np.int64)
     before = np.concatenate([rows[:1], rows[:-1]])
     before = np.where(np.concatenate([good[:1], good[:-1]]), before, rows)
     first, last = np.minimum(rows, before), np.maximum(rows, before)

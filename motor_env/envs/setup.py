@@ -52,7 +52,7 @@ class Setup(NamedTuple):
     chosen: NDArray[np.int64]
     observed: tuple[str, ...]
     offsets_v: FloatArray
-    declarations: FloatArray
+    declarations: NDArray[np.int64]
     labels: tuple[str, ...]
     right_declarations: NDArray[np.int64]
 
@@ -100,7 +100,7 @@ def make_setup(options: MonitorOptions) -> Setup:
     names = [name for name in features if name not in unmeasured]
     for name in options.observe:
         require(name in names, f"observe must name features among {', '.join(names)}, got {name!r}")
-    usual = [name for name in names if options.shows_evidence or not name.startswith("evidence")]
+    usual = [name for name in names if options.moves_voltage or not name.startswith("evidence")]
     view, observed = _view(options, rest, features), options.observe or tuple(usual)
     chosen = [features.index(name) for name in observed]
     offsets: tuple[float, ...] = options.offsets_v
@@ -122,7 +122,7 @@ def make_setup(options: MonitorOptions) -> Setup:
         chosen=np.array(chosen, dtype=np.int64),
         observed=observed,
         offsets_v=np.array([*offsets, *(0.0 for _ in kinds)]),
-        declarations=np.array([0.0] * len(offsets) + [1.0 + m for m in range(len(kinds))]),
+        declarations=np.array([0] * len(offsets) + [1 + m for m in range(len(kinds))]),
         labels=labels,
         right_declarations=np.array(right),
     )
@@ -138,10 +138,7 @@ def _numbers(
     prior, classes = make_prior(options, belief, rest, right, len(view))
     motors = np.zeros((len(classes), options.n_levels + 1, kernel.ROW_LENGTH))
     numbers = TaskNumbers(constants, bank, view, motors, prior, classes)
-    in_precision = [
-        array.astype(options.precision) for array in (constants, bank, view, motor_table(numbers))
-    ]
-    return TaskNumbers(in_precision[0], in_precision[1], in_precision[2], in_precision[3], prior, classes)
+    return numbers._replace(motors=motor_table(numbers))
 
 
 def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: float) -> FloatArray:

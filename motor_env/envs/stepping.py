@@ -15,7 +15,7 @@ from motor_env.envs import kernel, layout
 from motor_env.envs.compiling import compiled, fixed_tuple, inlined
 from motor_env.envs.drawing import begin_state, draw_episode, set_motor
 from motor_env.envs.kernel import LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Block, Constants, Model, block_of
-from motor_env.envs.layout import BoolArray, Lanes, TaskNumbers, unpack_lanes, unpack_task
+from motor_env.envs.layout import BoolArray, Lanes, TaskNumbers, unpack_task
 from motor_env.envs.noise import begin_noise, refill
 from motor_env.motor.parameters import FloatArray
 
@@ -36,10 +36,7 @@ def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, firs
             s.next_change[j] = due if level < p.n_levels else kernel.NEVER
             lanes.flags[layout.FAULT_ACTIVE, first + j] = True
         if s.time[j] < p.horizon:
-            quiet = min(
-                quiet,
-                min(s.next_change[j], p.horizon) - s.time[j],
-            )
+            quiet = min(quiet, min(s.next_change[j], p.horizon) - s.time[j])
     lanes.marks[layout.QUIET, first] = int(quiet)
 
 
@@ -137,13 +134,11 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
 @compiled
 def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays: Any) -> None:
     """Let the lanes of the mask begin their next episodes."""
-    task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
+    task, lanes = unpack_task(numbers, prior), Lanes(*arrays)
     row = lanes.marks[layout.ROW, 0]
     for n in range(mask.shape[0]):
         if mask[n]:
-            block, j = n // LANES, n % LANES
-            s = block_of(lanes.state, block)
-            _begin_lane(s, j, task, lanes, n, row)
+            _begin_lane(block_of(lanes.state, n // LANES), n % LANES, task, lanes, n, row)
 
 
 @inlined
@@ -161,7 +156,7 @@ def _observe_block(s: Block, view: FloatArray, observation: Float32Array, first:
 @compiled
 def observe(observation: Float32Array, numbers: FloatArray, prior: FloatArray, *arrays: Any) -> None:
     """Write the observed features of all lanes, one row a feature."""
-    task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
+    task, lanes = unpack_task(numbers, prior), Lanes(*arrays)
     for first in range(0, observation.shape[1], LANES):
         s = block_of(lanes.state, first // LANES)
         _observe_block(s, task.features, observation, first, min(LANES, observation.shape[1] - first))
@@ -331,7 +326,7 @@ def step_discrete(
 
     `arrays` are those that `_step_lanes` writes, the task, and the lanes.
     """
-    lanes = unpack_lanes(*arrays[5:])
+    lanes = Lanes(*arrays[5:])
     if not lay_discrete(lanes, actions, offsets_v, n_offsets):
         return -1
     return int(_step_lanes(lanes, len(actions), samples, next_step, *arrays[:5]))
@@ -340,7 +335,7 @@ def step_discrete(
 @compiled
 def step_continuous(actions: FloatArray, reach_v: float, samples: int, next_step: bool, *arrays: Any) -> int:
     """A step of all lanes with a row of actions for each, see `decode_continuous`; how many are over."""
-    lanes = unpack_lanes(*arrays[5:])
+    lanes = Lanes(*arrays[5:])
     for n in range(actions.shape[0]):
         offset_v, declared = decode_continuous(actions[n], reach_v)
         block_of(lanes.state, n // LANES).voltage[n % LANES] = offset_v
@@ -366,7 +361,7 @@ def step_single(
     Returns:
         Reward, end, whether a fault acts, and the four parts of the reward.
     """
-    task, lanes = unpack_task(numbers, prior), unpack_lanes(*arrays)
+    task, lanes = unpack_task(numbers, prior), Lanes(*arrays)
     p, s = Constants(*fixed_tuple(task.constants, N_CONSTANTS)), block_of(lanes.state, 0)
     s.voltage[0], lanes.marks[layout.DECLARED, 0] = offset_v, declared
     if p.confirm > 1.0:

@@ -36,6 +36,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
     options_type: type[Options]
     _words: WordArray
     _flags: BoolArray
+    _part_names: tuple[str, ...]
 
     def __init__(
         self,
@@ -75,13 +76,22 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         """Begin the next episode of the sub-environments in the mask."""
         raise NotImplementedError
 
-    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
-        """Observation and info as the lanes stand."""
+    def _observe(self) -> Observation:
+        """Observation as the lanes stand."""
         raise NotImplementedError
 
-    def _step(self, actions: Any) -> tuple[Step, int]:
-        """A step of every sub-environment, and how many episodes it ended."""
+    def _truth(self, active: BoolArray) -> Info:
+        """The truth as the lanes stand, for those who score; what decides must not read it."""
         raise NotImplementedError
+
+    def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
+        """A step of every sub-environment: observation, reward, its parts, and how many episodes it ended."""
+        raise NotImplementedError
+
+    def _info(self, flags: BoolArray, rewards: Info) -> Info:
+        """The truth and the parts of the reward, and where they are known."""
+        told, known = self._truth(flags[layout.FAULT_ACTIVE]) | rewards, flags[layout.KNOWN]
+        return told | {f"_{name}": known for name in told}
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -104,7 +114,9 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         super().reset(seed=seed if isinstance(seed, int) else None)
         self._take_seeds(seed, mask)
         self._begin(mask)
-        return self._observed(mask)
+        flags = self._flags[:, : self.num_envs].copy()
+        flags[layout.KNOWN] = mask
+        return self._observe(), self._info(flags, {})
 
     def _checked_mask(self, mask: Any) -> BoolArray:
         if mask is None:
@@ -149,26 +161,25 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
             raise gym.error.ResetNeeded("call reset() before step()")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._flags[layout.TERMINATED].any():
             raise gym.error.ResetNeeded("autoreset is disabled: reset the sub-environments that are over")
-        (observation, reward, terminated, truncated, info), n_over = self._step(actions)
+        observation, reward, parts, n_over = self._step(actions)
+        flags = self._flags[:, : self.num_envs].copy()
+        over, rewards = flags[layout.TERMINATED], {name: parts[m] for m, name in enumerate(self._part_names)}
+        info = self._info(flags, rewards)
         if n_over > 0 and self.autoreset_mode is AutoresetMode.SAME_STEP:
-            observation, info = self._reset_same_step(observation, info, terminated)
-        return observation, reward, terminated, truncated, info
+            final = self._final(observation, info, over)
+            self._begin(over)
+            observation = self._observe()
+            info = self._info(self._flags[:, : self.num_envs].copy(), rewards) | final
+        return observation, reward, over, flags[layout.TRUNCATED], info
 
-    def _reset_same_step(
-        self, last: Observation, last_info: Info, over: BoolArray
-    ) -> tuple[Observation, Info]:
-        """Begin the next episodes at once; the last observations and infos go into the info, in gymnasium's form."""
-        self._begin(over)
-        final = np.full(self.num_envs, None, dtype=object)
+    def _final(self, last: Observation, last_info: Info, over: BoolArray) -> Info:
+        """The last observations and infos of the episodes that are over, in gymnasium's form."""
+        observations, known = np.full(self.num_envs, None, dtype=object), over.copy()
         ended = np.flatnonzero(over)
         for n, row in zip(ended.tolist(), last[ended], strict=True):
-            final[n] = row
-        masks = {name: over.copy() for name in last_info if name.startswith("_")}
-        observation, info = self._observed()
-        info.update({name: value for name, value in last_info.items() if "reward" in name})
-        info.update(final_obs=final, _final_obs=over.copy(), final_info={**last_info, **masks})
-        info["_final_info"] = over.copy()
-        return observation, info
+            observations[n] = row
+        info = last_info | {name: known for name in last_info if name.startswith("_")}
+        return {"final_obs": observations, "_final_obs": known, "final_info": info, "_final_info": known}
 
 
 class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
@@ -181,7 +192,13 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup: Setup = make_setup(self.options)
-        self._allocate()
+        blocks = -(-self.num_envs // LANES)
+        lanes = empty_lanes(blocks, blocks * LANES, self.options.precision)
+        self._words, self._marks, self._flags = lanes.words, lanes.marks, lanes.flags
+        self._arrays = (*pack_task(self.setup.numbers, self.options.precision), *lanes)
+        self._part_names = reward_parts(self.options)
+        self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
+        self._timing = (self.options.samples_per_step, self.autoreset_mode is AutoresetMode.NEXT_STEP)
         return observation_space(self.setup), self._actions()
 
     def _actions(self) -> spaces.Space[Any]:
@@ -192,68 +209,34 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         """Label kind of every class: what the info's `class_index` points at."""
         return self.setup.labels
 
-    @property
-    def right_declaration(self) -> NDArray[np.int64]:
-        """Number of the kind that is right for every class, 0 for healthy, as `setup.declarations` counts them."""
-        return self.setup.right_declarations
-
-    def _allocate(self) -> None:
-        blocks = -(-self.num_envs // LANES)
-        lanes = empty_lanes(blocks, blocks * LANES, self.options.precision)
-        _, self._words, self._marks, self._flags, _ = lanes
-        self._arrays = (*pack_task(self.setup.numbers), *lanes)
-        self._part_names = reward_parts(self.options)
-        self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
-        self._timing = (self.options.samples_per_step, self.autoreset_mode is AutoresetMode.NEXT_STEP)
-
     def _begin(self, mask: BoolArray) -> None:
         if mask.all():
             self._marks[layout.ROW] = ROWS
         stepping.begin_lanes(mask, *self._arrays)
 
-    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
-        observation, _ = self._empty()
+    def _observe(self) -> Observation:
+        observation = self._empty()
         stepping.observe(observation, *self._arrays)
-        flags = self._flags[:, : self.num_envs].copy()
-        if known is not None:
-            flags[layout.KNOWN] = known
-        return observation.T[: self.num_envs], self._info(flags)
+        return observation.T[: self.num_envs]
 
-    def _empty(self) -> tuple[NDArray[np.float32], FloatArray]:
-        """Fresh arrays for observation and reward of all lanes, those that fill the last block too."""
-        lanes = self._flags.shape[1]
-        return np.empty((len(self.setup.chosen), lanes), dtype=np.float32), np.empty(lanes)
+    def _empty(self) -> NDArray[np.float32]:
+        """A fresh array for the observation of all lanes, those that fill the last block too."""
+        return np.empty((len(self.setup.chosen), self._flags.shape[1]), dtype=np.float32)
 
-    def _info(self, flags: BoolArray) -> Info:
-        """The truth, for those who score; what decides must not read it."""
-        known, truth = flags[layout.KNOWN], self._marks[: layout.RUNNING_ONSET + 1, : self.num_envs].copy()
-        return {
-            "class_index": truth[0],
-            "_class_index": known,
-            "onset_sample": truth[1],
-            "_onset_sample": known,
-            "fault_active": flags[layout.FAULT_ACTIVE],
-            "_fault_active": known,
-        }
+    def _truth(self, active: BoolArray) -> Info:
+        marks = self._marks[: layout.RUNNING_ONSET + 1, : self.num_envs].copy()
+        return {"class_index": marks[0], "onset_sample": marks[1], "fault_active": active}
+
+    def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
+        observation = self._empty()
+        reward = np.empty(observation.shape[1])
+        parts = np.empty((len(self._part_names), len(reward)))
+        n_over = self._step_lanes(actions, observation, reward, parts)
+        n = self.num_envs
+        return observation.T[:n], reward[:n], parts[:, :n], n_over
 
     def _step_lanes(self, actions: Any, *outputs: NDArray[Any]) -> int:
         raise NotImplementedError
-
-    def _step(self, actions: Any) -> tuple[Step, int]:
-        lanes, reward = self._empty()
-        parts = np.empty((len(self._part_names), len(reward)))
-        n_over = self._step_lanes(actions, lanes, reward, parts)
-        flags = self._flags[:, : self.num_envs].copy()
-        observation, info = lanes.T[: self.num_envs], self._info(flags)
-        for name, part in zip(self._part_names, parts, strict=True):
-            info[name], info[f"_{name}"] = part[: self.num_envs], flags[layout.KNOWN]
-        return (
-            observation,
-            reward[: self.num_envs],
-            flags[layout.TERMINATED],
-            flags[layout.TRUNCATED],
-            info,
-        ), n_over
 
 
 def whole_actions(actions: Any, num_envs: int) -> NDArray[np.int64]:

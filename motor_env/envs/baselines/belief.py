@@ -261,7 +261,7 @@ class ProbeBelief:
         An agent that knows the posterior learns from it as from the true reward, only sooner (Rao-Blackwell).
         """
         setup, options = self.setup, self.setup.options
-        declared = setup.declarations[actions].astype(np.int64)
+        declared = setup.declarations[actions]
         faulty = self.kinds.sum(axis=1)
         right = np.where(declared > 0, self.kinds[np.arange(len(actions)), declared - 1], 0.0)
         verdict = right * options.correct_reward - (faulty - right) * options.wrong_kind_cost

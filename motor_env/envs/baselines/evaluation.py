@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,9 @@ class Runs(NamedTuple):
     right: NDArray[np.int64]
     onset: NDArray[np.int64]
     probing: FloatArray
+
+
+AnyRuns = TypeVar("AnyRuns", bound=NamedTuple)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +84,7 @@ def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
     """Monitors and probes: play one episode of a policy in each sub-environment."""
     count = envs.num_envs
     observations, info = envs.reset(seed=seed)
-    right, onset = envs.right_declaration[info["class_index"]], info["onset_sample"]
+    right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
     policy.start(count)
     returns, probing = np.zeros((2, count))
     steps, declared, lengths = np.zeros((3, count), dtype=np.int64)
@@ -110,7 +113,7 @@ def sweep(
     """
     count, limits = envs.num_envs, np.asarray(thresholds, dtype=np.float64)[:, None]
     observations, info = envs.reset(seed=seed)
-    right, onset = envs.right_declaration[info["class_index"]], info["onset_sample"]
+    right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
     policy.start(count)
     waited, probed = np.zeros((2, count))
     returns, probing = np.zeros((2, len(limits), count))
@@ -122,7 +125,7 @@ def sweep(
         if says.any():
             verdict = _verdict(envs, declaration, step, right, onset)
             returns = np.where(says, waited + verdict, returns)
-            declared = np.where(says, envs.setup.declarations[declaration].astype(np.int64), declared)
+            declared = np.where(says, envs.setup.declarations[declaration], declared)
             steps[says] = step
             probing = np.where(says, probed / (step + 1), probing)
             alive &= ~says
@@ -154,9 +157,9 @@ def _verdict(
     return worth
 
 
-def joined(runs: Sequence[Runs]) -> Runs:
-    """Episodes of several seeds, one after the other."""
-    return Runs(*(np.concatenate(parts) for parts in zip(*runs, strict=True)))
+def joined(runs: Sequence[AnyRuns]) -> AnyRuns:
+    """Episodes of several seeds, one after the other; any tuple of arrays whose last axis is the episodes."""
+    return runs[0]._make(np.concatenate(parts, axis=-1) for parts in zip(*runs, strict=True))
 
 
 def interval(values: FloatArray) -> tuple[float, float]:

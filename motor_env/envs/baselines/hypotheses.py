@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.envs.options import Drive, MonitorOptions, Start
+from motor_env.envs.options import Drive, Start
 from motor_env.envs.setup import Setup, converged_gain
 from motor_env.motor.faults import FaultKind, apply_faults
 from motor_env.motor.model import Input, discretize
@@ -45,19 +45,7 @@ def known_faults(setup: Setup) -> list[int]:
     Raises:
         ValueError: the task is another one; the sentence says why.
     """
-    options = setup.options
-    _require_known_motor(options)
-    return [m for m, c in enumerate(options.task.classes) if c.kind is not None]
-
-
-def kind_matrix(setup: Setup, classes: list[int]) -> FloatArray:
-    """1 where a class has the verdict, shape (n_classes, n_kinds)."""
-    verdicts = [FaultKind(setup.labels[m]).verdict for m in classes]
-    return np.array([[v == kind for kind in setup.kinds] for v in verdicts], dtype=np.float64)
-
-
-def _require_known_motor(options: MonitorOptions) -> None:
-    recipe = options.task
+    options, recipe = setup.options, setup.options.task
     require(not recipe.spread.std.any(), f"recipe {recipe.name} must have no spread for the exact posterior")
     noisy = any(kind.changes_noise for kind in recipe.kinds)
     require(not noisy, "the exact posterior knows no noise faults")
@@ -69,6 +57,13 @@ def _require_known_motor(options: MonitorOptions) -> None:
     require(options.growth_s == 0.0, f"growth_s must be 0 for the exact posterior, got {options.growth_s:g}")
     require(recipe.sensor.channels == (Channel.CURRENT,), "the exact posterior reads the current alone")
     require(options.mean_onset_s > 0.0 and math.isfinite(options.mean_onset_s), "mean_onset_s must be > 0")
+    return [m for m, c in enumerate(recipe.classes) if c.kind is not None]
+
+
+def kind_matrix(setup: Setup, classes: list[int]) -> FloatArray:
+    """1 where a class has the verdict, shape (n_classes, n_kinds)."""
+    verdicts = [FaultKind(setup.labels[m]).verdict for m in classes]
+    return np.array([[v == kind for kind in setup.kinds] for v in verdicts], dtype=np.float64)
 
 
 def sample_model(setup: Setup, fault_class: int | None) -> FloatArray:

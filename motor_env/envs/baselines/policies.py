@@ -185,9 +185,8 @@ class BankPolicy(_Isolating):
     def __init__(self, setup: Setup, threshold: float) -> None:
         super().__init__(setup)
         self.threshold = threshold
-        self._scale = EVIDENCE_SCALE
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
         """The largest log-likelihood ratio."""
-        evidence = observations[:, self._columns].max(axis=1) / self._scale
+        evidence = observations[:, self._columns].max(axis=1) / EVIDENCE_SCALE
         return evidence.astype(np.float64), self._isolate(observations)

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from motor_env.envs.base import whole_action
+from motor_env.envs.base import finite_action, whole_action
 from motor_env.envs.drive.options import Control
 from motor_env.envs.vector import whole_actions
 from motor_env.motor.parameters import FloatArray
@@ -17,7 +17,6 @@ from motor_env.motor.parameters import FloatArray
 RUN, LIMP, STOP = -1.0, 0.25, 1.0
 """Second entry of a command, whose first is the voltage in units of its limit."""
 DECISIONS = np.array([RUN, LIMP, STOP])
-_REFUSED = "action must be finite and have shape {}, got {!r}"
 _WIDTH = {Control.VOLTAGE_AND_DECISION: 2, Control.VOLTAGE_LIMP_STOP: 3}
 
 
@@ -39,7 +38,7 @@ def command(control: Control, action: Any) -> FloatArray:
     given = np.array(action, dtype=np.float64)
     width = _WIDTH[control]
     if given.shape != (width,) or not all(map(math.isfinite, given.tolist())):
-        raise ValueError(_REFUSED.format((width,), action))
+        raise ValueError(f"action must be finite and have shape {(width,)}, got {action!r}")
     return _from_numbers(given.reshape(1, width))
 
 
@@ -56,7 +55,7 @@ def commands(control: Control, actions: Any, count: int) -> FloatArray:
                 f"actions must be in 0 .. {len(DECISIONS) - 1}, got {whole.min()} .. {whole.max()}"
             )
         return _decided(whole)
-    return _from_numbers(_checked(actions, (count, _WIDTH[control])))
+    return _from_numbers(finite_action(actions, (count, _WIDTH[control])))
 
 
 def as_actions(control: Control, given: FloatArray) -> NDArray[Any]:
@@ -66,13 +65,6 @@ def as_actions(control: Control, given: FloatArray) -> NDArray[Any]:
         return np.array(np.searchsorted(DECISIONS, decision))
     if control is Control.VOLTAGE_LIMP_STOP:
         return np.stack([volts, np.sign(decision), np.where(decision == STOP, 1.0, -1.0)], axis=1)
-    return given
-
-
-def _checked(action: Any, shape: tuple[int, ...]) -> FloatArray:
-    given = np.ascontiguousarray(action, dtype=np.float64)
-    if given.shape != shape or not np.isfinite(given).all():
-        raise ValueError(_REFUSED.format(shape, action))
     return given
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from motor_env.envs import layout
 from motor_env.envs.compiling import fixed_tuple, inlined
 from motor_env.envs.drive.lanes import N_CONSTANTS, Block, Lanes, Task
-from motor_env.envs.layout import BoolArray, WordArray
+from motor_env.envs.layout import WordArray
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream
 
@@ -22,14 +20,6 @@ _PROFILE = np.uint32(Stream.PROFILE)
 def task_of(numbers: FloatArray) -> Task:
     """The constants by name: as single numbers they cost nothing."""
     return Task(*fixed_tuple(numbers, N_CONSTANTS))
-
-
-@inlined
-def lanes_of(
-    ahead: Any, state: Any, work: Any, words: WordArray, flags: BoolArray, profile: FloatArray
-) -> Lanes:
-    """The arrays with which a compiled function is called, by name: a named tuple costs ten times as much a call."""
-    return Lanes(ahead, state, work, words, flags, profile)
 
 
 @inlined

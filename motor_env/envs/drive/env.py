@@ -17,9 +17,8 @@ from motor_env.envs.drive.lanes import PARTS, Lanes, empty_lanes
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.screen import DriveScreen
 from motor_env.envs.drive.setup import DriveSetup, make_setup
-from motor_env.envs.layout import FAULT_ACTIVE, KNOWN, TERMINATED, TRUNCATED, BoolArray
-from motor_env.envs.rendering import Frame
-from motor_env.envs.vector import Step, StreamVectorEnv
+from motor_env.envs.layout import FAULT_ACTIVE, BoolArray
+from motor_env.envs.vector import StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
 _TOLD = ("kind", "onset", "severity", "temperature")
@@ -144,15 +143,12 @@ class DriveEnv(StreamEnv[DriveOptions]):
             "temperature_k": self._truth["temperature"].item(0),
         }
 
-    def _frame(self) -> Frame:
-        assert self._screen is not None  # noqa: S101  # there is one with every render mode
-        return self._screen.draw()
-
 
 class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
     """Vector of `DriveEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = DriveOptions
+    _part_names = REWARDS
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup = make_setup(self.options)
@@ -179,32 +175,27 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
     def _begin(self, mask: BoolArray) -> None:
         kernel.begin(mask, *self._arrays)
 
-    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
+    def _observe(self) -> Observation:
         observation = self._empty()
         kernel.observe(self._lanes.state, self.setup.view, observation)
-        return observation.T, self._info(self._flags[KNOWN] if known is None else known)
+        return observation.T
 
     def _empty(self) -> NDArray[np.float32]:
         return np.empty((len(self.setup.observed), self.num_envs), dtype=np.float32)
 
-    def _info(self, known: BoolArray) -> Info:
-        info: Info = {
+    def _truth(self, active: BoolArray) -> Info:
+        return {
             "class_index": self.truth("kind").astype(np.int64),
             "onset_step": self.truth("onset").astype(np.int64),
-            "fault_active": self._flags[FAULT_ACTIVE].copy(),
+            "fault_active": active,
             "severity": self.truth("severity"),
             "temperature_k": self.truth("temperature"),
         }
-        return info | {f"_{name}": known.copy() for name in info}
 
-    def _step(self, actions: Any) -> tuple[Step, int]:
+    def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
         given = commands(self.options.control, actions, self.num_envs)
         observation, reward = self._empty(), np.empty(self.num_envs)
         parts = np.empty((len(PARTS), self.num_envs))
         begins = self.autoreset_mode is AutoresetMode.NEXT_STEP
         n_over = kernel.step(given, begins, self.setup.view, observation, reward, parts, *self._arrays)
-        info = self._info(self._flags[KNOWN])
-        for name, part in zip(REWARDS, parts, strict=True):
-            info[name], info[f"_{name}"] = part, self._flags[KNOWN].copy()
-        over, never = self._flags[[TERMINATED, TRUNCATED]]
-        return (observation.T, reward, over, never, info), n_over
+        return observation.T, reward, parts, n_over

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.envs.baselines.policies import Player
 from motor_env.envs.drive.env import REWARDS, DriveVectorEnv
-from motor_env.envs.drive.policies import DrivePolicy
 from motor_env.motor.parameters import FloatArray
 
 
@@ -27,7 +26,7 @@ class Drives(NamedTuple):
     class_index: NDArray[np.int64]
 
 
-def drive_episodes(envs: DriveVectorEnv, policy: DrivePolicy, seed: int) -> Drives:
+def drive_episodes(envs: DriveVectorEnv, policy: Player, seed: int) -> Drives:
     """Drive: play one episode of a policy in each sub-environment."""
     observations, info = envs.reset(seed=seed)
     policy.start(envs.num_envs)
@@ -40,8 +39,3 @@ def drive_episodes(envs: DriveVectorEnv, policy: DrivePolicy, seed: int) -> Driv
         if not alive.any():
             break
     return Drives(parts.sum(axis=0), parts, class_index)
-
-
-def joined_drives(runs: Sequence[Drives]) -> Drives:
-    """Episodes of several seeds, one after the other."""
-    return Drives(*(np.concatenate(parts, axis=-1) for parts in zip(*runs, strict=True)))

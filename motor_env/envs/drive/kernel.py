@@ -3,6 +3,8 @@
 A lane is a sub-environment. What is done in every step goes over all lanes of a block, one equation after the other;
 what is rare goes lane by lane. A single environment is the first lane of a block and runs the same code.
 
+A compiled function is called with the arrays of `Lanes`: a named tuple costs ten times as much a call.
+
 The motor is `motor.model.discretize` of the driven motor with its fault; the load torque is that of the speed at the
 beginning of a step. A test compares it with that function. All random numbers are of `simulation.random_streams`.
 """
@@ -21,7 +23,6 @@ from motor_env.envs.drive.drawing import (
     HEALTHY,
     WINDING,
     begin_lane,
-    lanes_of,
     observe_profile,
     task_of,
 )
@@ -229,7 +230,7 @@ def _step_block(
 @compiled
 def begin(mask: BoolArray, numbers: FloatArray, *arrays: Any) -> None:
     """Let the lanes of the mask begin their next episodes; `arrays` are those of `Lanes`."""
-    p, lanes = task_of(numbers), lanes_of(*arrays)
+    p, lanes = task_of(numbers), Lanes(*arrays)
     for n in range(len(mask)):
         if mask[n]:
             begin_lane(lanes.state[n // LANES], n % LANES, p, lanes, n)
@@ -263,7 +264,7 @@ def step(
     *arrays: Any,
 ) -> int:
     """A step of all lanes; where an episode is over and `begins`, its successor begins instead. How many are over."""
-    p, lanes, n_over = task_of(numbers), lanes_of(*arrays), 0
+    p, lanes, n_over = task_of(numbers), Lanes(*arrays), 0
     w = lanes.work[0]
     for first in range(0, len(reward), LANES):
         s, width = lanes.state[first // LANES], min(LANES, len(reward) - first)

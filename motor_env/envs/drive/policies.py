@@ -5,30 +5,19 @@ They see what an agent sees, for many sub-environments at once: `start(count)`, 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
+from motor_env.envs.baselines.policies import Observations
 from motor_env.envs.drive.actions import LIMP, RUN, STOP, as_actions
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.setup import DriveSetup, drive_filter, faulty, speed_feedback
 from motor_env.envs.setup import converged_gain
 from motor_env.motor.model import Input, discretize, load_torque
 from motor_env.motor.parameters import FloatArray, MotorParameters
-
-Observations = NDArray[np.float32]
-
-
-class DrivePolicy(Protocol):
-    """What drives many motors at once."""
-
-    def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
-
-    def act(self, observations: Observations) -> NDArray[Any]:
-        """Actions, one for each, from observations of shape (count, n_observed)."""
 
 
 def named(setup: DriveSetup, observations: Observations) -> dict[str, FloatArray]:

@@ -11,14 +11,13 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from motor_env.envs.base import Info, Observation, StreamEnv, whole_action
-from motor_env.envs.layout import KNOWN, TERMINATED, BoolArray, MarkArray, aligned_zeros, empty_streams
+from motor_env.envs.layout import BoolArray, MarkArray, aligned_zeros, empty_streams
 from motor_env.envs.maintain import kernel
 from motor_env.envs.maintain.belief import AT_ONCE
 from motor_env.envs.maintain.kernel import FEATURES, PARTS
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
 from motor_env.envs.maintain.picture import Logbook
-from motor_env.envs.rendering import Frame
-from motor_env.envs.vector import Step, StreamVectorEnv, whole_actions
+from motor_env.envs.vector import StreamVectorEnv, whole_actions
 from motor_env.motor.parameters import FloatArray
 
 IMPOSSIBLE = 1e-100
@@ -161,15 +160,15 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
         self.motors = Motors(self.options, 1)
         self._words = self.motors.words
         self._action = np.zeros(1, dtype=np.int64)
-        self._logbook = None if self.render_mode is None else Logbook(self.options)
+        self._screen = None if self.render_mode is None else Logbook(self.options)
         return self.motors.observation_space(), spaces.Discrete(_ACTIONS)
 
     def _begin(self) -> tuple[Observation, Info]:
         self.motors.begin(np.ones(1, dtype=np.bool_))
         self._over = False
         observation = self.motors.observe()[0]
-        if self._logbook is not None:
-            self._logbook.clear()
+        if self._screen is not None:
+            self._screen.clear()
             self._show(observation, kernel.RUN)
         return observation, self._truth()
 
@@ -192,27 +191,23 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
         self._action[0] = whole_action(action, _ACTIONS)
         observations, parts, n_over = self.motors.step(self._action, restart=False)
         observation, self._over = observations[0], n_over > 0
-        if self._logbook is not None:
+        if self._screen is not None:
             self._show(observation, int(self._action[0]))
         info, costs = self._truth(), parts.ravel().tolist()
         info.update(zip(PARTS, costs, strict=True))
         return observation, sum(costs), self._over, False, info
 
     def _show(self, observation: Observation, action: int) -> None:
-        assert self._logbook is not None  # noqa: S101  # the caller looked
-        self._logbook.add(observation, action, **self._truth())
+        self._screen.add(observation, action, **self._truth())
         if self.render_mode == "human":
             self.render()
-
-    def _frame(self) -> Frame:
-        assert self._logbook is not None  # noqa: S101  # there is one with every render mode
-        return self._logbook.draw()
 
 
 class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
     """Vector of `MaintainEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = MaintainOptions
+    _part_names = PARTS
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.motors = Motors(self.options, self.num_envs)
@@ -222,24 +217,16 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
     def _begin(self, mask: BoolArray) -> None:
         self.motors.begin(mask)
 
-    def _observed(self, known: BoolArray | None = None) -> tuple[Observation, Info]:
-        return self.motors.observe(), self._told(self._flags[KNOWN].copy() if known is None else known)
+    def _observe(self) -> Observation:
+        return self.motors.observe()
 
-    def _told(self, known: BoolArray) -> Info:
-        """The truth, for those who score."""
-        info: Info = {}
-        for name, value in self.motors.truth().items():
-            info[name], info[f"_{name}"] = value, known
-        return info
+    def _truth(self, active: BoolArray) -> Info:
+        return self.motors.truth()
 
-    def _step(self, actions: Any) -> tuple[Step, int]:
+    def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
         array = whole_actions(actions, self.num_envs)
         restart = self.autoreset_mode is AutoresetMode.NEXT_STEP
         observation, parts, n_over = self.motors.step(array, restart=restart)
         if n_over < 0:
             raise ValueError(f"actions must be in 0 .. {_ACTIONS - 1}, got {array.min()} .. {array.max()}")
-        info = self._told(self._flags[KNOWN].copy())
-        for name, part in zip(PARTS, parts, strict=True):
-            info[name], info[f"_{name}"] = part, self._flags[KNOWN].copy()
-        over = self._flags[TERMINATED].copy()
-        return (observation, parts.sum(axis=0), over, np.zeros(self.num_envs, dtype=np.bool_), info), n_over
+        return observation, parts.sum(axis=0), parts, n_over

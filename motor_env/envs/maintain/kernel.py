@@ -254,7 +254,6 @@ def step(
         for j in range(here):
             n = first + j
             parts[0, n], parts[1, n], parts[2, n] = 0.0, 0.0, 0.0
-            motors.flags[layout.KNOWN, n] = True
             if restart and motors.flags[layout.TERMINATED, n]:
                 _begin_episode(chances, motors, n)
                 continue

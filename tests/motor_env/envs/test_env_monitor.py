@@ -1,17 +1,12 @@
 """Monitor-v0: the contract of gymnasium, and the same physics and filter as everywhere else."""
 
-import warnings
 from dataclasses import replace
-from importlib.util import find_spec
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from scipy.signal import lfilter
 
-import motor_env  # noqa: F401  # registers the environments
 from motor_env import (
     PAPER_MOTOR,
     Channel,
@@ -28,7 +23,6 @@ from motor_env import (
 from motor_env.envs import MonitorEnv, MonitorVectorEnv
 from motor_env.envs.base import Info
 from motor_env.envs.kernel import LANES, block_type
-from motor_env.envs.noise import case_of
 from motor_env.envs.setup import converged_gain
 from motor_env.envs.tasks import MEDIUM
 
@@ -40,13 +34,6 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 
 WAIT = 0
-
-
-def test_check_env_warns_of_nothing() -> None:
-    env = gym.make("motor_env/Monitor-v0")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env.unwrapped, skip_render_check=find_spec("pygame") is None)
 
 
 # To compile the steps of a vector in double precision, which nobody gets unasked, takes fifteen seconds.
@@ -61,10 +48,9 @@ class Last:
         self.envs = MonitorVectorEnv(lanes, **options)
         self.options, self.setup, self.observed = self.envs.options, self.envs.setup, self.envs.setup.observed
 
-    @property
-    def _block(self) -> Any:
+    def _now(self, field: str) -> float:
         last = self.envs._arrays[2].view(block_type(self.options.precision))[-1]
-        return {name: last[name][(self.envs.num_envs - 1) % LANES :] for name in ("current", "speed")}
+        return float(last[field][(self.envs.num_envs - 1) % LANES])
 
     def _info(self, info: Info) -> Info:
         mine = {name: values[-1] for name, values in info.items()}
@@ -92,7 +78,7 @@ def rollout(env: MonitorEnv | Last, seed: int, index: int = 0) -> tuple[FloatArr
         assert truncated is False
         observations.append(observation)
         infos.append(info)
-        deviation = [env._block[name][0] for name in ("current", "speed")]
+        deviation = [env._now(name) for name in ("current", "speed")]
         states.append(deviation + env.setup.rest)
     return np.array(observations), infos, np.array(states)
 
@@ -250,7 +236,7 @@ def test_an_onset_is_the_draw_of_its_stream() -> None:
     """Geometric from the earliest sample on; the first sample that differs is the one after it."""
     envs = MonitorVectorEnv(60, mean_onset_s=0.004)
     _, info = envs.reset(seed=9)
-    u = uniforms(9, Stream.ONSET, case_of(np.arange(60), np.zeros(60, dtype=np.int64)), 1)[:, 0]
+    u = uniforms(9, Stream.ONSET, np.arange(60) << 32, 1)[:, 0]
     wanted = 100 + np.floor(np.log(u) / np.log(40.0 / 41.0)).astype(int)
     faulty = info["class_index"] > 0
     np.testing.assert_array_equal(info["onset_sample"], np.where(faulty, wanted, -1))
@@ -322,7 +308,7 @@ def test_noise_is_that_of_the_streams_and_a_start_that_of_the_simulation(precisi
     observed, _, states = rollout(env, seed=3, index=5)
     stall = 12.0 / PAPER_MOTOR.resistance_ohm
     noise = observed[1:, 0] * stall - states[:, 0]
-    case = case_of(np.array([5]), np.array([0]))
+    case = np.array([5 << 32])
     expected = normals(3, Stream.MEASUREMENT, case, 501)[0, 1:] * env.options.task.sensor.current_noise_a
     np.testing.assert_allclose(noise, expected, atol=2e-6)
     drawn = draw(env.options.task, 3, case)

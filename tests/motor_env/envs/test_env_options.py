@@ -239,6 +239,8 @@ def test_a_copy_in_the_middle_of_an_episode_goes_on_alike(name: str) -> None:
             observation, *others = each.step(action)
             np.testing.assert_array_equal(observation, expected[0])
             assert others == list(expected[1:])
+    info = env.reset()[1]
+    assert all(each.reset()[1] == info for each in copies)
 
 
 @pytest.mark.parametrize("make", [MonitorEnv, ProbeEnv, ProbeContinuousEnv, MonitorVectorEnv, ProbeVectorEnv])

@@ -86,7 +86,7 @@ def test_a_window_shows_the_screen_and_closes(monkeypatch: pytest.MonkeyPatch) -
         env.step(1)
     assert env.render() is None
     shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
-    screen = env.unwrapped._scope.draw()  # type: ignore[attr-defined]
+    screen = env.unwrapped._screen.draw()  # type: ignore[attr-defined]
     np.testing.assert_array_equal(shown, screen)
     env.close()
     assert not pygame.display.get_init()
@@ -152,7 +152,7 @@ def test_a_picture_shows_the_evidence_and_changes_nothing() -> None:
     for _ in range(1100):
         seen.append(plain.step(0)[0])
         assert np.array_equal(shown.step(0)[0], seen[-1])
-    scope = shown.unwrapped._scope  # type: ignore[attr-defined]
+    scope = shown.unwrapped._screen  # type: ignore[attr-defined]
     assert np.nanmax(scope._columns[5:7]) > 12.0
     # a column shows the step that begins it: measured and estimated current, estimated speed, voltage, innovation
     volts = 12.0
@@ -181,9 +181,9 @@ def test_the_screen_says_how_an_episode_ended() -> None:
         for _ in range(wait):
             env.step(1)
         assert env.step(action)[2]
-        assert (env._scope.verdict, env._scope.good) == verdict
+        assert (env._screen.verdict, env._screen.good) == verdict
     env.reset(seed=seeds["bearing"])
     seen, *_ = env.step(1)
     innovation = seen[env.observed.index("innovation_current")]  # a mean over the root of 20 samples
-    assert env._scope._columns[4, env._scope._filled - 1] == pytest.approx(innovation, rel=1e-5)
-    assert env._scope._columns[3, env._scope._filled - 1] == pytest.approx(11.0)
+    assert env._screen._columns[4, env._screen._filled - 1] == pytest.approx(innovation, rel=1e-5)
+    assert env._screen._columns[3, env._screen._filled - 1] == pytest.approx(11.0)

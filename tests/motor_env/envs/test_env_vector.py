@@ -23,7 +23,6 @@ from motor_env.envs import (
     ProbeVectorEnv,
     kernel,
 )
-from motor_env.envs.noise import case_of
 from motor_env.envs.tasks import TASKS
 from motor_env.motor.faults import BUILT_IN_KINDS, apply_faults
 from motor_env.simulation.recipes import FaultClass
@@ -69,7 +68,7 @@ def test_every_lane_is_the_single_environment(
     count, steps = 70, 300  # more lanes than a block has, and several episodes
     envs = vector(count, autoreset_mode=mode, **options)
     actions = random_actions(envs.single_action_space, steps, count, seed=1)
-    assert_lanes_are_single(envs, single(**options), actions, "onset_sample")
+    assert_lanes_are_single(envs, single(**options), actions)
 
 
 @pytest.mark.parametrize("vector", [MonitorVectorEnv, ProbeVectorEnv, ProbeContinuousVectorEnv])
@@ -171,7 +170,7 @@ def test_a_uniform_random_policy_keeps_lanes_apart_from_each_other() -> None:
     actions = np.random.default_rng(0).integers(0, 4, (200, 130))
     seen = [envs.reset(seed=4)[0], *(envs.step(action)[0] for action in actions)]
     for index in (0, 63, 64, 129):
-        expected = follow(env, actions[:, index], 4, index, AutoresetMode.NEXT_STEP, "onset_sample")
+        expected = follow(env, actions[:, index], 4, index, AutoresetMode.NEXT_STEP)
         for mine, theirs in zip(seen, expected, strict=True):
             np.testing.assert_array_equal(mine[index], theirs[0])
 
@@ -271,7 +270,7 @@ def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, 
     task = of_name.get(recipe, TASKS.get(recipe, TASKS["hard"]))
     envs = MonitorVectorEnv(200, recipe=task, growth_s=growth_s, precision=precision, mean_onset_s=0.0)
     _, info = envs.reset(seed=9)
-    drawn = draw(task, 9, case_of(np.arange(200), np.zeros(200, dtype=np.int64)))
+    drawn = draw(task, 9, np.arange(200) << 32)
     np.testing.assert_array_equal(info["class_index"], drawn.class_index)
     lanes = envs._arrays[-1][:200]
     np.testing.assert_array_equal(lanes[:, 0], drawn.severity)

@@ -23,9 +23,9 @@ from motor_env.envs import (
     Lqg,
     drive_episodes,
 )
+from motor_env.envs.baselines.evaluation import joined
 from motor_env.envs.drive.actions import LIMP, RUN, STOP
 from motor_env.envs.drive.env import REWARDS
-from motor_env.envs.drive.evaluation import joined_drives
 from motor_env.envs.drive.lanes import LANES
 from motor_env.envs.drive.options import LABELS
 from motor_env.envs.drive.policies import make_bank
@@ -54,21 +54,7 @@ def random_actions(steps: int, count: int) -> NDArray[np.float64]:
 def test_every_lane_is_the_single_environment(mode: AutoresetMode) -> None:
     count, actions = 12, random_actions(200, 12)
     envs = DriveVectorEnv(count, autoreset_mode=mode, **SHORT)
-    assert_lanes_are_single(envs, DriveEnv(**SHORT), actions, "severity")
-
-
-def test_disabled_autoreset_waits_for_the_mask() -> None:
-    envs = DriveVectorEnv(3, autoreset_mode="Disabled", **SHORT)
-    first, _ = envs.reset(seed=1)
-    stepped = envs.step(np.array([[0.5, RUN], [0.5, STOP], [0.5, RUN]]))
-    assert stepped[2].tolist() == [False, True, False]
-    with pytest.raises(gym.error.ResetNeeded):
-        envs.step(np.zeros((3, 2)))
-    mask = np.array([False, True, False])
-    after, info = envs.reset(options={"reset_mask": mask})
-    np.testing.assert_array_equal(after[[0, 2]], stepped[0][[0, 2]])
-    assert not np.array_equal(after[1], first[1])
-    assert info["_severity"].tolist() == mask.tolist()
+    assert_lanes_are_single(envs, DriveEnv(**SHORT), actions)
 
 
 def lane_of(env: DriveEnv) -> dict[str, float]:
@@ -491,7 +477,7 @@ def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
     ahead = bank.returns - fixed.returns
     assert ahead.mean() > 1.0 + 1.96 * ahead.std() / np.sqrt(40)
     np.testing.assert_array_equal(fixed.class_index, bank.class_index)
-    both = joined_drives([fixed, bank])
+    both = joined([fixed, bank])
     assert (both.returns.shape, both.parts.shape, both.class_index.shape) == ((80,), (6, 80), (80,))
     assert (clairvoyant.LIMP_FROM[:5], clairvoyant.STOP_FROM[0]) == ((0.0, 0.2, 0.35, 0.5, 0.7), 0.97)
     monkeypatch.setattr(clairvoyant, "LIMP_FROM", (0.35, 0.7))

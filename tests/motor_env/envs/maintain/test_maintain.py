@@ -5,9 +5,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 from maintain_bounds import clairvoyant_value, maintenance_bound
 from scipy.stats import norm
+from single_lanes import assert_lanes_are_single
 
 from motor_env import Experiment, cramer_rao_bound, load_recipe
 from motor_env.envs import (
@@ -27,27 +28,6 @@ from motor_env.envs.maintain.policies import _STDS as STDS  # the grid of the pl
 SPREAD = MaintainOptions(rate_spread=0.5)
 
 
-@pytest.mark.parametrize("name", ["Maintain-v0", "MaintainUnknownRate-v0"])
-def test_gymnasium_has_nothing_to_say(name: str) -> None:
-    check_env(gym.make(f"motor_env/{name}").unwrapped)
-    envs = gym.make_vec(f"motor_env/{name}", num_envs=3)
-    observations, _ = envs.reset(seed=2)
-    assert envs.observation_space.contains(np.ascontiguousarray(observations))
-
-
-def test_a_motor_of_a_later_block_is_a_single_motor_to_the_bit() -> None:
-    count = 2 * kernel.MOTORS + 3  # the last block is not full
-    envs, picked = MaintainVectorEnv(count, SPREAD), [kernel.MOTORS - 1, kernel.MOTORS, count - 1]
-    singles = [MaintainEnv(SPREAD) for _ in picked]
-    observations, _ = envs.reset(seed=8)
-    ours = [env.reset(seed=8, options={"index": n})[0] for n, env in zip(picked, singles, strict=True)]
-    np.testing.assert_array_equal(observations[picked], ours)
-    for actions in np.random.default_rng(1).integers(0, 3, (40, count)):
-        observations = envs.step(actions)[0]
-        ours = [env.step(actions[n])[0] for n, env in zip(picked, singles, strict=True)]
-        np.testing.assert_array_equal(observations[picked], ours)
-
-
 @pytest.mark.parametrize("options", [MaintainOptions(), SPREAD])
 def test_nothing_is_unsure_after_an_inspection(options: MaintainOptions) -> None:
     envs = MaintainVectorEnv(100, options)
@@ -60,36 +40,13 @@ def test_nothing_is_unsure_after_an_inspection(options: MaintainOptions) -> None
     np.testing.assert_allclose(seen[:, 1], seen[:, 0], atol=1e-7)  # mean and estimate
 
 
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
-def test_a_vector_is_so_many_single_motors_to_the_bit(mode: str) -> None:
-    options, rng = MaintainOptions(days=30, rate_spread=0.5, limit=0.2), np.random.default_rng(0)
-    envs = MaintainVectorEnv(4, options, autoreset_mode=mode)
-    singles = [MaintainEnv(options) for _ in range(4)]
-    observations, _ = envs.reset(seed=5)
-    ours = [env.reset(seed=5, options={"index": n})[0] for n, env in enumerate(singles)]
-    np.testing.assert_array_equal(observations, ours)
-    over, ended = np.zeros(4, dtype=bool), 0
-    for _ in range(65):
-        if over.any() and mode == "Disabled":
-            np.testing.assert_array_equal(
-                envs.reset(options={"reset_mask": over})[0], [env.reset()[0] for env in singles]
-            )
-        actions = rng.integers(0, 3, 4)
-        observations, rewards, now, _, info = envs.step(actions)
-        for n, env in enumerate(singles):
-            if over[n] and mode == "NextStep":
-                seen, reward, done, told = env.reset()[0], 0.0, False, None
-            else:
-                seen, reward, done, _, told = env.step(actions[n])
-            if done and mode == "SameStep":
-                np.testing.assert_array_equal(info["final_obs"][n], seen)
-                seen, told = env.reset()[0], None
-            np.testing.assert_array_equal(observations[n], seen)
-            assert (rewards[n], now[n]) == (reward, done)
-            if told is not None:
-                assert {name: info[name][n] for name in told} == told
-        over, ended = now, ended + int(now.sum())
-    assert ended == 8
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_every_lane_is_the_single_environment(mode: AutoresetMode) -> None:
+    count = 2 * kernel.MOTORS + 3  # the last block is not full
+    options: dict[str, Any] = {"days": 30, "rate_spread": 0.5, "limit": 0.2}
+    envs = MaintainVectorEnv(count, autoreset_mode=mode, **options)
+    actions = np.random.default_rng(0).integers(0, 3, (100, count))
+    assert_lanes_are_single(envs, MaintainEnv(**options), actions)
 
 
 def test_the_belief_is_bayes_rule() -> None:
