@@ -35,7 +35,7 @@ def generate(
     current_noise_a: float | None = None,
     channels: str | None = None,
     motor: str | None = None,
-    workers: console.Whole = 1,
+    workers: console.Whole | None = None,
     scheduler: str | None = None,
     resume: bool = False,
     json_: bool = False,
@@ -58,7 +58,7 @@ def generate(
         current_noise_a: Standard deviation of a current sample.
         channels: Measured channels, comma between: current, or current,speed.
         motor: Catalogue name (paper), or a motor TOML.
-        workers: Processes that write.
+        workers: Processes that write; one by default, of a Dask cluster all.
         scheduler: Address of a Dask scheduler whose workers write, such as tcp://10.0.0.1:8786.
         resume: Finish what an interrupted generation began.
         json_: Print a summary as JSON.
@@ -100,12 +100,12 @@ def generate(
         "bytes_uncompressed": plan.bytes_uncompressed,
     }
     if dry_run:
-        summary["seconds"] = round(plan.cases_of_all * seconds_per_case(chosen, seed) / workers, 1)
+        summary["seconds"] = round(plan.cases_of_all * seconds_per_case(chosen, seed) / (workers or 1), 1)
     else:
-        with _progress(plan.cases_of_all) as advance, _backend(scheduler):
-            start = time.perf_counter()
+        with _progress(plan.cases_of_all) as advance, _cluster(scheduler) as all_workers:
+            start, count = time.perf_counter(), workers or all_workers
             manifest = generate_dataset(
-                chosen, cases, seed, folder, workers=workers, resume=resume, on_progress=advance
+                chosen, cases, seed, folder, workers=count, resume=resume, on_progress=advance
             )
         summary["bytes"] = manifest.bytes
         summary["seconds"] = round(time.perf_counter() - start, 3)
@@ -206,17 +206,17 @@ def export(folder: str, file: Path, /, *, split: str | None = None) -> int:
 
 
 @contextmanager
-def _backend(scheduler: str | None) -> Iterator[None]:
-    """Joblib's own processes, or the workers of a Dask cluster."""
+def _cluster(scheduler: str | None) -> Iterator[int]:
+    """Joblib's own processes, or the workers of a Dask cluster: by default so many write."""
     if scheduler is None:
-        yield
+        yield 1
         return
     require_extra("distributed", "dask")
     import joblib
     from distributed import Client
 
-    with Client(scheduler), joblib.parallel_config(backend="dask"):
-        yield
+    with Client(scheduler) as client, joblib.parallel_config(backend="dask"):
+        yield max(sum(client.nthreads().values()), 2)  # a single one would be this process
 
 
 @contextmanager

@@ -3,14 +3,48 @@
 import filecmp
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import joblib
 import pytest
 
-from motor_datasets import generate_dataset, layout
+from motor_datasets import folder, generate_dataset, layout
+from motor_datasets.cli import main
 from motor_env import Timing, load_recipe
+
+
+@pytest.mark.parametrize(
+    ("asked", "used"),
+    [([], 1), (["--scheduler", "tcp://a:1"], 5), (["--scheduler", "tcp://a:1", "--workers", "3"], 3)],
+)
+def test_all_of_a_cluster_write_unless_a_number_is_asked_for(
+    asked: list[str], used: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
+    counts = []
+
+    @contextmanager
+    def client(address: str) -> Iterator[SimpleNamespace]:
+        assert address == "tcp://a:1"
+        yield SimpleNamespace(nthreads=lambda: {"one": 4, "other": 1})
+
+    def generated(*_: Any, workers: int, **__: Any) -> SimpleNamespace:
+        counts.append(workers)
+        return SimpleNamespace(bytes=0)
+
+    monkeypatch.setattr(distributed, "Client", client)
+    monkeypatch.setattr(joblib, "parallel_config", lambda **_: nullcontext())
+    monkeypatch.setattr(folder, "generate_dataset", generated)
+    assert (
+        main(["generate", "bench", "--cases", "10", "--seed", "1", "--out", str(tmp_path / "set"), *asked])
+        == 0
+    )
+    assert counts == [used]
 
 
 @pytest.mark.long
