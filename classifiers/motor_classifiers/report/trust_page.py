@@ -35,7 +35,7 @@ def with_charts(figures: Figures, setting: Mapping[str, Any]) -> Figures:
     return drawn
 
 
-def _unknown(figures: Figures, setting: Mapping[str, Any]) -> dict[str, Any]:
+def _unknown(figures: Figures, _: Mapping[str, Any]) -> dict[str, Any]:
     """The curves of the last setting: at the lowest rate."""
     setting = figures["settings"][-1]
     rates = FALSE_ALARM_RATES.tolist()

@@ -121,6 +121,9 @@ def test_the_ripple_tells_the_speed_and_the_constants(constant: float) -> None:
     recording, speed = rippled(constant)
     found = identify(recording, periods_per_turn=14.0).to_json()[0]["commutation"]
     assert found["speed_rad_s"] == pytest.approx(speed, rel=0.002)
+    told = diagnose(recording, periods_per_turn=14.0)
+    assert told.to_json()["commutation"] == found
+    assert f"{found['speed_rad_s']:.5g} rad/s (" in told.text(verbose=True)
     nominal = float(PAPER_MOTOR.back_emf_constant_v_s_per_rad)
     assert found["K"]["value"] == pytest.approx(constant * nominal, rel=0.01)
     assert found["J"]["value"] == pytest.approx(float(PAPER_MOTOR.inertia_kg_m2), rel=0.05)

@@ -586,6 +586,22 @@ def test_eight_jumps_of_the_voltage_must_show_in_the_current() -> None:
             refuse_aliased(volts, noise)
 
 
+@pytest.mark.parametrize("later", [0, 1, 2, None])
+def test_the_current_may_answer_a_jump_in_any_of_three_samples_or_until_the_next(later: int | None) -> None:
+    """It answers by one rise, and at the jumps is as ever; or it rises so slowly that only its end tells."""
+    volts, current = off_on(*([20] * 40)), np.random.default_rng(5).standard_normal(800)
+    for n, jump in enumerate(range(20, 800, 20)):
+        sign = 1.0 if n % 2 == 0 else -1.0
+        if later == 0:
+            current[jump - 3 : jump] -= 10.0 * sign
+        elif later is not None:
+            current[jump + later : jump + 8] += 10.0 * sign
+        else:
+            current[jump + 3 : jump + 20] += sign * np.linspace(0.0, 4.0, 17)
+            current[jump + 20 :] += sign * 4.0
+    refuse_aliased(volts, current)
+
+
 def test_starts_are_cut_where_the_motor_is_switched_off() -> None:
     volts = off_on(150, 300, 200, 300, 250, 300)
     parts = split_starts(driven(volts))
