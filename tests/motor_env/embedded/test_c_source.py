@@ -42,6 +42,7 @@ from motor_env.embedded.arithmetic import (
 )
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import write_library
+from motor_env.fitting.starts.plausibility import implausible
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
@@ -203,6 +204,8 @@ def test_recordings_get_the_verdict_of_double_precision(path: Path, tmp_path: Pa
         start, fit = identify(path, start=1).starts[0]
     except InputError as error:
         pytest.skip(str(error))
+    if strange := implausible(fit):
+        pytest.skip(strange[0])
     volts = float(np.max(np.abs(fit.start.level_v if start.voltage_v is None else start.voltage_v)))
     motor = Motor(path.stem, "identified", fit.parameters)
     sensor = SensorParameters(current_noise_a=max(fit.noise_a, 1e-3 * float(np.ptp(start.current_a))))
