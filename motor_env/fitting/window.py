@@ -41,6 +41,7 @@ FITTED = frozenset((*_MOTOR, *_LOADS))
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
 _WILD = 6.0  # standard deviations beyond which an innovation counts no more
 _HELD_STEP = 0.1  # of an error
+_TOLD_APART = 1e-10  # least eigenvalue of an information matrix whose diagonal is 1
 _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell nothing
 
 
@@ -146,11 +147,15 @@ class Scores(NamedTuple):
         It is linear, so that its error is known however little a section tells. A load or an offset that it says
         nothing of, as while the circuit is open, stays as it is known.
         """
-        known = self.information + np.diag(self.precision)
+        known, eye = self.information + np.diag(self.precision), np.eye(len(self.precision))
         untold = np.einsum("nii->ni", known) == 0.0
-        spread: FloatArray = np.asarray(
-            np.linalg.inv(known + untold[:, None] * np.eye(len(self.precision))), dtype=np.float64
-        )
+        known = known + untold[:, None] * eye
+        sizes = np.einsum("nii->ni", known)
+        roots = np.sqrt(sizes)
+        least = np.linalg.eigvalsh(known / (roots[:, :, None] * roots[:, None, :]))[:, 0]
+        # Unknowns that nothing tells apart have an inverse of rounding errors alone.
+        apart = np.maximum(_TOLD_APART - least, 0.0)[:, None] * sizes
+        spread: FloatArray = np.asarray(np.linalg.inv(known + apart[:, None] * eye), dtype=np.float64)
         step: FloatArray = -np.einsum("nij,nj->ni", spread, self.gradients)
         return step[:, : len(_MOTOR)], spread[:, : len(_MOTOR), : len(_MOTOR)]
 

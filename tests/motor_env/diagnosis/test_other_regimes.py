@@ -242,3 +242,12 @@ def test_a_load_that_a_section_says_nothing_of_stays_as_it_is_known() -> None:
     steps, spread = Scores(np.array([[1.0, 2.0, 3.0, 4.0, 0.0]]), information, np.zeros(5)).steps()
     np.testing.assert_allclose(steps, [[-0.25, -0.5, -0.75, -1.0]])
     np.testing.assert_allclose(spread[0], 0.25 * np.eye(4))
+
+
+def test_a_piece_that_tells_one_thing_alone_has_errors_to_reckon_with() -> None:
+    """As at standstill, under a voltage that is nearly exact: of all but one combination it says nothing."""
+    told = np.array([3.0, 1.0, 2.0, 1.0, 5.0]) * 1e8
+    steps, spread = Scores(-told[None], np.outer(told, told)[None], np.full(5, 0.01)).steps()
+    np.linalg.cholesky(spread)
+    assert np.abs(steps).max() < 1.0
+    assert np.sqrt(np.diag(spread[0])).min() > 1e-5
