@@ -42,7 +42,6 @@ from motor_env.embedded.arithmetic import (
 )
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import write_library
-from motor_env.fitting.starts.plausibility import implausible
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
@@ -204,8 +203,6 @@ def test_recordings_get_the_verdict_of_double_precision(path: Path, tmp_path: Pa
         start, fit = identify(path, start=1).starts[0]
     except InputError as error:
         pytest.skip(str(error))
-    if strange := implausible(fit):
-        pytest.skip(strange[0])
     volts = float(np.max(np.abs(fit.start.level_v if start.voltage_v is None else start.voltage_v)))
     motor = Motor(path.stem, "identified", fit.parameters)
     sensor = SensorParameters(current_noise_a=max(fit.noise_a, 1e-3 * float(np.ptp(start.current_a))))
@@ -215,7 +212,10 @@ def test_recordings_get_the_verdict_of_double_precision(path: Path, tmp_path: Pa
     measured, voltage = start.current_a[None, None, :LONGEST], voltage[:LONGEST]
     [reference] = first(answers(exact, readings_of(exact, measured, voltage)))
     for arithmetic in ("fixed", "float"):
-        numbers = written(believed, tmp_path / arithmetic, arithmetic)
+        try:
+            numbers = written(believed, tmp_path / arithmetic, arithmetic)
+        except InputError as error:  # the numbers of no motor do not fit into 32 bits
+            pytest.skip(str(error))
         [alarm] = first(run_c(tmp_path / arithmetic, readings_of(numbers, measured, voltage)))
         sys.stdout.write(f"{path.stem}, {arithmetic}: alarm at {alarm}, in double precision at {reference}\n")
         assert (alarm >= 0) == (reference >= 0)
