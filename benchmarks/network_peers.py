@@ -204,7 +204,7 @@ def learned(network: Network, data: Tensors, held: Tensors, seconds: float) -> t
 def main(source: Path, target: Path, method: str, seconds: float) -> None:
     """Tune, train, judge, and write the answers whole or not at all."""
     torch.set_num_threads(1)
-    torch.manual_seed(SEED)
+    torch.manual_seed(SEED)  # the seed of this script, a process of its own
     with np.load(source) as arrays:
         cases = dict(arrays)
     x, label = torch.from_numpy(cases["train_X"]), torch.from_numpy(cases["train_class_index"]).long()
