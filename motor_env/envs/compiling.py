@@ -1,4 +1,4 @@
-"""How the environments' steps are compiled."""
+"""Records and tuples of numbers in contiguous arrays, for the compiled steps of the environments."""
 
 from __future__ import annotations
 
@@ -11,14 +11,6 @@ from numba.core.cgutils import gep_inbounds
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 from numba.np.numpy_support import as_dtype
-
-from motor_env.motor.compiled import njit
-
-# numba counts who holds an array, at every view of one: that made the end of an episode cost three times as much. So
-# the step does without, and a function of it that makes arrays (with the counting) must not call one that returns some.
-compiled = njit(cache=True, error_model="numpy", _nrt=False)
-compiled_with_arrays = njit(cache=True, error_model="numpy", _nrt=True)
-inlined = njit(forceinline=True, error_model="numpy", _nrt=False)
 
 
 @intrinsic(prefer_literal=True)

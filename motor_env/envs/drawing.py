@@ -16,11 +16,11 @@ from numba import types
 from numba.extending import intrinsic
 
 from motor_env.envs import layout
-from motor_env.envs.compiling import compiled_with_arrays, inlined
 from motor_env.envs.kernel import NEVER, ROW_LENGTH, Block
 from motor_env.envs.layout import Lanes, TaskNumbers, WordArray, class_of, drawn_of, prior_of
 from motor_env.envs.options import MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter
+from motor_env.motor.compiled import compiled_with_arrays, inlined
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import Input, exponential_and_phi
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters

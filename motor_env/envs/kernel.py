@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motor_env.envs.compiling import inlined, record_maker
+from motor_env.envs.compiling import record_maker
+from motor_env.motor.compiled import inlined
 
 LANES = 64
 ROWS = 4

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel
-from motor_env.envs.compiling import inlined, record_maker
+from motor_env.envs.compiling import record_maker
+from motor_env.motor.compiled import inlined
 from motor_env.motor.parameters import FloatArray, MotorParameters, require
 from motor_env.simulation.random_streams import philox
 from motor_env.simulation.recipes import FACTORS

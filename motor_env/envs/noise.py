@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.envs.compiling import compiled_with_arrays, inlined
 from motor_env.envs.kernel import LANES, ROWS, Block
 from motor_env.envs.layout import CASE_HIGH, CASE_LOW, SEED_HIGH, SEED_LOW, WordArray, random_words
+from motor_env.motor.compiled import compiled_with_arrays, inlined
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
 _STREAM = np.uint32(Stream.MEASUREMENT)

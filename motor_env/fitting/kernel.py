@@ -31,9 +31,9 @@ from motor_env.fitting.places import (
     K,
     R,
 )
-from motor_env.fitting.steps import FINE, at, braked_step, coasting_step, inlined, smooth_step, tables
+from motor_env.fitting.steps import FINE, at, braked_step, coasting_step, smooth_step, tables
 from motor_env.fitting.update import begin, lag_of, spread, steady, update
-from motor_env.motor.compiled import njit
+from motor_env.motor.compiled import compiled, compiled_with_arrays, inlined
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
 BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
@@ -60,14 +60,14 @@ def _advance(
 ) -> None:
     """State after an interval, and its slopes; the interval ends at a sample of one mark, and begins at another's."""
     i, w = x[0], x[1]
-    at(of[0], warm_k, m)
+    at(of, 0, warm_k, m)
     if p[GEAR] > 0.0:
         # A gear loses a share of the torque that it carries: dry friction, by the mean torque without friction.
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * u[0] + m[1, 3] * (u[1] - u[0])
         dry += p[GEAR] * abs(p[J] * (free_w - w) / dt_s + p[B] * w)
     parts = smooth_step(m, x, u, p, dry, f) if mark != OPEN or before != OPEN else 0
     if parts > 0:
-        at(of[1 if parts == FINE else 2], warm_k, m)
+        at(of, 1 if parts == FINE else 2, warm_k, m)
         braked_step(m, x, u, p, dry, f, parts)
     if mark == OPEN:
         if before == OPEN or x[0] * i < 0.0:  # a diode lets no current turn
@@ -112,7 +112,70 @@ def _read(
     return 0.0, 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
+def _run(
+    p: FloatArray,
+    dt_s: float,
+    voltage: FloatArray,
+    readings: FloatArray,
+    seen: FloatArray,
+    marks: FloatArray,
+    learn: bool,
+    out: FloatArray,
+    reach: float,
+    usual: FloatArray,
+    switched: FloatArray,
+    room: tuple[FloatArray, ...],
+) -> float:
+    """The filter of `predict`: largest voltage, models of an interval and of that after a switch, zeros to work in."""
+    m, x, cov, f, u, row, shown, work = room
+    lag, logs, warm_k = lag_of(p, dt_s), 0.0, 0.0
+    place_i, place_w = (3, 4) if len(row) == 5 else (0, 1)
+    u[3] = _SLOW * reach / p[K]
+    is_known = marks[0] >= REST and p[NOISE_V] == 0.0 and p[NOISE_T] == 0.0 and p[WALK] == 0.0
+    for k in range(voltage.shape[0]):
+        mark = marks[k]
+        shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]
+        if mark == BEGIN:
+            warm_k = 0.0
+            after = min(k + 1, voltage.shape[0] - 1)
+            shown[0, 0], shown[0, 1] = shown_i, shown_w
+            shown[1, 0], shown[1, 1] = readings[after, 0] - p[OFFSET_I], readings[after, 1] - p[OFFSET_W]
+            begin(p, x, cov, shown, voltage[after, 0], reach, seen, dt_s)
+            out[k] = 0.0
+            out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
+            continue
+        if mark >= REST:
+            warm_k, x[:], cov[:] = 0.0, 0.0, 0.0
+        if mark == STEADY:
+            steady(p, voltage[k, 1], x)
+        elif mark != REST:
+            u[0], u[1] = voltage[k, 0], voltage[k, 1]
+            u[2] = p[LOAD] + out[k, 4] + (x[2] if learn else 0.0)
+            if p[HEATING] > 0.0:
+                power = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k) * x[0] ** 2
+                warm_k += dt_s * (p[HEATING] * power - p[COOLING] * warm_k)
+            dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k)
+            of, slow = (switched, lag_of(p, p[AFTER])) if mark == SWITCH else (usual, lag)
+            _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
+            if learn and not is_known:
+                # Whatever the voltage was, it was one that the motor knows.
+                spread(cov, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, slow, work)
+        out[k, 0] = out[k, 1] = 0.0
+        out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
+        if seen[0] > 0.0 and shown_i == shown_i:
+            out[k, 0], log = _read(x, cov, 0, place_i, shown_i, p[NOISE_I], mark, learn, is_known, row)
+            logs += log
+        if seen[1] > 0.0 and shown_w == shown_w:
+            out[k, 1], log = _read(x, cov, 1, place_w, shown_w, p[NOISE_W], mark, learn, is_known, row)
+            logs += log
+        if learn:
+            out[k, 4] = x[2]
+        out[k, 5] = warm_k
+    return logs
+
+
+@compiled_with_arrays
 def predict(
     p: FloatArray,
     dt_s: float,
@@ -140,57 +203,15 @@ def predict(
         Sum of the logarithms of the innovations' variances.
     """
     n = 5 if p[LAG_I] > 0.0 or p[LAG_W] > 0.0 else (3 if p[WALK] > 0.0 else 2)
-    usual, lag = tables(p, dt_s), lag_of(p, dt_s)
+    usual, reach = tables(p, dt_s), 1e-9 + np.max(np.abs(voltage))
+    switched = tables(p, p[AFTER]) if p[AFTER] > 0.0 else usual
     m, x, cov, f, u = np.zeros((3, 6)), np.zeros(5), np.zeros((n, n)), np.zeros((3, 5)), np.zeros(4)
-    row, shown, work = np.zeros(n), np.zeros((2, 2)), np.zeros((3, 5, 5))
-    logs, warm_k = 0.0, 0.0
-    place_i, place_w = (3, 4) if n == 5 else (0, 1)
-    reach = 1e-9 + max(abs(np.max(voltage)), abs(np.min(voltage)))
-    u[3] = _SLOW * reach / p[K]
-    is_known = marks[0] >= REST and p[NOISE_V] == 0.0 and p[NOISE_T] == 0.0 and p[WALK] == 0.0
-    for k in range(voltage.shape[0]):
-        mark = marks[k]
-        shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]
-        if mark == BEGIN:
-            warm_k = 0.0
-            after = min(k + 1, voltage.shape[0] - 1)
-            shown[0, 0], shown[0, 1] = shown_i, shown_w
-            shown[1, 0], shown[1, 1] = readings[after, 0] - p[OFFSET_I], readings[after, 1] - p[OFFSET_W]
-            begin(p, x, cov, shown, voltage[after, 0], reach, seen, dt_s)
-            out[k] = 0.0
-            out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
-            continue
-        if mark >= REST:
-            warm_k, x[:], cov[:] = 0.0, 0.0, 0.0
-        if mark == STEADY:
-            steady(p, voltage[k, 1], x)
-        elif mark != REST:
-            u[0], u[1] = voltage[k, 0], voltage[k, 1]
-            u[2] = p[LOAD] + out[k, 4] + (x[2] if learn else 0.0)
-            if p[HEATING] > 0.0:
-                power = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k) * x[0] ** 2
-                warm_k += dt_s * (p[HEATING] * power - p[COOLING] * warm_k)
-            dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k)
-            of, slow = (tables(p, p[AFTER]), lag_of(p, p[AFTER])) if mark == SWITCH else (usual, lag)
-            _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
-            if learn and not is_known:
-                # Whatever the voltage was, it was one that the motor knows.
-                spread(cov, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, slow, work)
-        out[k, 0] = out[k, 1] = 0.0
-        out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
-        if seen[0] > 0.0 and shown_i == shown_i:
-            out[k, 0], log = _read(x, cov, 0, place_i, shown_i, p[NOISE_I], mark, learn, is_known, row)
-            logs += log
-        if seen[1] > 0.0 and shown_w == shown_w:
-            out[k, 1], log = _read(x, cov, 1, place_w, shown_w, p[NOISE_W], mark, learn, is_known, row)
-            logs += log
-        if learn:
-            out[k, 4] = x[2]
-        out[k, 5] = warm_k
+    room = (m, x, cov, f, u, np.zeros(n), np.zeros((2, 2)), np.zeros((3, 5, 5)))
+    logs: float = _run(p, dt_s, voltage, readings, seen, marks, learn, out, reach, usual, switched, room)
     return logs
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_with_arrays
 def predict_each(
     p: FloatArray,
     dt_s: float,

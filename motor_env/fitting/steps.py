@@ -25,7 +25,7 @@ from motor_env.fitting.places import (
     L,
     R,
 )
-from motor_env.motor.compiled import njit
+from motor_env.motor.compiled import compiled_with_arrays, inlined, njit
 from motor_env.motor.model import exponential_and_phis, load_in_kernel
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
@@ -37,7 +37,6 @@ _KNEE_TOLERANCE = 1e-7
 _FAST = 40.0  # square of a speed over that of Stribeck's curve: beyond it the curve is flat
 _SERIES_NORM, _SERIES_ORDER = 0.5, 12
 _SHORTEST_LAG = 1e-6  # of an interval: with a shorter one the squarings of the exponential lose digits
-inlined = njit(error_model="numpy", forceinline=True)  # a call with arrays costs as much as a step
 
 
 @njit(error_model="numpy")
@@ -76,7 +75,7 @@ def _exponential(a: FloatArray, out: FloatArray) -> None:
                 out[r, c] = work[r, c]
 
 
-@inlined
+@njit(error_model="numpy")
 def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> None:
     """Rows current, speed, shown current.
 
@@ -107,7 +106,7 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> N
             out[2, c] = whole_system[5, c]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_with_arrays
 def tables(p: FloatArray, dt_s: float) -> FloatArray:
     """Discrete models of an interval, of its fine and of its coarse parts, over the winding's temperature.
 
@@ -123,19 +122,19 @@ def tables(p: FloatArray, dt_s: float) -> FloatArray:
 
 
 @inlined
-def at(table: FloatArray, warm_k: float, out: FloatArray) -> None:
-    """The discrete model at one temperature, between two of the table."""
-    if table.shape[0] == 1:
+def at(table: FloatArray, part: int, warm_k: float, out: FloatArray) -> None:
+    """The discrete model of some part at one temperature, between two of the table."""
+    if table.shape[1] == 1:
         for r in range(3):
             for c in range(6):
-                out[r, c] = table[0, r, c]
+                out[r, c] = table[part, 0, r, c]
         return
-    place = min(max((warm_k - _COLDEST_K) / _GRID_K, 0.0), table.shape[0] - 1.001)
+    place = min(max((warm_k - _COLDEST_K) / _GRID_K, 0.0), table.shape[1] - 1.001)
     low = int(place)
     share = place - low
     for r in range(3):
         for c in range(6):
-            out[r, c] = (1.0 - share) * table[low, r, c] + share * table[low + 1, r, c]
+            out[r, c] = (1.0 - share) * table[part, low, r, c] + share * table[part, low + 1, r, c]
 
 
 @inlined

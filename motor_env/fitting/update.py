@@ -19,7 +19,8 @@ from motor_env.fitting.places import (
     L,
     R,
 )
-from motor_env.fitting.steps import inlined, product
+from motor_env.fitting.steps import product
+from motor_env.motor.compiled import inlined
 from motor_env.motor.parameters import FloatArray
 
 _WILD = 6.0

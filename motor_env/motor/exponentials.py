@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.motor.compiled import njit
+from motor_env.motor.compiled import inlined
 from motor_env.motor.model import SERIES_NORM, SERIES_ORDER, doubled, longer_series, of_series
 from motor_env.motor.parameters import FloatArray
 
@@ -12,7 +12,7 @@ ROOM = 4
 """Rows of numbers that `exponentials_and_phis` needs for itself."""
 
 
-@njit(forceinline=True, error_model="numpy", _nrt=False)
+@inlined
 def exponentials_and_phis(
     count: int, x: FloatArray, exponential: FloatArray, phi: FloatArray, room: FloatArray
 ) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.envs.compiling import inlined
 from motor_env.envs.drive.lanes import Block, Task
+from motor_env.motor.compiled import inlined
 from motor_env.motor.model import load_in_kernel
 
 

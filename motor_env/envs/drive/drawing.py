@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from motor_env.envs import layout
-from motor_env.envs.compiling import fixed_tuple, inlined
+from motor_env.envs.compiling import fixed_tuple
 from motor_env.envs.drive.lanes import N_CONSTANTS, Block, Lanes, Task
 from motor_env.envs.layout import WordArray
+from motor_env.motor.compiled import inlined
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream
 

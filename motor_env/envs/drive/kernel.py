@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from motor_env.envs import layout
-from motor_env.envs.compiling import compiled, inlined
 from motor_env.envs.drive.belief import follow, own_share
 from motor_env.envs.drive.drawing import (
     BEARING,
@@ -28,6 +27,7 @@ from motor_env.envs.drive.drawing import (
 )
 from motor_env.envs.drive.lanes import LANES, PARTS, Block, Lanes, Task
 from motor_env.envs.layout import BoolArray, Float32Array
+from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.exponentials import exponentials_and_phis
 from motor_env.motor.model import load_in_kernel
 from motor_env.motor.parameters import FloatArray

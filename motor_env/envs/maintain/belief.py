@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.compiling import inlined
 from motor_env.envs.maintain.options import LEVELS, NOTHING
+from motor_env.motor.compiled import inlined
 from motor_env.motor.parameters import FloatArray
 
 AT_ONCE = 7

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs import layout
-from motor_env.envs.compiling import compiled, inlined
 from motor_env.envs.layout import BoolArray, MarkArray, WordArray
 from motor_env.envs.maintain.belief import believe
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, N_ESTIMATES, NOTHING
+from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
