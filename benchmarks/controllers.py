@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from motor_env import PAPER_MOTOR, Motor, Scenario, SensorParameters, nis_rule, simulate
-from motor_env.embedded.arithmetic import Numbers, Steps, answers, fixed_point, floating, readings_of
+from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import literal, write_library
+from motor_env.embedded.twin import answers, readings_of
 from motor_env.motor.parameters import Channel
 
 RESULTS = Path(__file__).parent / "results" / "controllers.json"

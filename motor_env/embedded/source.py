@@ -15,15 +15,13 @@ from motor_env.embedded.arithmetic import (
     SOMETHING_BITS,
     STATISTIC_BITS,
     Numbers,
-    SampleVerdict,
     Steps,
     Values,
-    answers,
     fixed_point,
     floating,
-    readings_of,
 )
 from motor_env.embedded.monitor import DEAD_AFTER, Monitor
+from motor_env.embedded.twin import SampleVerdict, answers, readings_of
 from motor_env.errors import InputError
 from motor_env.files import filling, require_ours, write_text
 from motor_env.pages.html import render

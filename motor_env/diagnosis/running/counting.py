@@ -27,6 +27,41 @@ def fewest_in_a_row(healthy: int, windows: float, tests: int) -> int:
     return next(m for m in itertools.count(1) if windows_between_alarms(healthy, m, tests) >= windows)
 
 
+def promised(healthy: int, window_s: float, windows: float, tests: int, *, adds_up: bool | None) -> str:
+    """What holds of the rate of false alarms, in words.
+
+    Args:
+        healthy: number of healthy windows.
+        window_s: length of one.
+        windows: asked for from one false alarm to the next.
+        tests: together.
+        adds_up: whether evidence is added up; None where healthy windows were not compared.
+    """
+    in_a_row, hours = fewest_in_a_row(healthy, windows, tests), window_s / 3600.0
+    counted = windows_between_alarms(healthy, in_a_row, tests) * hours
+    words = f"{healthy} healthy windows of {window_s:g} s"
+    if adds_up is None:
+        return (
+            f"{words}, which were not compared with each other: commission the motor anew for a checked rate"
+        )
+    by_count = (
+        f"{in_a_row} windows in a row beyond all healthy ones, at most one false alarm in {_time(counted)}"
+    )
+    if adds_up:
+        asked = _time(windows * hours)
+        tails = f"one false alarm in {asked} if the fitted tails hold, as they do on these windows"
+        return f"{words}: {tails}; by counting alone: {by_count}"
+    return f"{words} do not follow the fitted tails, so that alarms are by counting alone: {by_count}"
+
+
+def _time(hours: float) -> str:
+    """A time in the largest unit that it fills."""
+    sizes = {"year": 8766.0, "day": 24.0, "hour": 1.0, "minute": 1.0 / 60.0}
+    unit = next((unit for unit, size in sizes.items() if hours >= size), "minute")
+    shown = f"{hours / sizes[unit]:.3g}"
+    return f"{shown} {unit}" + "s" * (shown != "1")
+
+
 @dataclass
 class Counting:
     """The healthy windows and those since, along some axes.

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.running.counting import Counting, fewest_in_a_row, windows_between_alarms
+from motor_env.diagnosis.running.counting import Counting, promised
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.learned import Learned
 from motor_env.diagnosis.running.pieces import Pieces, Sections, sections_of
@@ -101,19 +101,13 @@ class Vigil:
     @property
     def promise(self) -> str:
         """What holds of the rate of false alarms, in words."""
-        hours = self.judge.windows.window_s / 3600.0
-        tests, n = len(AXES), self._counting.healthy
-        in_a_row = fewest_in_a_row(n, self.windows, tests)
-        counted = windows_between_alarms(n, in_a_row, tests) * hours
-        words = f"{n} healthy windows of {self.judge.windows.window_s:g} s"
-        if not self._can_count:
-            return f"{words}, which were not compared with each other: commission the motor anew for a checked rate"
-        by_count = f"{in_a_row} windows in a row beyond all healthy ones, at most one false alarm in {_time(counted)}"
-        if self.adds_up:
-            asked = _time(self.windows * hours)
-            tails = f"one false alarm in {asked} if the fitted tails hold, as they do on these windows"
-            return f"{words}: {tails}; by counting alone: {by_count}"
-        return f"{words} do not follow the fitted tails, so that alarms are by counting alone: {by_count}"
+        return promised(
+            self._counting.healthy,
+            self.judge.windows.window_s,
+            self.windows,
+            len(AXES),
+            adds_up=self.adds_up if self._can_count else None,
+        )
 
     @property
     def goes_on(self) -> bool:
@@ -302,11 +296,3 @@ class Vigil:
         self._at, self._toward = arrays["at"], int(toward)
         most = arrays["most"] if self._can_count else self._counting.most
         self._counting = Counting(int(healthy), most, arrays["rows"])
-
-
-def _time(hours: float) -> str:
-    """A time in the largest unit that it fills."""
-    sizes = {"year": 8766.0, "day": 24.0, "hour": 1.0, "minute": 1.0 / 60.0}
-    unit = next((unit for unit, size in sizes.items() if hours >= size), "minute")
-    shown = f"{hours / sizes[unit]:.3g}"
-    return f"{shown} {unit}" + "s" * (shown != "1")

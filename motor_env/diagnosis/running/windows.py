@@ -18,8 +18,9 @@ import numpy as np
 
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
-from motor_env.diagnosis.sensors.checks import Seen, failure_in
+from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.failed import judgement_of
+from motor_env.diagnosis.sensors.seen import Seen
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting import places

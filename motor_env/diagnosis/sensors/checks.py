@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from motor_env.diagnosis.misreading import READ_SO
-from motor_env.fitting import kernel, places
-from motor_env.fitting.record import Record
+from motor_env.diagnosis.sensors.seen import Seen, free_run, held_current, likeness, size
+from motor_env.fitting import places
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import clipped_run
@@ -35,34 +35,6 @@ _ON = 0.1  # of the largest voltage
 _ABOVE, _MOSTLY = 1.1, 0.5  # what the motor shows over the top of a clipped channel; share of the samples
 _OFFSET_AT_REST, _OFFSET = 0.05, 0.15  # of the current of a rotor that is held
 _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
-_HELD = 1e9  # times the inertia: the rotor stays where it is
-
-
-class Seen(NamedTuple):
-    """What was recorded, side by side.
-
-    Attributes:
-        dt_s: sampling interval.
-        voltage_v: shape (n,).
-        current_a, speed_rad_s: shape (n,); None for a channel without a column.
-        has_sign: whether the sign of the voltage is known.
-        at_work: whether it is a log. The offset of a start is no failure: the quiet part before it tells it.
-        is_taught: whether recordings have taught the healthy motor. A data sheet says nothing of the sensors of a
-            start: which sign is forwards, and how far a range goes.
-    """
-
-    dt_s: float
-    voltage_v: FloatArray
-    current_a: FloatArray | None
-    speed_rad_s: FloatArray | None
-    has_sign: bool = True
-    at_work: bool = True
-    is_taught: bool = True
-
-    def since(self, first: int) -> Seen:
-        """The record from a sample on."""
-        current, speed = (None if one is None else one[first:] for one in (self.current_a, self.speed_rad_s))
-        return self._replace(voltage_v=self.voltage_v[first:], current_a=current, speed_rad_s=speed)
 
 
 class Failure(NamedTuple):
@@ -70,18 +42,6 @@ class Failure(NamedTuple):
 
     kind: FaultKind | None
     why: str
-
-
-def free_run(
-    physical: FloatArray, voltage_v: FloatArray, dt_s: float, *, from_rest: bool = False
-) -> tuple[FloatArray, FloatArray]:
-    """Current and speed of a motor of these physical values under a voltage, from its steady state or from rest."""
-    values = physical.copy()
-    values[[places.NOISE_I, places.NOISE_W]], values[places.NOISE_V : places.WALK + 1] = 1.0, 0.0
-    n = len(voltage_v)
-    marks = np.append(kernel.REST if from_rest else kernel.STEADY, np.zeros(n - 1))
-    table = Record(dt_s, voltage_v, np.zeros((n, 2)), np.zeros(2), marks).predict(values, learn=False)[0]
-    return table[:, 2], table[:, 3]
 
 
 def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
@@ -92,7 +52,7 @@ def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
     expected = seen._replace(current_a=current, speed_rad_s=speed)
     if not seen.has_sign:  # the motor is taken to turn as it is read to do
         pair = (seen.current_a, current) if seen.speed_rad_s is None else (seen.speed_rad_s, speed)
-        turned = -1.0 if _likeness(*pair, about=0.0) < 0.0 else 1.0
+        turned = -1.0 if likeness(*pair, about=0.0) < 0.0 else 1.0
         volts = turned * seen.voltage_v
         seen, expected = (
             seen._replace(voltage_v=volts),
@@ -103,26 +63,6 @@ def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
     checks += [_offset] if seen.at_work else []
     found = (check(seen, expected, physical) for check in checks)
     return next(filter(None, found), None)
-
-
-def _held(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> FloatArray:
-    """Current of a rotor that is held: that of the winding alone, without brushes, shape (n,)."""
-    values = physical.copy()
-    values[places.J], values[places.DROP] = _HELD * physical[places.J], 0.0
-    return free_run(values, voltage_v, dt_s, from_rest=True)[0]
-
-
-def _size(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _likeness(one: FloatArray | None, other: FloatArray | None, *, about: float | None = None) -> float:
-    """Correlation, about the means unless given; 0 where one of them does not move or is not there."""
-    if one is None or other is None:
-        return 0.0
-    a, b = (each - (each.mean() if about is None else about) for each in (one, other))
-    product = _size(a) * _size(b)
-    return float(np.mean(a * b)) / product if product > 0.0 else 0.0
 
 
 def _channels(seen: Seen, expected: Seen) -> Iterator[tuple[str, str, FloatArray, FloatArray]]:
@@ -141,7 +81,7 @@ def _by_the_others(seen: Seen, physical: FloatArray) -> tuple[FloatArray | None,
     if seen.current_a is None or seen.speed_rad_s is None:
         return None, None
     ohm, constant = float(physical[places.R]), float(physical[places.K])
-    current = _held(physical, seen.voltage_v - constant * seen.speed_rad_s, seen.dt_s)
+    current = held_current(physical, seen.voltage_v - constant * seen.speed_rad_s, seen.dt_s)
     return current, (seen.voltage_v - ohm * seen.current_a) / constant
 
 
@@ -155,9 +95,9 @@ def _turning(seen: Seen, expected: Seen, physical: FloatArray) -> bool | None:
     """Whether the current is that of the motor that turns (True), or of a rotor that is held; None for neither."""
     if seen.current_a is None or expected.current_a is None:
         return None
-    blocked = _held(physical, seen.voltage_v, seen.dt_s)
-    off, off_held = _size(seen.current_a - expected.current_a), _size(seen.current_a - blocked)
-    if off < _MOSTLY * off_held and _likeness(seen.current_a, expected.current_a) > _ALIKE:
+    blocked = held_current(physical, seen.voltage_v, seen.dt_s)
+    off, off_held = size(seen.current_a - expected.current_a), size(seen.current_a - blocked)
+    if off < _MOSTLY * off_held and likeness(seen.current_a, expected.current_a) > _ALIKE:
         return True
     return False if off_held < off else None
 
@@ -165,11 +105,11 @@ def _turning(seen: Seen, expected: Seen, physical: FloatArray) -> bool | None:
 def _dead(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
     """A channel that shows nothing while another shows that the motor turns, or no other is there."""
     for name, unit, shown, healthy in _channels(seen, expected):
-        if _size(shown) >= _NOTHING * _size(healthy) or _likeness(shown, healthy) ** 2 >= _A_SCALE:
+        if size(shown) >= _NOTHING * size(healthy) or likeness(shown, healthy) ** 2 >= _A_SCALE:
             continue
-        why = f"the {name} is {_size(shown):.3g} {unit} effective where the healthy motor shows {_size(healthy):.3g}"
+        why = f"the {name} is {size(shown):.3g} {unit} effective where the healthy motor shows {size(healthy):.3g}"
         if name == "current":
-            turns = abs(_likeness(seen.speed_rad_s, expected.speed_rad_s, about=0.0)) > _ALIKE
+            turns = abs(likeness(seen.speed_rad_s, expected.speed_rad_s, about=0.0)) > _ALIKE
             is_dead = turns or (seen.speed_rad_s is None and seen.is_taught)
             return Failure(FaultKind("current_dead"), f"{why} {unit}") if is_dead else None
         turning = _turning(seen, expected, physical)
@@ -191,7 +131,7 @@ def _stuck(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
         if len(shown) - first < max(_FEWEST, _SHORTEST * len(shown)) or len(powered) < _FEWEST:
             continue
         # A rotor that stands shows no speed, and an open circuit no current.
-        is_none = abs(float(shown[-1])) < _NOTHING * _size(healthy)
+        is_none = abs(float(shown[-1])) < _NOTHING * size(healthy)
         if is_none and not _runs_on(name, first, seen, expected, physical):
             continue
         quantum, before = _quantum(shown[:first]), shown[max(first - _NOISE_BEFORE, 0) : first]
@@ -229,27 +169,27 @@ def _swapped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
 def _is_of_it(seen: Seen, expected: Seen) -> bool:
     """Whether all channels move as expected, and about as far."""
     return all(
-        _likeness(shown, healthy) > _ALIKE and _of_a_size(shown, healthy)
+        likeness(shown, healthy) > _ALIKE and _of_a_size(shown, healthy)
         for _, _, shown, healthy in _channels(seen, expected)
     )
 
 
 def _of_a_size(shown: FloatArray, healthy: FloatArray) -> bool:
-    return 1.0 / _SAME_SIZE < _size(shown) / max(_size(healthy), 1e-300) < _SAME_SIZE
+    return 1.0 / _SAME_SIZE < size(shown) / max(size(healthy), 1e-300) < _SAME_SIZE
 
 
 def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
     """A channel against which the other ones agree: it is reversed, or that of another motor."""
     by_speed, by_current = _by_the_others(seen, physical)
-    current = _likeness(seen.current_a, expected.current_a)
-    speed = _likeness(seen.speed_rad_s, expected.speed_rad_s, about=0.0)
+    current = likeness(seen.current_a, expected.current_a)
+    speed = likeness(seen.speed_rad_s, expected.speed_rad_s, about=0.0)
     is_pair = by_speed is None  # voltage, and one of the others
-    by_both = _likeness(seen.current_a, by_speed)
-    current_at_most, current_agreed = max(current, by_both), _likeness(expected.current_a, by_speed) > _ALIKE
+    by_both = likeness(seen.current_a, by_speed)
+    current_at_most, current_agreed = max(current, by_both), likeness(expected.current_a, by_speed) > _ALIKE
     speed_at_most = max(
-        _likeness(seen.speed_rad_s, expected.speed_rad_s), _likeness(seen.speed_rad_s, by_current)
+        likeness(seen.speed_rad_s, expected.speed_rad_s), likeness(seen.speed_rad_s, by_current)
     )
-    speed_agreed = _likeness(expected.speed_rad_s, by_current) > _ALIKE
+    speed_agreed = likeness(expected.speed_rad_s, by_current) > _ALIKE
     # What a speed in another unit says of the current is nothing, and the other way round.
     sizes = {name: _of_a_size(shown, healthy) for name, _, shown, healthy in _channels(seen, expected)}
     against = (current_agreed and current_at_most < _AGAINST) or (by_both < _OPPOSITE and current < -_AGAINST)
@@ -290,7 +230,7 @@ def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
         # What a controller holds stands still in the healthy motor, too.
         is_more = is_more and float(np.ptp(np.abs(healthy[flat]))) > (_ABOVE - 1.0) * top
         limited = np.clip(healthy, -top, top)
-        if is_more and _likeness(shown, limited) > _ALIKE and _size(shown - limited) < _MOSTLY * _size(shown):
+        if is_more and likeness(shown, limited) > _ALIKE and size(shown - limited) < _MOSTLY * size(shown):
             most = float(np.max(np.abs(healthy)))
             words = f"{int(flat.sum())} samples of the {name} stand at {top:.4g} {unit}"
             return Failure(
@@ -302,7 +242,7 @@ def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
 def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
     """A current that is off by the same amount at every voltage and speed: at rest, or of a motor that reverses."""
     current, speed = seen.current_a, seen.speed_rad_s
-    if current is None or speed is None or _likeness(seen.current_a, expected.current_a) < _ALIKE:
+    if current is None or speed is None or likeness(seen.current_a, expected.current_a) < _ALIKE:
         return None
     sizes = [np.abs(each) / np.max(np.abs(each)) for each in (seen.voltage_v, speed)]
     rests = (sizes[0] < _STANDS) & (sizes[1] < _STANDS)
@@ -317,7 +257,7 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
         off, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
     else:
         return None
-    off = (off - known) / max(_size(current) / _size(by_speed), 1.0)  # of a current in mA, in A
+    off = (off - known) / max(size(current) / size(by_speed), 1.0)  # of a current in mA, in A
     if abs(off) < most * float(np.max(np.abs(seen.voltage_v)) / physical[places.R]):
         return None
     return Failure(

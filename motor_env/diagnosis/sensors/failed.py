@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from motor_env.diagnosis.sensors.checks import Failure, Seen, failure_in
+from motor_env.diagnosis.sensors.checks import Failure, failure_in
+from motor_env.diagnosis.sensors.seen import Seen
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.motor.data_sheet import Motor

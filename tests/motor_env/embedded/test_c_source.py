@@ -30,18 +30,10 @@ from motor_env import (
     nis_rule,
     simulate,
 )
-from motor_env.embedded.arithmetic import (
-    Answers,
-    Numbers,
-    SampleVerdict,
-    Steps,
-    answers,
-    fixed_point,
-    floating,
-    readings_of,
-)
+from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import write_library
+from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]

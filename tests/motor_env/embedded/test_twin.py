@@ -32,19 +32,10 @@ from motor_env import (
 )
 from motor_env.cli import main
 from motor_env.embedded import source
-from motor_env.embedded.arithmetic import (
-    Answers,
-    Numbers,
-    Row,
-    SampleVerdict,
-    Steps,
-    answers,
-    fixed_point,
-    floating,
-    readings_of,
-)
+from motor_env.embedded.arithmetic import Numbers, Row, Steps, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of, settled
 from motor_env.embedded.source import checks, write_library
+from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
 
 # Reaches in: the gains that are exported begin the filter's whole schedule, which they are compared with.
 from motor_env.filters.kalman import schedule
