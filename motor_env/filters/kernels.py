@@ -106,12 +106,13 @@ def fill_schedules(
                 known = lost
                 _leave_out(missing[n, k], lost, c, r, cc, rr)
             k00, k01, k10, k11, s00, s01, s11, u00, u01, u11 = covariance_step(t, q, cc, rr, p00, p01, p11)
-            g, s, u = gain[n, k], innovation_covariance[n, k], covariance[n, k]
-            g[0, 0], g[1, 0], s[0, 0] = k00, k10, s00
+            gain[n, k, 0, 0], gain[n, k, 1, 0], innovation_covariance[n, k, 0, 0] = k00, k10, s00
             if missing.shape[2] == 2:
-                g[0, 1], g[1, 1] = k01, k11
-                s[0, 1], s[1, 0], s[1, 1] = s01, s01, s11
-            u[0, 0], u[0, 1], u[1, 0], u[1, 1] = u00, u01, u01, u11
+                gain[n, k, 0, 1], gain[n, k, 1, 1] = k01, k11
+                innovation_covariance[n, k, 0, 1] = innovation_covariance[n, k, 1, 0] = s01
+                innovation_covariance[n, k, 1, 1] = s11
+            covariance[n, k, 0, 0], covariance[n, k, 1, 1] = u00, u11
+            covariance[n, k, 0, 1] = covariance[n, k, 1, 0] = u01
             still = (
                 whole
                 and abs(u00 - p00) <= CONVERGED * u00
