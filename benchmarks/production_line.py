@@ -1,6 +1,6 @@
 """False alarms and misses on the production line's recordings, commissioned on many choices of five good starts.
 
-MOTOR_ENV_RECORDINGS=... python benchmarks/production_line.py --choices 20
+MOTOR_ENV_RECORDINGS=... python benchmarks/production_line.py
 """
 
 import os
@@ -41,7 +41,7 @@ def judge(number: int, choices: int, seed: int) -> Said:
 
 
 def main(*, choices: int = 252, seed: int = 7, how: How = HERE) -> None:
-    """Judge and keep the table: all choices take an hour.
+    """Judge and keep the table: all choices take 20 minutes.
 
     Args:
         choices: of the 252 choices of five, drawn at random.
