@@ -172,7 +172,7 @@ def _text(told: Mapping[str, Any]) -> str:
         for name, row in rows.items()
     }
     lines = [
-        f"{files}: model {' + '.join(told['model'])}",
+        f"{files}: model {' + '.join(told['model'])}; 95 % intervals",
         f"  taken for {Taken(**told['taken_for'])}",
         "  read: " + "; ".join(told["columns"]),
         *quantity_lines(rows, beside),

@@ -798,9 +798,9 @@ def test_the_command_tells_logs_from_starts(
     assert second["parameters"] == known(identified).parameters
     assert main(["identify", str(log), start, "-o", str(toml)]) == 0
     said = capsys.readouterr().out
-    assert f"{start}: model textbook" in said
+    assert f"{start}: model textbook; 95 % intervals" in said
     assert (
-        f"{log}: model {' + '.join(identified.model)}\n  taken for a motor at work (the voltage reverses"
+        f"{log}: model {' + '.join(identified.model)}; 95 % intervals\n  taken for a motor at work (the voltage reverses"
         in said
     )
     assert main(["identify", str(log), "--regime", "operation", "-o", str(toml)]) == 0
