@@ -799,10 +799,8 @@ def test_the_command_tells_logs_from_starts(
     assert main(["identify", str(log), start, "-o", str(toml)]) == 0
     said = capsys.readouterr().out
     assert f"{start}: model textbook; 95 % intervals" in said
-    assert (
-        f"{log}: model {' + '.join(identified.model)}; 95 % intervals\n  taken for a motor at work (the voltage reverses"
-        in said
-    )
+    model = " + ".join(identified.model)
+    assert f"{log}: model {model}; 95 % intervals\n  taken for a motor at work (the voltage reverses" in said
     assert main(["identify", str(log), "--regime", "operation", "-o", str(toml)]) == 0
     assert "(as asked)" in capsys.readouterr().out
     assert load_motor(toml).parameters.inertia_kg_m2 == identified.solution.values[places.J]
