@@ -18,7 +18,7 @@ import numpy as np
 
 from motor_env.filters.batch import FilterResult
 from motor_env.filters.kalman import KalmanFilter, masked_sensor
-from motor_env.motor.compiled import njit
+from motor_env.motor.compiled import compiled, inlined, njit
 from motor_env.motor.model import N_STATES
 from motor_env.motor.parameters import FloatArray
 
@@ -38,7 +38,7 @@ class Smoothed(NamedTuple):
 # Written out: a product of arrays of four numbers would take ten times as long.
 
 
-@njit(cache=True)
+@inlined
 def _congruence(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
     """Put x y x', of a symmetric y, into `out`: symmetric to the last digit."""
     t00, t01 = x[0, 0] * y[0, 0] + x[0, 1] * y[0, 1], x[0, 0] * y[0, 1] + x[0, 1] * y[1, 1]
@@ -48,40 +48,44 @@ def _congruence(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
     out[0, 1] = out[1, 0] = u01
 
 
-@njit(cache=True)
-def _less(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
+@inlined
+def _less(x: FloatArray, y: FloatArray, w: FloatArray, out: FloatArray) -> None:
     """(I + x y)^-1 x: what an information y leaves of a covariance x, or a covariance y of an information x.
 
-    Computed as W (x + x y x) W' with W = (I + x y)^-1: a sum of positive terms, as Joseph's form is for the filter.
+    Computed as W (x + x y x) W' with W = (I + x y)^-1, put into `w`: a sum of positive terms, as Joseph's form is for
+    the filter.
     """
-    w = np.empty((2, 2))
     p00, p01 = 1.0 + x[0, 0] * y[0, 0] + x[0, 1] * y[1, 0], x[0, 0] * y[0, 1] + x[0, 1] * y[1, 1]
     p10, p11 = x[1, 0] * y[0, 0] + x[1, 1] * y[1, 0], 1.0 + x[1, 0] * y[0, 1] + x[1, 1] * y[1, 1]
     scale = 1.0 / (p00 * p11 - p01 * p10)
     w[0, 0], w[0, 1], w[1, 0], w[1, 1] = p11 * scale, -p01 * scale, -p10 * scale, p00 * scale
     _congruence(x, y, out)
-    out += x
+    for r in range(2):
+        for c in range(2):
+            out[r, c] += x[r, c]
     _congruence(w, out, out)
 
 
-@njit(cache=True)
+@compiled
 def _smoothed_covariance(
-    a: FloatArray,
+    forward: FloatArray,
     q: FloatArray,
     information: FloatArray,
     covariance: FloatArray,
     smoothed: FloatArray,
+    room: FloatArray,
 ) -> None:
     """Covariance of each sample given the later ones too, whose information goes from the last to the first.
 
-    `information` is C' R^-1 C of each sample, over the channels measured.
+    `forward` is A', `information` C' R^-1 C of each sample, over the channels measured, `room` zeros, shape (3, 2, 2).
     """
-    later, now, forward = np.zeros((2, 2)), np.empty((2, 2)), a.T.copy()
+    later, now, w = room[0], room[1], room[2]
     for k in range(len(covariance) - 1, -1, -1):
-        _less(covariance[k], later, smoothed[k])
-        now[:] = information[k]
-        now += later
-        _less(now, q, later)
+        _less(covariance[k], later, w, smoothed[k])
+        for r in range(2):
+            for c in range(2):
+                now[r, c] = information[k, r, c] + later[r, c]
+        _less(now, q, w, later)
         _congruence(forward, later, later)
 
 
@@ -138,6 +142,7 @@ def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
     for n, filtered in enumerate(covariance):
         cases = slice(None) if len(covariance) == 1 else slice(n, n + 1)
         a = transition[min(n, len(transition) - 1)]
-        _smoothed_covariance(a, q, information[n], filtered, spread[n])
+        forward, room = np.ascontiguousarray(a.T), np.zeros((3, 2, 2))
+        _smoothed_covariance(forward, q, information[n], filtered, spread[n], room)
         _smoothed_states(a, c, weighted[cases], gain[n], filtered, state[cases], out[cases])
     return Smoothed(out.reshape(result.state.shape), spread.reshape(result.covariance.shape))
