@@ -93,7 +93,7 @@ class _Direction:
         self.inverse = np.linalg.pinv(self.jacobian)
 
     def test(self, moved: FloatArray, sides: FloatArray, *, is_positive: bool) -> ScoreTest | None:
-        """Of residuals at several sizes of what is added, shape (m, n), the most telling; None where none shows."""
+        """The most telling of several sizes of what is added, by residuals, shape (m, n); None where none tells."""
         moved = np.clip(moved, -_NO_NUMBER, _NO_NUMBER)  # a size at which the model has no numbers
         columns = (moved - self.base).T / sides
         moves = -self.inverse @ columns

@@ -83,7 +83,7 @@ class Prior(NamedTuple):
     variance: FloatArray
 
     def wider(self, extra: FloatArray) -> Prior:
-        """The same with so much variance more."""
+        """A prior with so much variance more."""
         return self._replace(variance=self.variance + extra)
 
 

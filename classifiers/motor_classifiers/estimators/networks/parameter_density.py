@@ -38,7 +38,7 @@ class Scales(NamedTuple):
 
     @classmethod
     def of(cls, batch: Dataset) -> Scales:
-        """Of the cases of a recipe; a parameter that does not scatter keeps the width 1."""
+        """Means and widths over the cases of a recipe; a parameter that does not scatter keeps the width 1."""
         logs = logarithms(batch)
         width = logs.std(axis=0)
         return cls(logs.mean(axis=0), np.where(width > _CONSTANT, width, 1.0))
