@@ -324,6 +324,7 @@ def test_the_page_is_given_what_was_scored(
     assert [one.name for one in words["methods"]] == ["residual-qda", "network", "threshold"]
     assert words["best"].name == "residual-qda"
     assert words["best_peer"] is None
+    assert (words["limit_name"], words["estimated"]) == ("Bayes limit", False)
     assert words["limit_expected"] == pytest.approx(0.8125)
     assert words["n_comparisons"] == 3
     assert words["significance"] == 0.01

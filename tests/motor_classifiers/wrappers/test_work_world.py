@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from motor_classifiers import OpenSetClassifier, OutsideDetector
 from motor_classifiers.wrappers.outside import ADVICE
-from motor_classifiers.wrappers.work_world import Prior, WorkWorld
+from motor_classifiers.wrappers.work_world import Prior, WorkCoordinates, WorkWorld
 from motor_datasets import generate_arrays
 from motor_env import FaultKind, load_recipe
 from motor_env.motor.parameters import FloatArray
@@ -63,6 +63,28 @@ def test_evidence_of_a_linear_motor_is_the_normal_density_of_the_record() -> Non
     ]
     got = WORLD._evidence(prior, linear, (level, level))
     assert np.diff(got) == pytest.approx(np.diff(joint), rel=1e-6)
+
+
+def test_noise_may_be_as_loud_as_it_is_and_nothing_else_is_off_where_the_recipe_has_its_noise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[tuple[Prior, tuple[float, float]]] = []
+
+    def evidence(_: WorkWorld, prior: Prior, at: WorkCoordinates, levels: tuple[float, float]) -> FloatArray:
+        asked.append((prior, levels))
+        return np.full(len(at.energy), -float(len(asked)))
+
+    monkeypatch.setattr(WorkWorld, "_evidence", evidence)
+    at = WORLD.coordinates(flat(OPERATION, 5, 2))
+    assert WORLD.off(at, (0.5, 2.0)).tolist() == ["noise"] * 2
+    (prior, levels), *others = asked
+    assert prior is WORLD.own
+    assert levels == (0.5, np.inf)
+    assert [prior for prior, _ in others] == [*WORLD.departures.values()]
+    assert {levels for _, levels in others} == {(0.5, 2.0)}
+    asked.clear()
+    assert WORLD.distance(at, (0.5, 2.0)).tolist() == [1.0, 1.0]
+    assert asked == [(WORLD.anything, (0.5, np.inf)), (WORLD.own, (0.5, 2.0))]
 
 
 def test_the_recipe_and_its_departures() -> None:

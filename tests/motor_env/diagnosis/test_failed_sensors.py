@@ -97,6 +97,16 @@ def test_each_failure_is_named(is_log: bool, missing: tuple[str, ...]) -> None:
         assert failed_kind(seen(failed, is_log=is_log)) == expected
 
 
+def test_a_duty_is_that_share_of_the_supply() -> None:
+    log = at_work(np.random.default_rng(2))
+    assert log.voltage_v is not None
+    chopped = replace(log, voltage_v=None, duty=log.voltage_v / 24.0)
+    assert failed_sensor(chopped, SHEET, 24.0, at_work=True) is None
+    dead = failed_sensor(replace(chopped, current_a=np.zeros(3000)), SHEET, 24.0, at_work=True)
+    assert dead is not None
+    assert dead.fault_kind == "current_dead"
+
+
 def test_a_range_and_an_offset_are_named() -> None:
     log, start = at_work(np.random.default_rng(3)), started(np.random.default_rng(3))
     short = replace(start, current_a=np.clip(start.current_a, -2.5, 2.5))

@@ -562,5 +562,8 @@ def test_the_source_holds_the_numbers_of_its_twin(fixed: bool, rule: str, tmp_pa
     assert np.float32(statistic[1]) == (2.0**-26 if fixed else 1.0)
     share = f"* {np.float32(2.0**-numbers.memory)!s}f"
     assert (share in text) == (not fixed and rule == "cusum")
+    nothing, something = (" >> 4)", " >> 1)") if fixed else (" * 0.0625f)", " * 0.5f)")
+    assert f"shown < (predicted{nothing}" in text
+    assert f"shown >= (predicted{something}" in text
     assert "off > 0 ||" in text if fixed else "off > 1e-3f" in text
     assert text.count("M_SENSOR_RANGE }") == 1

@@ -1,13 +1,15 @@
 """Where the fit of a start begins: bounded least squares and recorded truth are the oracles."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from motor_datasets import generate_arrays
 from motor_env import load_recipe
-from motor_env.inference.first_guess import bounded
+from motor_env.inference.first_guess import StartGrid, bounded
 from motor_env.inference.work_features import work_feature_names, work_fit
 
 
@@ -31,6 +33,24 @@ def test_a_coordinate_whose_ends_are_one_stays_there() -> None:
     ends = np.array([-9.0, 0.5]), np.array([9.0, 0.5])
     got = bounded(np.zeros((1, 2)), precision, np.array([[1.0, 0.0]]), *ends)
     np.testing.assert_allclose(got, [[0.25, 0.5]])
+
+
+def test_the_guess_of_a_linear_motor_is_the_posterior_mean() -> None:
+    rng = np.random.default_rng(8)
+    slopes, offset, noise = rng.normal(size=(7, 3)), rng.normal(size=7), rng.uniform(0.5, 2.0, 7)
+    centre, precision = np.array([0.4, -1.0, 0.2]), np.array([3.0, 0.5, 2.0])
+    linear: Any = SimpleNamespace(
+        names=("gain", "offset", "bearing"),
+        whole_noise=noise,
+        box=(np.full(3, -99.0), np.full(3, 99.0)),
+        readings=lambda at: at @ slopes.T + offset,
+    )
+    grid = StartGrid(linear, centre=centre, precision=precision, severities=np.array([[0.0], [1.5]]))
+    measured = rng.normal(size=(4, 7))
+    white = slopes / noise[:, None]
+    force = ((measured - offset) / noise) @ white + precision * centre
+    expected = np.linalg.solve(white.T @ white + np.diag(precision), force.T).T
+    np.testing.assert_allclose(grid.guess(measured), expected, rtol=1e-6)
 
 
 def test_a_fit_begins_near_the_ramp_of_a_start_and_explains_it_nearly() -> None:
