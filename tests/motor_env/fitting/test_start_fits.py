@@ -592,7 +592,7 @@ def test_values_that_no_motor_has_are_named() -> None:
         return [sentence.partition(" of ")[0] for sentence in implausible(replace(fit, log_values=values))]
 
     r, el, k, j = (fit.log_values[names.index(name)] for name in "RLKJ")
-    for factor, inside in ((0.99, True), (1.01, False)):
+    for factor, inside in ((0.999, True), (1.001, False)):
         log = np.log(factor)
         assert ("R" not in moved(R=np.log(1e3) + log, L=el + 6.0)) == inside
         assert ("R" not in moved(R=np.log(5e-3) - log)) == inside

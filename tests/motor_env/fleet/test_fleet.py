@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import t as student_t
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
@@ -179,6 +180,11 @@ def test_logs_at_work_make_a_motor_file_that_judges_another_sister(
     low, high = one["parameters"]["R"]["interval"]
     assert low < resistance_ohm < high
     assert high / low < np.exp(4.0 * sd[0, 0])
+    known = healthy[1].fleet
+    assert known is not None
+    own_sd = np.sqrt((healthy[1].log_covariance - known.log_within)[0, 0])
+    half = student_t(healthy[1].degrees_of_freedom).ppf(0.975) * own_sd
+    assert np.log(high / low) == pytest.approx(2.0 * half)
     assert one["parameters"]["R"]["value"] == pytest.approx(healthy[1].values[0])
 
 
