@@ -10,6 +10,7 @@ from scipy.stats import multivariate_normal
 from motor_classifiers import OpenSetClassifier, OutsideDetector
 from motor_classifiers.wrappers.outside import ADVICE
 from motor_classifiers.wrappers.work_world import Prior, WorkCoordinates, WorkWorld
+from motor_classifiers.wrappers.world import ANYWHERE, WIDER
 from motor_datasets import generate_arrays
 from motor_env import FaultKind, load_recipe
 from motor_env.motor.parameters import FloatArray
@@ -102,6 +103,14 @@ def test_the_recipe_and_its_departures() -> None:
     expected = np.zeros(len(names))
     expected[names.index("temperature_rise_k")] = (20.0 / (high - low)) ** 2
     np.testing.assert_allclose(extra["warmth"], expected, atol=1e-12)
+    # Any motor: the mixture of the classes, with its variance widened, anywhere in all departures together.
+    chances, own = OPERATION.class_probabilities, WORLD.own
+    middle = chances @ own.mean
+    mixture = chances @ (own.variance + own.mean**2) - middle**2
+    np.testing.assert_allclose(WORLD.anything.mean[0], middle)
+    np.testing.assert_allclose(
+        WORLD.anything.variance[0], WIDER * mixture + ANYWHERE * np.sum([*extra.values()], axis=0)
+    )
     # A tenth of each parameter, in standard deviations of its tolerance; none where there is no tolerance.
     np.testing.assert_allclose(extra["another motor"][:5], np.square([10.0, 10.0, 10.0, 5.0, 5.0]))
     sharp = replace(OPERATION, spread=replace(OPERATION.spread, inertia=0.0))

@@ -4,14 +4,16 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import t as student_t
+from scipy.stats import f as fisher, t as student_t
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
+from motor_env.diagnosis.diagnose import Diagnosis
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.first import Reading
@@ -20,7 +22,7 @@ from motor_env.fleet.learning import learn_fleet
 from motor_env.fleet.mapping import processes
 from motor_env.fleet.population import Core
 from motor_env.fleet.sister import Apart
-from motor_env.motor.data_sheet import save_motor
+from motor_env.motor.data_sheet import Motor, save_motor
 from motor_env.motor.parameters import FloatArray
 
 STEPS_V = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 45)
@@ -117,6 +119,28 @@ def test_other_changes_beside_the_fault_are_not_denied(found: FleetDiagnosis) ->
     both = replace(alone, apart=replace(worst.apart, off=off, spread=np.eye(len(names))))
     assert "R +" in both.odd
     assert both.why == "mostly, friction is up: look at the bearings, the lubricant and the load"
+
+
+def test_how_far_a_motor_is_off_by_hand(found: FleetDiagnosis) -> None:
+    apart = Apart(("R", "K"), np.array([0.2, -0.6]), np.array([[0.04, 0.0], [0.0, 0.09]]), 9.0)
+    one = replace(found.sisters[0], apart=apart)
+    assert one.off == pytest.approx({"R": 1.0, "K": -2.0})
+    assert one.p_value == pytest.approx(fisher(2, 9).sf(2.5))
+
+
+def test_the_records_of_a_motor_share_its_rate(
+    starts: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    again, rates = tmp_path / "1_left_b.csv", {}
+    record(again, [1, 0, 1], START_V)
+
+    def noted(path: Path, motor: Motor, *, false_alarm_rate: float, **reading: Any) -> Diagnosis:
+        rates[path.stem] = false_alarm_rate
+        return diagnose(path, motor, false_alarm_rate=false_alarm_rate, **reading)
+
+    monkeypatch.setattr("motor_env.fleet.judging.diagnose", noted)
+    diagnose_fleet([*starts, again], group=GROUP, false_alarm_rate=0.02)
+    assert rates == {path.stem: 0.02 for path in starts} | {"1_left": 0.01, "1_left_b": 0.01}
 
 
 def test_a_fleet_says_once_how_it_was_read(starts: list[Path]) -> None:
