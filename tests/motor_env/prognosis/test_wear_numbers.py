@@ -205,6 +205,21 @@ def test_many_estimates_have_twenty_onsets_and_the_first_tenth_sets_the_distance
     assert found.sign == -1.0  # the first six lie at 1.1 in the mean
 
 
+def test_wear_downwards_is_wear_upwards_in_a_mirror() -> None:
+    rng = np.random.default_rng(4)
+    time, error = np.arange(30.0), np.full(30, 0.02)
+    value = 0.4 + np.cumsum(0.15 * (rng.random(30) < 0.15)) + error * rng.standard_normal(30)
+    up, down = degradation(time, value, error, 2.0), degradation(time, -value, error, -2.0)
+    assert (up.sign, down.sign) == (1.0, -1.0)
+    assert up.share_of_steps > 0.5
+    assert down.share_of_steps == pytest.approx(up.share_of_steps)
+    np.testing.assert_allclose(down.level, up.level)
+    # The grid of levels lies about the beginning.
+    levels = up.steps.grid
+    assert levels[0] < value[:3].mean() < levels[-1]
+    np.testing.assert_allclose(down.steps.grid, levels)
+
+
 def test_the_typical_error_is_the_larger_of_what_is_said_and_what_neighbours_show() -> None:
     """Scatters are multiples of it; the least that is not none is 0.35 of it."""
     value = 1.0 + 0.1 * (-1.0) ** np.arange(8.0) * np.linspace(1.0, 1.01, 8)
