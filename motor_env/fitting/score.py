@@ -19,7 +19,8 @@ _BRUSHES = 0.04  # of the largest voltage
 _KNEES = {0.1: 1.0, 1.0: 2.0}
 """Shares of the largest current at which half of the brushes' voltage may be there, and that voltage over the usual."""
 _SAG = 0.05  # of the supply's voltage, at the largest current
-_GEAR = 0.07  # of the motor's torque
+GEAR = 0.07
+"""Share of the motor's torque that a gear usually takes."""
 _CONVERTED = math.sqrt(0.5 * (1.0 / 12.0 + 0.25))
 """Share of a step by which a converter errs (rms): it rounds, or it cuts off, which takes half a step in the mean."""
 _CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
@@ -121,7 +122,7 @@ def lacking(best: Solution) -> list[ScoreTest]:
     lacked = [_behind_brushes(best, *usual) for usual in _KNEES.items()]
     if "gear_loss" not in best.names:
         geared = problem.known.copy()
-        geared[places.GEAR] = _GEAR
+        geared[places.GEAR] = GEAR
         lacked.append(replace(problem, known=geared))
     return _of_size_one(best, lacked)
 

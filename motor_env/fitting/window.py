@@ -18,7 +18,7 @@ from motor_env.fitting import places
 from motor_env.fitting.fit import without_lines
 from motor_env.fitting.problem import STEP, Problem
 from motor_env.fitting.record import Record
-from motor_env.fitting.score import behind_brushes
+from motor_env.fitting.score import GEAR, behind_brushes
 from motor_env.fitting.terms import NOISES, terms
 from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import (
@@ -36,6 +36,8 @@ _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
 BRUSHES = (0.02, 0.1)
 """Shares of the stall current at which brushes may have half of their own voltage."""
+LACKED = len(BRUSHES) + 1
+"""What real motors have and a fit may lack: such brushes, and a gear that loses a share of the torque."""
 FITTED = frozenset((*_MOTOR, *_LOADS))
 """Terms that are fitted in each window; the others are held."""
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
@@ -107,7 +109,7 @@ def moved_by_held(
         wanted: terms of its windows.
         peaks: largest voltage, current and speed of its work.
         held: places of what is held.
-        errors: of these, SI, and of the sizes of BRUSHES, shape (n, n_held + n_brushes).
+        errors: of these, SI, and of the sizes of what is LACKED, shape (n, n_held + LACKED).
 
     Returns:
         Logarithms of R, K, J and the drag for each row of errors, shape (n, 4).
@@ -125,6 +127,9 @@ def moved_by_held(
     for knee in BRUSHES:
         behind = behind_brushes(record, current, peaks[0], knee * peaks[0] / known[places.R])
         each.append(replace(problem, record=behind).residuals(theta) - base)
+    geared = known.copy()
+    geared[places.GEAR] = known[places.GEAR] or GEAR
+    each.append(replace(problem, known=geared).residuals(theta) - base)
     return np.asarray(-(errors @ np.array(each)) @ inverse.T, dtype=np.float64)
 
 

@@ -100,8 +100,8 @@ class Held:
 
     Attributes:
         places: of these values, in the order of `motor_env.fitting.places`.
-        errors: independent errors of one standard deviation each, SI, shape (n, n_places + 2); the last two are sizes
-            of brushes whose resistance falls with the current, see `motor_env.fitting.window.BRUSHES`.
+        errors: independent errors of one standard deviation each, SI, shape (n, n_places + 3); the last are sizes of
+            what real motors have and the fit lacks, see `motor_env.fitting.window.LACKED`.
         moves: mean over the healthy windows of what each does to the logarithms of R, K, J and B, shape (n, 4).
         robust_covariance: mean over them of what correlated residuals and the model's error make of these logarithms'
             covariance, shape (4, 4).
@@ -115,7 +115,7 @@ class Held:
     def __post_init__(self) -> None:
         n = len(self.moves)
         require(
-            np.shape(self.moves) == (n, 4) and np.shape(self.errors) == (n, len(self.places) + 2),
+            np.shape(self.moves) == (n, 4) and np.shape(self.errors) == (n, len(self.places) + 3),
             f"healthy.windows.held: moves has {n} rows; errors must go with them and with places",
         )
         require(

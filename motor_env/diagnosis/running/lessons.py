@@ -29,7 +29,7 @@ from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, id
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.uncertainty import beyond, motor_places
-from motor_env.fitting.window import BRUSHES, FITTED, fit_window
+from motor_env.fitting.window import FITTED, LACKED, fit_window
 from motor_env.motor.healthy import Healthy, Held, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -137,7 +137,7 @@ def _held(
     rows = [n for n, term in enumerate(free) if term.name not in FITTED and known[term.place] != 0.0]
     places = tuple(free[n].place for n in rows)
     units = np.array([free[n].unit for n in rows])
-    errors = block_diag(_rooted(joint.covariance[np.ix_(rows, rows)]) * units, np.eye(len(BRUSHES)))
+    errors = block_diag(_rooted(joint.covariance[np.ix_(rows, rows)]) * units, np.eye(LACKED))
     each = np.array([judge.moved(record, None, places, errors) for record in records])
     apart = each - each.mean(axis=0)
     ratios = [one.log_values - judge.reference.log_values for one in found]

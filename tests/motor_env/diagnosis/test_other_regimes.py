@@ -23,7 +23,7 @@ from motor_env.fitting import places
 from motor_env.fitting.identify import identify_operation
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import from_recordings
-from motor_env.fitting.score import behind_brushes
+from motor_env.fitting.score import GEAR, behind_brushes
 from motor_env.fitting.window import Scores, fit_window, moved_by_held
 from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy, Held
@@ -74,8 +74,8 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
     known, peaks = judge.physical(), judge.peaks
     record = replace(recorded(geared, profile), hold=judge.windows.hold)
     held, sizes = [places.GEAR, places.COULOMB], known[[places.GEAR, places.COULOMB]] * 0.05
-    errors = np.zeros((3, 4))
-    errors[0, 0], errors[1, 1], errors[2, 3] = *sizes, 0.1
+    errors = np.zeros((4, 5))
+    errors[0, 0], errors[1, 1], errors[2, 3], errors[3, 4] = *sizes, 0.1, 0.1
     moves = moved_by_held(record, known, TERMS, peaks=peaks, held=held, errors=errors)
 
     def fitted(record: Record, **off: float) -> FloatArray:
@@ -92,11 +92,22 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
         fitted(record, GEAR=sizes[0]) - fitted(record),
         fitted(record, COULOMB=sizes[1]) - fitted(record),
         fitted(behind) - fitted(record),
+        np.zeros(4),  # a gear is not lacked where it is a term
     ]
     # To first order. K and J share what a reversal tells: there one step of a fit is 0.8 % off, on some processors.
     np.testing.assert_allclose(moves, refitted, rtol=0.35, atol=1e-2)
     for own, atol in ((0, 2e-3), (3, 8e-3)):
         np.testing.assert_allclose(moves[:, own], np.array(refitted)[:, own], rtol=0.35, atol=atol)
+    # Of a motor that was fitted without its gear.
+    toothless = known.copy()
+    toothless[places.GEAR] = 0.0
+    alone = fit_window(record, toothless, TERMS)
+    toothless[[places.R, places.K, places.J, places.DRAG]] = np.exp(alone.logs)
+    toothed = toothless.copy()
+    toothed[places.GEAR] = 0.1 * GEAR
+    lacked = moved_by_held(record, toothless, TERMS, peaks=peaks, held=held, errors=errors[3:])[0]
+    np.testing.assert_allclose(lacked, fit_window(record, toothed, TERMS).logs - alone.logs, rtol=0.35, atol=4e-3)
+    assert lacked[3] < -0.01
     # The same motor, whose friction is twice that of other values.
     twice = known.copy()
     twice[places.DRAG] *= 2.0
@@ -163,10 +174,10 @@ def test_windows_that_move_differently_tell_what_they_hold(
     joint_covariance[1:3, 1:3] = spread
     solution = SimpleNamespace(problem=SimpleNamespace(free=free, names=[one.name for one in free]))
     joint: Any = SimpleNamespace(solution=solution, covariance=joint_covariance)
-    slopes = [0.1 * rng.standard_normal((4, 4)) for _ in range(5)]  # of two values and two brushes
+    slopes = [0.1 * rng.standard_normal((5, 4)) for _ in range(5)]  # of two values, two brushes and a gear
     ratios = [0.01 * rng.standard_normal(4) for _ in range(5)]
     noises = [np.diag(rng.uniform(1e-4, 1e-3, 4)) for _ in range(5)]
-    scale = np.diag([1.0 / units[0], 1.0 / units[1], 1.0, 1.0])
+    scale = np.diag([1.0 / units[0], 1.0 / units[1], 1.0, 1.0, 1.0])
     queue = iter(slopes)  # errors are in SI
     monkeypatch.setattr(WindowJudge, "moved", lambda *given: given[-1] @ scale @ next(queue))
     found = [
@@ -176,7 +187,7 @@ def test_windows_that_move_differently_tell_what_they_hold(
     held = lessons._held(joint, cast("Any", [None] * 5), judge, found, noises)
     np.testing.assert_allclose(held.robust_covariance, 3.0 * np.eye(4))
     assert held.places == (places.COULOMB, places.GEAR)
-    prior, middle = block_diag(spread, np.eye(2)), np.mean(slopes, axis=0)
+    prior, middle = block_diag(spread, np.eye(3)), np.mean(slopes, axis=0)
     design = np.concatenate([(slope - middle).T for slope in slopes])
     noise = block_diag(*noises)
     gain = prior @ design.T @ np.linalg.inv(design @ prior @ design.T + noise)
@@ -187,11 +198,11 @@ def test_windows_that_move_differently_tell_what_they_hold(
 
 
 def test_tables_of_what_is_held_go_together() -> None:
-    Held((0, 1), np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((4, 4)))
+    Held((0, 1), np.zeros((3, 5)), np.zeros((3, 4)), np.zeros((4, 4)))
     for covariance in (np.zeros((3, 3)), -np.eye(4)):
         with pytest.raises(ValueError, match="must be a covariance of 4 quantities"):
-            Held((0, 1), np.zeros((3, 4)), np.zeros((3, 4)), covariance)
-    for errors, moves in ((np.zeros((3, 3)), np.zeros((3, 4))), (np.zeros((3, 4)), np.zeros((3, 5)))):
+            Held((0, 1), np.zeros((3, 5)), np.zeros((3, 4)), covariance)
+    for errors, moves in ((np.zeros((3, 4)), np.zeros((3, 4))), (np.zeros((3, 5)), np.zeros((3, 5)))):
         with pytest.raises(ValueError, match="errors must go with them and with places"):
             Held((0, 1), errors, moves, np.zeros((4, 4)))
 
@@ -226,7 +237,7 @@ def test_a_motor_file_keeps_what_is_held(commissioned: Healthy, tmp_path: Path) 
 def test_a_motor_file_that_holds_no_value_of_the_fit_is_refused(commissioned: Healthy) -> None:
     windows = judge_of(commissioned).windows
     for place, is_refused in ((places.N_VALUES - 1, False), (places.N_VALUES, True)):
-        held = Held((place,), np.zeros((1, 3)), np.zeros((1, 4)), np.zeros((4, 4)))
+        held = Held((place,), np.zeros((1, 4)), np.zeros((1, 4)), np.zeros((4, 4)))
         other = replace(commissioned, windows=replace(windows, held=held))
         with (
             pytest.raises(InputError, match=r"held\.places must be below 34, got 34")

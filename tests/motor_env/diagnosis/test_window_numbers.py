@@ -434,7 +434,7 @@ def test_a_measured_temperature_is_taken_off_as_if_it_were_that_of_the_healthy_w
 LOGS = np.random.default_rng(6).normal(0.0, 0.03, (6, 4))
 
 
-HELD = Held((0,), np.ones((3, 3)), np.ones((3, 4)), np.eye(4))
+HELD = Held((0,), np.ones((3, 4)), np.ones((3, 4)), np.eye(4))
 
 
 class Lesson:
