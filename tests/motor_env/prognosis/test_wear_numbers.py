@@ -442,6 +442,12 @@ def test_the_page_draws_errors_at_90_percent_on_the_scale_of_the_limits() -> Non
     assert len(ranges) == 9
     for low, high in ranges:
         assert float(low) - float(high) == pytest.approx(2.0 * 1.6449 * error * scale, abs=0.3)
+    # Errors that reach beyond the limits are drawn whole.
+    html = Trends((judge(series(2.0 * values, 0.8)),)).page()
+    ends = re.findall(r'class="range"[^>]*y1="(-?[\d.]+)"[^>]*y2="(-?[\d.]+)"', html)
+    assert len(ends) == 9
+    for low, high in ends:
+        assert 16.0 < float(high) < float(low) < 262.0
 
 
 def test_json_says_what_was_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
