@@ -18,7 +18,6 @@ from motor_env.fitting.score import candidates, score_tests
 from motor_env.fitting.terms import SHAPES, Term, terms
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.periodic_lines import PeriodicLine, constant_lines, periodic_lines
 
 STRONG_EVIDENCE = 6.0
 CHOSEN_ON = 4_000
@@ -38,7 +37,6 @@ _TRIED = 2
 _FEW = 6
 _RIVAL, _HOPELESS = 0.1, 0.3  # of the number of readings
 _CLEARLY = math.log(2.0)
-_SAME_LINE = 2.0  # bins of a spectrum
 
 
 def fit(record: Record) -> Solution:
@@ -48,38 +46,13 @@ def fit(record: Record) -> Solution:
         UnusableError: no regression finds a motor in the record.
     """
     if len(record.voltage_v) > 2 * CHOSEN_ON:
-        return _timed(_refined(fit(record.sample(CHOSEN_ON)), record))
+        return _doubted(_timed(_refined(fit(record.sample(CHOSEN_ON)), record)))
     rivals = [_chosen(first) for first in _first(record)]
     best = min(rivals, key=lambda one: one.penalised())
     others = sorted(_behaviours(best, record), key=lambda one: one.penalised())
     if others and (other := _solved(others[0], [])).penalised() < best.penalised():
         best = _chosen(other)
-    return _timed(_grown(_shaped(_timely(best))))
-
-
-def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
-    """A record of a motor at work without the lines of its current, and these lines; each recording has its own.
-
-    A line that the voltage has too is the motor's answer to it, and stays.
-
-    Args:
-        found: its fit.
-        record: what was fitted.
-    """
-    if record.seen[0] == 0.0:
-        return record, ()
-    free = found.free[1]
-    residual, readings = np.nan_to_num(record.readings[:, 0] - free[:, 2]), record.readings.copy()
-    begins, every = np.flatnonzero(record.marks == kernel.BEGIN), []
-    for first, end in zip(begins, [*begins[1:], len(residual)], strict=True):
-        some, time_s = slice(first, end), record.dt_s * np.arange(end - first)
-        own = [line.frequency_hz for line in periodic_lines(record.voltage_v[some], time_s)]
-        beside = _SAME_LINE / (record.dt_s * (end - first))
-        for line in constant_lines(residual[some], time_s, np.abs(free[some, 3])):
-            if all(abs(line.frequency_hz - one) > beside for one in own):
-                readings[some, 0] -= line.current_a(time_s)
-                every.append(line)
-    return replace(record, readings=readings) if every else record, tuple(every)
+    return _doubted(_timed(_grown(_shaped(_timely(best)))))
 
 
 def _timely(best: Solution) -> Solution:
@@ -120,9 +93,30 @@ def _timed(best: Solution) -> Solution:
     for begun in _behaviours(best, best.problem.record):
         other = _solved(begun, [])
         if other.misfit < best.misfit + _RIVAL * best.problem.count:
-            known = dict(zip(other.names, other.theta, strict=True))
-            theta = [known.get(name, one) for name, one in zip(best.names, best.theta, strict=True)]
-            rivals.append((np.array(theta), best.misfit))
+            rivals.append(other)
+    return _beside(best, rivals)
+
+
+def _doubted(best: Solution) -> Solution:
+    """The fit; one without noise inside the motor is a rival of the same misfit, if it explains nearly as much.
+
+    Both are right where the model is. Where it is not, noise inside the motor stands for what it lacks, and a
+    controller makes that depend on the current: R may be off by a half, and the likelihood is sure of it. The two part
+    there.
+    """
+    if not {"noise_voltage", *_DISTURBING} & {*best.names}:
+        return best
+    (other,) = _undisturbed([best])
+    return _beside(best, [other] if _left(other).mean() < _left(best).mean() + _CLEARLY else [])
+
+
+def _beside(best: Solution, others: Sequence[Solution]) -> Solution:
+    """The fit with others as rivals of the same misfit; what these have not stays as it is."""
+    rivals = []
+    for other in others:
+        known = dict(zip(other.names, other.theta, strict=True))
+        theta = [known.get(name, one) for name, one in zip(best.names, best.theta, strict=True)]
+        rivals.append((np.array(theta), best.misfit))
     return replace(best, rivals=(*best.rivals, *rivals))
 
 
@@ -203,8 +197,13 @@ def _undisturbed(solutions: Sequence[Solution]) -> list[Solution]:
 
 def _free_misfit(one: Solution) -> float:
     """Logarithms of the shares of the variance that the free model leaves; an undisturbed one must be clearly ahead."""
-    left = np.log([max(1.0 - r2, 1e-12) for r2 in one.explained() if r2 is not None])
+    left = _left(one)
     return float(left.sum()) + (0.0 if "noise_voltage" not in one.names else -_CLEARLY * len(left))
+
+
+def _left(one: Solution) -> FloatArray:
+    """Logarithm of the share of the variance that the free model leaves, of each channel that was seen."""
+    return np.log([max(1.0 - r2, 1e-12) for r2 in one.explained() if r2 is not None])
 
 
 def _grown(best: Solution) -> Solution:

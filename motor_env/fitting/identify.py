@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.fitting import places
-from motor_env.fitting.fit import fit, without_lines
+from motor_env.fitting.fit import fit
+from motor_env.fitting.lines import without_lines
 from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings

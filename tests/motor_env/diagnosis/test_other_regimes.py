@@ -106,7 +106,9 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
     toothed = toothless.copy()
     toothed[places.GEAR] = 0.1 * GEAR
     lacked = moved_by_held(record, toothless, TERMS, peaks=peaks, held=held, errors=errors[3:])[0]
-    np.testing.assert_allclose(lacked, fit_window(record, toothed, TERMS).logs - alone.logs, rtol=0.35, atol=4e-3)
+    np.testing.assert_allclose(
+        lacked, fit_window(record, toothed, TERMS).logs - alone.logs, rtol=0.35, atol=4e-3
+    )
     assert lacked[3] < -0.01
     # The same motor, whose friction is twice that of other values.
     twice = known.copy()

@@ -9,8 +9,9 @@ import pytest
 from recorded_motor import LOGS, Line, least_squares, plain, solution, values, worked
 from scipy.linalg import sqrtm
 
-from motor_env.fitting import places, uncertainty
+from motor_env.fitting import fit as fitting, places, uncertainty
 from motor_env.fitting.fit import fit
+from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.score import lacking
 from motor_env.fitting.uncertainty import beyond, covariance, model_error, motor_places, normalised, sandwich
@@ -159,6 +160,31 @@ def test_a_voltage_without_steps_may_be_timed_otherwise(
         others = [found.problem.values(theta)[places.L] for theta, _ in found.rivals]
         assert (max(others, default=0.0) > 3.0 * p[places.L]) == is_open
         assert (told > p[places.L]) == is_open
+
+
+@pytest.mark.parametrize(("left", "is_rival"), [([0.69, 0.69], True), ([0.70, 0.70], False)])
+def test_a_fit_without_noise_inside_is_a_rival_if_it_explains_nearly_as_much(
+    left: list[float], is_rival: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    p = values()
+    best = solution(worked(p), ["R", "noise_voltage", "K"], p, np.array([0.1, 0.2, 0.3]))
+    other = solution(worked(p), ["R", "K"], p, np.array([0.4, 0.5]))
+    asked = []
+
+    def undisturbed(of: list[Solution]) -> list[Solution]:
+        asked.append(of)
+        return [other]
+
+    monkeypatch.setattr(fitting, "_undisturbed", undisturbed)
+    monkeypatch.setattr(fitting, "_left", lambda one: np.array(left if one is other else [0.0, 0.0]))
+    rivals = fitting._doubted(replace(best, rivals=((p, 7.0),))).rivals
+    assert rivals[0] == (p, 7.0)
+    assert [(theta.tolist(), misfit) for theta, misfit in rivals[1:]] == [
+        ([0.4, 0.2, 0.5], best.misfit)
+    ] * is_rival
+    assert len(asked) == 1
+    assert fitting._doubted(other) is other
+    assert len(asked) == 1
 
 
 @pytest.mark.parametrize(("channel", "told"), [(0, "J"), (1, "K")])

@@ -1,12 +1,13 @@
 """A motor at work, identified: simulated by the benchmarks' own simulator, and recorded by others."""
 
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from operation_simulator import Motor, draw_motor, simulate
+from operation_simulator import SWITCHES, Motor, draw_motor, simulate
 
 from motor_env import Recording, read_recording
 from motor_env.fitting.identify import Operation, _refuse_poor, identify_operation
@@ -142,3 +143,11 @@ def test_a_growing_square_wave() -> None:
     assert found.r2_current >= 0.98
     assert found.quantity("brush_drop").value == pytest.approx(1.6, abs=0.6)
     assert found.quantity("brush_knee").is_told
+
+
+def test_a_controller_of_a_coarse_current_makes_no_certain_resistance() -> None:
+    """Of six steps of current. The voltage follows the current, so that the fit is 70 % off in R."""
+    motor = draw_motor(np.random.default_rng([0, 10]), SWITCHES)
+    log = simulate(motor, "current loop", np.random.default_rng([0, 10, 6]), samples=2000)
+    found = identify_operation([log]).quantity("R")
+    assert abs(math.log(found.value / motor.ohm)) < 3.0 * found.log_sd
