@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motor_env.fitting import places
+from motor_env.fitting import kernel, places
 from motor_env.fitting.fit import fit
-from motor_env.fitting.lines import without_lines
 from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
@@ -19,7 +18,7 @@ from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import covariance, motor_places
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.periodic_lines import PeriodicLine
+from motor_env.recordings.periodic_lines import PeriodicLine, constant_lines, periodic_lines
 from motor_env.recordings.recording import Recording
 
 FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's
@@ -30,6 +29,7 @@ _UNFIT = "its voltage hardly moves, or is a raw pulse-width modulation that was 
 _POOR = 0.5
 _CURRENT_TELLS = 0.3
 _TWO_SIDED = 1.96
+_SAME_LINE = 2.0  # bins of a spectrum
 _UNITS_FULL = {
     "R": "ohm", "L": "H", "K": "V s/rad", "J": "kg m2", "B": "N m s/rad", "coulomb": "N m", "brush_drop": "V",
     "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
@@ -118,6 +118,31 @@ def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> 
         UnusableError: they cannot be used together, or no motor explains them.
     """
     return identify_record(from_recordings(recordings, most=most))
+
+
+def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
+    """A record of a motor at work without the lines of its current, and these lines; each recording has its own.
+
+    A line that the voltage has too is the motor's answer to it, and stays.
+
+    Args:
+        found: its fit.
+        record: what was fitted.
+    """
+    if record.seen[0] == 0.0:
+        return record, ()
+    free = found.free[1]
+    residual, readings = np.nan_to_num(record.readings[:, 0] - free[:, 2]), record.readings.copy()
+    begins, every = np.flatnonzero(record.marks == kernel.BEGIN), []
+    for first, end in zip(begins, [*begins[1:], len(residual)], strict=True):
+        some, time_s = slice(first, end), record.dt_s * np.arange(end - first)
+        own = [line.frequency_hz for line in periodic_lines(record.voltage_v[some], time_s)]
+        beside = _SAME_LINE / (record.dt_s * (end - first))
+        for line in constant_lines(residual[some], time_s, np.abs(free[some, 3])):
+            if all(abs(line.frequency_hz - one) > beside for one in own):
+                readings[some, 0] -= line.current_a(time_s)
+                every.append(line)
+    return replace(record, readings=readings) if every else record, tuple(every)
 
 
 @on_one_thread

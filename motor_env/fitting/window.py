@@ -15,7 +15,7 @@ import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.fitting import places
-from motor_env.fitting.lines import without_lines
+from motor_env.fitting.identify import without_lines
 from motor_env.fitting.problem import STEP, Problem
 from motor_env.fitting.record import Record
 from motor_env.fitting.score import GEAR, behind_brushes

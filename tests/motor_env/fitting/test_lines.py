@@ -10,8 +10,7 @@ from operation_simulator import draw_motor, simulate
 
 from motor_env import Recording
 from motor_env.fitting import places
-from motor_env.fitting.identify import identify_operation
-from motor_env.fitting.lines import without_lines
+from motor_env.fitting.identify import identify_operation, without_lines
 from motor_env.fitting.problem import Solution
 from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.window import fit_window

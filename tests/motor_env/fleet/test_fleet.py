@@ -11,9 +11,8 @@ import pandas as pd
 import pytest
 from scipy.stats import f as fisher, t as student_t
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind, diagnose, load_motor, simulate_states
+from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
-from motor_env.diagnosis.diagnose import Diagnosis
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.first import Reading
