@@ -174,7 +174,8 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]
 
 
 # numba counts who holds an array, with a locked instruction at every view of one and at every call with one. In a loop
-# over samples that was three quarters of the time. So loops do without it; what makes arrays counts, and calls them.
+# over samples that was three quarters of the time. So loops do without it, on arrays that a function with it has made:
+# without it a function can make none, and must not call one that returns some, as nobody would let go of them.
 compiled = njit(cache=True, error_model="numpy", _nrt=False)
 compiled_with_arrays = njit(cache=True, error_model="numpy", _nrt=True)
 inlined = njit(forceinline=True, error_model="numpy", _nrt=False)
