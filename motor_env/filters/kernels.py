@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.motor.compiled import njit
+from motor_env.motor.compiled import inlined, njit
 from motor_env.motor.parameters import FloatArray
 
 AnyFloat = NDArray[np.float32 | np.float64]
@@ -54,7 +54,7 @@ def covariance_step(
 
 
 # Entry by entry: numba takes seconds to compile an array that is set as a whole.
-@njit(forceinline=True)
+@inlined
 def _leave_out(
     missing: NDArray[np.bool_], lost: int, c: FloatArray, r: FloatArray, cc: FloatArray, rr: FloatArray
 ) -> None:
@@ -66,7 +66,7 @@ def _leave_out(
             rr[m, j] = 0.0 if lost > 0 and m != j else r[m, j]
 
 
-@njit(forceinline=True)
+@inlined
 def _repeat(values: FloatArray, begin: int) -> None:
     """Hold the last entry before `begin` to the end."""
     for k in range(begin, values.shape[0]):

@@ -31,9 +31,17 @@ from motor_env.fitting.places import (
     K,
     R,
 )
-from motor_env.fitting.steps import FINE, at, braked_step, coasting_step, smooth_step, tables
+from motor_env.fitting.steps import (
+    FINE,
+    TEMPERATURES,
+    at,
+    braked_step,
+    coasting_step,
+    discretize_each,
+    smooth_step,
+)
 from motor_env.fitting.update import begin, lag_of, spread, steady, update
-from motor_env.motor.compiled import compiled, compiled_with_arrays, inlined
+from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
 BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
@@ -60,14 +68,14 @@ def _advance(
 ) -> None:
     """State after an interval, and its slopes; the interval ends at a sample of one mark, and begins at another's."""
     i, w = x[0], x[1]
-    at(of, 0, warm_k, m)
+    at(of, 0, warm_k, p, m)
     if p[GEAR] > 0.0:
         # A gear loses a share of the torque that it carries: dry friction, by the mean torque without friction.
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * u[0] + m[1, 3] * (u[1] - u[0])
         dry += p[GEAR] * abs(p[J] * (free_w - w) / dt_s + p[B] * w)
     parts = smooth_step(m, x, u, p, dry, f) if mark != OPEN or before != OPEN else 0
     if parts > 0:
-        at(of, 1 if parts == FINE else 2, warm_k, m)
+        at(of, 1 if parts == FINE else 2, warm_k, p, m)
         braked_step(m, x, u, p, dry, f, parts)
     if mark == OPEN:
         if before == OPEN or x[0] * i < 0.0:  # a diode lets no current turn
@@ -91,6 +99,7 @@ def _advance(
 def _read(
     x: FloatArray,
     cov: FloatArray,
+    n: int,
     channel: int,
     place: int,
     shown: float,
@@ -104,7 +113,7 @@ def _read(
 
     There it tells where the motor is, and nothing of what it is. The model that runs freely begins again as shown.
     """
-    white, log = update(x, cov, place, shown, noise, learn and not is_known, row)
+    white, log = update(x, cov, n, place, shown, noise, learn and not is_known, row)
     if mark != LOST and mark != FOUND:
         return white, log
     if not learn:
@@ -112,7 +121,7 @@ def _read(
     return 0.0, 0.0
 
 
-@compiled
+@inlined
 def _run(
     p: FloatArray,
     dt_s: float,
@@ -125,12 +134,13 @@ def _run(
     reach: float,
     usual: FloatArray,
     switched: FloatArray,
+    n: int,
     room: tuple[FloatArray, ...],
 ) -> float:
-    """The filter of `predict`: largest voltage, models of an interval and of that after a switch, zeros to work in."""
-    m, x, cov, f, u, row, shown, work = room
+    """The filter of `predict_each`, of one row: models of an interval and of that after a switch, number of states."""
+    m, x, cov, f, u, row, shown, work, _ = room
     lag, logs, warm_k = lag_of(p, dt_s), 0.0, 0.0
-    place_i, place_w = (3, 4) if len(row) == 5 else (0, 1)
+    place_i, place_w = (3, 4) if n == 5 else (0, 1)
     u[3] = _SLOW * reach / p[K]
     is_known = marks[0] >= REST and p[NOISE_V] == 0.0 and p[NOISE_T] == 0.0 and p[WALK] == 0.0
     for k in range(voltage.shape[0]):
@@ -141,7 +151,7 @@ def _run(
             after = min(k + 1, voltage.shape[0] - 1)
             shown[0, 0], shown[0, 1] = shown_i, shown_w
             shown[1, 0], shown[1, 1] = readings[after, 0] - p[OFFSET_I], readings[after, 1] - p[OFFSET_W]
-            begin(p, x, cov, shown, voltage[after, 0], reach, seen, dt_s)
+            begin(p, x, cov, n, shown, voltage[after, 0], reach, seen, dt_s)
             out[k] = 0.0
             out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
             continue
@@ -160,72 +170,67 @@ def _run(
             _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
             if learn and not is_known:
                 # Whatever the voltage was, it was one that the motor knows.
-                spread(cov, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, slow, work)
-        out[k, 0] = out[k, 1] = 0.0
+                spread(cov, n, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, slow, work)
         out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
-        if seen[0] > 0.0 and shown_i == shown_i:
-            out[k, 0], log = _read(x, cov, 0, place_i, shown_i, p[NOISE_I], mark, learn, is_known, row)
-            logs += log
-        if seen[1] > 0.0 and shown_w == shown_w:
-            out[k, 1], log = _read(x, cov, 1, place_w, shown_w, p[NOISE_W], mark, learn, is_known, row)
-            logs += log
+        for c in range(2):
+            out[k, c] = 0.0
+            shown_c, place, noise = (
+                (shown_i, place_i, p[NOISE_I]) if c == 0 else (shown_w, place_w, p[NOISE_W])
+            )
+            if seen[c] > 0.0 and shown_c == shown_c:
+                out[k, c], log = _read(x, cov, n, c, place, shown_c, noise, mark, learn, is_known, row)
+                logs += log
         if learn:
             out[k, 4] = x[2]
         out[k, 5] = warm_k
     return logs
 
 
-@compiled_with_arrays
-def predict(
-    p: FloatArray,
-    dt_s: float,
-    voltage: FloatArray,
-    readings: FloatArray,
-    seen: FloatArray,
-    marks: FloatArray,
-    learn: bool,
-    out: FloatArray,
-) -> float:
-    """Run the filter over a record.
-
-    Args:
-        p: physical values and noise, shape (N_VALUES,).
-        dt_s: sampling interval.
-        voltage: before and after the interval that ends at each sample, shape (n, 2).
-        readings: current and speed, shape (n, 2); NaN where there is none.
-        seen: 1 where a channel was recorded, shape (2,).
-        marks: see BEGIN; 0 for all other samples, shape (n,).
-        learn: weigh readings in; without it the model runs freely.
-        out: whitened innovations, predicted readings, load, temperature, shape (n, 6); holds the load that is known
-            beforehand, and a filter leaves there what it estimates beside it.
-
-    Returns:
-        Sum of the logarithms of the innovations' variances.
-    """
-    n = 5 if p[LAG_I] > 0.0 or p[LAG_W] > 0.0 else (3 if p[WALK] > 0.0 else 2)
-    usual, reach = tables(p, dt_s), 1e-9 + np.max(np.abs(voltage))
-    switched = tables(p, p[AFTER]) if p[AFTER] > 0.0 else usual
-    m, x, cov, f, u = np.zeros((3, 6)), np.zeros(5), np.zeros((n, n)), np.zeros((3, 5)), np.zeros(4)
-    room = (m, x, cov, f, u, np.zeros(n), np.zeros((2, 2)), np.zeros((3, 5, 5)))
-    logs: float = _run(p, dt_s, voltage, readings, seen, marks, learn, out, reach, usual, switched, room)
-    return logs
+def room_to_work() -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    """Arrays in which `predict_each` works: to let numba make them would take a second of compiling."""
+    shapes = ((3, 6), (5,), (5, 5), (3, 5), (4,), (5,), (2, 2), (3, 5, 5), (3, 6, 6))
+    return np.zeros((2, 3, TEMPERATURES, 3, 6)), tuple(np.zeros(shape) for shape in shapes)
 
 
-@compiled_with_arrays
+@compiled
 def predict_each(
     p: FloatArray,
     dt_s: float,
     voltage: FloatArray,
     marks: FloatArray,
+    reach: FloatArray,
     which: NDArray[np.intp],
     readings: FloatArray,
     seen: FloatArray,
     learn: bool,
     out: FloatArray,
-) -> FloatArray:
-    """Run the filter for each row of `p`, under voltage and marks number `which` of some; see `predict`."""
-    logs = np.empty(len(p))
-    for n in range(len(p)):
-        k = which[n]
-        logs[n] = predict(p[n], dt_s, voltage[k], readings, seen, marks[k], learn, out[n])
-    return logs
+    logs: FloatArray,
+    scratch: tuple[FloatArray, tuple[FloatArray, ...]],
+) -> None:
+    """Run the filter over a record, for several vectors of values.
+
+    Args:
+        p: physical values and noise, shape (m, N_VALUES).
+        dt_s: sampling interval.
+        voltage: before and after the interval that ends at each sample, of each supply, shape (supplies, n, 2).
+        marks: see BEGIN; 0 for all other samples, shape (supplies, n).
+        reach: the largest voltage, shape (supplies,).
+        which: the supply of each vector of values, shape (m,).
+        readings: current and speed, shape (n, 2); NaN where there is none.
+        seen: 1 where a channel was recorded, shape (2,).
+        learn: weigh readings in; without it the model runs freely.
+        out: whitened innovations, predicted readings, load, temperature, shape (m, n, 6); holds the load that is known
+            beforehand, and a filter leaves there what it estimates beside it.
+        logs: sums of the logarithms of the innovations' variances, shape (m,).
+        scratch: what `room_to_work` makes.
+    """
+    models, room = scratch
+    for row in range(len(p)):
+        of, k = p[row], which[row]
+        n = 5 if of[LAG_I] > 0.0 or of[LAG_W] > 0.0 else (3 if of[WALK] > 0.0 else 2)
+        for switched in range(2 if of[AFTER] > 0.0 else 1):
+            discretize_each(of, of[AFTER] if switched else dt_s, models[switched], room[-1])
+        usual, after = models[0], models[1]
+        logs[row] = _run(
+            of, dt_s, voltage[k], readings, seen, marks[k], learn, out[row], reach[k], usual, after, n, room
+        )

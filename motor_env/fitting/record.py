@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each
+from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each, room_to_work
 from motor_env.fitting.places import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
 from motor_env.motor.parameters import FloatArray
 
@@ -145,7 +145,7 @@ class Record:
     def predict(
         self, values: FloatArray, *, learn: bool = True, load: FloatArray | None = None
     ) -> tuple[FloatArray, float]:
-        """Run the filter; its table (see `kernel.predict`) and the sum of the innovations' log variances."""
+        """Run the filter; its table (see `kernel.predict_each`) and the sum of the innovations' log variances."""
         tables, logs = self.predict_each(values[None], learn=learn, load=load)
         return tables[0], float(logs[0])
 
@@ -165,7 +165,11 @@ class Record:
             one[AFTER] = supplies[key][2]
         voltage, marks = (np.stack([each[n] for each in supplies.values()]) for n in (0, 1))
         which = np.array([list(supplies).index(key) for key in keys])
-        logs = predict_each(p, self.dt_s, voltage, marks, which, self.readings, self.seen, learn, out)
+        reach = 1e-9 + np.abs(voltage).max((1, 2))
+        logs, to_work = np.zeros(len(p)), room_to_work()
+        predict_each(
+            p, self.dt_s, voltage, marks, reach, which, self.readings, self.seen, learn, out, logs, to_work
+        )
         for one, table in zip(p, out, strict=True):
             if one[ZONE] > 0.0 or self.rectified_a is not None:
                 self._hide(one, table)

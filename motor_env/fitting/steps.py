@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from motor_env.fitting.places import (
     DROP,
     HEATING,
@@ -25,13 +23,15 @@ from motor_env.fitting.places import (
     L,
     R,
 )
-from motor_env.motor.compiled import compiled_with_arrays, inlined, njit
+from motor_env.motor.compiled import called, inlined
 from motor_env.motor.model import exponential_and_phis, load_in_kernel
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
 FINE, COARSE = 16, 4
 """Parts of an interval in which drop or friction turn, and in which they are only about to."""
-_COLDEST_K, _GRID_K, _GRID = -20.0, 10.0, 22
+TEMPERATURES = 22
+"""At how many the discrete models are made, where the winding warms."""
+_COLDEST_K, _GRID_K = -20.0, 10.0
 _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
 _KNEE_TOLERANCE = 1e-7
 _FAST = 40.0  # square of a speed over that of Stribeck's curve: beyond it the curve is flat
@@ -39,7 +39,7 @@ _SERIES_NORM, _SERIES_ORDER = 0.5, 12
 _SHORTEST_LAG = 1e-6  # of an interval: with a shorter one the squarings of the exponential lose digits
 
 
-@njit(error_model="numpy")
+@called
 def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     """Matrix product of small matrices."""
     for r in range(a.shape[0]):
@@ -50,11 +50,10 @@ def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
             out[r, c] = total
 
 
-@njit(error_model="numpy")
-def _exponential(a: FloatArray, out: FloatArray) -> None:
+@called
+def _exponential(a: FloatArray, out: FloatArray, work: FloatArray) -> None:
     """exp(A) by scaling, its series, and squaring (Moler & Van Loan 2003, method 3); A is scaled in place."""
     n, norm, doublings = len(a), 0.0, 0
-    work = np.zeros((n, n))
     for r in range(n):
         total = 0.0
         for c in range(n):
@@ -75,9 +74,9 @@ def _exponential(a: FloatArray, out: FloatArray) -> None:
                 out[r, c] = work[r, c]
 
 
-@njit(error_model="numpy")
-def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> None:
-    """Rows current, speed, shown current.
+@called
+def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray, work: FloatArray) -> None:
+    """Rows current, speed, shown current; `work` has room for three matrices of six.
 
     Columns current, speed, voltage before, its rise over the interval, torque, shown current.
     """
@@ -94,42 +93,42 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray) -> N
         out[r, 4] = held[2 * r + 1] * by_torque
     if p[LAG_I] > 0.0:
         lag_s = max(p[LAG_I], _SHORTEST_LAG * dt_s)
-        motor, whole_system = np.zeros((6, 6)), np.zeros((6, 6))
+        motor, whole_system = work[0], work[1]
+        motor[:] = 0.0
         motor[0, 0], motor[0, 1], motor[0, 2] = -resistance / p[L], -constant / p[L], 1.0 / p[L]
         motor[1, 0], motor[1, 1], motor[1, 4] = constant / p[J], -drag / p[J], -1.0 / p[J]
         motor[2, 3], motor[5, 0], motor[5, 5] = 1.0 / dt_s, 1.0 / lag_s, -1.0 / lag_s
         for r in range(6):
             for c in range(6):
                 motor[r, c] *= dt_s
-        _exponential(motor, whole_system)
+        _exponential(motor, whole_system, work[2])
         for c in range(6):
             out[2, c] = whole_system[5, c]
 
 
-@compiled_with_arrays
-def tables(p: FloatArray, dt_s: float) -> FloatArray:
+@called
+def discretize_each(p: FloatArray, dt_s: float, out: FloatArray, work: FloatArray) -> None:
     """Discrete models of an interval, of its fine and of its coarse parts, over the winding's temperature.
 
-    Shape (3, temperatures, 3, 6); one temperature alone where nothing warms.
+    Shape (3, TEMPERATURES, 3, 6); the first temperature alone where nothing warms.
     """
-    count = _GRID if p[HEATING] > 0.0 else 1
-    out = np.zeros((3, count, 3, 6))
-    for part, parts in enumerate((1, FINE, COARSE)):
+    count = TEMPERATURES if p[HEATING] > 0.0 else 1
+    for part in range(3):
+        parts = 1 if part == 0 else (FINE if part == 1 else COARSE)
         for g in range(count):
             warm_k = _COLDEST_K + g * _GRID_K if count > 1 else 0.0
-            _discretize(p, warm_k, dt_s / parts, out[part, g])
-    return out
+            _discretize(p, warm_k, dt_s / parts, out[part, g], work)
 
 
 @inlined
-def at(table: FloatArray, part: int, warm_k: float, out: FloatArray) -> None:
+def at(table: FloatArray, part: int, warm_k: float, p: FloatArray, out: FloatArray) -> None:
     """The discrete model of some part at one temperature, between two of the table."""
-    if table.shape[1] == 1:
+    if p[HEATING] <= 0.0:
         for r in range(3):
             for c in range(6):
                 out[r, c] = table[part, 0, r, c]
         return
-    place = min(max((warm_k - _COLDEST_K) / _GRID_K, 0.0), table.shape[1] - 1.001)
+    place = min(max((warm_k - _COLDEST_K) / _GRID_K, 0.0), TEMPERATURES - 1.001)
     low = int(place)
     share = place - low
     for r in range(3):
@@ -238,7 +237,7 @@ def _opposed(before: float, free: float, reach: float, knee: float) -> float:
     return opposed
 
 
-@inlined
+@called
 def braked_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray, parts: int
 ) -> None:
@@ -276,7 +275,7 @@ def braked_step(
         x[0], x[1] = new_i, new_w
 
 
-@inlined
+@called
 def coasting_step(
     x: FloatArray, u: FloatArray, p: FloatArray, dry: float, dt_s: float, f: FloatArray
 ) -> None:

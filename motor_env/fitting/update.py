@@ -20,7 +20,7 @@ from motor_env.fitting.places import (
     R,
 )
 from motor_env.fitting.steps import product
-from motor_env.motor.compiled import inlined
+from motor_env.motor.compiled import called, inlined
 from motor_env.motor.parameters import FloatArray
 
 _WILD = 6.0
@@ -41,6 +41,7 @@ def lag_of(p: FloatArray, dt_s: float) -> tuple[float, float, float]:
 @inlined
 def spread(
     cov: FloatArray,
+    n: int,
     f: FloatArray,
     p: FloatArray,
     noise_v: float,
@@ -48,17 +49,17 @@ def spread(
     lag: tuple[float, float, float],
     work: FloatArray,
 ) -> None:
-    """Covariance after an interval, in place: P = F P F' + Q. Only the upper triangle is used."""
+    """Covariance of `n` states after an interval, in place: P = F P F' + Q. Only the upper triangle is used."""
     a, b, c, d, e, h = f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2]
     noise_i, noise_w = noise_v * f[0, 3], noise_v * f[1, 3]
     pull_i, pull_w = p[NOISE_T] * c, p[NOISE_T] * h
     ii, iw, ww = cov[0, 0], cov[0, 1], cov[1, 1]
-    if cov.shape[0] == 2:
+    if n == 2:
         cov[0, 0] = a * a * ii + 2.0 * a * b * iw + b * b * ww + noise_i * noise_i + pull_i * pull_i
         cov[0, 1] = a * d * ii + (a * e + b * d) * iw + b * e * ww + noise_i * noise_w + pull_i * pull_w
         cov[1, 1] = d * d * ii + 2.0 * d * e * iw + e * e * ww + noise_w * noise_w + pull_w * pull_w
         return
-    if cov.shape[0] == 3:
+    if n == 3:
         il, wl, ll = cov[0, 2], cov[1, 2], cov[2, 2]
         # Of the new current and speed with the old current, speed and load.
         ap_ii, ap_iw, ap_il = a * ii + b * iw + c * il, a * iw + b * ww + c * wl, a * il + b * wl + c * ll
@@ -82,18 +83,24 @@ def spread(
     for r in range(5):
         for k in range(r, 5):
             total = noise_v**2 * by_volt[r] * by_volt[k] + by_load[r] * by_load[k]
-            for n in range(5):
-                total += half[r, n] * whole[k, n]
+            for q in range(5):
+                total += half[r, q] * whole[k, q]
             cov[r, k] = total
     cov[2, 2] += p[WALK] ** 2 * dt_s
 
 
 @inlined
 def update(
-    x: FloatArray, cov: FloatArray, place: int, shown: float, noise: float, learn: bool, row: FloatArray
+    x: FloatArray,
+    cov: FloatArray,
+    n: int,
+    place: int,
+    shown: float,
+    noise: float,
+    learn: bool,
+    row: FloatArray,
 ) -> tuple[float, float]:
-    """Weigh in one reading; whitened innovation and the logarithm of its variance."""
-    n = cov.shape[0]
+    """Weigh one reading into `n` states; whitened innovation and the logarithm of its variance."""
     error, variance = shown - x[place], cov[place, place] + noise * noise
     white = error / math.sqrt(variance)
     if learn:
@@ -108,11 +115,12 @@ def update(
     return white, math.log(variance)
 
 
-@inlined
+@called
 def begin(
     p: FloatArray,
     x: FloatArray,
     cov: FloatArray,
+    n: int,
     shown: FloatArray,
     volts: float,
     reach: float,
@@ -128,7 +136,7 @@ def begin(
         for c in range(2):
             if shown[r, c] != shown[r, c]:
                 shown[r, c] = 0.0
-    n, i, next_i = cov.shape[0], shown[0, 0], shown[1, 0]
+    i, next_i = shown[0, 0], shown[1, 0]
     x[:] = 0.0
     inner = p[R] * 0.5 * (i + next_i) + p[L] * (next_i - i) / dt_s
     x[1] = shown[0, 1] if seen[1] > 0.0 else min(max(volts - inner, -reach), reach) / p[K]
@@ -145,7 +153,7 @@ def begin(
         cov[2, 2] = (p[K] * 0.1 * reach / p[R]) ** 2
 
 
-@inlined
+@called
 def steady(p: FloatArray, volts: float, x: FloatArray) -> None:
     """Current and speed of a motor that runs steadily (V = R i + K w + drop, K i = B w + fan + load), or is held."""
     turning = math.copysign(1.0, volts)

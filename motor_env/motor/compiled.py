@@ -145,7 +145,7 @@ def in_silence() -> Iterator[None]:
 
 
 class _Part(CPUDispatcher):
-    """A function that stands in others, where they call it: it has no entry of its own to be called from Python.
+    """A function that compiled ones call: it has no entry of its own to be called from Python.
 
     To compile the entry takes a sixth of the time of such a function, and numba crashes where there is none.
     """
@@ -154,11 +154,12 @@ class _Part(CPUDispatcher):
         raise TypeError(f"{self.py_func.__name__} is called by compiled functions alone")
 
 
-def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with a cache that may fail; with `forceinline` it stands in its callers and needs no cache."""
+def njit(
+    *, cache: bool = False, is_part: bool = False, **options: Any
+) -> Callable[[Callable[..., Any]], Any]:
+    """`numba.njit` with a cache that may fail; a part is called by compiled functions alone and needs no cache."""
 
     def compiled(function: Callable[..., Any]) -> Any:
-        is_part = options.get("forceinline", False)
         # Nothing calls them from C: numba's wrappers for that take a tenth of the time of compiling.
         dispatcher = numba.njit(no_cfunc_wrapper=True, no_cpython_wrapper=is_part, **options)(function)
         if is_part:
@@ -174,8 +175,10 @@ def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]
 
 
 # numba counts who holds an array, with a locked instruction at every view of one and at every call with one. In a loop
-# over samples that was three quarters of the time. So loops do without it, on arrays that a function with it has made:
+# over samples that was three quarters of the time. So loops do without it, on arrays that their caller has made:
 # without it a function can make none, and must not call one that returns some, as nobody would let go of them.
+# What stands in its callers is optimised once more in each of them: what is large or seldom run is called instead.
 compiled = njit(cache=True, error_model="numpy", _nrt=False)
 compiled_with_arrays = njit(cache=True, error_model="numpy", _nrt=True)
-inlined = njit(forceinline=True, error_model="numpy", _nrt=False)
+inlined = njit(is_part=True, forceinline=True, error_model="numpy", _nrt=False)
+called = njit(is_part=True, error_model="numpy", _nrt=False)

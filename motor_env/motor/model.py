@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.motor.compiled import njit
+from motor_env.motor.compiled import inlined, njit
 from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require_positive
 
 
@@ -77,21 +77,21 @@ Four = tuple[float, ...]
 """A 2 x 2 matrix, row by row."""
 
 
-@njit(forceinline=True)
+@inlined
 def longer_series(k: int, x: Four, phi: Four) -> Four:
     """A term more of Horner's scheme: 1 + X phi / (k + 1)."""
     (a, b, c, d), (p, q, r, s), f = x, phi, 1.0 / (k + 1.0)
     return 1.0 + f * (a * p + b * r), f * (a * q + b * s), f * (c * p + d * r), 1.0 + f * (c * q + d * s)
 
 
-@njit(forceinline=True)
+@inlined
 def of_series(x: Four, phi: Four) -> Four:
     """exp(X) = 1 + X phi1(X)."""
     (a, b, c, d), (p, q, r, s) = x, phi
     return 1.0 + a * p + b * r, a * q + b * s, c * p + d * r, 1.0 + c * q + d * s
 
 
-@njit(forceinline=True)
+@inlined
 def doubled(exponential: Four, phi: Four) -> tuple[Four, Four]:
     """exp(2X) and phi1(2X) from exp(X) and phi1(X)."""
     (e, g, h, j), (p, q, r, s) = exponential, phi
@@ -103,7 +103,7 @@ def doubled(exponential: Four, phi: Four) -> tuple[Four, Four]:
     )
 
 
-@njit(forceinline=True)  # so that who does not use phi2 does not compute it
+@inlined  # so that who does not use phi2 does not compute it
 def exponential_and_phis(a: float, b: float, c: float, d: float) -> tuple[Four, Four, Four]:
     """exp(X), phi1(X) = X^-1 (exp(X) - 1), phi2(X) = X^-1 (phi1(X) - 1) of X = [[a, b], [c, d]], row by row.
 
@@ -222,7 +222,7 @@ def load_torque(constant_n_m: Floats, fan_n_m_s2: Floats, speed_rad_s: Floats) -
     return torque
 
 
-load_in_kernel = njit(error_model="numpy", forceinline=True)(load_torque)
+load_in_kernel = inlined(load_torque)
 """`load_torque` for compiled code."""
 
 

@@ -45,18 +45,41 @@ def time_scale_s(motor: MotorParameters) -> float:
     return 1.0 / float(np.abs(np.linalg.eigvals(continuous_model(motor).transition)).max())
 
 
+def predicted(
+    p: FloatArray,
+    dt_s: float,
+    voltage: FloatArray,
+    readings: FloatArray,
+    seen: FloatArray,
+    marks: FloatArray,
+    *,
+    learn: bool,
+) -> tuple[FloatArray, float]:
+    """Table and sum of log variances of the kernel for one vector of values."""
+    out, logs, reach = (
+        np.zeros((1, len(voltage), 6)),
+        np.zeros(1),
+        1e-9 + np.abs(voltage).max(keepdims=True)[0],
+    )
+    which, room = np.zeros(1, int), kernel.room_to_work()
+    kernel.predict_each(
+        p[None], dt_s, voltage[None], marks[None], reach, which, readings, seen, learn, out, logs, room
+    )
+    return out[0], float(logs[0])
+
+
 def steps(name: str, dt_s: float) -> Iterator[FloatArray]:
     """What one interval makes of each input alone: current, speed, a voltage held, one that rises to 1 V, torque."""
     for column in range(5):
         begin, before, rise, torque = np.split(np.eye(5)[column], [2, 3, 4])
-        out, voltage = np.zeros((2, 6)), np.tile([before[0], before[0] + rise[0]], (2, 1))
+        voltage = np.tile([before[0], before[0] + rise[0]], (2, 1))
         p, readings, marks = (
             values(name, LOAD=torque[0]),
             np.tile(begin, (2, 1)),
             np.array([kernel.BEGIN, 0.0]),
         )
-        kernel.predict(p, dt_s, voltage, readings, np.ones(2), marks, False, out)
-        yield out[1, 2:4]
+        table, _ = predicted(p, dt_s, voltage, readings, np.ones(2), marks, learn=False)
+        yield table[1, 2:4]
 
 
 @each_motor
@@ -83,9 +106,8 @@ class Recorded(NamedTuple):
 
     def predict(self, p: FloatArray, seen: FloatArray) -> tuple[FloatArray, float]:
         """Table and sum of log variances of the kernel."""
-        out, marks = np.zeros((len(self.volts), 6)), np.eye(1, len(self.volts))[0]
-        voltage = np.stack([self.volts, self.volts], axis=1)
-        return out, kernel.predict(p, self.dt_s, voltage, self.readings, seen, marks, True, out)
+        voltage, marks = np.stack([self.volts, self.volts], axis=1), np.eye(1, len(self.volts))[0]
+        return predicted(p, self.dt_s, voltage, self.readings, seen, marks, learn=True)
 
 
 def recorded(name: str, load: float, noise_v: float) -> Recorded:
