@@ -23,7 +23,7 @@ from motor_env.fitting.places import (
     L,
     R,
 )
-from motor_env.motor.compiled import called, inlined
+from motor_env.motor.compiled import compiled_part, inlined
 from motor_env.motor.model import exponential_and_phis, load_in_kernel
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
@@ -39,7 +39,7 @@ _SERIES_NORM, _SERIES_ORDER = 0.5, 12
 _SHORTEST_LAG = 1e-6  # of an interval: with a shorter one the squarings of the exponential lose digits
 
 
-@called
+@compiled_part
 def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     """Matrix product of small matrices."""
     for r in range(a.shape[0]):
@@ -50,7 +50,7 @@ def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
             out[r, c] = total
 
 
-@called
+@compiled_part
 def _exponential(a: FloatArray, out: FloatArray, work: FloatArray) -> None:
     """exp(A) by scaling, its series, and squaring (Moler & Van Loan 2003, method 3); A is scaled in place."""
     n, norm, doublings = len(a), 0.0, 0
@@ -74,7 +74,7 @@ def _exponential(a: FloatArray, out: FloatArray, work: FloatArray) -> None:
                 out[r, c] = work[r, c]
 
 
-@called
+@compiled_part
 def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray, work: FloatArray) -> None:
     """Rows current, speed, shown current; `work` has room for three matrices of six.
 
@@ -106,7 +106,7 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray, work
             out[2, c] = whole_system[5, c]
 
 
-@called
+@compiled_part
 def discretize_each(p: FloatArray, dt_s: float, out: FloatArray, work: FloatArray) -> None:
     """Discrete models of an interval, of its fine and of its coarse parts, over the winding's temperature.
 
@@ -237,7 +237,7 @@ def _opposed(before: float, free: float, reach: float, knee: float) -> float:
     return opposed
 
 
-@called
+@compiled_part
 def braked_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray, parts: int
 ) -> None:
@@ -275,7 +275,7 @@ def braked_step(
         x[0], x[1] = new_i, new_w
 
 
-@called
+@compiled_part
 def coasting_step(
     x: FloatArray, u: FloatArray, p: FloatArray, dry: float, dt_s: float, f: FloatArray
 ) -> None:

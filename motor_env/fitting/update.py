@@ -20,7 +20,7 @@ from motor_env.fitting.places import (
     R,
 )
 from motor_env.fitting.steps import product
-from motor_env.motor.compiled import called, inlined
+from motor_env.motor.compiled import compiled_part, inlined
 from motor_env.motor.parameters import FloatArray
 
 _WILD = 6.0
@@ -115,7 +115,7 @@ def update(
     return white, math.log(variance)
 
 
-@called
+@compiled_part
 def begin(
     p: FloatArray,
     x: FloatArray,
@@ -153,7 +153,7 @@ def begin(
         cov[2, 2] = (p[K] * 0.1 * reach / p[R]) ** 2
 
 
-@called
+@compiled_part
 def steady(p: FloatArray, volts: float, x: FloatArray) -> None:
     """Current and speed of a motor that runs steadily (V = R i + K w + drop, K i = B w + fan + load), or is held."""
     turning = math.copysign(1.0, volts)

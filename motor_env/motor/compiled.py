@@ -181,4 +181,4 @@ def njit(
 compiled = njit(cache=True, error_model="numpy", _nrt=False)
 compiled_with_arrays = njit(cache=True, error_model="numpy", _nrt=True)
 inlined = njit(is_part=True, forceinline=True, error_model="numpy", _nrt=False)
-called = njit(is_part=True, error_model="numpy", _nrt=False)
+compiled_part = njit(is_part=True, error_model="numpy", _nrt=False)
