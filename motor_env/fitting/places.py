@@ -18,4 +18,6 @@ CURVE = slice(29, 33)
 """How much of the supply's rise falls on the second and every later fifth of it, times that on the first."""
 GEAR = 33
 """The share of the motor's torque that its gear loses."""
-N_VALUES = 34
+ENCODER = 34
+"""The angle between two edges of an encoder, by whose times the speed is taken."""
+N_VALUES = 35

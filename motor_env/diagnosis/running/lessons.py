@@ -40,7 +40,9 @@ MOST_LEARNED = 40
 _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
 _LOAD = ("load_constant", "load_walk")
-_TOLD = 0.1  # standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart
+_TOLD = 0.1
+"""Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
+fits say, and as they scatter."""
 _NOISES = slice(places.NOISE_I, places.WALK + 1)
 
 
@@ -81,7 +83,10 @@ def learn_windows(
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
     with_load = tuple(dict.fromkeys((*wanted, *_LOAD)))
     fits = [fit_window(record, known, wanted if steady else with_load) for record in records]
-    if not steady and math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])) < _TOLD:
+    drag_sd = max(
+        math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])), np.std([fit.logs[-1] for fit in fits])
+    )
+    if not steady and drag_sd < _TOLD:
         wanted = with_load
     # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
     known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)

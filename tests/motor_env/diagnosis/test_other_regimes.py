@@ -101,14 +101,12 @@ def test_a_fit_moves_as_said_where_what_it_holds_is_wrong(
     # Of a motor that was fitted without its gear.
     toothless = known.copy()
     toothless[places.GEAR] = 0.0
-    alone = fit_window(record, toothless, TERMS)
-    toothless[[places.R, places.K, places.J, places.DRAG]] = np.exp(alone.logs)
+    toothless[[places.R, places.K, places.J, places.DRAG]] = np.exp(fit_window(record, toothless, TERMS).logs)
     toothed = toothless.copy()
-    toothed[places.GEAR] = 0.1 * GEAR
-    lacked = moved_by_held(record, toothless, TERMS, peaks=peaks, held=held, errors=errors[3:])[0]
-    np.testing.assert_allclose(
-        lacked, fit_window(record, toothed, TERMS).logs - alone.logs, rtol=0.35, atol=4e-3
-    )
+    toothed[places.GEAR] = 0.5 * GEAR  # small ones get lost where the fits have kinks
+    lacked = moved_by_held(record, toothless, TERMS, peaks=peaks, held=held, errors=5.0 * errors[3:])[0]
+    ends = [fit_window(record, known, TERMS).logs for known in (toothless, toothed)]
+    np.testing.assert_allclose(lacked, ends[1] - ends[0], rtol=0.35, atol=4e-3)
     assert lacked[3] < -0.01
     # The same motor, whose friction is twice that of other values.
     twice = known.copy()
@@ -242,7 +240,7 @@ def test_a_motor_file_that_holds_no_value_of_the_fit_is_refused(commissioned: He
         held = Held((place,), np.zeros((1, 4)), np.zeros((1, 4)), np.zeros((4, 4)))
         other = replace(commissioned, windows=replace(windows, held=held))
         with (
-            pytest.raises(InputError, match=r"held\.places must be below 34, got 34")
+            pytest.raises(InputError, match=r"held\.places must be below 35, got 35")
             if is_refused
             else nullcontext()
         ):

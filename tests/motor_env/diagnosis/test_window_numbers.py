@@ -565,8 +565,15 @@ def taught(recordings: Sequence[Recording], window_s: float | None = None) -> Wi
 
 
 def test_a_load_is_unknown_in_windows_that_tell_it_from_friction(monkeypatch: pytest.MonkeyPatch) -> None:
-    for sd, is_told in ((0.0999, True), (0.1001, False)):
+    for sd, scatter, is_told in (
+        (0.0999, 0.0, True),
+        (0.1001, 0.0, False),
+        (0.05, 0.0999, True),
+        (0.05, 0.1001, False),
+    ):
         lesson = Lesson(monkeypatch, load_sd=sd)
+        drag = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+        lesson.logs = np.column_stack([lesson.logs[:, :3], lesson.logs[:, 3].mean() + scatter * drag])
         found = taught([recording(3000)], 0.5)
         assert ("load_walk" in found.terms) is is_told
         assert bool(found.physical[places.WALK] > 0.0) is is_told  # none, or a constant load would be unknown
