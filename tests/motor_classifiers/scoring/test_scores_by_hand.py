@@ -344,16 +344,21 @@ def test_foreign_faults_are_found_above_the_threshold(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(unknown_faults, "family_fit", distance)
     monkeypatch.setattr(unknown_faults, "generate_arrays", made)
-    monkeypatch.setattr(
-        unknown_faults,
-        "foreign_starts",
-        lambda recipe, fault, seed, cases: made(recipe, seed, cases).X + 15.0,
-    )
-    got = foreign_scores(
-        RECIPE, {"limit": lambda X: 0.5 + np.stack([X[:, 0, -1], -X[:, 0, -1]], axis=1).astype(np.float64) / 100.0},
-        seed=1, first_case=0, n_threshold=50, n_known=20, n_foreign=10,
-    )  # fmt: skip
+
+    def scored(further: float) -> dict[str, Any]:
+        monkeypatch.setattr(
+            unknown_faults,
+            "foreign_starts",
+            lambda recipe, fault, seed, cases: made(recipe, seed, cases).X + further,
+        )
+        return foreign_scores(
+            RECIPE, {"limit": lambda X: 0.5 + np.stack([X[:, 0, -1], -X[:, 0, -1]], axis=1).astype(np.float64) / 100.0},
+            seed=1, first_case=0, n_threshold=50, n_known=20, n_foreign=10,
+        )  # fmt: skip
+
     # Thresholds come from cases 20 .. 69: 99 % of them lie below 68.5; the judged ones are 0 .. 19.
+    assert scored(64.0)["faults"][0]["called_other"] == 0.5  # of 64 .. 73
+    got = scored(15.0)
     assert got["false_alarms"] == 0.0
     row = got["faults"][0]
     assert row["called_other"] == 0.0

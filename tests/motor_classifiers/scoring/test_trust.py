@@ -194,3 +194,19 @@ def test_the_key_holds_all_that_the_figures_depend_on(monkeypatch: pytest.Monkey
     assert len(keys) == 2 * len(cells)
     monkeypatch.setattr(trust_module, "COUNTS", FEW)
     assert trust_key(cells[0], with_network=False) not in keys
+
+
+def test_early_verdicts_are_tried_on_starts_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither those that the method learns from nor those that the benchmark judges."""
+    cell, taken = class_task(BENCH, 60, 60), list[set[int]]()
+
+    def noted(recipe: Recipe, seed: int, train: Any, test: Any) -> dict[str, Any]:
+        taken.extend(set(starts.case_id.tolist()) for starts in (train, test))
+        return {"limit": np.full((13, len(test), 5), 0.2)}
+
+    monkeypatch.setattr(trust_module, "COUNTS", FEW)
+    monkeypatch.setattr(trust_module, "probabilities_by_moment", noted)
+    trust_module._early(cell)
+    learned, tried = taken
+    assert (len(learned), len(tried)) == (60, 60)
+    assert not tried & (learned | set(cell.starts().case_id.tolist()))
