@@ -137,6 +137,22 @@ def test_a_score_is_the_mean_cost_with_its_paired_interval(tmp_path: Path) -> No
 
 
 @pytest.mark.usefixtures("small")
+def test_the_interval_of_a_submission_draws_motors_whole(tmp_path: Path) -> None:
+    """Two starts of each motor are judged in the field: wrong together, they are one witness."""
+    task = load_task("field")
+    cases = task.test()
+    wrong = np.arange(120) < 30
+    answers = np.eye(5)[np.where(wrong, (cases.truth + 1) % 5, cases.truth)]
+    write_submission(tmp_path, task, answers, {"method": "m", "authors": "a"})
+    scored = score_submission(tmp_path)
+    assert cases.motor is not None
+    assert len(np.unique(cases.motor)) == 60
+    weights = resampling_weights(120, 0, groups=cases.motor)
+    ends = np.quantile(100.0 * weights[1:] @ wrong / weights[1:].sum(axis=1), [0.025, 0.975])
+    assert (scored["low"], scored["high"]) == pytest.approx(tuple(ends))
+
+
+@pytest.mark.usefixtures("small")
 def test_a_table_may_be_as_large_as_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = load_task("bench")
     write_submission(tmp_path, task, np.full((120, 5), 0.2), {"method": "m", "authors": "a"})
@@ -203,6 +219,17 @@ def test_the_next_group_begins_with_the_first_that_is_told_apart() -> None:
     ).difference
     assert value == pytest.approx(1.0)
     assert low <= 0.0 < high
+
+
+def test_a_chain_of_neighbours_is_no_group() -> None:
+    """Error rates 10, 13 and 16.5 %: each is told from none beside it, but the last from the best, and begins anew."""
+    task, rng = replace(TASKS["bench"], n_test=400), np.random.default_rng(0)
+    made = [
+        kept(name, rng.permutation(np.arange(400) < count).astype(float))
+        for name, count in (("a", 40), ("b", 52), ("c", 66))
+    ]
+    assert [rank for rank, _ in ranks(task, made[1:])] == [1, 1]
+    assert [rank for rank, _ in ranks(task, made)] == [1, 1, 3]
 
 
 def test_motors_with_several_starts_are_drawn_whole() -> None:
