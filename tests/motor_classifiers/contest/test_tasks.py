@@ -77,6 +77,19 @@ def test_a_submission_is_scored_beside_the_best_possible(name: str, tmp_path: Pa
         assert score_submission(tmp_path)["above_limit"] == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("name", TASKS)
+def test_a_sealed_split_is_other_cases_and_what_is_learned_from_stays(name: str) -> None:
+    """A secret seed that drew the starts to learn from would be told by them."""
+    public = load_task(name)
+    sealed = replace(public, sealed=2**50)
+    learned = public.learned()
+    for part, values in sealed.learned().items():
+        np.testing.assert_array_equal(values, learned[part])
+    known = {case.tobytes() for X in (learned["X"], public.test().X) for case in X}
+    assert len(known) == 200
+    assert known.isdisjoint(case.tobytes() for case in sealed.test().X)
+
+
 def test_onsets_of_a_stream() -> None:
     learned = load_task("stream").learned()
     onset, X = learned["onset_s"], learned["X"]
@@ -232,6 +245,7 @@ def test_commands_make_answer_and_score_a_sealed_split(
     printed = capsys.readouterr().out
     follows("motor-classifiers score", printed)
     assert json.loads(printed) == scored
-    for value in scored.values():  # a cost of each case would tell its truth
+    assert "costs" not in scored  # a cost of each case would tell its truth
+    for value in scored.values():
         assert isinstance(value, str | int | float), value
         assert not isinstance(value, str) or len(value) <= 200, value
