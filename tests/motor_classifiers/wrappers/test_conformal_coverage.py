@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LogisticRegression
+from sklearn.neighbors import KNeighborsClassifier
 
 from motor_classifiers import ConformalClassifier, ConformalIntervals, ConformalSets
 from motor_classifiers.wrappers.conformal import measured_coverage
@@ -86,6 +87,10 @@ def test_classifier_calibrates_on_cases_it_did_not_train_on() -> None:
         # Calibrated on some 300 (or 1,000) cases a class: two standard deviations are 0.035.
         assert (np.abs(got.by_class - 0.9) < 0.05).all()
         assert got.mean_size < 2.0
+    # Labels by chance, and a model that knows by heart what it was trained on: half of its own answers must be wrong.
+    guessed = np.where(rng.random(200) < 0.5, "a", "b")
+    by_heart = ConformalClassifier(KNeighborsClassifier(1), random_state=1).fit(X[:200], guessed)
+    assert 0.3 < np.concatenate(by_heart.sets_.strangeness).mean() < 0.7
     with pytest.raises(ValueError, match="does not know the class 'd'"):
         ConformalClassifier(FrozenEstimator(LogisticRegression().fit(X, y))).fit(
             X, np.where(y == "a", "d", y)
