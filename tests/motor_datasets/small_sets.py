@@ -64,6 +64,7 @@ def assert_goes_on(place: Any, cases: int, content: Callable[[Any], object], who
     for _ in range(2):  # the second time it is finished already: nothing happens
         generate_dataset(SHORT, cases, 1, place, resume=True)
         assert content(place) == files_of(whole)
-    with pytest.raises(InputError, match="another data set"):
-        generate_dataset(SHORT, cases + 1, 1, place, resume=True)
+    for other in ((SHORT, cases + 1, 1), (SHORT, cases, 2), (replace(SHORT, name="other"), cases, 1)):
+        with pytest.raises(InputError, match="another data set"):
+            generate_dataset(*other, place, resume=True)
     assert content(place) == files_of(whole)
