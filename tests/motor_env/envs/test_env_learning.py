@@ -79,6 +79,15 @@ def test_a_view_needs_episodes_that_follow_at_once() -> None:
         PosteriorView(ProbeVectorEnv(2, **OPTIONS))
 
 
+def test_a_view_forgets_at_a_reset() -> None:
+    view = PosteriorView(ProbeVectorEnv(8, autoreset_mode="SameStep", **OPTIONS))
+    first, _ = view.reset(seed=3)
+    for _ in range(10):
+        seen = view.step(np.ones(8, dtype=np.int64))[0]
+    assert not np.array_equal(seen, first)
+    np.testing.assert_array_equal(view.reset(seed=3)[0], first)
+
+
 def test_a_policy_of_summaries_sees_what_the_view_shows() -> None:
     envs = ProbeVectorEnv(8, **OPTIONS)
     seen: list[Any] = []
@@ -88,7 +97,9 @@ def test_a_policy_of_summaries_sees_what_the_view_shows() -> None:
         return np.zeros(len(summary))
 
     policy = Summarised(ProbeBelief(envs.setup), wait)
-    run_episodes(envs, policy, seed=3)
+    for _ in range(2):  # whatever it played before
+        seen.clear()
+        run_episodes(envs, policy, seed=3)
     view = PosteriorView(ProbeVectorEnv(8, autoreset_mode="SameStep", **OPTIONS))
     np.testing.assert_array_equal(seen[0], view.reset(seed=3)[0])
     for shown in seen[1:]:

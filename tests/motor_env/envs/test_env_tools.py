@@ -117,6 +117,26 @@ def test_ppo_learns_through_the_adapter() -> None:
     assert len(model.ep_info_buffer) > 8
 
 
+def test_the_adapter_tells_how_each_episode_ended_and_forgets_it_at_a_reset() -> None:
+    pytest.importorskip("stable_baselines3", reason="extra rl")
+    from motor_env.envs import StableBaselinesVecEnv
+
+    envs = StableBaselinesVecEnv(ProbeVectorEnv(2, autoreset_mode="SameStep", samples_per_step=5, **SHORT))
+    time = envs.envs.setup.observed.index("time")  # type: ignore[union-attr]
+    for waited in (4, 1):
+        envs.seed(3)
+        envs.reset()
+        paid = sum(envs.step(np.full(2, action))[1] for action in [1] * waited)
+        seen, last, over, infos = envs.step(np.full(2, 3))  # both declare
+        assert over.all()
+        assert (seen[:, time] == 0.0).all()  # of the next episode
+        told = [one["terminal_observation"][time] for one in infos]
+        assert told == pytest.approx([(waited + 1) / envs.envs.options.n_steps] * 2)  # type: ignore[union-attr]
+        assert [one["episode"]["l"] for one in infos] == [waited + 1] * 2
+        assert [one["episode"]["r"] for one in infos] == pytest.approx((paid + last).tolist())
+        envs.step(np.full(2, 1))  # of an episode that the next reset breaks off
+
+
 @pytest.mark.parametrize("name", ALL_IDS)
 def test_torchrl_accepts_single_and_vector(name: str) -> None:
     envs = pytest.importorskip("torchrl.envs", reason="TorchRL is not installed")
