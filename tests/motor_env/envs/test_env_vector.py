@@ -187,6 +187,17 @@ def test_final_observation_is_kept_when_the_next_episode_begins_at_once() -> Non
     assert info["_final_info"].tolist() == [False, True, False]
 
 
+def test_the_last_info_tells_the_truth_of_the_episode_that_is_over() -> None:
+    """Not that of the next one, which has begun in the same step."""
+    envs, waiting = (MonitorVectorEnv(64, autoreset_mode=mode, **SHORT) for mode in ("SameStep", "NextStep"))
+    for each in (envs, waiting):
+        each.reset(seed=1)
+    ended, last = (each.step(np.ones(64, dtype=np.int64))[4] for each in (envs, waiting))
+    for name in ("class_index", "onset_sample", "fault_active"):
+        np.testing.assert_array_equal(ended["final_info"][name], last[name])
+    assert not np.array_equal(ended["class_index"], last["class_index"])
+
+
 def test_disabled_autoreset_waits_for_the_mask() -> None:
     envs = MonitorVectorEnv(3, autoreset_mode="Disabled", **SHORT)
     before, _ = envs.reset(seed=1)
@@ -201,6 +212,16 @@ def test_disabled_autoreset_waits_for_the_mask() -> None:
     again, _ = envs.reset(seed=1, options={"reset_mask": mask})
     np.testing.assert_array_equal(again[1], before[1])
     envs.step(np.zeros(3, dtype=np.int64))
+
+
+def test_a_seed_under_a_mask_leaves_the_other_streams_alone() -> None:
+    envs, plain = MonitorVectorEnv(3, **SHORT), MonitorVectorEnv(3, **SHORT)
+    mask = np.array([False, True, False])
+    for each in (envs, plain):
+        each.reset(seed=1)
+    envs.reset(seed=2, options={"reset_mask": mask})
+    following, wanted = (each.reset(options={"reset_mask": ~mask})[0] for each in (envs, plain))
+    np.testing.assert_array_equal(following[~mask], wanted[~mask])
 
 
 def test_a_list_of_seeds_gives_the_single_environments_of_those_seeds() -> None:
