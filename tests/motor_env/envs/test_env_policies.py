@@ -325,7 +325,7 @@ def test_a_score_by_hand() -> None:
         returns=np.array([1.0, -0.5, -1.0, -1.0, -1.0, 0.0, 1.0]),
         steps=np.array([31, 25, 20, 7, 0, 0, 0]),
         declared=np.array([1, 1, 2, 1, 0, 0, 0]),
-        right=np.array([1, 2, 2, 0, 1, 2, 0]),
+        right=np.array([1, 2, 1, 0, 1, 2, 0]),
         onset=np.array([0, 150, 200, -1, 500, 991, -1]),
         probing=np.array([0.1, 0.3, 0.0, 0.0, 0.3, 0.0, 0.0]),
     )

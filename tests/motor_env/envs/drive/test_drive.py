@@ -57,6 +57,27 @@ def test_every_lane_is_the_single_environment(mode: AutoresetMode) -> None:
     assert_lanes_are_single(envs, DriveEnv(**SHORT), actions)
 
 
+def test_a_score_counts_the_first_episode_alone() -> None:
+    """Two motors of three are stopped at once; the vector begins further episodes of them while the third runs."""
+
+    class StopTwo:
+        def start(self, count: int) -> None:
+            self.first = True
+
+        def act(self, observations: Any) -> NDArray[np.float64]:
+            decision = STOP if self.first else RUN
+            self.first = False
+            return np.array([[0.0, decision], [0.0, RUN], [0.0, decision]])
+
+    found, env = drive_episodes(DriveVectorEnv(3, **SHORT), StopTwo(), seed=5), DriveEnv(**SHORT)
+    for index in (0, 2):
+        env.reset(seed=5, options={"index": index})
+        _, reward, over, _, _ = env.step([0.0, STOP])
+        assert over
+        assert found.returns[index] == pytest.approx(reward)
+    assert found.parts[:, 1].any()
+
+
 def lane_of(env: DriveEnv) -> dict[str, float]:
     """The numbers of a single environment by name, as they stand."""
     block = env._lanes.state[0]
