@@ -84,6 +84,27 @@ def test_a_loop_follows_from_what_was_recorded_and_a_replay_gives_the_same() -> 
     np.testing.assert_array_equal(measure_draw(draw(OPERATION, 2, [41]), OPERATION, 2)[0], read[41])
 
 
+def test_a_loop_hears_the_noise_of_the_current_wherever_its_channel_stands() -> None:
+    assert OPERATION.duty is not None
+    recipe = replace(
+        OPERATION,
+        sensor=SensorParameters((Channel.SPEED, Channel.CURRENT), 0.02, 5.0),
+        timing=Timing(1_000.0, 0.05),
+        duty=replace(OPERATION.duty, profiles=("speed_loop",)),
+    )
+    drawn = draw(recipe, 2, np.arange(3))
+    assert drawn.driving is not None
+    _, current, applied = np.moveaxis(measure_draw(drawn, recipe, 2), 1, 0)
+    for n, limit in enumerate(drawn.driving.limit_v.tolist()):
+        integral = 0.0
+        for k, wanted in enumerate(drawn.driving.voltage_v[n]):
+            if k > 0:
+                error = wanted - (applied[n, k - 1] - 2.18 * current[n, k - 1])
+                integral = np.clip(integral + 0.05 * error, -limit, limit)
+                volts = np.clip(wanted + 0.5 * error + integral, -limit, limit)
+                assert applied[n, k] == pytest.approx(volts, abs=1e-4)
+
+
 def test_profiles_hold_their_levels_within_the_supply() -> None:
     u = np.random.default_rng(3).random((600, N_UNIFORMS))
     share, is_loop = Duty(hold_s=(0.02, 0.05)).profile(u, OPERATION.timing)

@@ -6,7 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind, Scenario, SensorParameters, Timing, load_recipe, simulate
+from motor_env import (
+    PAPER_MOTOR,
+    Fault,
+    FaultKind,
+    Scenario,
+    SensorParameters,
+    SupplyParameters,
+    Timing,
+    load_recipe,
+    simulate,
+)
 
 # Reaches in: the posterior and the environments refuse what they cannot judge.
 from motor_env.envs.options import MonitorOptions
@@ -61,6 +71,18 @@ def test_each_failure_changes_its_channel_and_no_other(
             found = read(Fault(FaultKind(f"{channel}_{failure}"), severity))
             np.testing.assert_allclose(found[row], expected[row], rtol=1e-12, atol=1e-12)
             np.testing.assert_array_equal(found[1 - row], CLEAN[1 - row])
+
+
+@pytest.mark.parametrize("kind", [each for each in SENSOR_KINDS if each.partition("_")[0] in CHANNELS])
+def test_a_failure_does_not_depend_on_the_motors_beside_it(kind: FaultKind) -> None:
+    """One motor has half of the other's supply, and so half of its largest reading."""
+    volts = np.array([6.0, 12.0])
+    both = Scenario(PAPER_MOTOR, (Fault(kind, 0.5),), SupplyParameters(volts), SENSOR, TIMING)
+    for read_by in (measure, lambda *given: simulate(*given).measurements):
+        together = read_by(both, 4, [0, 1])
+        for n, supply in enumerate(volts.tolist()):
+            alone = read_by(replace(both, supply=SupplyParameters(supply)), 4, [n])
+            np.testing.assert_allclose(together[n], alone[0], rtol=1e-5, atol=1e-5)
 
 
 def test_no_failure_of_a_sensor_is_one_of_the_motor() -> None:

@@ -232,6 +232,9 @@ def test_the_sensor_chain_step_by_step() -> None:
     lost = measure(scenario, 0, [0], chain=SensorChain(missing_fraction=0.2))[0, 0]
     assert np.array_equal(np.isnan(lost), uniforms(0, Stream.MISSING, [0], timing.n_samples)[0] < 0.2)
     assert np.array_equal(lost[~np.isnan(lost)], true[~np.isnan(lost)].astype(np.float32))
+    two = replace(scenario, sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.0, 0.0))
+    both = measure(two, 0, [0], chain=SensorChain(missing_fraction=0.2))[0]
+    assert np.array_equal(np.isnan(both), np.isnan([lost, lost]))  # of every channel together
 
 
 def test_what_cannot_be_is_refused() -> None:
