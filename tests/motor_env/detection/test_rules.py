@@ -353,10 +353,11 @@ def test_one_look_at_a_summed_nis_is_chi_square() -> None:
 def test_bank_posterior_is_bayes_rule_over_all_onsets() -> None:
     hazard, shifts = 0.02, (0.7, -1.2)
     values = np.random.default_rng(2).standard_normal(15) + 0.4
+    values[[4, 9]] = np.nan  # not measured: tells nothing
     weights = {(-1, -1): (1.0 - hazard) ** 15}
     for j, shift in enumerate(shifts):
         for onset in range(15):
-            likelihood = np.exp(np.sum(shift * values[onset:] - 0.5 * shift**2))
+            likelihood = np.exp(np.nansum(shift * values[onset:] - 0.5 * shift**2))
             weights[j, onset] = hazard / 2 * (1.0 - hazard) ** onset * likelihood
     total = sum(weights.values())
     expected = [sum(w for (model, _), w in weights.items() if model == j) / total for j in (-1, 0, 1)]

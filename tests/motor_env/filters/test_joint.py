@@ -130,14 +130,17 @@ def ahead(x: FloatArray, voltage: float) -> FloatArray:
     return np.concatenate([state, x[2:]])
 
 
+@pytest.mark.parametrize("memory", [None, 5.0])
 @pytest.mark.parametrize("kind", list(JointKind))
-def test_each_filter_does_what_its_name_says(kind: JointKind) -> None:
+def test_each_filter_does_what_its_name_says(kind: JointKind, memory: float | None) -> None:
     """The first samples of a start, where dry friction is least like a constant load, against both filters anew."""
     sensor = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 1.0)
     voltage, rng = np.array([12.0, 11.0, -3.0, 5.0, 8.0, 2.0]), np.random.default_rng(3)
     measured = rng.standard_normal((1, 2, 6)) * np.array([[0.5], [2.0]])
     names = ("resistance", "constants", "coulomb")
-    got = joint_filter(PAPER_MOTOR, sensor, 1e-4, measured, voltage, names=names, prior_std=0.2, kind=kind)
+    got = joint_filter(
+        PAPER_MOTOR, sensor, 1e-4, measured, voltage, names=names, prior_std=0.2, kind=kind, memory=memory
+    )
     x, p = np.zeros(5), np.diag([1e-12, 1e-8, 0.04, 0.04, 0.04])
     q, r, c = np.diag([1e-10, 1e-6, 0.0, 0.0, 0.0]), np.diag([4e-4, 1.0]), np.eye(2, 5)
     for k in range(6):
@@ -155,6 +158,9 @@ def test_each_filter_does_what_its_name_says(kind: JointKind) -> None:
         np.testing.assert_allclose(got.innovation[0, k], error, rtol=1e-6, atol=1e-9)
         assert got.nis[0, k] == pytest.approx(error @ np.linalg.inv(s) @ error, rel=1e-6)
         x, p = x + gain @ error, p + q - gain @ s @ gain.T
+        if memory is not None:  # towards what is left over after the update, a third of the way
+            left = measured[0, :, k] - x[:2]
+            r = r + (np.outer(left, left) + c @ p @ c.T - r) / 3.0
         np.testing.assert_allclose(got.theta[0, k], x[2:], rtol=1e-5, atol=1e-9)
         np.testing.assert_allclose(got.covariance[0, k], p[2:, 2:], rtol=1e-5, atol=1e-9)
     expected = x[2:] @ np.linalg.inv(p[2:, 2:]) @ x[2:]
