@@ -56,3 +56,16 @@ def test_a_class_out_of_the_question_keeps_what_the_fit_says_of_it() -> None:
     far = np.where(effective > 0.0, 0.0, got).sum(axis=1)
     of_fit = np.where(effective > 0.0, 0.0, np.exp(logs)).sum(axis=1)
     np.testing.assert_allclose(far, of_fit, rtol=1e-9)
+
+
+def test_the_odds_of_two_classes_go_by_their_weights() -> None:
+    classes = tuple(replace(each, weight=2.0 if n == 0 else 1.0) for n, each in enumerate(OPERATION.classes))
+    weighted = replace(OPERATION, classes=classes)
+    case, told = by_doubt(OPERATION)[0][:1], []
+    for recipe in (OPERATION, weighted):
+        (got,), (effective,) = refined_probabilities(recipe, case, np.random.default_rng(1))
+        told.append(np.where(effective > 0.0, np.log(got), np.nan))
+    more = told[1] - told[0]
+    others = more[1:][~np.isnan(more[1:])]
+    assert others.size > 0
+    np.testing.assert_allclose(more[0] - others, np.log(2.0), atol=1e-6)
