@@ -1,6 +1,7 @@
 """Motors judged by their sisters, from files to the table, and a motor between its sisters and its own records."""
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,13 @@ from scipy.stats import f as fisher, t as student_t
 
 from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
+from motor_env.diagnosis.verdict import Verdict
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
-from motor_env.fleet.first import Reading
+from motor_env.fleet.first import First, Reading
+from motor_env.fleet.fits import Second, fit_fleet
 from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet, together
+from motor_env.fleet.kept import Kept
 from motor_env.fleet.learning import learn_fleet
 from motor_env.fleet.mapping import processes
 from motor_env.fleet.population import Core
@@ -142,6 +146,17 @@ def test_the_records_of_a_motor_share_its_rate(
     assert rates == {path.stem: 0.02 for path in starts} | {"1_left": 0.01, "1_left_b": 0.01}
 
 
+def test_a_motor_is_told_by_the_surest_of_its_faults(found: FleetDiagnosis) -> None:
+    healthy, worst = found.sisters[-1].telling, found.sisters[0].telling
+
+    def record(verdict: Verdict, confidence: float) -> Diagnosis:
+        return replace(worst, pieces=(replace(worst.telling, verdict=verdict, confidence=confidence),))
+
+    faults = [record(Verdict.WINDING, 0.6), record(Verdict.BEARING, 0.9), record(Verdict.WINDING, 0.7)]
+    records = {Path(str(n)): one for n, one in enumerate([healthy, *faults])}
+    assert replace(found.sisters[0], records=records).verdict is Verdict.BEARING
+
+
 def test_a_fleet_says_once_how_it_was_read(starts: list[Path]) -> None:
     (read,) = (line for line in learn_fleet(starts, group=GROUP).text(0.01).splitlines() if "read: " in line)
     assert read.startswith("  read: time is column 1 (time_s); ")
@@ -189,6 +204,8 @@ def test_logs_at_work_make_a_motor_file_that_judges_another_sister(
         assert main(["commission", *given, "--motor", str(toml), "-o", str(kept)]) == 0
         learned = load_motor(kept).healthy
         assert learned is not None
+        assert learned.pieces == count
+        assert learned.degrees_of_freedom == pytest.approx(motor.healthy.degrees_of_freedom + count)
         healthy.append(learned)
     sd = np.sqrt(np.diagonal([one.log_covariance for one in healthy], axis1=1, axis2=2))
     assert (sd[1] < 0.8 * sd[0])[[0, 2]].all()
@@ -291,6 +308,31 @@ def test_a_fleet_that_was_stopped_goes_on_where_it_was(starts: list[Path], tmp_p
     found = learn_fleet(starts, group=GROUP, kept=kept, progress=fitted.append)
     assert fitted == [*starts[6:], *starts]  # first fits of the rest, then second ones of all
     assert found.core.centres.tolist() == learn_fleet(starts, group=GROUP).core.centres.tolist()
+
+
+def test_a_kept_fit_counts_only_for_the_file_as_it_was(tmp_path: Path) -> None:
+    record, kept = tmp_path / "one.csv", tmp_path / "fits.jsonl"
+    record.write_text("as it was")
+    then_ns = record.stat().st_mtime_ns
+    with Kept(kept, Reading()) as known:
+        known.add(record, First("no motor"))
+    assert Kept(kept, Reading())[record] == First("no motor")
+    for text, later_ns in (("as it was then", 0), ("as it is!", 1_000_000)):
+        record.write_text(text)
+        os.utime(record, ns=(then_ns + later_ns, then_ns + later_ns))
+        assert record not in Kept(kept, Reading())
+
+
+def test_a_record_with_more_columns_than_most_is_left_out() -> None:
+    files = [Path(f"{n}.csv") for n in range(4)]
+    few = First(names=("R",), quantities=("R", "K^2/J"), values=(1.0, 2.0))
+    more = few._replace(quantities=("R", "K", "J"), values=(1.0, 2.0, 3.0))
+    steps: list[Any] = [[("start", ())] * 4, [few, few, more, few], [Second(np.zeros(2), np.eye(2))] * 3]
+    told = iter(steps)
+    fits = fit_fleet(files, Reading(), each=lambda job, given: next(told))
+    assert fits.quantities == few.quantities
+    assert list(fits.seconds) == [files[0], files[1], files[3]]
+    assert fits.troubles == {files[2]: "it was recorded with other columns than most"}
 
 
 def test_kept_fits_of_others_are_refused(starts: list[Path], tmp_path: Path) -> None:
