@@ -261,3 +261,11 @@ def test_two_shifts_of_one_name_are_refused(folder: Path) -> None:
 def test_a_long_value_in_a_manifest_is_not_said_whole(folder: Path, value: Any) -> None:
     told(folder, lambda manifest: manifest["files"][0].update(rows=value))
     assert refusal(folder).endswith(" ...")
+
+
+@pytest.mark.parametrize("version", [0, 2, "1", None])
+def test_a_manifest_of_another_version_is_refused(version: Any, tmp_path: Path) -> None:
+    generate_dataset(SHORT, 10, 1, tmp_path)
+    manifest = tmp_path / "dataset.json"
+    manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"version": version}))
+    assert f"version must be 1, got {version!r}" in refused(partial(load, tmp_path), manifest)

@@ -141,6 +141,16 @@ def test_continuous_and_joint_severities() -> None:
     assert peak[data.class_name == joint.name].mean() == pytest.approx(expected, abs=0.005)
 
 
+def test_severities_of_a_range_are_those_of_each_case_in_torch() -> None:
+    pytest.importorskip("torch", reason="the extra classifiers is not installed")
+    recipe = replace(SHORT, classes=(FaultClass(FaultKind.BEARING, 0.1, severity_to=0.3),))
+    data = generate_arrays(recipe, 1, 20)
+    assert np.ptp(data.severity) > 0.1
+    (_, _, streamed), *_ = to_torch_iterable(recipe, 1, 20, batches=1)
+    for severity in (to_torch(data).tensors[2], streamed):
+        np.testing.assert_array_equal(severity.numpy(), data.severity.astype(np.float32))
+
+
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])  # each imports torch
 def test_the_workers_of_a_loader_give_each_case_once(workers: int) -> None:
     torch = pytest.importorskip("torch", reason="the extra classifiers is not installed")
