@@ -78,6 +78,21 @@ def test_a_score_counts_the_first_episode_alone() -> None:
     assert found.parts[:, 1].any()
 
 
+def test_a_controller_forgets_the_episode_before() -> None:
+    """Filters, integral, and a winding that counts as warm from one kelvin on."""
+    envs = DriveVectorEnv(4, warm_k=1.0, **SHORT)
+    used, fresh = (Lqg(envs.setup, levels=3) for _ in range(2))
+    for policy, seed in ((used, 1), (fresh, 2)):
+        policy.start(4)
+        seen, _ = envs.reset(seed=seed)
+        for _ in range(30 if policy is used else 0):
+            seen = envs.step(used.act(seen))[0]
+    for _ in range(10):
+        actions = used.act(seen)
+        np.testing.assert_array_equal(actions, fresh.act(seen))
+        seen = envs.step(actions)[0]
+
+
 def lane_of(env: DriveEnv) -> dict[str, float]:
     """The numbers of a single environment by name, as they stand."""
     block = env._lanes.state[0]
