@@ -335,6 +335,20 @@ def test_a_record_with_more_columns_than_most_is_left_out() -> None:
     assert fits.troubles == {files[2]: "it was recorded with other columns than most"}
 
 
+def test_one_log_among_starts_makes_all_of_them_logs() -> None:
+    """A start is a short log, too; a log is no start."""
+    steps: list[Any] = [[("start", ()), ("operation", ()), ("start", ())], [First("no motor")] * 3]
+    told, jobs = iter(steps), list[Any]()
+
+    def each(job: Any, given: Any) -> Any:
+        jobs.append(job)
+        return next(told)
+
+    with pytest.raises(InputError, match="no record of the fleet can be used: no motor"):
+        fit_fleet([Path(f"{n}.csv") for n in range(3)], Reading(), each=each)
+    assert jobs[1].args[0].regime == "operation"
+
+
 def test_kept_fits_of_others_are_refused(starts: list[Path], tmp_path: Path) -> None:
     kept = tmp_path / "fits.jsonl"
     learn_fleet(starts, kept=kept)
