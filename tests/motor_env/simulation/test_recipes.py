@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, FaultKind, Recipe, Timing, draw
+from motor_env import PAPER_MOTOR, FaultKind, Recipe, SensorParameters, Timing, draw
 from motor_env.motor.faults import apply_faults
 from motor_env.simulation import recipes
 from motor_env.simulation.disturbances import PER_MOTOR, PRIORS, Field
@@ -16,7 +16,7 @@ from motor_env.simulation.drawing import apply_factors, measure_draw
 from motor_env.simulation.named_recipes import RECIPES, changed_recipe, named_recipe
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipe_files import recipe_to_dict
-from motor_env.simulation.recipes import FACTORS, FaultClass, Spread
+from motor_env.simulation.recipes import FACTORS, FaultClass, Shift, Spread
 from motor_env.simulation.simulate import MOST_SAMPLES
 
 
@@ -279,3 +279,17 @@ def test_what_is_named_changes_and_nothing_else() -> None:
     assert (changed.sensor.current_noise_a, changed.sensor.channels) == (0.5, ("speed",))
     back = replace(changed, supply=bench.supply, timing=bench.timing, sensor=bench.sensor)
     assert back == bench == changed_recipe(bench)
+
+
+def test_a_shift_changes_each_thing_that_it_names() -> None:
+    changes: dict[str, Any] = {
+        "classes": (FaultClass(), FaultClass(FaultKind.NOISE, 0.5)),
+        "sensor": SensorParameters(current_noise_a=0.1),
+        "spread": Spread(inertia=0.1),
+        "field": Field(load_ratio=(0.1, 0.2)),
+    }
+    whole = Shift("whole", **changes)
+    recipe = replace(named_recipe("bench"), shifts=(whole, *(Shift(n, **{n: changes[n]}) for n in changes)))
+    assert recipe.shifted("whole") == replace(recipe, **changes)
+    for name, value in changes.items():
+        assert recipe.shifted(name) == replace(recipe, **{name: value})
