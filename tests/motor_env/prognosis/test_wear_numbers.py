@@ -7,15 +7,17 @@ import re
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.linalg import expm, toeplitz
 from scipy.stats import gamma, invgauss, norm
 
-from motor_env import InputError
+from motor_env import InputError, Recording
 from motor_env.cli import main
 from motor_env.motor.parameters import FloatArray
+from motor_env.prognosis import files
 from motor_env.prognosis.clocks import clock
 from motor_env.prognosis.estimates import Series, build_series, read_estimates
 from motor_env.prognosis.files import Trends
@@ -23,6 +25,8 @@ from motor_env.prognosis.laws import at_one_temperature, last_jump, withheld
 from motor_env.prognosis.steps import Steps, fit_steps
 from motor_env.prognosis.trend import Forecast, describe, judge
 from motor_env.prognosis.wear import Degradation, RemainingLife, degradation
+from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.start import Start
 
 
 def array(*values: float) -> FloatArray:
@@ -181,6 +185,18 @@ def test_the_law_of_steps_is_a_compound_poisson_process() -> None:
     assert len(share) == 10
 
 
+def test_steps_ahead_widen_the_level_by_what_they_and_their_rates_scatter() -> None:
+    """Two rates and sizes that are equally likely: at 5 now, 0.3 and 0.1 a day, by hand."""
+    density = np.zeros((2, 128))
+    density[[0, 1], 0] = 0.5
+    none = np.zeros((2, 129), complex)
+    one = Steps(density, none, 5.0 + np.arange(128.0), array(0.3, 0.1), array(0.2, 0.6), 0.0)
+    mean, square = one.moments(array(0.0, 4.0))
+    np.testing.assert_allclose(mean, [5.0, 5.8])
+    each = array(6.2, 5.4) ** 2 + 4.0 * array(0.2, 0.6)
+    np.testing.assert_allclose(square, [25.0, each.mean()])
+
+
 @pytest.mark.parametrize(("exponent", "growth"), [(2.0, 0.0), (0.5, 0.0), (1.0, 3.0)])
 def test_a_clock_that_bends_takes_the_life_with_it(exponent: float, growth: float) -> None:
     """A drift without chance reaches the limit where its curve does."""
@@ -266,6 +282,25 @@ def test_an_uncertain_level_is_integrated_by_seven_points() -> None:
             passed += np.exp(2.0 * drifts * distance / 0.01) * norm.cdf((-drifts * life - distance) / root)
         expected += weight * float(share @ passed)
     assert one.passage(array(life))[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_limit_is_as_uncertain_as_the_estimates_that_it_is_relative_to() -> None:
+    """It widens the passage as an uncertain level does; of a part of the way, its error is that part."""
+    unsure = replace(wear(), limit_variance=array(0.04))
+    blurred = wear(covariance=np.diag([0.04, 1e-12])[None])
+    times = array(5.0, 30.0, 80.0)
+    np.testing.assert_allclose(unsure.passage(times), blurred.passage(times), rtol=1e-6)
+    assert unsure.passage(times)[0] > 2.0 * wear().passage(times)[0]
+    for share in (0.8, 1.0):
+        expected = norm.cdf((1.0 - (1.0 + 0.5 * share)) / (0.2 * share))
+        assert unsure.probability_beyond(share) == pytest.approx(expected, rel=1e-6)
+    # By steps it has the error of one estimate, what scatters beyond its standard error included.
+    time, y, variance = array(0.0, 1.0, 2.0, 5.0), array(1.0, 1.01, 1.08, 1.07), np.full(4, 0.01**2)
+    law = {"beginning": 1.0, "distance": 0.2, "level_std": 2.0}
+    _, by_steps = fit_steps(time, y, variance, (array(0.02), array(1.0)), limit_errors=0.5, **law)
+    assert by_steps.limit_error == pytest.approx(0.5 * math.hypot(0.01, 0.02))
+    certain = replace(by_steps, limit_error=0.0).probability_beyond(1.2, array(0.0))[0]
+    assert by_steps.probability_beyond(1.2, array(0.0))[0] > 2.0 * certain
 
 
 def test_a_forecast_is_the_mixture_of_its_hypotheses() -> None:
@@ -494,3 +529,32 @@ def test_recordings_may_be_dated_by_their_files(tmp_path: Path, capsys: pytest.C
     assert found["R"]["estimates"] == 2
     assert found["R"]["state"] == "unknown"
     assert found["R"]["first_date"] == "2026-01-01T00:00:00+00:00"
+
+
+def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The model that the first three that can be used prefer: another one would be a jump."""
+    shown = np.append(np.zeros(50), np.exp(-np.arange(150.0) / 40.0))
+    for day in range(1, 7):
+        rows = (f"{1e-4 * k:.4f},{day * amps:.6f}" for k, amps in enumerate(shown * (day > 1)))
+        (tmp_path / f"2026-03-{day:02d}.csv").write_text("time_s,current_a\n" + "\n".join(rows) + "\n")
+    chosen, fitted = [], []
+
+    def choose(recordings: list[Recording], *, voltage_v: float | None) -> list[SimpleNamespace]:
+        if not recordings[0].current_a.any():
+            raise UnusableError("nothing flows")
+        chosen.append(([float(one.current_a.max()) for one in recordings], voltage_v))
+        return [SimpleNamespace(model=("sensor_lag",))] * 3
+
+    def fit(start: Start, model: tuple[str, ...]) -> SimpleNamespace:
+        fitted.append((model, start.level_v, start.voltage_known))
+        return SimpleNamespace(quantity_names=("R",), values=[2.0], standard_errors=[0.1])
+
+    monkeypatch.setattr(files, "fit_healthy", choose)
+    monkeypatch.setattr(files, "identify", fit)
+    found = files.trend(tmp_path, voltage_v=24.0)
+    assert chosen == [(pytest.approx([2.0, 3.0, 4.0]), 24.0)]
+    assert fitted == [(("sensor_lag",), 24.0, True)] * 5
+    assert found.trends[0].series.time.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert found.notes == ("2026-03-01.csv: nothing flows",)
