@@ -59,6 +59,14 @@ def test_neighbours_are_averaged_on_their_own_time(tmp_path: Path, monkeypatch: 
     assert any("averaged into one" in note for note in read.columns)
     sampled = read_recording(tmp_path / "a.csv", [ColumnChoice.sampled(RATE_HZ)])
     np.testing.assert_allclose(sampled.time_s, read.time_s)
+    # A file that counts its samples, from the seventh on, says above them how far apart they are.
+    values[:, 0] = np.arange(7.0, ROWS + 7.0)
+    write_csv(tmp_path / "b.csv", dict(zip(("sample", "current (A)"), values.T[:2], strict=True)), form=".4f")
+    (tmp_path / "b.csv").write_text(f"XIncrement,0.002\n{(tmp_path / 'b.csv').read_text()}")
+    counted = read_recording(tmp_path / "b.csv")
+    assert counted.averaged > 1
+    middles = np.arange(len(counted.time_s)) * counted.averaged + 0.5 * (counted.averaged - 1)
+    np.testing.assert_allclose(counted.time_s, 0.002 * (7.0 + middles))
 
 
 @pytest.mark.usefixtures("small_pieces")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from motor_env import InputError, Recording, read_recording
+from motor_env.recordings.alignment import align
 from motor_env.recordings.recording import cut, evened
 
 PLACES = np.arange(40.0)
@@ -126,6 +127,17 @@ def test_counts_stay_counts_where_one_is_missing(tmp_path: Path) -> None:
     path.write_text("\n".join(["time_s,current", *rows]))
     with pytest.raises(InputError, match="holds whole numbers, and no unit is stated"):
         read_recording(path)
+
+
+def test_what_fills_a_hole_is_no_step_of_the_converter() -> None:
+    """Halfway between two of its steps lies none of its readings."""
+    current = np.round(4.0 * np.exp(-np.arange(400.0) / 80.0) / 0.05) * 0.05
+    current = np.append(np.zeros(100), current)
+    holed = current.copy()
+    holed[np.flatnonzero(np.diff(current[100:]) < 0.0)[::3] + 100] = np.nan
+    filled = Recording(Path("x"), 1e-3 * np.arange(500.0), holed)
+    assert np.unique(np.abs(np.diff(filled.current_a)).round(6))[1] < 0.03
+    assert align(filled).quantum_a == pytest.approx(0.05)
 
 
 def test_a_column_without_a_value_is_filled_with_zeros() -> None:

@@ -620,6 +620,13 @@ def test_starts_are_cut_where_the_motor_is_switched_off() -> None:
     assert second.path.name == "x#2"
 
 
+def test_starts_backwards_are_cut_as_well() -> None:
+    """A supply of either sign rises from rest."""
+    parts = split_starts(driven(-off_on(150, 300, 200, 300)))
+    spans = [(round(part.time_s[0] * 1e3), round(part.time_s[-1] * 1e3)) for part in parts]
+    assert spans == [(0, 449), (450, 949)]
+
+
 def test_starts_of_four_samples_are_cut() -> None:
     """Between them there is no stretch in which the current's level could change."""
     current = np.tile([0.0, 0.0, 0.0, 1.0], 10)
