@@ -161,9 +161,10 @@ def test_what_comes_faster_than_it_is_judged_is_told(monkeypatch: pytest.MonkeyP
     assert next(heard) == b""
     assert [next(heard)[:2] for _ in range(10)] == [b"%02d" % k for k in range(10)]  # type: ignore[index]
     waiting.offer(b"a\n")
+    waiting.offer(b"b\n")
     assert next(heard) == Notice("lost", "20 pieces of lines came faster than they could be judged")
     waiting.put(None)
-    assert list(heard) == [b"a\n"]
+    assert list(heard) == [b"a\n", b"b\n"]  # it is told once
 
 
 @pytest.mark.parametrize(

@@ -262,6 +262,21 @@ def test_a_stretch_in_which_a_fault_begins_is_of_no_other_motor(
     assert goes_on or said.text == "other"
 
 
+def test_a_stream_of_another_rate_is_judged_as_it_comes(judge: Judge) -> None:
+    """Its interval is no hole in that of the healthy windows: whether it may differ so much is the judge's to say."""
+    watched(samples(303), dt_s=0.7e-3)
+    assert [recording.dt_s for recording, _ in judge.given] == pytest.approx([1e-3] * 3)
+    assert [recording.missing for recording, _ in judge.given] == [None] * 3
+
+
+def test_behind_a_window_that_cannot_be_judged_nothing_is_compared_with_the_one_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    Judge(monkeypatch, HEALTHY, UnusableError("too short"), HEALTHY)
+    watched(samples(303))
+    assert FakeVigil.made[0].cuts == 1
+
+
 def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
     other = judged("other", 1.0, 1.4, 1.8, 1.0)
     unsure = judged(
