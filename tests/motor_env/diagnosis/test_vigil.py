@@ -270,6 +270,25 @@ def test_drifts_are_never_learned_but_noise_is() -> None:
     assert learned.scale(0) is scales[0]
 
 
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_a_window_is_not_compared_with_the_one_before_a_break(is_cut: bool) -> None:
+    """What a motor does while nobody watches is no scatter from one window to the next."""
+    rng, watch = np.random.default_rng(14), vigil(commissioned(steady=True))
+    watch.ended(fit(rng, np.zeros(4)))
+    if is_cut:
+        watch.cut()
+    watch.ended(fit(rng, np.zeros(4)))
+    assert sum(watch.memory["learned"]) == (0.0 if is_cut else 1.0)
+
+
+def test_counting_allows_what_a_healthy_motor_may_stay_off() -> None:
+    """An inertia that stays 1.5 % off alarms by counting only where nothing but a fault moves the motor."""
+    for steady in (False, True):
+        rng, watch = np.random.default_rng(15), vigil(counting_only(commissioned(steady=steady)))
+        told = [watch.ended(fit(rng, np.array([0.0, 0.0, 0.015, 0.0]))) for _ in range(12)]
+        assert any(told) is steady
+
+
 @cache
 def commissioned(*, steady: bool, scatter: float = 1.0, seed: int = 8) -> Healthy:
     """Twelve windows of ten minutes, without shorter pieces."""
