@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
 from motor_env.diagnosis.sensors.checks import failure_in
-from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of
+from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of, with_signs
 from motor_env.diagnosis.sensors.seen import Seen, free_run
 from motor_env.diagnosis.shown.words import WORDS
 from motor_env.errors import InputError
@@ -287,6 +287,19 @@ def test_a_probe_that_was_turned_when_the_motor_was_learned_is_no_failure() -> N
     found = failed_sensor(scaled(alone, current_a=-1.0), learned())
     assert found is not None
     assert found.fault_kind == "current_polarity"
+
+
+@pytest.mark.parametrize(
+    ("signs", "turned"), [((-1.0, -1.0), ("current_a",)), ((-1.0, 1.0), ()), ((1.0, 1.0), ())]
+)
+def test_a_probe_was_turned_only_if_it_was_in_all_healthy_starts(
+    signs: tuple[float, ...], turned: tuple[str, ...]
+) -> None:
+    starts = [scaled(commanded(n), current_a=sign) for n, sign in enumerate(signs)]
+    healthy = with_signs(learned(), starts, None).healthy
+    assert healthy is not None
+    assert healthy.starts is not None
+    assert healthy.starts.turned == turned
 
 
 def test_a_column_that_never_moved_is_no_dead_sensor() -> None:

@@ -2,17 +2,20 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from judged_by_hand import CURRENT, EXPONENTS, RATE, SCATTER, SHEET, fits, fitted, spread
+from judged_by_hand import CURRENT, EXPONENTS, RATE, SCATTER, SHEET, fits, fitted, judged, spread
 from scipy import stats
 
 from motor_env import (
     InputError,
     Motor,
 )
-from motor_env.diagnosis import commission, motor_files
+from motor_env.diagnosis import commission, files, motor_files
 from motor_env.diagnosis.decision import limits_of
 from motor_env.diagnosis.explanations import (
     joint_share,
@@ -25,6 +28,7 @@ from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of
 from motor_env.fitting.uncertainty import beyond
 
 # Reaches in: what a reference must hold follows from a motor's equations and from the noise of its starts.
+from motor_env.motor.healthy import Fleet
 from motor_env.motor.identifiable import names
 from motor_env.motor.model import steady_state
 from motor_env.recordings.noise import difference_noise
@@ -135,6 +139,36 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert (kept.model, kept.model_low, kept.model_high) == (("coulomb",), (1.0,), (3.0,))
 
 
+@pytest.mark.parametrize(("signs", "direction"), [((1.0, 1.0), 1), ((-1.0, -1.0), -1), ((-1.0, 1.0), 0)])
+def test_healthy_starts_in_both_directions_teach_none(signs: tuple[float, ...], direction: int) -> None:
+    _, fit, _ = fitted()
+    alignments = [replace(fit.start.alignment, sign=sign) for sign in signs]
+    starts = learn_starts(
+        [replace(fit, start=replace(fit.start, alignment=one)) for one in alignments]
+    ).starts
+    assert starts is not None
+    assert starts.direction == direction
+
+
+def test_healthy_recordings_are_learned_with_what_is_known_of_those_that_are_judged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The same supply, the same shunt in series, the same regime."""
+    given: dict[str, Any] = {}
+
+    def learn(*_: object, **options: Any) -> SimpleNamespace:
+        given.update(options)
+        return SimpleNamespace(motor=SHEET)
+
+    monkeypatch.setattr(files, "commission", learn)
+    monkeypatch.setattr(files, "read_recording", lambda *_: judged().recording)
+    monkeypatch.setattr(files, "diagnose", lambda *_, **__: judged())
+    known = {"voltage_v": 24.0, "circuit": Circuit(shunt_ohm=0.5), "regime": "start"}
+    (outcome,) = files.diagnose_files([Path("start.csv")], healthy=[Path("healthy.csv")], **known)
+    assert outcome.diagnosis is judged()
+    assert known.items() <= given.items()
+
+
 def test_a_reference_speaks_of_what_follows_from_its_quantities() -> None:
     learned = replace(learn_starts(fits(*SCATTER)), temperature_c=20.0)
     same = reference_of_pieces(learned, CURRENT, "m", temperature_c=45.0)
@@ -156,6 +190,11 @@ def test_a_reference_speaks_of_what_follows_from_its_quantities() -> None:
     np.testing.assert_allclose(ratio.log_values, powers @ np.log(learned.values))
     np.testing.assert_allclose(ratio.log_covariance, powers @ learned.log_covariance @ powers.T, atol=1e-12)
     assert reference_of_pieces(learned, ("K",), "m") is None
+    # Between its own starts only the fits' white errors differ; between sisters all of a fit's error does.
+    sisters = reference_of_pieces(replace(learned, fleet=Fleet(7, np.eye(4))), CURRENT, "m")
+    assert sisters is not None
+    assert sisters.source == "7 sisters of m"
+    assert (same.includes_fit_error, sisters.includes_fit_error) == (True, False)
 
 
 def test_healthy_starts_must_agree() -> None:

@@ -20,6 +20,7 @@ from motor_env.diagnosis.commission import Commissioned, commission
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Change, joint_share
 from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.learning import the_next, without
 from motor_env.diagnosis.loaded import Drag
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons, windows
@@ -511,6 +512,18 @@ class Lesson:
             )
             for n in shape
         ]
+
+
+@pytest.mark.parametrize(("temperature_k", "prior_sd"), [(15.0, 0.01), (0.0, 0.0)])
+def test_each_healthy_window_is_judged_by_the_others(temperature_k: float, prior_sd: float) -> None:
+    """With the prior that they were learned with: those of a steady motor had none."""
+    fits = [FittedWindow(row, 1e-4 * np.eye(4)) for row in LOGS]
+    found = without(replace(HEALTHY, temperature_k=temperature_k), fits, 2)
+    prior = (prior_sd**2 + 1e-4) * np.eye(4)
+    centre, covariance, freedom = the_next(np.delete(LOGS, 2, axis=0), prior)
+    np.testing.assert_allclose(np.log(found.values), centre)
+    np.testing.assert_allclose(found.log_covariance, covariance)
+    assert (found.pieces, found.degrees_of_freedom) == (5, freedom)
 
 
 @pytest.mark.parametrize("steady", [False, True])
