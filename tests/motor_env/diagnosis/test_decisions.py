@@ -100,6 +100,18 @@ def test_a_noise_is_called_from_its_limit_on() -> None:
     assert moved(0, 0, 0, 0, noise=9.0, log_noise=None).verdict is Verdict.HEALTHY
 
 
+def test_a_noise_is_not_compared_with_a_sheet_where_the_sensor_changes_what_it_shows() -> None:
+    """Steps as large as the noise and a zone without current do; healthy starts were recorded by the same sensor."""
+    _, fit, reference = fitted()
+    quiet = {"log_values": fit.log_values, "log_noise": math.log(fit.noise_a) - 1.0}
+    coarse = replace(fit.start, alignment=replace(fit.start.alignment, quantum_a=fit.noise_a))
+    for seen in (replace(fit, model=("dead_zone",)), replace(fit, start=coarse)):
+        for is_taught, expected in ((False, Verdict.HEALTHY), (True, Verdict.NOISE)):
+            given = replace(reference, **quiet, includes_fit_error=is_taught)  # type: ignore[arg-type]  # by name
+            assert decide(seen, given, RATE).verdict is expected
+            assert decide(fit, given, RATE).verdict is Verdict.NOISE
+
+
 def doubled(friction: float, resistance: float) -> Judgement:
     """A healthy start whose errors show a doubling along these in 95 of 100 cases, times these factors."""
     _, fit, reference = fitted()
@@ -275,7 +287,10 @@ def test_innovations_leave_out_what_is_not_shown() -> None:
     _, fit, _ = fitted()
     begin = int(np.sum(fit.start.time_s <= fit.onset_s)) + 1
     wild = replace(fit.start, alignment=replace(fit.start.alignment, wild=(begin + 7, begin + 90)))
-    assert np.flatnonzero(np.isnan(replace(fit, start=wild).whitened[:, 0])).tolist() == [7, 90]
+    left_out = replace(fit, start=wild)
+    assert np.flatnonzero(np.isnan(left_out.whitened[:, 0])).tolist() == [7, 90]
+    assert (left_out.residual_a[[begin + 7, begin + 90]] == 0.0).all()
+    assert np.count_nonzero(fit.residual_a[[begin + 7, begin + 90]]) == 2
     problem, zone = fit.solution.problem, float(fit.states[begin + 300, 0])
     hiding = problem.known.copy()
     hiding[places.ZONE] = 2.0 * zone

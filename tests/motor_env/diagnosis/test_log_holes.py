@@ -23,6 +23,7 @@ from motor_env import (
 )
 from motor_env.diagnosis.commission import commission
 from motor_env.diagnosis.running.windows import NAMES
+from motor_env.diagnosis.verdict import Judgement
 from motor_env.fitting import places
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
@@ -203,6 +204,20 @@ def test_a_start_is_fitted_without_its_missing_samples() -> None:
     assert not start.counted[anywhere].any()
     assert start.voltage_v is None  # a command: what fills a hole at its step is no third level
     assert prepare(started(200)).voltage_v is None
+
+
+def test_swapped_columns_keep_their_holes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read the other way round, what is missing of the voltage is missing of the current."""
+    holes: list[list[list[int]]] = []
+
+    def judged(start: Recording, *_: object, **__: object) -> Judgement:
+        assert start.missing is not None
+        holes.append(np.argwhere(start.missing).tolist())
+        return Judgement(Verdict.UNUSABLE, ("not that of a motor",))
+
+    monkeypatch.setattr("motor_env.diagnosis.diagnose.judge_start", judged)
+    diagnose(started(300, noise_v=0.01, channel="voltage"), "paper")
+    assert holes == [[[300, 0]], [[300, 1]]]
 
 
 def test_a_start_whose_rise_is_missing_is_unusable() -> None:

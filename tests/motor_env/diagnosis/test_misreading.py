@@ -3,6 +3,9 @@
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +14,14 @@ from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Difference
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, as_sentence, wrong_scales
-from motor_env.diagnosis.running.windows import NAMES, FittedWindow
+from motor_env.diagnosis.running import judge as judging
+from motor_env.diagnosis.running.windows import NAMES, FittedWindow, WindowJudge
+from motor_env.diagnosis.verdict import Judgement, Verdict
+
+# Reaches in: values of a log's fit are made by hand.
+from motor_env.fitting import places
+from motor_env.motor.healthy import Windows
+from motor_env.recordings.recording import Recording
 
 FULL, CURRENT = ("R", "L", "K", "J", "B"), ("R", "L", "K^2/J", "B/J")
 POWERS = {
@@ -97,6 +107,27 @@ def test_an_inertia_that_moved_alone_is_put_down_to_the_clock_only_by_a_round_fa
         sentence = as_sentence(wrong_scales(difference, NAMES, 3.0, 0.01))
         assert (words in sentence) is bool(words or not sentence)
         assert bool(sentence) is bool(words)
+
+
+@pytest.mark.parametrize(("friction", "is_named"), [(1.0, True), (1.9, True), (9.0, False)])
+def test_a_whole_log_that_was_read_wrongly_need_not_fit_to_a_percent(
+    friction: float, is_named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A speed in degrees a second, of a motor whose windows scatter by 1 %; its friction is not all viscous."""
+    motor, by = {"R": 2.0, "K": 0.03, "J": 4e-6, "B": 2e-6}, 180.0 / math.pi
+    windows = Windows(0.5, (), np.zeros(places.N_VALUES), "held", 1e-3, 100.0)
+    reference = Reference("it", NAMES, np.log(list(motor.values())), 1e-4 * np.eye(4))
+    read = np.zeros(places.N_VALUES)
+    read[[places.R, places.K, places.J]] = 1.02 * motor["R"], motor["K"] / by, 0.97 * motor["J"] / by**2
+    read[places.B] = friction * motor["B"] / by**2
+    monkeypatch.setattr(judging, "from_recordings", lambda _: None)
+    monkeypatch.setattr(judging, "identify_record", lambda _: SimpleNamespace(expected=np.ones((2, 2))))
+    monkeypatch.setattr(judging, "known_of", lambda _: read)
+    log: Any = Recording(Path("log"), np.arange(2.0), np.zeros(2))
+    said = Judgement(Verdict.OTHER, (BEYOND_WEAR,))
+    (found,) = judging._as_a_whole([said], log, WindowJudge(windows, reference))
+    named = f"{EXPLAINED} if the speed is in degrees a second, and was read in rad/s"
+    assert found.reasons == (named if is_named else BEYOND_WEAR,)
 
 
 @pytest.mark.parametrize(
