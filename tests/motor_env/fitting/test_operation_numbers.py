@@ -21,7 +21,7 @@ from motor_env.diagnosis import identify as identifying
 from motor_env.diagnosis.motor_files import motor_of_log
 from motor_env.fitting import fit as fitting, kernel, places, uncertainty
 from motor_env.fitting.beginnings import _sign, beginnings
-from motor_env.fitting.identify import Operation, _refuse_poor, identify_operation, identify_record
+from motor_env.fitting.identify import Operation, _drag, _refuse_poor, identify_operation, identify_record
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import Hold
 from motor_env.fitting.recorded import (
@@ -127,6 +127,10 @@ def test_records_hold_the_means_of_their_recordings() -> None:
     assert np.flatnonzero(record.begins).tolist() == [0, 50]
     assert (record.averaged, record.dt_s) == pytest.approx((2, 2e-3))
     assert block_means(np.arange(7.0), 3).tolist() == [1.0, 4.0]
+    # What was averaged while it was read counts, too: its voltage is no held one.
+    for most, factor in ((100, 1), (50, 2)):
+        again = from_recordings([replace(one, averaged=3)], most=most)
+        assert (again.averaged, again.hold) == (3 * factor, "straight")
     assert len(from_recordings([recorded(current[:40])]).voltage_v) == 40
     with pytest.raises(UnusableError, match="only 39 samples; at least 40 are needed"):
         from_recordings([recorded(current[:39])])
@@ -683,6 +687,20 @@ def test_intervals_are_those_of_the_covariance(identified: Operation) -> None:
     for name, true in {"R": 2.0, "K": 0.03, "J": 4e-6}.items():
         told = found.quantity(name)
         assert told.low < true < told.high or abs(math.log(told.value / true)) < 3.5 * told.log_sd
+
+
+def test_the_drag_is_as_uncertain_as_its_parts_together() -> None:
+    """Viscous and dry friction and a fan at the effective speed, by hand."""
+    names, p = [*LOGS, "B", "coulomb", "load_square"], values(SQUARE=5e-10)
+    one = solution(worked(p), names, p, np.array([0.0, 0.0, 0.0, 1e-3, 0.1, 0.2]))
+    w = math.sqrt(np.mean(one.free[0][:, 3] ** 2))
+    units = np.array([term.unit for term in one.problem.free[3:]])
+    theta, sds = one.theta[3:], np.array([1e-4, 0.02, 0.03])
+    found = _drag(one, np.diag(np.append(np.zeros(3), sds)) ** 2, "drag", "N m")
+    assert found is not None
+    parts = units * [w, 1.0, w * w]
+    assert found.value == pytest.approx(parts @ theta)
+    assert found.log_sd * found.value == pytest.approx(np.linalg.norm(parts * sds))
 
 
 def test_one_channel_alone_tells_ratios_in_their_units(identified: Operation) -> None:

@@ -277,6 +277,10 @@ def test_the_record_of_a_start_is_what_counts_of_it() -> None:
     expected = np.delete(measured.current_a - 0.02, [3, 60])
     np.testing.assert_allclose(np.delete(record.readings[:, 0], [3, 60]), expected)
     np.testing.assert_array_equal(record.readings[:, 1], measured.speed_rad_s)
+    missing = np.zeros((500, 2), dtype=np.bool_)
+    missing[70, 0] = missing[[80, 90], 1] = True
+    holed = record_of(replace(wild, missing=missing)).readings
+    assert [np.flatnonzero(np.isnan(one)).tolist() for one in holed.T] == [[3, 60, 70], [80, 90]]
     assert record.is_start
     assert record.seen.tolist() == [1.0, 1.0]
     assert record_of(replace(measured, speed_rad_s=None)).seen.tolist() == [1.0, 0.0]
