@@ -26,6 +26,7 @@ from motor_env.fitting import places
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.start import Circuit
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import RECIPES, changed_recipe
 from motor_env.simulation.recipes import FaultClass
@@ -105,6 +106,17 @@ def test_a_duty_is_that_share_of_the_supply() -> None:
     dead = failed_sensor(replace(chopped, current_a=np.zeros(3000)), SHEET, 24.0, at_work=True)
     assert dead is not None
     assert dead.fault_kind == "current_dead"
+
+
+def test_a_shunt_is_in_the_circuit_that_sensors_are_checked_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[float] = []
+    monkeypatch.setattr(
+        "motor_env.diagnosis.sensors.failed.failure_in",
+        lambda _, physical: given.append(float(physical[places.R])),
+    )
+    for circuit in (None, Circuit(shunt_ohm=0.5)):
+        assert failed_sensor(commanded(5), SHEET, circuit=circuit) is None
+    assert given == pytest.approx([PHYSICAL[places.R], PHYSICAL[places.R] + 0.5])
 
 
 def test_a_range_and_an_offset_are_named() -> None:

@@ -15,14 +15,14 @@ from motor_env import (
     InputError,
     Motor,
 )
-from motor_env.diagnosis import commission, files, motor_files
+from motor_env.diagnosis import commission, files, learning, motor_files
 from motor_env.diagnosis.decision import limits_of
 from motor_env.diagnosis.explanations import (
     joint_share,
     smallest_changes,
 )
 from motor_env.diagnosis.healthy_motor import reference_of, reference_of_pieces, warmer
-from motor_env.diagnosis.learning import disagreement, learn_starts, odd_one_out, the_next
+from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, the_next
 from motor_env.diagnosis.shown import page, report
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
 from motor_env.fitting.uncertainty import beyond
@@ -163,7 +163,7 @@ def test_healthy_recordings_are_learned_with_what_is_known_of_those_that_are_jud
     monkeypatch.setattr(files, "commission", learn)
     monkeypatch.setattr(files, "read_recording", lambda *_: judged().recording)
     monkeypatch.setattr(files, "diagnose", lambda *_, **__: judged())
-    known = {"voltage_v": 24.0, "circuit": Circuit(shunt_ohm=0.5), "regime": "start"}
+    known: dict[str, Any] = {"voltage_v": 24.0, "circuit": Circuit(shunt_ohm=0.5), "regime": "start"}
     (outcome,) = files.diagnose_files([Path("start.csv")], healthy=[Path("healthy.csv")], **known)
     assert outcome.diagnosis is judged()
     assert known.items() <= given.items()
@@ -256,6 +256,42 @@ def test_a_start_is_compared_with_what_is_as_warm() -> None:
         1.0,
         1.0,
     )
+
+
+def test_the_temperature_of_healthy_starts_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it is known too, a later start is compared at its own."""
+    monkeypatch.setattr(commission, "fit_starts", lambda *_, **__: fits(*SCATTER))
+    for celsius in (None, 21.0):
+        found = commission.commission([judged().recording], temperature_c=celsius)
+        assert found.healthy.temperature_c == celsius
+
+
+@pytest.mark.parametrize(
+    ("preferred", "model"),
+    [
+        (["ramp", "ramp lag", ""], ("supply_ramp",)),
+        (["ramp", "", ""], ()),
+        (["ramp", ""], ()),
+        (["lag", "lag", "ramp", "ramp"], ("sensor_lag",)),  # the first three are asked
+    ],
+)
+def test_healthy_starts_are_fitted_with_what_most_of_them_prefer(
+    preferred: list[str], model: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names_of, asked = {"ramp": "supply_ramp", "lag": "sensor_lag"}, iter(preferred)
+    fitted_with: list[tuple[str, ...]] = []
+
+    def best(*_: object, **__: object) -> SimpleNamespace:
+        return SimpleNamespace(model=tuple(names_of[word] for word in next(asked).split()))
+
+    def fit(_: object, with_model: tuple[str, ...], **__: object) -> Any:
+        fitted_with.append(with_model)
+        return fits([0.0] * 4)[0]
+
+    monkeypatch.setattr(learning, "identify_best", best)
+    monkeypatch.setattr(learning, "identify", fit)
+    assert len(fit_healthy([judged().recording] * len(preferred))) == len(preferred)
+    assert fitted_with == [model] * 2 * len(preferred)
 
 
 def test_a_shunt_is_in_series_with_the_healthy_motor() -> None:

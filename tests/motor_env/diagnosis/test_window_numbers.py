@@ -39,6 +39,7 @@ from motor_env.diagnosis.running.windows import (
     viscous,
     windows_of,
 )
+from motor_env.diagnosis.sensors.failed import physical_of
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import covariance_at_one_temperature
@@ -132,6 +133,26 @@ def test_only_windows_that_tell_all_four_have_a_judge() -> None:
     for healthy in (as_starts, fewer):
         with pytest.raises(UnusableError, match="healthy pieces of it do not tell R, K, J, B of windows"):
             judge_of(healthy, "it")
+
+
+def test_sensors_are_checked_against_what_windows_have_taught(monkeypatch: pytest.MonkeyPatch) -> None:
+    """R, K and J of the windows' mean, not those of the fit of all of them; and their drag."""
+    given: list[FloatArray] = []
+    monkeypatch.setattr(windows, "failure_in", lambda _, physical: given.append(physical))
+    assert JUDGE.failed_sensor(recording(500)) is None
+    given.append(physical_of(motor_of_windows(HEALTHY, "m")))
+    for physical in given:
+        assert physical[[places.R, places.K, places.J]] == pytest.approx([2.0, 0.03, 4e-6])
+        assert physical[[places.L, places.B, places.COULOMB]] == pytest.approx([1e-3, 2e-6, 3e-4])
+    assert given[0][places.DRAG] == pytest.approx(DRAG)
+
+
+def test_the_temperature_of_healthy_logs_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("motor_env.diagnosis.commission.learn_windows", lambda *_, **__: (HEALTHY, []))
+    monkeypatch.setattr("motor_env.diagnosis.commission._promise", lambda *_: ({}, {}))
+    for celsius in (None, 21.0):
+        found = commission([recording(2000)], window_s=0.5, temperature_c=celsius)
+        assert found.healthy.temperature_c == celsius
 
 
 @pytest.fixture
