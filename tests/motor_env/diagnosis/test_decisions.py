@@ -15,7 +15,8 @@ from motor_env import (
     FaultKind,
     Verdict,
 )
-from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis import diagnose as judging
+from motor_env.diagnosis.decision import decide, limits_of
 from motor_env.diagnosis.diagnose import unusable_reason
 from motor_env.diagnosis.explanations import (
     joint_share,
@@ -30,6 +31,7 @@ from motor_env.filters.consistency import check_consistency
 # Reaches in: fits are moved by hand in directions that no public name gives.
 from motor_env.fitting import places
 from motor_env.fitting.uncertainty import beyond
+from motor_env.motor.healthy import Starts
 from motor_env.motor.identifiable import visible_direction
 from motor_env.motor.parameters import FloatArray
 
@@ -110,6 +112,36 @@ def test_a_noise_is_not_compared_with_a_sheet_where_the_sensor_changes_what_it_s
             given = replace(reference, **quiet, includes_fit_error=is_taught)  # type: ignore[arg-type]  # by name
             assert decide(seen, given, RATE).verdict is expected
             assert decide(fit, given, RATE).verdict is Verdict.NOISE
+
+
+def test_no_load_excuses_a_motor_whose_sheet_knows_of_none() -> None:
+    """What would be healthy with a constant load is told; healthy starts may have had that load."""
+    _, fit, reference = fitted()
+    off = np.array([-0.068, -0.11, -0.05, 0.078])
+    sheet = replace(reference, log_values=fit.log_values - off)
+    views = views_of(fit, sheet, RATE)
+    limits = limits_of(views, RATE, tests_noise=sheet.log_noise is not None)
+    assert [view.is_alarm(limits.z, limits.share) for view in views] == [True, False, True]
+    assert decide(fit, sheet, RATE).verdict.is_fault
+
+
+def test_the_ripple_is_compared_beside_the_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Speed and K by hand, per volt where it is unknown; another of the ripple's orders tells nothing."""
+    found, fit, _ = fitted()
+    starts = Starts(-3.0, 0.1, ripple_hz=1000.0, ripple_constant_v_s=0.02, ripple_log_sd=0.01)
+    half = stats.norm.isf(0.025) * 0.01
+    for is_known, name in ((True, "K"), (False, "K/V")):
+        one = replace(fit, start=replace(fit.start, voltage_known=is_known))
+        for hz, is_told in ((1.49e3, True), (1.51e3, False), (0.66e3, False)):
+            monkeypatch.setattr(judging, "ripple_quantities", lambda _, hz=hz: (hz, 0.018))
+            told = judging._with_ripple(found, one, starts, RATE)
+            assert (told.verdict, told.reasons) == (found.verdict, found.reasons)
+            added = told.changes[len(found.changes) :]
+            assert [each.name for each in added] == (["speed", name] if is_told else [])
+            for each, log in zip(added, np.log([1e-3 * hz, 0.9]), strict=is_told):
+                expected = np.exp([log, log - half, log + half])
+                assert (each.ratio, each.low, each.high) == pytest.approx(tuple(expected), rel=1e-5)
+                assert each.significant
 
 
 def doubled(friction: float, resistance: float) -> Judgement:

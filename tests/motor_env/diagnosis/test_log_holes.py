@@ -220,6 +220,21 @@ def test_swapped_columns_keep_their_holes(monkeypatch: pytest.MonkeyPatch) -> No
     assert holes == [[[300, 0]], [[300, 1]]]
 
 
+@pytest.mark.parametrize(
+    ("again", "said"),
+    [("healthy", "sensor"), ("bearing", "sensor"), ("sensor", "unusable"), ("other", "unusable")],
+)
+def test_columns_are_swapped_where_the_motor_is_judged_the_other_way_round(
+    again: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is strange either way, or of which a sensor failed, is no motor whose columns are swapped."""
+    verdicts = [Judgement(Verdict(word), ("because",)) for word in ("unusable", again)]
+    monkeypatch.setattr("motor_env.diagnosis.diagnose.judge_start", lambda *_, **__: verdicts.pop(0))
+    found = diagnose(started(noise_v=0.01), "paper")
+    assert found.verdict == said
+    assert found.kind == (FaultKind("swapped") if said == "sensor" else None)
+
+
 def test_a_start_whose_rise_is_missing_is_unusable() -> None:
     with pytest.raises(UnusableError, match=r"voltage are missing where it goes from .* to 12 V"):
         prepare(started(200, noise_v=0.01))
