@@ -539,7 +539,8 @@ def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given
     for day in range(1, 7):
         rows = (f"{1e-4 * k:.4f},{day * amps:.6f}" for k, amps in enumerate(shown * (day > 1)))
         (tmp_path / f"2026-03-{day:02d}.csv").write_text("time_s,current_a\n" + "\n".join(rows) + "\n")
-    chosen, fitted = [], []
+    chosen: list[tuple[list[float], float | None]] = []
+    fitted: list[tuple[tuple[str, ...], float, bool]] = []
 
     def choose(recordings: list[Recording], *, voltage_v: float | None) -> list[SimpleNamespace]:
         if not recordings[0].current_a.any():
@@ -554,7 +555,8 @@ def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given
     monkeypatch.setattr(files, "fit_healthy", choose)
     monkeypatch.setattr(files, "identify", fit)
     found = files.trend(tmp_path, voltage_v=24.0)
-    assert chosen == [(pytest.approx([2.0, 3.0, 4.0]), 24.0)]
+    ((largest, volts),) = chosen
+    assert (largest, volts) == (pytest.approx([2.0, 3.0, 4.0]), 24.0)
     assert fitted == [(("sensor_lag",), 24.0, True)] * 5
     assert found.trends[0].series.time.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert found.notes == ("2026-03-01.csv: nothing flows",)
