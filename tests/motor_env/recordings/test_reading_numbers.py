@@ -211,6 +211,14 @@ def test_borders_of_what_is_a_recording(tmp_path: Path) -> None:
         )
 
 
+def test_arrays_of_the_most_frequent_length_are_the_recording(tmp_path: Path) -> None:
+    """A longer one that names no quantity, such as a spectrum, is left out, and that is said."""
+    np.savez(tmp_path / "a.npz", time_s=PLACES, current_a=WAVE, spectrum=np.ones(99))
+    read = read_recording(tmp_path / "a.npz")
+    np.testing.assert_allclose(read.current_a, WAVE)
+    assert "left out, for their lengths: spectrum" in read.columns
+
+
 def test_uneven_times_are_evened_from_a_fiftieth_of_an_interval_on() -> None:
     columns = {"current": WAVE}
     for off, is_kept in ((0.0199, True), (0.0201, False)):
@@ -546,7 +554,8 @@ def test_a_motor_that_still_turns_when_it_is_switched_on_is_at_work() -> None:
         current = np.where(volts > 0.0, 1.0, 0.0)
         for first, size in ((100, 8.0), (700, 8.0 * share), (1300, 8.0 * share)):
             current[first : first + 5] = size
-        assert (work_seen(driven(volts, current=current)) is not None) is is_work
+        for offset in (0.0, 4.0):  # of the sensor
+            assert (work_seen(driven(volts, current=current + offset)) is not None) is is_work
     short = off_on(100, 400, 19, 400, 19, 400)  # a contact that bounces
     assert work_seen(driven(short, speed=np.full(len(short), 100.0))) is None
     longer = off_on(100, 400, 21, 400, 21, 400)
@@ -625,6 +634,12 @@ def test_starts_backwards_are_cut_as_well() -> None:
     parts = split_starts(driven(-off_on(150, 300, 200, 300)))
     spans = [(round(part.time_s[0] * 1e3), round(part.time_s[-1] * 1e3)) for part in parts]
     assert spans == [(0, 449), (450, 949)]
+
+
+def test_a_wild_voltage_hides_no_start() -> None:
+    volts = off_on(150, 500, 200, 500)
+    volts[300] = 100.0
+    assert len(split_starts(driven(volts, current=0.1 * off_on(150, 500, 200, 500)))) == 2
 
 
 def test_starts_of_four_samples_are_cut() -> None:
