@@ -18,7 +18,7 @@ from motor_env.fitting.score import score_tests, unmeasured
 
 # Reaches in: what is believed of a start before it is fitted, and which samples are wild, are told by no result alone.
 from motor_env.fitting.starts.belief import FIT_SAMPLES, absolute, believed
-from motor_env.fitting.starts.choice import evidence, identify_best
+from motor_env.fitting.starts.choice import _applies, evidence, identify_best
 from motor_env.fitting.starts.commutation import (
     back_emf_v,
     constants_at,
@@ -521,6 +521,8 @@ def test_a_supply_that_may_sag_widens_what_is_told_in_ohms() -> None:
             assert sag.value == pytest.approx(20.0 * share, abs=0.2)
             assert off == pytest.approx(share, abs=0.02)
             assert abs(off) < 2.0 * sd[-1]
+    rising = identify(sagging(start(noise_a=1e-3), -0.05))
+    assert unmeasured(rising.solution)[1].chi_square == 0.0  # no supply rises under its load
     assert sd[1] > 5.0 * sd[0]
     assert sd[2] < 0.5 * sd[1]
 
@@ -581,6 +583,17 @@ def test_the_extensions_that_are_there_are_found(rise_s: float, model: tuple[str
     assert fit.model == model
     for value, error in fit.fitted_extension.values():
         assert abs(value - 2e-3) < 4.0 * error < 2e-4
+
+
+def test_terms_are_tried_only_where_a_start_can_tell_them() -> None:
+    """A sensor that shows currents below 0 hides no small ones; a lag that the user knows is not fitted again."""
+    above = start(noise_a=0.0, offset_a=0.0)
+    below = replace(above, current_a=above.current_a - 0.05)
+    for measured, hides in ((above, True), (below, False), (replace(above, from_rest=False), False)):
+        assert _applies("dead_zone", measured, (), knows_inductance=False) is hides
+    for lag_s, knows_inductance, is_tried in ((0.0, True, True), (0.0, False, False), (1e-4, True, False)):
+        known = replace(above, circuit=Circuit(sensor_lag_s=lag_s))
+        assert _applies("sensor_lag", known, (), knows_inductance=knows_inductance) is is_tried
 
 
 def test_values_that_no_motor_has_are_named() -> None:
