@@ -7,9 +7,10 @@ import subprocess
 import time
 import tracemalloc
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import hostile
 import pytest
@@ -193,6 +194,27 @@ def test_what_is_watched_has_a_name_without_password(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     assert identity("log.csv") == identity(str(tmp_path / "log.csv")) == str(tmp_path / "log.csv")
     assert (identity("serial:/dev/tty"), identity(None)) == ("serial:/dev/tty", "standard input")
+
+
+def test_each_message_of_a_broker_ends_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether it ends with one itself or not."""
+    client = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+
+    class Broker:
+        """In the place of the library's client: two messages come."""
+
+        def __init__(self, *_: object) -> None:
+            self.on_message: Callable[..., None] = print
+
+        def connect(self, *_: object) -> None: ...
+
+        def loop_start(self) -> None:
+            for payload in (b"1,2,3,4", b"5,6,7,8\r\n9,10,11,12\r\n"):
+                self.on_message(self, None, SimpleNamespace(payload=payload))
+
+    monkeypatch.setattr(client, "Client", Broker)
+    heard = opened("mqtt://host/topic")
+    assert [next(heard) for _ in range(3)] == [b"1,2,3,4\n", b"5,6,7,8\r\n", b"9,10,11,12\n"]
 
 
 def test_a_serial_port_and_its_cable() -> None:

@@ -462,6 +462,16 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
         assert "was not commissioned by windows of the motor at work" in capsys.readouterr().err
 
 
+def test_columns_that_the_user_names_count_more_than_those_that_were_kept(
+    watching_a_log: list[str], judge: Judge, tmp_path: Path
+) -> None:
+    with (tmp_path / "log.csv").open("ab") as file:
+        file.write(joined(samples(60, 150.0)))
+    assert main([*watching_a_log, "--columns", "speed_rpm,t_ms,voltage_mv,current_a"]) == 0
+    kept, named = (recording.current_a.min() for recording, _ in judge.given)
+    assert named == pytest.approx(1e3 * kept)
+
+
 def test_a_motor_file_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["watch", "none.toml", "log.csv"]) == 2
     said = capsys.readouterr().err
