@@ -438,6 +438,10 @@ def test_a_limit_counts_as_reached_with_a_probability_of_one_half() -> None:
         assert found.reached is (found.life.probability_reached >= 0.5)
         low, high = (middle, high) if found.reached else (low, middle)
     shares = [judge(series(values, 0.02), (f,)).forecasts[0].life.probability_reached for f in (low, high)]
+    near = [judge(series(values, 0.02), (f,)).forecasts[0] for f in (1.37, 1.38)]
+    beyond = [one.wear.probability_beyond(0.8) for one in near]
+    assert 0.5 > beyond[0] > 0.25 > beyond[1]
+    assert [one.close for one in near] == [True, False]
     assert shares[0] >= 0.5 > shares[1]
     assert shares[0] - shares[1] < 0.06
 
@@ -514,6 +518,12 @@ def test_json_says_what_was_judged(tmp_path: Path, capsys: pytest.CaptureFixture
         {name: getattr(life, name) for name in names}
     )
     assert found["limits"][1]["remaining_life"] is None  # the nearer one is told
+    leading = judge(given, (2.0, 1.6), 0.8).leading
+    assert leading is not None
+    assert leading.factor == 1.6
+    for count, reference in ((1, 3.0), (5, 3.06)):
+        (one,) = files.trend(table, reference_count=count).trends
+        assert one.reference == pytest.approx(reference)
     assert 0.5 < life.median / ((1.6 * 3.03 - 3.87) / 0.03) < 1.02
 
 
@@ -554,7 +564,7 @@ def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given
 
     monkeypatch.setattr(files, "fit_healthy", choose)
     monkeypatch.setattr(files, "identify", fit)
-    found = files.trend(tmp_path, voltage_v=24.0)
+    found = files.trend(sorted(tmp_path.iterdir(), reverse=True), voltage_v=24.0)
     ((largest, volts),) = chosen
     assert (largest, volts) == (pytest.approx([2.0, 3.0, 4.0]), 24.0)
     assert fitted == [(("sensor_lag",), 24.0, True)] * 5
