@@ -142,7 +142,7 @@ def judge(
             recent.standard_error,
             factor,
             sign=math.copysign(1.0, factor - 1.0),
-            limit_errors=abs(factor) / math.sqrt(reference_count),
+            limit_errors=abs(factor) / math.sqrt(min(reference_count, len(series.time))),
         )
         life = wear.remaining_life(level)
         trends = wear.probability_trend >= TREND_PROBABILITY
@@ -183,7 +183,7 @@ def _jump(relative: Series, factors: Sequence[float]) -> str:
 
 def _sentence(found: Trend) -> str:
     series, one = found.series, found.leading
-    change = float(series.estimate[-1] / np.mean(series.estimate[:3]) - 1.0)
+    change = float(series.estimate[-1] / found.reference - 1.0)
     if not found.forecasts:
         return f"no limit is given, so nothing is judged: last change {_percent(change)}"
     if one is None:

@@ -429,6 +429,17 @@ def test_a_trend_is_judged_from_five_estimates_on_relative_to_the_first() -> Non
         judge(series(np.zeros(9)))
 
 
+def test_what_is_said_is_relative_to_the_reference_however_many_estimates_it_is_the_mean_of() -> None:
+    """Of six estimates none is the mean of ten; and the last change is from it, not from the first three."""
+    values = 1.0 + 0.02 * (-1.0) ** np.arange(6.0)
+    assert judge(series(values, 1e-3), reference_count=10).reference == pytest.approx(1.0)
+    for count, mean_of, change in ((1, 1, "-4 %"), (2, 2, "-2 %"), (10, 6, "-2 %")):
+        found = judge(series(values, 1e-3), (1.5,), reference_count=count)
+        of_one = (1e-3 / found.reference) ** 2 + found.forecasts[0].wear.scatter ** 2
+        np.testing.assert_allclose(found.forecasts[0].wear.limit_variance, 1.5**2 / mean_of * of_one)
+        assert f"last change {change};" in found.sentence
+
+
 def test_a_limit_counts_as_reached_with_a_probability_of_one_half() -> None:
     low, high = 1.0, 1.4
     values = 1.0 + 0.01 * np.arange(30.0) + 0.02 * np.random.default_rng(3).standard_normal(30)
