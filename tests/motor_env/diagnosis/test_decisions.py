@@ -103,13 +103,13 @@ def test_a_noise_is_called_from_its_limit_on() -> None:
 
 
 def test_a_noise_is_not_compared_with_a_sheet_where_the_sensor_changes_what_it_shows() -> None:
-    """Steps as large as the noise and a zone without current do; healthy starts were recorded by the same sensor."""
+    """Steps as large as the noise and a zone without current do; healthy starts had the same sensor."""
     _, fit, reference = fitted()
-    quiet = {"log_values": fit.log_values, "log_noise": math.log(fit.noise_a) - 1.0}
+    quiet: dict[str, Any] = {"log_values": fit.log_values, "log_noise": math.log(fit.noise_a) - 1.0}
     coarse = replace(fit.start, alignment=replace(fit.start.alignment, quantum_a=fit.noise_a))
     for seen in (replace(fit, model=("dead_zone",)), replace(fit, start=coarse)):
         for is_taught, expected in ((False, Verdict.HEALTHY), (True, Verdict.NOISE)):
-            given = replace(reference, **quiet, includes_fit_error=is_taught)  # type: ignore[arg-type]  # by name
+            given = replace(reference, **quiet, includes_fit_error=is_taught)
             assert decide(seen, given, RATE).verdict is expected
             assert decide(fit, given, RATE).verdict is Verdict.NOISE
 

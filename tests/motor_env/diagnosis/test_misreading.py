@@ -113,7 +113,7 @@ def test_an_inertia_that_moved_alone_is_put_down_to_the_clock_only_by_a_round_fa
 def test_a_whole_log_that_was_read_wrongly_need_not_fit_to_a_percent(
     friction: float, is_named: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A speed in degrees a second, of a motor whose windows scatter by 1 %; its friction is not all viscous."""
+    """A speed in degrees a second, and windows that scatter by 1 %; the friction is not all viscous."""
     motor, by = {"R": 2.0, "K": 0.03, "J": 4e-6, "B": 2e-6}, 180.0 / math.pi
     windows = Windows(0.5, (), np.zeros(places.N_VALUES), "held", 1e-3, 100.0)
     reference = Reference("it", NAMES, np.log(list(motor.values())), 1e-4 * np.eye(4))

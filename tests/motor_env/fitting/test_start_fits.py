@@ -586,7 +586,7 @@ def test_the_extensions_that_are_there_are_found(rise_s: float, model: tuple[str
 
 
 def test_terms_are_tried_only_where_a_start_can_tell_them() -> None:
-    """A sensor that shows currents below 0 hides no small ones; a lag that the user knows is not fitted again."""
+    """A sensor that shows currents below 0 hides no small ones; a lag that is known is not fitted again."""
     above = start(noise_a=0.0, offset_a=0.0)
     below = replace(above, current_a=above.current_a - 0.05)
     for measured, hides in ((above, True), (below, False), (replace(above, from_rest=False), False)):

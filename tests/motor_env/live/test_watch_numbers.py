@@ -263,7 +263,7 @@ def test_a_stretch_in_which_a_fault_begins_is_of_no_other_motor(
 
 
 def test_a_stream_of_another_rate_is_judged_as_it_comes(judge: Judge) -> None:
-    """Its interval is no hole in that of the healthy windows: whether it may differ so much is the judge's to say."""
+    """Its interval is no hole in that of the healthy windows: the judge says whether it may differ so much."""
     watched(samples(303), dt_s=0.7e-3)
     assert [recording.dt_s for recording, _ in judge.given] == pytest.approx([1e-3] * 3)
     assert [recording.missing for recording, _ in judge.given] == [None] * 3
