@@ -220,9 +220,8 @@ class Watch:
     def _ended(self, columns: dict[str, FloatArray]) -> Event:
         for name in ("current", "speed"):
             if columns["voltage"].any() and not np.ptp(columns[name]):
-                return Event(
-                    self._time_s, "stuck_sensor", f"the {name} of a whole window is {columns[name][0]:.6g}"
-                )
+                text = f"the {name} of a whole window is {columns[name][0]:.6g}"
+                return self._broken("stuck_sensor", text)
         recording = _recording(columns, self._step_s)
         if abs(recording.dt_s - self._pace.dt_s) < _SAME_STEP * self._pace.dt_s:
             self._step_s = self._pace.dt_s

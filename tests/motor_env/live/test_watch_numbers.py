@@ -275,6 +275,8 @@ def test_behind_a_window_that_cannot_be_judged_nothing_is_compared_with_the_one_
     Judge(monkeypatch, HEALTHY, UnusableError("too short"), HEALTHY)
     watched(samples(303))
     assert FakeVigil.made[0].cuts == 1
+    watched([*samples(101), *stuck(101, first=101)])
+    assert FakeVigil.made[1].cuts == 1
 
 
 def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
