@@ -35,7 +35,6 @@ _UNITS_FULL = {
     "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
     "heating": "K/J", "cooling": "1/s", "sensor_lag": "s", "speed_lag": "s", "delay": "samples", "drag": "N m",
     "brush_knee": "A", "gear_loss": "of the torque", "stribeck": "of coulomb", "coulomb_knee": "rad/s",
-    "encoder_step": "rad",
 }  # fmt: skip
 _UNITS_CURRENT = _UNITS_FULL | {
     "J": "A s/V", "B": "A/V", "coulomb": "A", "load_constant": "A", "load_square": "A/V2", "drag": "A",

@@ -14,7 +14,6 @@ from motor_env.fitting.places import (
     AFTER,
     COOLING,
     COULOMB,
-    ENCODER,
     GEAR,
     HEATING,
     LAG_I,
@@ -55,6 +54,7 @@ _SLOW = 0.02  # of the largest speed: where dry friction is larger
 @inlined
 def _advance(
     of: FloatArray,
+    lag: tuple[float, float, float],
     warm_k: float,
     m: FloatArray,
     x: FloatArray,
@@ -65,12 +65,8 @@ def _advance(
     before: float,
     dt_s: float,
     f: FloatArray,
-) -> tuple[float, float, float]:
-    """State after an interval, and its slopes; the interval ends at a sample of one mark, and begins at another's.
-
-    Returns:
-        What the speed's sensor shows, see `lag_of`.
-    """
+) -> None:
+    """State after an interval, and its slopes; the interval ends at a sample of one mark, and begins at another's."""
     i, w = x[0], x[1]
     at(of, 0, warm_k, p, m)
     if p[GEAR] > 0.0:
@@ -96,10 +92,7 @@ def _advance(
         x[3] *= m[2, 5]
         for c in range(5):
             f[2, c] = m[2, 5] if c == 4 else 0.0
-    # Without an edge for long, the motor is slower than the last one said.
-    lag: tuple[float, float, float] = lag_of(p, dt_s, max(0.5 * (abs(w) + abs(x[1])), abs(x[4])))
     x[4] = lag[0] * x[4] + lag[1] * w + lag[2] * x[1]
-    return lag
 
 
 @inlined
@@ -146,7 +139,7 @@ def _run(
 ) -> float:
     """The filter of `predict_each`, of one row: models of an interval and of that after a switch, number of states."""
     m, x, cov, f, u, row, shown, work, _ = room
-    logs, warm_k = 0.0, 0.0
+    lag, logs, warm_k = lag_of(p, dt_s), 0.0, 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
     u[3] = _SLOW * reach / p[K]
     is_known = marks[0] >= REST and p[NOISE_V] == 0.0 and p[NOISE_T] == 0.0 and p[WALK] == 0.0
@@ -173,11 +166,11 @@ def _run(
                 power = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k) * x[0] ** 2
                 warm_k += dt_s * (p[HEATING] * power - p[COOLING] * warm_k)
             dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k)
-            of, part_s = (switched, p[AFTER]) if mark == SWITCH else (usual, dt_s)
-            lag = _advance(of, warm_k, m, x, u, p, dry, mark, marks[k - 1], part_s, f)
+            of, slow = (switched, lag_of(p, p[AFTER])) if mark == SWITCH else (usual, lag)
+            _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
             if learn and not is_known:
                 # Whatever the voltage was, it was one that the motor knows.
-                spread(cov, n, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, lag, work)
+                spread(cov, n, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, slow, work)
         out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
         for c in range(2):
             out[k, c] = 0.0
@@ -234,7 +227,7 @@ def predict_each(
     models, room = scratch
     for row in range(len(p)):
         of, k = p[row], which[row]
-        n = 5 if of[LAG_I] > 0.0 or of[LAG_W] > 0.0 or of[ENCODER] > 0.0 else (3 if of[WALK] > 0.0 else 2)
+        n = 5 if of[LAG_I] > 0.0 or of[LAG_W] > 0.0 else (3 if of[WALK] > 0.0 else 2)
         for switched in range(2 if of[AFTER] > 0.0 else 1):
             discretize_each(of, of[AFTER] if switched else dt_s, models[switched], room[-1])
         usual, after = models[0], models[1]

@@ -18,6 +18,4 @@ CURVE = slice(29, 33)
 """How much of the supply's rise falls on the second and every later fifth of it, times that on the first."""
 GEAR = 33
 """The share of the motor's torque that its gear loses."""
-ENCODER = 34
-"""The angle between two edges of an encoder, by whose times the speed is taken."""
-N_VALUES = 35
+N_VALUES = 34

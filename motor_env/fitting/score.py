@@ -23,16 +23,7 @@ GEAR = 0.07
 """Share of the motor's torque that a gear usually takes."""
 _CONVERTED = math.sqrt(0.5 * (1.0 / 12.0 + 0.25))
 """Share of a step by which a converter errs (rms): it rounds, or it cuts off, which takes half a step in the mean."""
-_CANDIDATES = (
-    "gear_loss",
-    "load_constant",
-    "load_square",
-    "heating",
-    "sensor_lag",
-    "speed_lag",
-    "encoder_step",
-    "delay",
-)
+_CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +51,7 @@ def candidates(best: Solution) -> list[str]:
     if not seen[0]:
         left = [name for name in left if name not in {"sensor_lag", "heating", "cooling", "load_square"}]
     if not seen[1]:
-        left = [name for name in left if name not in {"speed_lag", "encoder_step"}]
+        left = [name for name in left if name != "speed_lag"]
     if not seen.all():  # one of them alone cannot tell it from other friction
         left = [name for name in left if name != "gear_loss"]
     return left

@@ -237,15 +237,6 @@ def _opposed(before: float, free: float, reach: float, knee: float) -> float:
     return opposed
 
 
-@inlined
-def _slope(opposed: float, reach: float, knee: float) -> float:
-    """How what is left follows what there would be without the input that opposes it."""
-    if abs(opposed) >= _SATURATED * knee:
-        return 0.0 if opposed == 0.0 else 1.0
-    root = math.sqrt(opposed * opposed + knee * knee)
-    return 1.0 / (1.0 + reach * knee * knee / (root * root * root))
-
-
 @compiled_part
 def braked_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray, parts: int
@@ -259,17 +250,14 @@ def braked_step(
         before, torque = u[0] + part * rise, load_in_kernel(u[2], p[SQUARE], w)
         free_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * rise + m[0, 4] * torque
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
-        new_i, slope_i, slope_w = free_i, 1.0, 1.0
+        new_i = free_i
         if p[DROP] > 0.0:
             new_i = _opposed(i, free_i, m[0, 2] * p[DROP], p[KNEE])
-            slope_i = _slope(new_i, m[0, 2] * p[DROP], p[KNEE])
             dropped = (free_i - new_i) / m[0, 2]
             before, free_w = before - dropped, free_w - m[1, 2] * dropped
         new_w = free_w
         if dry > 0.0:
-            reach = -m[1, 4] * _dry(p, dry, w, u[3])
-            new_w = _opposed(w, free_w, reach, p[SLIDING])
-            slope_w = _slope(new_w, reach, p[SLIDING])
+            new_w = _opposed(w, free_w, -m[1, 4] * _dry(p, dry, w, u[3]), p[SLIDING])
             friction = (free_w - new_w) / -m[1, 4]
             torque, new_i = torque + friction, new_i + m[0, 4] * friction
         if p[LAG_I] > 0.0:
@@ -278,17 +266,14 @@ def braked_step(
             for c in range(5):
                 inputs = m[2, 4] if c == 2 else (m[2, 2] if c == 3 else 0.0)
                 f[2, c] = m[2, 0] * f[0, c] + m[2, 1] * f[1, c] + m[2, 5] * f[2, c] + inputs
+        # A knee slows how errors spread, too. It does not here: near zero the model errs most, and a filter that trusts
+        # it there gives intervals that hold less often from record to record (87 instead of 91 of 100, of R).
         for c in range(4):
             top, bottom = f[0, c], f[1, c]
             extra_i = m[0, 4] if c == 2 else (m[0, 2] if c == 3 else 0.0)
             extra_w = m[1, 4] if c == 2 else (m[1, 2] if c == 3 else 0.0)
-            free_by, turned_by = (
-                m[0, 0] * top + m[0, 1] * bottom + extra_i,
-                m[1, 0] * top + m[1, 1] * bottom + extra_w,
-            )
-            turned_by -= (1.0 - slope_i) * m[1, 2] / m[0, 2] * free_by
-            f[0, c] = slope_i * free_by - (1.0 - slope_w) * m[0, 4] / m[1, 4] * turned_by
-            f[1, c] = slope_w * turned_by
+            f[0, c] = 0.0 if new_i == 0.0 else m[0, 0] * top + m[0, 1] * bottom + extra_i
+            f[1, c] = 0.0 if new_w == 0.0 else m[1, 0] * top + m[1, 1] * bottom + extra_w
         x[0], x[1] = new_i, new_w
 
 
@@ -306,9 +291,6 @@ def coasting_step(
     for _ in range(FINE):
         w = x[1]
         free = decay * w - reach * load_in_kernel(u[2], p[SQUARE], w)
-        x[1], slope = free, 1.0
-        if dry > 0.0:
-            x[1] = _opposed(w, free, reach * _dry(p, dry, w, u[3]), p[SLIDING])
-            slope = _slope(x[1], reach * _dry(p, dry, w, u[3]), p[SLIDING])
-        on = decay - reach * 2.0 * p[SQUARE] * abs(w)
-        f[1, 1], f[1, 2] = slope * on * f[1, 1], slope * (on * f[1, 2] - reach)
+        x[1] = _opposed(w, free, reach * _dry(p, dry, w, u[3]), p[SLIDING]) if dry > 0.0 else free
+        slope = 0.0 if x[1] == 0.0 else decay - reach * 2.0 * p[SQUARE] * abs(w)
+        f[1, 1], f[1, 2] = slope * f[1, 1], slope * f[1, 2] - reach * (x[1] != 0.0)

@@ -90,7 +90,6 @@ def terms(
         Term("cooling", places.COOLING, 1.0 / record.duration_s, 0.0, 300.0),
         Term("sensor_lag", places.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach), slope_at=_SEEN_LAG),
         Term("speed_lag", places.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
-        Term("encoder_step", places.ENCODER, speed * dt, 0.0, reach, slope_at=_SEEN_LAG),
         Term("delay", places.DELAY, 1.0, -1.0, 1.0),
         Term(
             "noise_current", places.NOISE_I, start[places.NOISE_I], _least(record, 0, start), 5.0, is_log=True

@@ -7,7 +7,6 @@ import math
 from motor_env.fitting.places import (
     COULOMB,
     DROP,
-    ENCODER,
     LAG_W,
     LOAD,
     NOISE_I,
@@ -26,19 +25,12 @@ from motor_env.motor.parameters import FloatArray
 
 _WILD = 6.0
 _STEADY_STEPS = 12
-_LONGEST_LAG = 1e4  # intervals: of an encoder that stands
 
 
 @inlined
-def lag_of(p: FloatArray, dt_s: float, speed: float) -> tuple[float, float, float]:
-    """Weights of the shown speed before, the true one before and the true one now; exact for a straight line.
-
-    What takes the speed by the times of an encoder's edges shows their mean from the edge before to the last one, until
-    the next: it lags by the angle between two edges.
-    """
+def lag_of(p: FloatArray, dt_s: float) -> tuple[float, float, float]:
+    """Weights of the shown speed before, the true one before and the true one now; exact for a straight line."""
     lag_s = p[LAG_W]
-    if p[ENCODER] > 0.0:
-        lag_s += p[ENCODER] / max(speed, p[ENCODER] / (_LONGEST_LAG * dt_s))
     if lag_s <= 0.0:
         return 0.0, 0.0, 1.0
     decay = math.exp(-dt_s / lag_s)

@@ -240,7 +240,7 @@ def test_a_motor_file_that_holds_no_value_of_the_fit_is_refused(commissioned: He
         held = Held((place,), np.zeros((1, 4)), np.zeros((1, 4)), np.zeros((4, 4)))
         other = replace(commissioned, windows=replace(windows, held=held))
         with (
-            pytest.raises(InputError, match=r"held\.places must be below 35, got 35")
+            pytest.raises(InputError, match=r"held\.places must be below 34, got 34")
             if is_refused
             else nullcontext()
         ):

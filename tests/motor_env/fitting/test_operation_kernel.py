@@ -69,31 +69,6 @@ def test_free_model_follows_a_stiff_solver(given: dict[str, float]) -> None:
     assert np.all(np.abs(got - expected).max(axis=0) < 0.02 * np.abs(expected).max(axis=0))
 
 
-def by_edges(time_s: FloatArray, speed: FloatArray, step: float) -> FloatArray:
-    """A speed as shown: an edge's angle over the time since the one before, less where none comes for longer."""
-    angle = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s)))
-    edges = np.interp(np.arange(step, angle[-1], step), angle, time_s)
-    last = np.searchsorted(edges, time_s, side="right") - 1
-    known = np.maximum(last, 1)
-    shown = step / np.maximum(edges[known] - edges[known - 1], time_s - edges[known])
-    return np.where(last < 1, 0.0, shown)
-
-
-def test_a_speed_by_the_times_of_edges_lags_by_their_angle() -> None:
-    """As it starts, slows down and stops: most of what is shown beside the speed is that lag."""
-    fine, step = 40, 1.0
-    p, volts = values(J=4e-5, COULOMB=0.002), np.repeat([8.0, 3.0, 0.0], 50)
-    run = replace(plain(fine * 150, np.repeat(volts, fine)), dt_s=DT_S / fine)
-    speed = run.predict(p, learn=False)[0][:, 3]
-    shown = by_edges(run.dt_s * np.arange(len(speed)), speed, step)[::fine]
-    lagging = plain(150, volts).predict(values(J=4e-5, COULOMB=0.002, ENCODER=step), learn=False)[0][:, 3]
-    assert np.abs(shown - speed[::fine]).max() > 20.0
-    for part in (slice(0, 50), slice(50, 100), slice(100, 150)):
-        off, left = (shown - speed[::fine])[part], (shown - lagging)[part]
-        assert np.abs(left).mean() < 0.5 * np.abs(off).mean()
-        assert abs(left.mean()) < 0.3 * abs(off.mean())
-
-
 @pytest.mark.parametrize("sliding", [0.0, 5.0])
 def test_a_coasting_motor_that_its_load_turns_back_follows_a_stiff_solver(sliding: float) -> None:
     p = values(COULOMB=0.001, SLIDING=sliding, LOAD=0.003, SQUARE=2e-7)
@@ -441,22 +416,8 @@ NOISES = ({"NOISE_I": 3e-3}, {"NOISE_W": 0.5}, {"NOISE_I": 1e-4, "NOISE_W": 1e-2
         ({"SQUARE": 2e-6, "COULOMB": 0.004, "DROP": 0.4}, (0.5, 60.0), 6.0),
         ({"SQUARE": 2e-7, "COULOMB": 1e-3, "SLIDING": 20.0, "DROP": 0.1, "KNEE": 0.15}, (0.5, 60.0), 6.0),
         ({"COULOMB": 0.004}, (0.05, 0.0), 0.1),
-        ({"COULOMB": 0.004, "SLIDING": 20.0}, (0.05, 0.0), 0.1),
-        ({"COULOMB": 0.004, "SLIDING": 1.0}, (0.05, 0.0), 0.1),
-        ({"DROP": 1.0, "KNEE": 0.05}, (0.0, 0.0), 0.1),
-        ({"DROP": 1.0, "KNEE": 0.05}, (0.0, 10.0), 0.7),
     ],
-    ids=[
-        "linear",
-        "fan",
-        "friction",
-        "knees",
-        "stands",
-        "creeps",
-        "hardly creeps",
-        "carries little",
-        "is driven",
-    ],
+    ids=["linear", "fan", "friction", "knees", "stands"],
 )
 def test_uncertainty_spreads_as_differences_of_the_free_model_say(
     given: dict[str, float], begin: tuple[float, float], volts: float, noises: dict[str, float]
@@ -481,9 +442,8 @@ def test_uncertainty_spreads_as_differences_of_the_free_model_say(
         ({"SQUARE": 5e-7, "COULOMB": 0.001, "B": 0.0}, 80.0),
         ({"LOAD": -0.003, "B": 2e-4}, 80.0),
         ({"COULOMB": 0.02}, 25.0),
-        ({"COULOMB": 0.02, "SLIDING": 1.0}, 25.0),
     ],
-    ids=["coasts", "without drag", "driven by its load", "comes to rest", "creeps to rest"],
+    ids=["coasts", "without drag", "driven by its load", "comes to rest"],
 )
 def test_uncertainty_of_a_coasting_motor(
     given: dict[str, float], speed: float, noises: dict[str, float]

@@ -227,7 +227,7 @@ def test_units_of_the_unknowns() -> None:
         "gear_loss": 1.0, "brush_knee": 3.0, "stribeck": 1.0, "coulomb_knee": 200.0, "load_constant": torque,
         "load_square": torque / 200.0**2, "offset_current": 3.0, "offset_speed": 200.0,
         "heating": 10.0 / (2.0 * 1.5**2 * second), "cooling": 1.0 / second, "sensor_lag": DT_S, "speed_lag": DT_S,
-        "encoder_step": 200.0 * DT_S, "delay": 1.0, "noise_current": 0.01, "noise_speed": 0.2, "noise_voltage": 0.036,
+        "delay": 1.0, "noise_current": 0.01, "noise_speed": 0.2, "noise_voltage": 0.036,
         "noise_torque": 0.01 * torque, "load_walk": 0.05 * torque / math.sqrt(second),
     }  # fmt: skip
     assert {name: term.unit for name, term in every.items()} == pytest.approx(units)
@@ -247,7 +247,6 @@ def test_units_of_the_unknowns() -> None:
         "coulomb_knee": (0.0, 0.05), "load_constant": (-2.0, 2.0), "load_square": (0.0, 20.0),
         "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1), "heating": (0.0, 20.0), "cooling": (0.0, 300.0),
         "sensor_lag": (0.0, 5.0), "speed_lag": (0.0, 50.0),  # 10 ms and 0.1 s
-        "encoder_step": (0.0, reach),
         "delay": (-1.0, 1.0), "noise_current": (-5.0, 5.0), "noise_speed": (-5.0, 5.0),
         "noise_voltage": (-6.0, 4.0), "noise_torque": (-6.0, 4.0), "load_walk": (-6.0, 6.0),
     }  # fmt: skip
@@ -352,7 +351,7 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     base = small.problem.residuals(small.theta)
     jacobian = small.problem.jacobian(small.theta, base)
     variance = float(base @ base) / small.problem.count
-    tested = ("gear_loss", "load_square", "heating", "sensor_lag", "speed_lag", "encoder_step", "delay")
+    tested = ("gear_loss", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
     assert score_tests(small, every, ()) == {}
     assert set(candidates(small)) == set(tested)
     for of in ({"current": True, "speed": False}, {"current": False, "speed": True}):
