@@ -2,10 +2,12 @@
 
     python benchmarks/running_windows.py --motors 60
     python benchmarks/running_windows.py --motors 40 --other-physics
+    python benchmarks/running_windows.py --motors 40 --other-physics --window-s 20
 
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
 With other physics the motors have all of its SWITCHES, and are judged in other profiles, under other controllers, too.
+Windows of a length in seconds are sampled at 100 Hz, and faults are judged in the own profile alone.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from motor_env.recordings.defects import UnusableError
 
 WINDOW, LEARNED, JUDGED, RATE = 400, 10, 3, 0.01
 DT = 0.1  # of the mechanical time constant
+SLOW_S = 0.01
 WARM_K = 20.0
 UNDER: dict[str, dict[str, Any]] = {
     "the same": {},
@@ -37,6 +40,7 @@ UNDER: dict[str, dict[str, Any]] = {
     "steps": {"profile": "steps"},
 }
 """Drives in which motors of other physics are judged."""
+OWN: dict[str, dict[str, Any]] = {"the same": {}}
 
 
 def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
@@ -54,24 +58,26 @@ def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
     }
 
 
-def judge(number: int, seed: int, *, other_physics: bool) -> Said:
+def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None) -> Said:
     """Verdicts on one motor, commissioned in one profile."""
     rng = np.random.default_rng([seed, number])
     motor = draw_motor(rng, SWITCHES if other_physics else ())
     learned = PROFILES[number % len(PROFILES)]
-    dt_s = DT * motor.mechanical_s
+    dt_s = DT * motor.mechanical_s if window_s is None else SLOW_S
+    window = WINDOW if window_s is None else round(window_s / SLOW_S)
     recorded = partial(simulate, rng=rng, dt_s=dt_s)
     try:
-        log = recorded(motor, learned, samples=LEARNED * WINDOW)
-        healthy, _ = learn_windows([log], WINDOW * dt_s)
+        log = recorded(motor, learned, samples=LEARNED * window)
+        healthy, _ = learn_windows([log], window * dt_s)
     except UnusableError as error:
         return [(("commissioning", learned), str(error))]
     known, said = motor_of_windows(healthy, "this motor"), Said()
-    for name, (other, _) in changed(motor).items():
-        for under, options in UNDER.items() if other_physics else {"the same": {}}.items():
+    for name, (other, right) in changed(motor).items():
+        is_own = not other_physics or (window_s is not None and right != "healthy")
+        for under, options in OWN.items() if is_own else UNDER.items():
             warm_k = WARM_K if "K more" in name else 0.0
             drive = {"profile": learned} | options
-            log = recorded(other, samples=JUDGED * WINDOW, warm_k=warm_k, **drive)
+            log = recorded(other, samples=JUDGED * window, warm_k=warm_k, **drive)
             found = diagnose(log, known, false_alarm_rate=RATE, regime="operation")
             said.append(((name, under, learned), found.verdict))
     return said
@@ -81,26 +87,39 @@ def rows(counts: Counts, unders: Iterable[str]) -> Iterator[list[str]]:
     """What was judged right, and what else was said."""
     for name, (_, right) in changed(draw_motor(np.random.default_rng(0))).items():
         for under in unders:
-            said = counts[(name, under)]
+            if not (said := counts[(name, under)]):
+                continue
             others = ", ".join(f"`{verdict}` {n}" for verdict, n in said.most_common() if verdict != right)
             yield [name, under, f"`{right}`", f"{said[right]} of {said.total()}", others or "-"]
 
 
-def main(*, motors: int = 20, seed: int = 1, other_physics: bool = False, how: How = HERE) -> None:
+def main(
+    *,
+    motors: int = 20,
+    seed: int = 1,
+    other_physics: bool = False,
+    window_s: float | None = None,
+    how: How = HERE,
+) -> None:
     """Judge motors and keep the table of docs/results/operation.md.
 
     Args:
         motors: how many, of all profiles in turn.
         seed: of them.
         other_physics: motors with all switches, also judged under other drives than they were commissioned in.
+        window_s: length of a window; by default 40 mechanical time constants.
         how: options of every table.
     """
-    of = {"seed": seed} | ({"other_physics": True} if other_physics else {})
-    counts = counted(partial(judge, seed=seed, other_physics=other_physics), motors, how, of=of)
+    of: dict[str, Any] = {"seed": seed} | ({"other_physics": True} if other_physics else {})
+    if window_s is not None:
+        of["window_s"] = window_s
+    judged = partial(judge, seed=seed, other_physics=other_physics, window_s=window_s)
+    counts = counted(judged, motors, how, of=of)
     print(*counts[("commissioning",)].elements(), sep="\n")
     header = ("changed", "judged in", "right verdict", "said", "else")
     name = "windows_other_physics" if other_physics else "windows"
-    keep_table("operation", name, header, rows(counts, UNDER if other_physics else ["the same"]))
+    name += "" if window_s is None else "_longer"
+    keep_table("operation", name, header, rows(counts, UNDER if other_physics else OWN))
 
 
 if __name__ == "__main__":
