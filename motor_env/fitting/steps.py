@@ -267,7 +267,7 @@ def braked_step(
                 inputs = m[2, 4] if c == 2 else (m[2, 2] if c == 3 else 0.0)
                 f[2, c] = m[2, 0] * f[0, c] + m[2, 1] * f[1, c] + m[2, 5] * f[2, c] + inputs
         # A knee slows how errors spread, too. It does not here: near zero the model errs most, and a filter that trusts
-        # it there gives intervals that hold less often from record to record (87 instead of 91 of 100, of R).
+        # it there gives intervals that hold less often from record to record (88 instead of 91 of 100, of R).
         for c in range(4):
             top, bottom = f[0, c], f[1, c]
             extra_i = m[0, 4] if c == 2 else (m[0, 2] if c == 3 else 0.0)
