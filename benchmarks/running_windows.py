@@ -3,6 +3,7 @@
     python benchmarks/running_windows.py --motors 60
     python benchmarks/running_windows.py --motors 40 --other-physics
     python benchmarks/running_windows.py --motors 40 --other-physics --window-s 20
+    python benchmarks/running_windows.py --motors 20 --other-physics --window-s 20 --records 5
 
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
@@ -58,7 +59,7 @@ def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
     }
 
 
-def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None) -> Said:
+def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None, records: int) -> Said:
     """Verdicts on one motor, commissioned in one profile."""
     rng = np.random.default_rng([seed, number])
     motor = draw_motor(rng, SWITCHES if other_physics else ())
@@ -67,8 +68,8 @@ def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None
     window = WINDOW if window_s is None else round(window_s / SLOW_S)
     recorded = partial(simulate, rng=rng, dt_s=dt_s)
     try:
-        log = recorded(motor, learned, samples=LEARNED * window)
-        healthy, _ = learn_windows([log], window * dt_s)
+        logs = [recorded(motor, learned, samples=LEARNED // records * window) for _ in range(records)]
+        healthy, _ = learn_windows(logs, window * dt_s)
     except UnusableError as error:
         return [(("commissioning", learned), str(error))]
     known, said = motor_of_windows(healthy, "this motor"), Said()
@@ -99,6 +100,7 @@ def main(
     seed: int = 1,
     other_physics: bool = False,
     window_s: float | None = None,
+    records: int = 1,
     how: How = HERE,
 ) -> None:
     """Judge motors and keep the table of docs/results/operation.md.
@@ -108,17 +110,20 @@ def main(
         seed: of them.
         other_physics: motors with all switches, also judged under other drives than they were commissioned in.
         window_s: length of a window; by default 40 mechanical time constants.
+        records: of which each motor is commissioned, each with a work of its own; a divisor of LEARNED.
         how: options of every table.
     """
     of: dict[str, Any] = {"seed": seed} | ({"other_physics": True} if other_physics else {})
     if window_s is not None:
         of["window_s"] = window_s
-    judged = partial(judge, seed=seed, other_physics=other_physics, window_s=window_s)
+    if records > 1:
+        of["records"] = records
+    judged = partial(judge, seed=seed, other_physics=other_physics, window_s=window_s, records=records)
     counts = counted(judged, motors, how, of=of)
     print(*counts[("commissioning",)].elements(), sep="\n")
     header = ("changed", "judged in", "right verdict", "said", "else")
     name = "windows_other_physics" if other_physics else "windows"
-    name += "" if window_s is None else "_longer"
+    name += ("" if window_s is None else "_longer") + ("" if records == 1 else "_several")
     keep_table("operation", name, header, rows(counts, UNDER if other_physics else OWN))
 
 
