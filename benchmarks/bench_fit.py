@@ -25,7 +25,8 @@ from motor_env.motor.parameters import FloatArray
 jax.config.update("jax_enable_x64", True)
 
 N_SAMPLES, DT_S = 2_000, 1e-3
-MOTOR = MotorParameters(2.0, 1e-3, 0.03, 0.03, 4e-6, 2e-5)
+R_OHM, L_H, K_V_S, J_KG_M2, B_N_M_S = 2.0, 1e-3, 0.03, 4e-6, 2e-5
+MOTOR = MotorParameters(R_OHM, L_H, K_V_S, K_V_S, J_KG_M2, B_N_M_S)
 NOISE_A, NOISE_V = 3e-3, 0.3
 
 
@@ -71,11 +72,11 @@ def scan(record: Record, begin: FloatArray) -> Callable[[], Any]:
 def run() -> list[Result]:
     """Check that both agree, then measure them. Rates are samples filtered a second."""
     record, p = make_record(), np.zeros(places.N_VALUES)
-    p[[places.R, places.L, places.K, places.J, places.B]] = (2.0, 1e-3, 0.03, 4e-6, 2e-5)
+    p[[places.R, places.L, places.K, places.J, places.B]] = R_OHM, L_H, K_V_S, J_KG_M2, B_N_M_S
     p[[places.NOISE_I, places.NOISE_V]] = NOISE_A, NOISE_V
     ours = record.predict(p)[0]
     # The speed, which is not measured, is known to 30 % of the largest at first, and by the current's change.
-    sd_w = np.hypot(0.3 * np.abs(record.voltage_v).max(), 1e-3 / DT_S * NOISE_A) / 0.03
+    sd_w = np.hypot(0.3 * np.abs(record.voltage_v).max(), L_H / DT_S * NOISE_A) / K_V_S
     peer = scan(record, np.array([*ours[0, 2:4], NOISE_A**2, 0.0, sd_w**2]))
     np.testing.assert_allclose(np.asarray(peer()), ours[1:, 0], atol=1e-6)
     rate = best_rate(lambda: record.predict(p), N_SAMPLES)

@@ -147,9 +147,8 @@ def draw_motor(rng: np.random.Generator, switches: Collection[str] = ()) -> Moto
     )
 
 
-@njit(
-    error_model="numpy", _nrt=False, forceinline=True
-)  # counts of who holds an array would take half of the time
+# Without numba's counts of who holds an array, which `motor_env.motor.compiled` explains; so no array is made inside.
+@njit(error_model="numpy", _nrt=False, forceinline=True)
 def _slope(x: Floats, volts: float, open_: bool, load: float, square: float, c: Floats, out: Floats) -> None:
     i, w, angle, warm, bristle = x[0], x[1], x[2], x[3], x[4]
     ohm, constant = c[0] * (1.0 + 0.00393 * warm), c[2] * (1.0 - 0.001 * warm)
