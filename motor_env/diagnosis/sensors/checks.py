@@ -246,13 +246,13 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
         return None
     sizes = [np.abs(each) / np.max(np.abs(each)) for each in (seen.voltage_v, speed)]
     rests = (sizes[0] < _STANDS) & (sizes[1] < _STANDS)
-    backwards = float(np.mean((speed < 0.0) & (sizes[1] > _ON)))
+    turning = [float(np.mean((sign * speed > 0.0) & (sizes[1] > _ON))) for sign in (-1.0, 1.0)]
     known = float(physical[places.OFFSET_I])
     by_speed = np.asarray(_by_the_others(seen, physical)[0]) - known
     if np.count_nonzero(rests) >= _FEWEST:
         # A controller may hold a small voltage, of which a rotor that stands draws its current.
         off, most = float(np.mean(current[rests] - by_speed[rests])), _OFFSET_AT_REST
-    elif _TURNS_BACK < backwards < 1.0 - _TURNS_BACK:
+    elif min(turning) > _TURNS_BACK:
         shapes = np.stack([np.ones(len(current)), by_speed, speed, np.sign(speed)], axis=1)
         off, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
     else:

@@ -181,6 +181,19 @@ def test_a_current_that_a_rotor_at_rest_draws_is_no_offset() -> None:
     assert failure_in(off, known) is None
 
 
+@pytest.mark.parametrize(("other_volts", "kind"), [(8.0, "current_offset"), (-0.5, None)])
+def test_only_a_motor_that_turns_both_ways_tells_an_offset_while_it_never_rests(
+    other_volts: float, kind: str | None
+) -> None:
+    """A rotor that sticks under a small voltage does not turn back: what it is off by may be its friction."""
+    sticking = PHYSICAL.copy()
+    sticking[places.COULOMB] = 0.5 * sticking[places.K]
+    volts = np.tile(np.repeat([-8.0, other_volts], 60), 20)
+    current, speed = free_run(sticking, volts, DT_S)
+    found = failure_in(Seen(DT_S, volts, current + 1.2, speed, at_work=True), sticking)
+    assert (None if found is None else found.kind) == kind
+
+
 @pytest.mark.parametrize("column", ["current_a", "speed_rad_s"])
 def test_a_column_of_another_motor_is_named(column: str) -> None:
     """Two motors of one machine, each under its own voltage, and their columns exchanged."""
