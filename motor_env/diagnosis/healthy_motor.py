@@ -44,6 +44,7 @@ class Reference:
         own_friction: share of the drag that is the motor's own friction; None where a load was not told.
         excess: by which factor healthy pieces scatter more than covariance and fit say (variance).
         is_taught: recordings have taught it, its sensors too; a data sheet says nothing of sensors.
+        drive_covariance: what that covariance holds since the motor is driven otherwise than it was, shape (n, n) or 0.
     """
 
     source: str
@@ -60,6 +61,7 @@ class Reference:
     own_friction: float | None = None
     excess: float = 1.0
     is_taught: bool = False
+    drive_covariance: FloatArray | float = 0.0
 
     @property
     def values(self) -> dict[str, float]:
@@ -162,17 +164,17 @@ def _source(healthy: Healthy, motor: str) -> str:
     return f"{healthy.pieces} healthy {'windows' if healthy.starts is None else 'starts'} of {motor}"
 
 
-def warmer(covariance: FloatArray, warmth: FloatArray, rate: float, freedom: float) -> FloatArray:
-    """A covariance of Student's t with the known normal spread of the temperature added.
+def with_normal(covariance: FloatArray, normal: FloatArray, share: float, freedom: float) -> FloatArray:
+    """A covariance of Student's t with that of a known normal spread added, as of the temperature.
 
     The quantile of a sum of t and normal lies below the root of the sum of their squared quantiles. So the normal part
-    counts in the ratio of the two quantiles, at the share of one test.
+    counts in the ratio of the two quantiles.
 
     Args:
-        covariance: at one temperature, shape (n, n).
-        warmth: how the quantities move for one standard deviation of the temperature, shape (n,).
-        rate: of one test.
-        freedom: degrees of freedom of the covariance.
+        covariance: shape (n, n).
+        normal: covariance of the known spread, shape (n, n).
+        share: rate of false alarms of one test.
+        freedom: degrees of freedom of the first.
     """
-    ratio = float(ndtri(rate) / stdtrit(freedom, rate))
-    return np.asarray(covariance + np.outer(ratio * warmth, ratio * warmth), dtype=np.float64)
+    ratio = float(ndtri(share) / stdtrit(freedom, share))
+    return np.asarray(covariance + ratio**2 * normal, dtype=np.float64)

@@ -18,9 +18,11 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import Circuit, prepare
 
-START_SPREAD, WINDOW_SPREAD = 0.02, 0.01
-"""Standard deviation of a logarithm from piece to piece, as believed before any is seen. A window averages over what
-changes from one start to the next: the supply, the rotor's position, the first turns of the bearings."""
+START_SPREAD = 0.02
+"""Standard deviation of a logarithm from start to start, as believed before any is seen."""
+RECORD_SPREAD = np.array([0.01, 0.005, 0.01, 0.05])
+"""Standard deviation of the logarithms of R, K, J and B from one record of a motor at work to the next, however long
+each lasts: the error of the model is much the same in all windows of a record."""
 PRIOR_WEIGHT = 4.0
 _NOISE_SPREAD = 0.10
 _DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
@@ -90,12 +92,24 @@ def next_piece(fits: Sequence[Fitted], prior_sd: float) -> tuple[FloatArray, Flo
     return the_next(logs, np.eye(logs.shape[1]) * prior_sd**2 + error)
 
 
+def next_window(fits: Sequence[Fitted], *, steady: bool) -> tuple[FloatArray, FloatArray, float]:
+    """Mean, covariance and degrees of freedom of the logarithms of R, K, J and B of a healthy window of another record.
+
+    Args:
+        fits: healthy windows.
+        steady: nothing but a fault moves the motor, from record to record either.
+    """
+    centre, covariance, freedom = next_piece(fits, 0.0)
+    return centre, covariance if steady else covariance + np.diag(np.square(RECORD_SPREAD)), freedom
+
+
 def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     """What all healthy pieces but one teach, fitted with the same model."""
-    others, prior = [fit for n, fit in enumerate(fits) if n != number], START_SPREAD
-    if healthy.windows is not None:
-        prior = WINDOW_SPREAD if healthy.temperature_k else 0.0  # of a steady motor: none
-    centre, covariance, freedom = next_piece(others, prior)
+    others = [fit for n, fit in enumerate(fits) if n != number]
+    if healthy.windows is None:
+        centre, covariance, freedom = next_piece(others, START_SPREAD)
+    else:
+        centre, covariance, freedom = next_window(others, steady=not healthy.temperature_k)
     return replace(
         healthy,
         pieces=len(others),

@@ -14,7 +14,7 @@ from motor_env.diagnosis.explanations import (
     explain,
     smallest_changes,
 )
-from motor_env.diagnosis.healthy_motor import Reference, warmer
+from motor_env.diagnosis.healthy_motor import Reference, with_normal
 from motor_env.diagnosis.loaded import Drag, drags
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.uncertainty import beyond
@@ -82,7 +82,8 @@ def views_of(fit: Fitted, reference: Reference, rate: float) -> list[View]:
         drag = replace(each, response=each.response[rows])
         ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * drag.warmth
         straight = _straightened(ratios, same_warmth, drag.warmth, reference.temperature_k)
-        covariance = warmer(same_warmth, reference.temperature_k * drag.warmth, share, freedom)
+        warmer = reference.temperature_k**2 * np.outer(drag.warmth, drag.warmth)
+        covariance = with_normal(same_warmth, warmer, share, freedom)
         difference = Difference(straight, covariance, exponents, freedom, drag.response)
         views.append(View(drag, difference, explain(difference)))
     return views

@@ -10,7 +10,6 @@ import numpy as np
 
 from motor_env.fitting import places
 from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.record import Record
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
 
@@ -19,7 +18,7 @@ _BRUSHES = 0.04  # of the largest voltage
 _KNEES = {0.1: 1.0, 1.0: 2.0}
 """Shares of the largest current at which half of the brushes' voltage may be there, and that voltage over the usual."""
 _SAG = 0.05  # of the supply's voltage, at the largest current
-GEAR = 0.07
+_GEAR = 0.07
 """Share of the motor's torque that a gear usually takes."""
 _CONVERTED = math.sqrt(0.5 * (1.0 / 12.0 + 0.25))
 """Share of a step by which a converter errs (rms): it rounds, or it cuts off, which takes half a step in the mean."""
@@ -122,7 +121,7 @@ def lacking(best: Solution) -> list[ScoreTest]:
     lacked = [_behind_brushes(best, *usual) for usual in _KNEES.items()]
     if "gear_loss" not in best.names:
         geared = problem.known.copy()
-        geared[places.GEAR] = GEAR
+        geared[places.GEAR] = _GEAR
         lacked.append(replace(problem, known=geared))
     return _of_size_one(best, lacked)
 
@@ -152,9 +151,11 @@ def unmeasured(best: Solution) -> list[ScoreTest]:
 
 
 def _behind_brushes(best: Solution, knee: float, size: float) -> Problem:
-    problem, (volts, amps, _) = best.problem, best.problem.record.peaks
-    behind = behind_brushes(problem.record, best.free[0][:, 2], size * volts, knee * amps)
-    return replace(problem, record=behind)
+    """The voltage behind brushes whose resistance falls with the current (Holm 1967), at a usual size times `size`."""
+    record, current = best.problem.record, best.free[0][:, 2]
+    volts, amps, _ = record.peaks
+    lost = _BRUSHES * (size * volts) * current / (np.abs(current) + knee * amps)
+    return replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
 
 
 def _of_size_one(best: Solution, lacked: Sequence[Problem], *, is_positive: bool = False) -> list[ScoreTest]:
@@ -165,16 +166,3 @@ def _of_size_one(best: Solution, lacked: Sequence[Problem], *, is_positive: bool
         for each in lacked
     ]
     return [test for test in tests if test is not None]
-
-
-def behind_brushes(record: Record, current_a: FloatArray, volts: float, knee_a: float) -> Record:
-    """A record with the voltage behind brushes whose resistance falls with the current (Holm 1967), at a usual size.
-
-    Args:
-        record: with the voltage in front of them.
-        current_a: through them, shape (n,).
-        volts: the largest voltage.
-        knee_a: at which half of their own largest voltage is there.
-    """
-    lost = _BRUSHES * volts * current_a / (np.abs(current_a) + knee_a)
-    return replace(record, voltage_v=record.voltage_v - lost)

@@ -18,31 +18,15 @@ from motor_env.fitting import places
 from motor_env.fitting.identify import without_lines
 from motor_env.fitting.problem import STEP, Problem
 from motor_env.fitting.record import Record
-from motor_env.fitting.score import GEAR, behind_brushes
 from motor_env.fitting.terms import NOISES, terms
 from motor_env.fitting.threads import on_one_thread
-from motor_env.fitting.uncertainty import (
-    capped,
-    information_covariance,
-    model_error,
-    motor_places,
-    normalised,
-    sandwich,
-    secants,
-)
+from motor_env.fitting.uncertainty import capped, information_covariance, motor_places, secants
 from motor_env.motor.parameters import FloatArray
 
 _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
-BRUSHES = (0.02, 0.1)
-"""Shares of the stall current at which brushes may have half of their own voltage."""
-LACKED = len(BRUSHES) + 1
-"""What real motors have and a fit may lack: such brushes, and a gear that loses a share of the torque."""
-FITTED = frozenset((*_MOTOR, *_LOADS))
-"""Terms that are fitted in each window; the others are held."""
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
 _WILD = 6.0  # standard deviations beyond which an innovation counts no more
-_HELD_STEP = 0.1  # of an error
 _TOLD_APART = 1e-10  # least eigenvalue of an information matrix whose diagonal is 1
 _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell nothing
 
@@ -50,8 +34,7 @@ _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell no
 class WindowFit(NamedTuple):
     """Logarithms of R, K, J and the drag of one window, their covariance, all its physical values, its innovations.
 
-    The misfit is -2 log likelihood, without a constant. The robust covariance holds what correlated residuals and the
-    model's error add.
+    The misfit is -2 log likelihood, without a constant.
     """
 
     logs: FloatArray
@@ -59,7 +42,6 @@ class WindowFit(NamedTuple):
     values: FloatArray
     whitened: FloatArray
     misfit: float
-    robust_covariance: FloatArray
 
 
 @on_one_thread
@@ -78,9 +60,6 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
         best = problem.solve(best.theta, _MOST_ROUNDS)
     chosen, jacobian = motor_places(problem), secants(problem, best.theta)
     values, spread = best.values, information_covariance(problem, best.theta, jacobian)
-    white, derivatives = normalised(problem, best.theta, jacobian, chosen)
-    robust, _ = sandwich(white, derivatives)
-    robust += model_error(white, derivatives, robust)
     rows = [problem.names[n] for n in chosen]
     at = np.ix_(*2 * [[rows.index(name) for name in _MOTOR]])
     factor = best.theta[problem.names.index("drag")]
@@ -88,49 +67,7 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     slope = np.diag([1.0, 1.0, 1.0, way])
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
     whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
-    covariance, robust = (capped(slope @ one[at] @ slope) for one in (spread, robust))
-    return WindowFit(logs, covariance, values, whitened, best.misfit, robust)
-
-
-def moved_by_held(
-    record: Record,
-    known: FloatArray,
-    wanted: Sequence[str],
-    *,
-    peaks: tuple[float, float, float],
-    held: Sequence[int],
-    errors: FloatArray,
-) -> FloatArray:
-    """How the fit of a window moves where what it holds is wrong.
-
-    Args:
-        record: the window.
-        known: physical values of the window's motor, shape (places.N_VALUES,).
-        wanted: terms of its windows.
-        peaks: largest voltage, current and speed of its work.
-        held: places of what is held.
-        errors: of these, SI, and of the sizes of what is LACKED, shape (n, n_held + LACKED).
-
-    Returns:
-        Logarithms of R, K, J and the drag for each row of errors, shape (n, 4).
-    """
-    problem, theta = _problem(record, known, wanted)
-    base = problem.residuals(theta)
-    inverse = np.linalg.pinv(problem.jacobian(theta, base))[: len(_MOTOR)]
-    inverse[_MOTOR.index("drag")] /= known[places.DRAG]  # of its logarithm
-    free = record.predict(problem.values(theta), learn=False)[0]
-    each, current = [], free[:, 2] - known[places.OFFSET_I]
-    for place, size in zip(held, np.sqrt(np.sum(errors[:, : len(held)] ** 2, axis=0)), strict=True):
-        off = known.copy()
-        off[place] += _HELD_STEP * size
-        each.append((replace(problem, known=off).residuals(theta) - base) / (_HELD_STEP * max(size, 1e-300)))
-    for knee in BRUSHES:
-        behind = behind_brushes(record, current, peaks[0], knee * peaks[0] / known[places.R])
-        each.append(replace(problem, record=behind).residuals(theta) - base)
-    geared = known.copy()
-    geared[places.GEAR] = known[places.GEAR] or GEAR
-    each.append(replace(problem, known=geared).residuals(theta) - base)
-    return np.asarray(-(errors @ np.array(each)) @ inverse.T, dtype=np.float64)
+    return WindowFit(logs, capped(slope @ spread[at] @ slope), values, whitened, best.misfit)
 
 
 class Scores(NamedTuple):

@@ -284,7 +284,8 @@ def to_toml(motor: Motor) -> str:
         whole = content["healthy"]
         parts = {name: whole.pop(name) for name in ("starts", "windows", "fleet")}
         tables["healthy"] = whole
-        inner = {name: parts["windows"].pop(name) for name in ("held", "scales")} if parts["windows"] else {}
+        scales = parts["windows"].pop("scales") if parts["windows"] else None
         tables |= {f"healthy.{name}": part for name, part in parts.items() if part is not None}
-        tables |= {f"healthy.windows.{name}": part for name, part in inner.items() if part is not None}
+        if scales is not None:
+            tables["healthy.windows.scales"] = scales
     return toml_text(top, tables)

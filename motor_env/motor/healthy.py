@@ -95,37 +95,6 @@ class Scale:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """What all windows of one motor share, how far it may be off, and how their fits would move by it.
-
-    Attributes:
-        places: of these values, in the order of `motor_env.fitting.places`.
-        errors: independent errors of one standard deviation each, SI, shape (n, n_places + 3); the last are sizes of
-            what real motors have and the fit lacks, see `motor_env.fitting.window.LACKED`.
-        moves: mean over the healthy windows of what each does to the logarithms of R, K, J and B, shape (n, 4).
-        robust_covariance: mean over them of what correlated residuals and the model's error make of these logarithms'
-            covariance, shape (4, 4).
-    """
-
-    places: tuple[Annotated[int, Field(ge=0)], ...]
-    errors: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
-    moves: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
-    robust_covariance: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
-
-    def __post_init__(self) -> None:
-        n = len(self.moves)
-        require(
-            np.shape(self.moves) == (n, 4) and np.shape(self.errors) == (n, len(self.places) + 3),
-            f"healthy.windows.held: moves has {n} rows; errors must go with them and with places",
-        )
-        require(
-            np.shape(self.robust_covariance) == (4, 4)
-            and bool(np.linalg.eigvalsh(self.robust_covariance)[0] >= -1e-12),
-            "healthy.windows.held.robust_covariance must be a covariance of 4 quantities",
-        )
-
-
-@dataclass(frozen=True, slots=True)
 class Windows:
     """How the healthy pieces were recorded and fitted, where they are windows of the motor at work.
 
@@ -140,7 +109,8 @@ class Windows:
         peaks: largest voltage, current and speed of the windows: the scale of what is small; 1 each unless given.
         window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
             their own errors where these are larger (variance).
-        held: what the windows share, and how well it is known; None where nothing but a fault moves the motor.
+        covariances: of fits of healthy windows, of the logarithms of R, K, J and B, shape (n, 4, 4): a window that
+            moves the motor otherwise is known by its own. None where nothing but a fault moves the motor.
         scales: what healthy pieces of windows have taught, the shortest first and whole windows last; none for
             windows that were not watched.
         most: how far the farthest healthy window is off along each of `running.scales.AXES`.
@@ -156,10 +126,18 @@ class Windows:
     rms_volts: tuple[Positive, Positive] | None = None
     peaks: tuple[Positive, Positive, Positive] | None = None
     window_excess: Positive = 1.0
-    held: Held | None = None
+    covariances: Annotated[FloatArray, ArrayOf(tuple[tuple[tuple[Finite, ...], ...], ...])] | None = None
     scales: tuple[Scale, ...] = ()
     most: tuple[Finite, ...] = ()
     replayed: tuple[Annotated[int, Field(ge=0)], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.covariances is not None:
+            require(
+                np.shape(self.covariances)[1:] == (4, 4)
+                and bool((np.linalg.eigvalsh(self.covariances) > 0.0).all()),
+                "healthy.windows.covariances must be positive definite, of 4 quantities each",
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from motor_env.diagnosis.learning import WINDOW_SPREAD, next_piece
+from motor_env.diagnosis.learning import next_window
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
 from motor_env.diagnosis.running.replay import replay
 from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
@@ -28,9 +27,9 @@ from motor_env.fitting import places
 from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, identify_operation
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
-from motor_env.fitting.uncertainty import beyond, motor_places
-from motor_env.fitting.window import FITTED, LACKED, fit_window
-from motor_env.motor.healthy import Healthy, Held, Scale, Windows
+from motor_env.fitting.uncertainty import beyond
+from motor_env.fitting.window import fit_window
+from motor_env.motor.healthy import Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
@@ -38,7 +37,8 @@ from motor_env.recordings.recording import Recording
 FEWEST_WINDOWS = 4
 MOST_LEARNED = 40
 _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
-TEMPERATURE_K = 15.0
+TEMPERATURE_K, STAYS_OFF = 15.0, 0.01
+"""Standard deviations of what a healthy motor may stay off: its temperature, and each logarithm for no known reason."""
 _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1
 """Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
@@ -96,7 +96,7 @@ def learn_windows(
     volts = [rms_volts(part) for part in parts]
     speed = effective_speed(joint)
     found = [over_speed(fit, known, speed) for fit in fits]
-    centre, covariance, freedom = next_piece(found, 0.0 if steady else WINDOW_SPREAD)
+    centre, covariance, freedom = next_window(found, steady=steady)
     ratios = [fit.log_values - centre for fit in found]
     spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
     windows = Windows(
@@ -109,56 +109,11 @@ def learn_windows(
         rms_volts=(min(volts), max(volts)),
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
         window_excess=_squares(ratios, spreads) / _squares(ratios, [covariance] * len(fits)),
+        covariances=None if steady else np.array([fit.covariance for fit in fits[:: _every(fits)]]),
     )
     warm = 0.0 if steady else TEMPERATURE_K
     healthy = Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows)
-    if not steady:
-        held = _held(joint, records, judge_of(healthy), found, spreads)
-        healthy = replace(healthy, windows=replace(windows, held=held))
     return replace(healthy, windows=_with_scales(healthy, records, found)), found
-
-
-def _held(
-    joint: Operation,
-    records: Sequence[Record],
-    judge: WindowJudge,
-    found: Sequence[FittedWindow],
-    spreads: Sequence[FloatArray],
-) -> Held:
-    """What windows hold of a joint fit, with its errors, and how these move the fits of the windows.
-
-    Windows that move differently have told these errors: by how far their fits are apart (Bayes, all normal). What
-    they tell is not corrected; it counts as an error of its size.
-
-    Args:
-        joint: fit of all windows.
-        records: the windows.
-        judge: of the next ones.
-        found: their fits.
-        spreads: covariance of each, shape (4, 4).
-    """
-    problem, known = joint.solution.problem, judge.physical()
-    free = [problem.free[n] for n in motor_places(problem)]
-    rows = [n for n, term in enumerate(free) if term.name not in FITTED and known[term.place] != 0.0]
-    places = tuple(free[n].place for n in rows)
-    units = np.array([free[n].unit for n in rows])
-    errors = block_diag(_rooted(joint.covariance[np.ix_(rows, rows)]) * units, np.eye(LACKED))
-    each = np.array([judge.moved(record, None, places, errors) for record in records])
-    apart = each - each.mean(axis=0)
-    ratios = [one.log_values - judge.reference.log_values for one in found]
-    weighed = [off @ np.linalg.inv(spread) for off, spread in zip(apart, spreads, strict=True)]
-    told = sum(weight @ off.T for weight, off in zip(weighed, apart, strict=True))
-    left = np.linalg.inv(np.eye(len(errors)) + told)
-    size = left @ sum(weight @ ratio for weight, ratio in zip(weighed, ratios, strict=True))
-    left = _rooted(left + np.outer(size, size))
-    robust = np.mean([one.robust_covariance for one in found], axis=0)
-    return Held(places, left @ errors, left @ each.mean(axis=0), robust)
-
-
-def _rooted(covariance: FloatArray) -> FloatArray:
-    """Independent errors of one standard deviation each, in rows, that together have this covariance."""
-    sizes, axes = np.linalg.eigh(covariance)
-    return np.asarray((axes * np.sqrt(np.maximum(sizes, 0.0))).T, dtype=np.float64)
 
 
 def _twentieth_s(recordings: Sequence[Recording]) -> float:
@@ -183,8 +138,8 @@ def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> flo
 def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[FittedWindow]) -> Windows:
     """What pieces of the windows teach of the next ones, and how these windows alarm by what the others teach."""
     assert healthy.windows is not None  # noqa: S101  # it was learned from them
-    judge, prior_sd = judge_of(healthy), WINDOW_SPREAD if healthy.temperature_k else 0.0
-    some = slice(None, None, math.ceil(len(records) / MOST_LEARNED))
+    judge, prior_sd = judge_of(healthy), STAYS_OFF if healthy.temperature_k else 0.0
+    some = slice(None, None, _every(records))
     lengths = halvings_of(healthy.windows.window_s, min(len(record.voltage_v) for record in records))
     windows = [_pieces_of(judge, *pair, lengths) for pair in zip(records[some], found[some], strict=True)]
     # Where the circuit is open all the time, a window has no pieces of a length.
@@ -208,6 +163,11 @@ def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[Fi
         most=tuple(np.max(places, axis=0).tolist()),
         replayed=tuple(replay(each, windows)),
     )
+
+
+def _every(windows: Sequence[object]) -> int:
+    """Of how many windows one teaches."""
+    return math.ceil(len(windows) / MOST_LEARNED)
 
 
 def _pieces_of(judge: WindowJudge, record: Record, fit: FittedWindow, lengths: Sequence[int]) -> list[Pieces]:

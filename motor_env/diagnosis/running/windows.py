@@ -17,7 +17,8 @@ from typing import ClassVar
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
+from motor_env.diagnosis.explanations import alarm_share
+from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
 from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.failed import judgement_of
 from motor_env.diagnosis.sensors.seen import Seen
@@ -26,8 +27,7 @@ from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import block_means, from_recordings, missing_blocks
-from motor_env.fitting.uncertainty import beyond
-from motor_env.fitting.window import WindowFit, fit_window, moved_by_held
+from motor_env.fitting.window import WindowFit, fit_window
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
@@ -39,6 +39,11 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
+_ALIKE = 0.3
+"""Relative entropy of what two windows tell of the motor, in nats, up to which they move it alike."""
+DRIVE_SPREAD = np.array([0.02, 0.01, 0.02, 0.4])
+"""Standard deviation of the logarithms of R, K, J and B where a motor is moved otherwise, by e times that entropy. What
+the model lacks (stiction, a gear's teeth, brushes) is then taken for them in another way."""
 NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 EXPONENTS = quantities.matrix(NAMES)
 WARMTH = quantities.warmth_direction(EXPONENTS)
@@ -48,8 +53,7 @@ WARMTH = quantities.warmth_direction(EXPONENTS)
 class FittedWindow:
     """A fitted window: logarithms of R, K, J and of the drag over the speed, shape (4,), their covariance, innovations.
 
-    The innovations of current and speed are over their standard deviations, shape (n, 2); none of a short piece. The
-    robust covariance holds what correlated residuals and the model's error add; 0 where that is not known.
+    The innovations of current and speed are over their standard deviations, shape (n, 2); none of a short piece.
     """
 
     quantity_names: ClassVar[tuple[str, ...]] = NAMES
@@ -57,7 +61,6 @@ class FittedWindow:
     log_values: FloatArray
     log_covariance: FloatArray
     whitened: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    robust_covariance: FloatArray = field(default_factory=lambda: np.zeros((4, 4)))
 
     @property
     def white_covariance(self) -> FloatArray:
@@ -94,7 +97,7 @@ def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> Fitt
     """A window's fit with the drag over the speed instead of a factor on the drag of the physical values."""
     drag = math.log(viscous(physical, speed_rad_s))
     logs = fit.logs + np.array([0.0, 0.0, 0.0, drag])
-    return FittedWindow(logs, fit.covariance, fit.whitened, fit.robust_covariance)
+    return FittedWindow(logs, fit.covariance, fit.whitened)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,33 +130,21 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
-    def moved(
-        self, record: Record, at: FloatArray | None, held: Sequence[int], errors: FloatArray
-    ) -> FloatArray:
-        """How the fit of a window moves where what it holds is wrong, see `moved_by_held`; `at` as of `physical`."""
-        return moved_by_held(
-            replace(record, hold=self.windows.hold),
-            self.physical(at),
-            self.windows.terms,
-            peaks=self.peaks,
-            held=held,
-            errors=errors,
-        )
+    def reference_for(self, fit: FittedWindow, rate: float) -> Reference:
+        """Distribution of R, K, J and B of a healthy window that moves the motor like this one, for a rate of alarms.
 
-    def reference_for(self, record: Record, fit: FittedWindow) -> Reference:
-        """Distribution of R, K, J and B of a healthy window that moves like this one.
-
-        Fits move where what is held is wrong. They all do alike, unless they move the motor differently. Where the
-        model explains this window worse than the healthy ones, what its error is beyond theirs counts.
+        The error of the model is much the same in all windows of one drive, and another one in those of another. How
+        far two drives differ shows in what their windows tell: a drive that seldom reverses tells less of friction.
         """
-        held, spread = self.windows.held, self.reference.log_covariance
-        if held is None:
+        if self.windows.covariances is None:
             return self.reference
-        at = fit.log_values - self.reference.log_values
-        off = self.moved(record, at, held.places, held.errors) - held.moves
-        spread = spread + off.T @ off
-        usual = spread + beyond(spread, held.robust_covariance)
-        return replace(self.reference, log_covariance=spread + beyond(usual, fit.robust_covariance))
+        nats = unlike(fit.log_covariance, self.windows.covariances) / _ALIKE
+        if nats <= 1.0:
+            return self.reference
+        drive = math.log(nats) * np.diag(np.square(DRIVE_SPREAD))
+        own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
+        spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
+        return replace(self.reference, log_covariance=spread, drive_covariance=spread - own)
 
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""
@@ -224,9 +215,8 @@ class WindowJudge:
             fit = self.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
-        return decide(
-            fit, self.reference_for(record, fit), rate, alarm=None if is_alarm is None else is_alarm(fit)
-        )
+        reference = self.reference_for(fit, rate)
+        return decide(fit, reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
@@ -244,12 +234,19 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
             f"{motor}: healthy.windows.physical must have {places.N_VALUES} values,"
             f" got {len(healthy.windows.physical)}"
         )
-    if healthy.windows.held is not None and max(healthy.windows.held.places, default=0) >= places.N_VALUES:
-        raise InputError(
-            f"{motor}: healthy.windows.held.places must be below {places.N_VALUES},"
-            f" got {max(healthy.windows.held.places)}"
-        )
     return WindowJudge(healthy.windows, reference)
+
+
+def unlike(covariance: FloatArray, others: FloatArray) -> float:
+    """Least relative entropy (Kullback-Leibler) of a normal distribution from others of the same mean, in nats.
+
+    Args:
+        covariance: of it, shape (p, p).
+        others: their covariances, shape (n, p, p).
+    """
+    ratios = np.linalg.solve(others, covariance)
+    entropies = np.trace(ratios, axis1=1, axis2=2) - len(covariance) - np.linalg.slogdet(ratios)[1]
+    return 0.5 * float(np.min(entropies))
 
 
 def needed_columns(recording: Recording) -> tuple[FloatArray, FloatArray]:

@@ -21,7 +21,7 @@ from motor_env.diagnosis.explanations import (
     joint_share,
     smallest_changes,
 )
-from motor_env.diagnosis.healthy_motor import reference_of, reference_of_pieces, warmer
+from motor_env.diagnosis.healthy_motor import reference_of, reference_of_pieces, with_normal
 from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, the_next
 from motor_env.diagnosis.shown import page, report
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
@@ -61,7 +61,9 @@ def test_a_known_temperature_spread_counts_in_the_ratio_of_the_quantiles() -> No
     covariance, warmth = spread(3), np.array([0.06, 0.0, -0.015])
     ratio = stats.norm.isf(0.002) / stats.t.isf(0.002, 6.0)
     expected = covariance + ratio**2 * np.outer(warmth, warmth)
-    np.testing.assert_allclose(warmer(covariance, warmth, 0.002, 6.0), expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        with_normal(covariance, np.outer(warmth, warmth), 0.002, 6.0), expected, rtol=1e-9
+    )
 
 
 def test_the_data_sheet_as_a_reference() -> None:
@@ -235,7 +237,9 @@ def test_a_start_is_compared_with_what_is_as_warm() -> None:
     slope = np.linalg.inv(expected) @ warmth
     factors = slope @ raw / (slope @ warmth + 15.0**-2) * warmth
     np.testing.assert_allclose(view.difference.log_ratios, raw + factors - np.log1p(factors))
-    np.testing.assert_allclose(view.difference.covariance, warmer(expected, 15.0 * warmth, RATE / 5.0, 8.0))
+    np.testing.assert_allclose(
+        view.difference.covariance, with_normal(expected, 225.0 * np.outer(warmth, warmth), RATE / 5.0, 8.0)
+    )
     limit = view.faults[0].z
     assert not view.is_alarm(max(one.z for one in view.faults) + 1e-9, 0.0)
     assert view.is_alarm(max(one.z for one in view.faults) - 1e-9, 0.0)
@@ -345,7 +349,7 @@ def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> N
     for n in range(5):
         _, covariance, freedom = the_next(np.delete(logs, n, axis=0), prior)
         same = covariance + beyond(covariance, white)
-        whole = warmer(same, 15.0 * warmth, RATE / 5.0, freedom)
+        whole = with_normal(same, 225.0 * np.outer(warmth, warmth), RATE / 5.0, freedom)
         limit = stats.t.isf(joint_share(0.8 * RATE, whole, EXPONENTS, freedom), freedom)
         expected += bool((limit + 1.645) * math.sqrt(same[3, 3]) > math.log(2.0))
     assert expected == (4 if odd else 0)

@@ -48,7 +48,7 @@ from motor_env.fitting.record import Record
 
 # Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
 from motor_env.fitting.window import WindowFit
-from motor_env.motor.healthy import Healthy, Held, Starts, Windows
+from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -117,9 +117,8 @@ def test_the_drag_of_a_window_is_told_over_the_speed() -> None:
     assert viscous(PHYSICAL, 200.0) == pytest.approx(2e-6 + 1.5e-6 + 2e-6)
     assert viscous(PHYSICAL, 50.0) == pytest.approx(2e-6 + 6e-6 + 0.5e-6)
     assert viscous(np.zeros(places.N_VALUES), 200.0) == 1e-300
-    window = WindowFit(np.log([2.0, 0.03, 4e-6, 1.5]), spread(4), PHYSICAL, WHITE, 0.0, 2.0 * spread(4))
+    window = WindowFit(np.log([2.0, 0.03, 4e-6, 1.5]), spread(4), PHYSICAL, WHITE, 0.0)
     fit = over_speed(window, PHYSICAL, 200.0)
-    np.testing.assert_allclose(fit.robust_covariance, 2.0 * spread(4))
     np.testing.assert_allclose(np.exp(fit.log_values), [2.0, 0.03, 4e-6, 1.5 * 5.5e-6])
     assert fit.log_covariance is fit.white_covariance
     np.testing.assert_allclose(fit.log_covariance, spread(4))
@@ -168,7 +167,7 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     def fitting(record: Record, known: FloatArray, terms: Sequence[str]) -> WindowFit:
         assert (record.hold, terms, known[places.DRAG]) == ("late", WINDOWS.terms, pytest.approx(DRAG))
         logs = np.log([*HEALTHY.values[:3], DRAG]) + 0.01
-        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(places.N_VALUES), WHITE, 0.0, np.eye(4))
+        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(places.N_VALUES), WHITE, 0.0)
 
     monkeypatch.setattr(windows, "fit_window", fitting)
     monkeypatch.setattr(windows, "decide", deciding)
@@ -456,9 +455,6 @@ def test_a_measured_temperature_is_taken_off_as_if_it_were_that_of_the_healthy_w
 LOGS = np.random.default_rng(6).normal(0.0, 0.03, (6, 4))
 
 
-HELD = Held((0,), np.ones((3, 4)), np.ones((3, 4)), np.eye(4))
-
-
 class Lesson:
     """Instead of fits: windows with these logarithms, errors and noises."""
 
@@ -480,7 +476,6 @@ class Lesson:
         monkeypatch.setattr(lessons, "identify_operation", self.identify)
         monkeypatch.setattr(lessons, "fit_window", self.fit)
         monkeypatch.setattr(lessons, "_pieces_of", self.pieces)
-        monkeypatch.setattr(lessons, "_held", self.held)
 
     def identify(self, recordings: Sequence[Recording], *, most: int) -> Any:
         self.joint.append(sum(len(one.time_s) for one in recordings))
@@ -499,23 +494,7 @@ class Lesson:
         values[places.WALK] = 0.1 if "load_walk" in wanted else known[places.WALK]
         values[places.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
         error = self.error.copy() if len(self.wanted) <= 6 else np.diag([1e-4, 1e-4, 1e-4, 1e-4])
-        return WindowFit(self.logs[number % 6], error, values, WHITE, 0.0, error)
-
-    def held(
-        self,
-        joint: Any,
-        records: Any,
-        judge: WindowJudge,
-        found: Sequence[FittedWindow],
-        spreads: Sequence[FloatArray],
-    ) -> Held:
-        assert joint.record.hold == "late"
-        assert len(records) == len(found) == len(spreads)
-        np.testing.assert_allclose(
-            np.mean([one.log_values for one in found], axis=0), judge.reference.log_values
-        )
-        np.testing.assert_allclose(judge.reference.log_values[:3], np.mean(self.logs, axis=0)[:3], atol=0.2)
-        return HELD
+        return WindowFit(self.logs[number % 6], error, values, WHITE, 0.0)
 
     def pieces(
         self, _: WindowJudge, record: Record, fit: FittedWindow, lengths: Sequence[int]
@@ -535,15 +514,15 @@ class Lesson:
         ]
 
 
-@pytest.mark.parametrize(("temperature_k", "prior_sd"), [(15.0, 0.01), (0.0, 0.0)])
-def test_each_healthy_window_is_judged_by_the_others(temperature_k: float, prior_sd: float) -> None:
-    """With the prior that they were learned with: those of a steady motor had none."""
+@pytest.mark.parametrize(("temperature_k", "times"), [(15.0, 1.0), (0.0, 0.0)])
+def test_each_healthy_window_is_judged_by_the_others(temperature_k: float, times: float) -> None:
+    """With the spread from record to record that is believed of them: a steady motor has none."""
     fits = [FittedWindow(row, 1e-4 * np.eye(4)) for row in LOGS]
     found = without(replace(HEALTHY, temperature_k=temperature_k), fits, 2)
-    prior = (prior_sd**2 + 1e-4) * np.eye(4)
-    centre, covariance, freedom = the_next(np.delete(LOGS, 2, axis=0), prior)
+    centre, covariance, freedom = the_next(np.delete(LOGS, 2, axis=0), 1e-4 * np.eye(4))
     np.testing.assert_allclose(np.log(found.values), centre)
-    np.testing.assert_allclose(found.log_covariance, covariance)
+    record = np.diag([1e-4, 0.25e-4, 1e-4, 25e-4])
+    np.testing.assert_allclose(found.log_covariance, covariance + times * record)
     assert (found.pieces, found.degrees_of_freedom) == (5, freedom)
 
 
@@ -556,9 +535,9 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     logs = LOGS + np.log([1.0, 1.0, 1.0, 5e-6])
     np.testing.assert_allclose([fit.log_values for fit in learned], logs)
     centre, error = logs.mean(axis=0), np.eye(4) * 1e-4
-    prior = error + (0.0 if steady else 1e-4) * np.eye(4)
+    record = (0.0 if steady else 1.0) * np.diag([1e-4, 0.25e-4, 1e-4, 25e-4])
     scatter = (logs - centre).T @ (logs - centre)
-    covariance = (scatter + 4.0 * prior) / 9.0 * 7.0 / 6.0
+    covariance = (scatter + 4.0 * error) / 9.0 * 7.0 / 6.0 + record
     np.testing.assert_allclose(found.values, np.exp(centre))
     np.testing.assert_allclose(found.log_covariance, covariance)
     taught = found.windows
@@ -585,7 +564,10 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     assert (
         taught.window_excess < 0.99
     ) is steady  # where there is no prior some errors are larger than the spread
-    assert taught.held is (None if steady else HELD)
+    if steady:
+        assert taught.covariances is None
+    else:
+        np.testing.assert_allclose(taught.covariances, np.tile(error, (6, 1, 1)))
     (whole,) = taught.scales  # half a second is too short for shorter pieces
     assert (whole.halvings, whole.counts[0], whole.healthy_windows) == (0, 6.0, 6)
     assert (len(taught.most), len(taught.replayed)) == (8, 12)
