@@ -564,9 +564,8 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     assert (
         taught.window_excess < 0.99
     ) is steady  # where there is no prior some errors are larger than the spread
-    if steady:
-        assert taught.covariances is None
-    else:
+    assert (taught.covariances is None) is steady
+    if taught.covariances is not None:
         np.testing.assert_allclose(taught.covariances, np.tile(error, (6, 1, 1)))
     (whole,) = taught.scales  # half a second is too short for shorter pieces
     assert (whole.halvings, whole.counts[0], whole.healthy_windows) == (0, 6.0, 6)
