@@ -39,8 +39,10 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
-_ALIKE = 0.3
-"""Relative entropy of what two windows tell of the motor, in nats, up to which they move it alike."""
+_ALIKE, _OTHERWISE = 0.3, 1.0
+"""Relative entropies of what two windows tell of the motor, in nats: up to the first they move it alike, and from the
+second on otherwise, though one is but a part."""
+_TELLING = 0.125  # of a window: so much shows how the motor is driven
 DRIVE_SPREAD = np.array([0.02, 0.01, 0.02, 0.4])
 """Standard deviation of the logarithms of R, K, J and B where a motor is moved otherwise, by e times that entropy. What
 the model lacks (stiction, a gear's teeth, brushes) is then taken for them in another way."""
@@ -130,18 +132,36 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
-    def reference_for(self, fit: FittedWindow, rate: float) -> Reference:
-        """Distribution of R, K, J and B of a healthy window that moves the motor like this one, for a rate of alarms.
+    def drive_covariance(self, fit: FittedWindow) -> FloatArray:
+        """What a window may be off since it moves the motor otherwise than the healthy ones did, shape (4, 4).
 
         The error of the model is much the same in all windows of one drive, and another one in those of another. How
         far two drives differ shows in what their windows tell: a drive that seldom reverses tells less of friction.
         """
+        times = math.log(max(self._unlike(fit.log_covariance) / _ALIKE, 1.0))
+        return times * np.diag(np.square(DRIVE_SPREAD))
+
+    def is_driven_otherwise(self, recording: Recording, last_s: float) -> bool:
+        """Whether a recording's last part, an eighth of a window at least, moves the motor as no healthy one did."""
         if self.windows.covariances is None:
+            return False
+        last_s = max(last_s, _TELLING * self.windows.window_s)
+        part = cut(recording, slice(-round(last_s / recording.dt_s), None))
+        with suppress(UnusableError):
+            fit = self.fitted(from_recordings([part]))
+            return self._unlike(last_s / self.windows.window_s * fit.log_covariance) > _OTHERWISE
+        return False
+
+    def _unlike(self, covariance: FloatArray) -> float:
+        """How much otherwise than the nearest healthy window a window of such a fit tells of the motor, in nats."""
+        known = self.windows.covariances
+        return 0.0 if known is None else unlike(covariance, known)
+
+    def reference_for(self, fit: FittedWindow, rate: float) -> Reference:
+        """Distribution of R, K, J and B of a healthy window that moves the motor like this one, for such a rate."""
+        drive = self.drive_covariance(fit)
+        if not drive.any():
             return self.reference
-        nats = unlike(fit.log_covariance, self.windows.covariances) / _ALIKE
-        if nats <= 1.0:
-            return self.reference
-        drive = math.log(nats) * np.diag(np.square(DRIVE_SPREAD))
         own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
         spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
         return replace(self.reference, log_covariance=spread, drive_covariance=spread - own)

@@ -110,6 +110,18 @@ def test_another_controller_hides_friction_but_for_a_lot_and_says_so(
     assert diagnose(log, known, regime="operation").verdict == "winding"
 
 
+def test_an_eighth_of_a_window_tells_how_the_motor_is_driven(
+    geared: SimulatedMotor, commissioned: Healthy
+) -> None:
+    judge, rng, dt_s = judge_of(commissioned), np.random.default_rng(7), 0.1 * geared.mechanical_s
+    steady = replace(judge, windows=replace(judge.windows, covariances=None))
+    for profile, expected in (("reversals", False), ("steps", True)):
+        log = simulate(geared, profile, rng, samples=800, dt_s=dt_s)
+        for last_s in (0.0, 400.0 * dt_s):
+            assert judge.is_driven_otherwise(log, last_s) is expected
+            assert not steady.is_driven_otherwise(log, last_s)
+
+
 def test_a_motor_file_keeps_what_windows_tell(commissioned: Healthy, tmp_path: Path) -> None:
     path = tmp_path / "motor.toml"
     save_motor(motor_of_windows(commissioned, "it"), path)
