@@ -246,6 +246,7 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
         return None
     sizes = [np.abs(each) / np.max(np.abs(each)) for each in (seen.voltage_v, speed)]
     rests = (sizes[0] < _STANDS) & (sizes[1] < _STANDS)
+    rests[1:] &= rests[:-1].copy()  # a current may be that of the voltage before
     turning = [float(np.mean((sign * speed > 0.0) & (sizes[1] > _ON))) for sign in (-1.0, 1.0)]
     known = float(physical[places.OFFSET_I])
     by_speed = np.asarray(_by_the_others(seen, physical)[0]) - known
@@ -257,7 +258,8 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
         off, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
     else:
         return None
-    off = (off - known) / max(size(current) / size(by_speed), 1.0)  # of a current in mA, in A
+    # A current that is not off, where the healthy one was, is no failure: what a fit finds may be no sensor's.
+    off = min(off, off - known, key=abs) / max(size(current) / size(by_speed), 1.0)  # of a current in mA, in A
     if abs(off) < most * float(np.max(np.abs(seen.voltage_v)) / physical[places.R]):
         return None
     return Failure(

@@ -134,6 +134,9 @@ def test_a_range_and_an_offset_are_named() -> None:
     known = PHYSICAL.copy()
     known[9] = 1.0  # the healthy logs had that offset, too
     assert failure_in(seen(off, is_log=True), known) is None
+    assert failure_in(seen(log, is_log=True), known) is None  # it is gone, and nothing contradicts that
+    known[9] = -1.0
+    assert failed_kind(seen(off, is_log=True), known) == "current_offset"
 
 
 def test_an_encoder_of_few_edges_is_not_clipped() -> None:
@@ -176,6 +179,9 @@ def test_a_current_that_a_rotor_at_rest_draws_is_no_offset() -> None:
     assert failure_in(log, slow) is None
     off = log._replace(current_a=log.current_a + 0.4)
     assert failed_kind(off, slow) == "current_offset"
+    late = log.current_a.copy()  # as that of the voltage before
+    late[len(volts) + 3 :: 6] += 0.8
+    assert failure_in(log._replace(current_a=late), slow) is None
     known = slow.copy()
     known[places.OFFSET_I] = 0.4
     assert failure_in(off, known) is None
