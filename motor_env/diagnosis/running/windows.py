@@ -145,11 +145,12 @@ class WindowJudge:
         """Whether a recording's last part, an eighth of a window at least, moves the motor as no healthy one did."""
         if self.windows.covariances is None:
             return False
-        last_s = max(last_s, _TELLING * self.windows.window_s)
-        part = cut(recording, slice(-round(last_s / recording.dt_s), None))
+        count = round(max(last_s, _TELLING * self.windows.window_s) / recording.dt_s)
+        part = cut(recording, slice(-count, None))
         with suppress(UnusableError):
             fit = self.fitted(from_recordings([part]))
-            return self._unlike(last_s / self.windows.window_s * fit.log_covariance) > _OTHERWISE
+            share = len(part.time_s) * part.dt_s / self.windows.window_s
+            return self._unlike(share * fit.log_covariance) > _OTHERWISE
         return False
 
     def _unlike(self, covariance: FloatArray) -> float:
