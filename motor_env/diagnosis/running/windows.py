@@ -39,11 +39,11 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
-_ALIKE, _OTHERWISE = 0.2, 1.0
+_ALIKE, _OTHERWISE = 0.3, 1.0
 """Relative entropies of what two windows tell of the motor, in nats: up to the first they move it alike, and from the
 second on otherwise, though one is but a part."""
 _TELLING = 0.125  # of a window: so much shows how the motor is driven
-DRIVE_SPREAD = np.array([0.03, 0.015, 0.03, 0.4])
+DRIVE_SPREAD = np.array([0.025, 0.0125, 0.025, 0.4])
 """Standard deviation of the logarithms of R, K, J and B where a motor is moved otherwise, by e times that entropy. What
 the model lacks (stiction, a gear's teeth, brushes) is then taken for them in another way."""
 NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
