@@ -166,7 +166,7 @@ def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[Fi
 
 
 def _every(windows: Sequence[object]) -> int:
-    """Of how many windows one teaches."""
+    """Every which window teaches: each of few, some of many."""
     return math.ceil(len(windows) / MOST_LEARNED)
 
 
