@@ -39,7 +39,7 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
-_ALIKE, _OTHERWISE = 0.3, 1.0
+_ALIKE, _OTHERWISE = 0.3, 0.5
 """Relative entropies of what two windows tell of the motor, in nats: up to the first they move it alike, and from the
 second on otherwise, though one is but a part."""
 _TELLING = 0.125  # of a window: so much shows how the motor is driven
