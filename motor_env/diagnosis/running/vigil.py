@@ -33,7 +33,7 @@ from motor_env.diagnosis.running.windows import NAMES, FittedWindow, WindowJudge
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting.recorded import from_recordings
-from motor_env.motor.healthy import Healthy, Scale
+from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
@@ -152,13 +152,13 @@ class Vigil:
             together = 2 ** (self._scales[0].halvings - scale.halvings)
             if count % together == 0:
                 part = Sections.joined(self._sections[-together:])
-                pieces = part.pieces(together, self._at, self._fastest)
-                for row in zip(*self._scored(self._learned.scale(n), pieces), strict=True):
+                for row in zip(*self._scored(n, part.pieces(together, self._at, self._fastest)), strict=True):
                     self._detector.add(n, row[0], together, row[1])
         return self._is_alarm()
 
-    def _scored(self, scale: Scale, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
+    def _scored(self, n: int, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
         """Normal scores of pieces and their reach; none in a state of which too little is known."""
+        scale = self._learned.scale(n)
         found = calibrated(scale, pieces, self._along.along)
         scores = normal_scores(scale, pieces.states, found, self.windows)
         is_known = scale.counts[pieces.states] >= _FEWEST
@@ -174,11 +174,9 @@ class Vigil:
         """Whether a whole window is, or goes on, an alarm."""
         logs = fit.log_values - self.judge.reference.log_values
         pieces = Pieces(logs[None], fit.log_covariance[None], np.zeros(1, dtype=np.intp))
-        drive, known = self.judge.drive_covariance(fit), (self._learned.scale(-1), self._scales[-1])
-        learned, taught = (replace(scale, wander=scale.wander + drive) for scale in known)
-        (scores,), (reach,) = self._scored(learned, pieces)
-        self._detector.add(-1, scores, self._pieces, reach)
-        places, allowed, _ = places_on_axes(taught, pieces)
+        (scores,), (reach,) = self._scored(len(self._scales) - 1, pieces)
+        self._detector.add(len(self._scales) - 1, scores, self._pieces, reach)
+        places, allowed, _ = places_on_axes(self._scales[-1], pieces)
         stays = farthest(self._scales[-1], self.windows) if self._may_stay else 0.0
         self._counting.add(places[0] - stays * allowed[0])
         is_new = self._is_alarm()
@@ -188,7 +186,7 @@ class Vigil:
             self._toward = -1
         is_counted = self._counting.alarm(self.windows) is not None
         is_alarm = self._toward >= 0 if self.adds_up else is_counted
-        if self._toward < 0 and not is_counted and not drive.any():
+        if self._toward < 0 and not is_counted:
             self._learn(pieces, places[0])
         else:
             self._learned.skip()
@@ -200,8 +198,10 @@ class Vigil:
         parts: list[Pieces | None] = []
         for scale in self._scales[:-1]:
             together = 2 ** (self._scales[0].halvings - scale.halvings)
-            whole = Sections.joined(self._sections) if len(self._sections) >= together else None
-            parts.append(whole and whole.pieces(together, self._at, self._fastest))
+            whole = len(self._sections) >= together
+            parts.append(
+                Sections.joined(self._sections).pieces(together, self._at, self._fastest) if whole else None
+            )
         self._learned.hear([*parts, window])
         seen = self._counting.healthy - self._healthy
         if seen < min(_MOST_LEARNED, _LEARNED_S / self.judge.windows.window_s):
@@ -216,7 +216,7 @@ class Vigil:
         self._learned.skip()
 
     def alarm(self, recording: Recording, rate: float) -> Judgement | None:
-        """The judgement on what an alarm is about; None where there is nothing to tell. The evidence begins anew.
+        """The judgement on what an alarm is about; None where it tells nothing. The evidence begins anew.
 
         The fault begins in the first of its pieces, which is not fitted where there are more. Where the samples fit no
         fault, as some of them may still be healthy, the evidence names it, unless something else has moved as well.
@@ -226,18 +226,16 @@ class Vigil:
         kind, share = self._along.kinds[self._toward], float(self._detector.shares[self._toward])
         self._detector.forget()
         recording = averaged(recording, self.judge.windows.window_s)
-        judged = self.judge.failed_sensor(recording)
-        if judged is None and self.judge.is_driven_otherwise(recording, span_s):
-            self._toward = -1  # the window's end will judge it
-            return None
-        if not (judged := judged or self._fitted(recording, fitted_s, rate)):
+        judged = self.judge.failed_sensor(recording) or self._fitted(recording, fitted_s, rate)
+        if judged is None:
             return None
         if judged.verdict is Verdict.OTHER and kind is not None and share > _MOSTLY:
             along = zip(NAMES, self._along.along[self._toward], strict=True)
             moves = {name for name, part in along if abs(part) > _NOTHING}
             if moves >= {one.name for one in judged.changes if one.significant}:
-                verdict = Verdict(kind.verdict)
-                judged = replace(judged, verdict=verdict, fault_kind=kind, kind_probability=share)
+                judged = replace(
+                    judged, verdict=Verdict(kind.verdict), fault_kind=kind, kind_probability=share
+                )
         return replace(judged, begin_s=float(recording.time_s[-1]) - span_s, duration_s=span_s)
 
     def _fitted(self, recording: Recording, span_s: float, rate: float) -> Judgement | None:

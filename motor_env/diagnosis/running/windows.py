@@ -39,13 +39,15 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
-_ALIKE, _OTHERWISE = 0.3, 0.5
-"""Relative entropies of what two windows tell of the motor, in nats: up to the first they move it alike, and from the
-second on otherwise, though one is but a part."""
-_TELLING = 0.125  # of a window: so much shows how the motor is driven
+_ALIKE = 0.3
+"""Relative entropy of what two windows tell of the motor, in nats, up to which they move it alike."""
 DRIVE_SPREAD = np.array([0.025, 0.0125, 0.025, 0.4])
 """Standard deviation of the logarithms of R, K, J and B where a motor is moved otherwise, by e times that entropy. What
 the model lacks (stiction, a gear's teeth, brushes) is then taken for them in another way."""
+DRIVEN_OTHERWISE = (
+    "the motor is driven otherwise than when it was healthy: commission it under this drive, too; driven as then, it"
+    " would be said that"
+)
 NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 EXPONENTS = quantities.matrix(NAMES)
 WARMTH = quantities.warmth_direction(EXPONENTS)
@@ -132,37 +134,19 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
-    def drive_covariance(self, fit: FittedWindow) -> FloatArray:
-        """What a window may be off since it moves the motor otherwise than the healthy ones did, shape (4, 4).
+    def reference_for(self, fit: FittedWindow, rate: float) -> Reference:
+        """Distribution of R, K, J and B of a healthy window that moves the motor like this one, for a rate of alarms.
 
         The error of the model is much the same in all windows of one drive, and another one in those of another. How
         far two drives differ shows in what their windows tell: a drive that seldom reverses tells less of friction.
+        A severe fault may change that, too, and friction most: there what is allowed for has a limit.
         """
-        times = math.log(max(self._unlike(fit.log_covariance) / _ALIKE, 1.0))
-        return times * np.diag(np.square(DRIVE_SPREAD))
-
-    def is_driven_otherwise(self, recording: Recording, last_s: float) -> bool:
-        """Whether a recording's last part, an eighth of a window at least, moves the motor as no healthy one did."""
-        if self.windows.covariances is None:
-            return False
-        count = round(max(last_s, _TELLING * self.windows.window_s) / recording.dt_s)
-        part = cut(recording, slice(-count, None))
-        with suppress(UnusableError):
-            fit = self.fitted(from_recordings([part]))
-            share = len(part.time_s) * part.dt_s / self.windows.window_s
-            return self._unlike(share * fit.log_covariance) > _OTHERWISE
-        return False
-
-    def _unlike(self, covariance: FloatArray) -> float:
-        """How much otherwise than the nearest healthy window a window of such a fit tells of the motor, in nats."""
         known = self.windows.covariances
-        return 0.0 if known is None else unlike(covariance, known)
-
-    def reference_for(self, fit: FittedWindow, rate: float) -> Reference:
-        """Distribution of R, K, J and B of a healthy window that moves the motor like this one, for such a rate."""
-        drive = self.drive_covariance(fit)
-        if not drive.any():
+        nats = 0.0 if known is None else unlike(fit.log_covariance, known)
+        if nats <= _ALIKE:
             return self.reference
+        times = math.log(nats / _ALIKE)
+        drive = np.diag(np.square(DRIVE_SPREAD) * [times, times, times, min(times, 1.0)])
         own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
         spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
         return replace(self.reference, log_covariance=spread, drive_covariance=spread - own)
@@ -237,7 +221,14 @@ class WindowJudge:
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
         reference = self.reference_for(fit, rate)
-        return decide(fit, reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
+        judged = decide(fit, reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
+        if reference is self.reference or is_alarm is not None or judged.verdict is not Verdict.HEALTHY:
+            return judged
+        then = decide(fit, self.reference, rate)
+        if not then.verdict.is_fault:
+            return judged
+        why = f"{DRIVEN_OTHERWISE} {then.reasons[0]}"
+        return replace(judged, verdict=Verdict.UNUSABLE, reasons=(why,), severity=None, confidence=None)
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:

@@ -5,7 +5,6 @@ import math
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +32,6 @@ from motor_env.fitting import places
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
 
 WINDOW_S, ERROR = 600.0, np.diag([0.002, 0.002, 0.005, 0.01]) ** 2
 HOUR = YEAR_S / 3600.0
@@ -408,65 +406,6 @@ def test_a_watch_goes_on_from_its_memory_as_if_it_had_never_ended() -> None:
     ):
         with pytest.raises(InputError, match="the memory of the state"):
             vigil(healthy, HOUR, broken)
-
-
-def driven(healthy: Healthy) -> Healthy:
-    """The same, whose windows show how the motor was driven."""
-    assert healthy.windows is not None
-    return replace(healthy, windows=replace(healthy.windows, covariances=ERROR[None]))
-
-
-@pytest.mark.parametrize("counts", [False, True])
-def test_a_motor_that_is_driven_otherwise_may_be_farther_off_and_teaches_nothing(counts: bool) -> None:
-    """Eight windows with a quarter less friction: an alarm, but not where each tells otherwise than healthy ones."""
-    less, otherwise = math.log(0.75) * np.array([0.0, 0.0, 0.0, 1.0]), np.diag([9.0, 1.0, 1.0, 1.0])
-    healthy = driven(commissioned(steady=False))
-    for error, expected in ((ERROR, True), (otherwise @ ERROR, False)):
-        watch, rng = vigil(counting_only(healthy) if counts else healthy), np.random.default_rng(4)
-        for _ in range(2):
-            assert not watch.ended(replace(fit(rng, np.zeros(4)), log_covariance=error))
-        assert (sum(watch.memory["learned"]) > 0.0) is expected
-        said = [watch.ended(replace(fit(rng, less), log_covariance=error)) for _ in range(8)]
-        assert any(said) is expected
-
-
-def test_an_alarm_before_a_windows_end_waits_for_it_where_the_motor_is_driven_otherwise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """An eighth of a window tells that, or the whole evidence where it is longer; a failed sensor is told at once."""
-    watch = vigil(driven(commissioned(steady=False)))
-    asked: list[int] = []
-    watch._pieces, watch.piece_s = 64, WINDOW_S / 64.0
-    recording = SimpleNamespace(dt_s=1.0, time_s=np.arange(1200.0))
-    monkeypatch.setattr("motor_env.diagnosis.running.vigil.averaged", lambda *_: recording)
-    room = "motor_env.diagnosis.running.windows."
-    failed = [None, None, Judgement(Verdict.SENSOR, ("because",))]
-    monkeypatch.setattr(f"{room}WindowJudge.failed_sensor", lambda *_: failed.pop(0))
-    monkeypatch.setattr(f"{room}cut", lambda _, part: part)
-
-    def recorded(parts: list[slice]) -> None:
-        asked.extend(-part.start for part in parts)
-        raise UnusableError("there is none")
-
-    monkeypatch.setattr(f"{room}from_recordings", recorded)
-    monkeypatch.setattr(Vigil, "_fitted", lambda *_: Judgement(Verdict.BEARING, ("because",)))
-    unlike = [False, True]
-    judge = type(watch.judge)
-    told = judge.is_driven_otherwise
-
-    def is_driven_otherwise(*given: Any) -> bool:
-        assert told(*given) is False  # nothing can be told of such samples
-        return unlike.pop(0)
-
-    monkeypatch.setattr(judge, "is_driven_otherwise", is_driven_otherwise)
-    for age, verdict in ((20.0, Verdict.BEARING), (2.0, None), (2.0, Verdict.SENSOR)):
-        watch._toward = 0
-        watch._detector.sums[0, 0], watch._detector.ages[0, 0] = 1e9, 1e9 * age
-        found = watch.alarm(recording, 0.01)  # type: ignore[arg-type]  # it is only handed on
-        assert (None if found is None else found.verdict) == verdict
-        assert watch.goes_on is (verdict is not None)
-        assert watch._detector.evidence == 0.0
-    assert asked == [188, 75]  # seconds
 
 
 def test_an_alarm_is_named_by_its_evidence_where_its_samples_fit_no_fault(
