@@ -100,8 +100,10 @@ def test_another_controller_hides_friction_but_for_a_lot_and_says_so(
         log = simulate(motor, profile, rng, samples=1200, dt_s=dt_s, stiffness=0.3)
         return diagnose(log, known, regime="operation")
 
-    own, healthy = judged("reversals", 2.0), judged("speed loop", 1.0)
-    assert (own.verdict, healthy.verdict) == ("bearing", "healthy")
+    for times in (1.5, 2.0, 4.0, 8.0):  # a severe fault, too, changes what a window tells
+        assert judged("reversals", times).verdict == "bearing"
+    healthy = judged("speed loop", 1.0)
+    assert healthy.verdict == "healthy"
     (undecided,) = (reason for reason in healthy.reasons if "undecided" in reason)
     assert "friction is undecided: the motor was driven otherwise when it was healthy" in undecided
     assert not any("otherwise" in reason for reason in judged("reversals", 1.0).reasons)
