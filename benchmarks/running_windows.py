@@ -1,8 +1,8 @@
 """Verdicts on simulated motors at work: commissioned by windows in one profile, judged in the same.
 
-    python benchmarks/running_windows.py --motors 60
-    python benchmarks/running_windows.py --motors 40 --other-physics
-    python benchmarks/running_windows.py --motors 40 --other-physics --window-s 20
+    python benchmarks/running_windows.py --motors 40
+    python benchmarks/running_windows.py --motors 30 --other-physics
+    python benchmarks/running_windows.py --motors 30 --other-physics --window-s 20
     python benchmarks/running_windows.py --motors 20 --other-physics --window-s 20 --records 5
 
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each

@@ -51,12 +51,12 @@ def learn_windows(
 ) -> tuple[Healthy, list[FittedWindow]]:
     """What windows of a healthy motor at work teach about its next window, and their fits.
 
-    The spread is that of windows beyond their own errors, with a prior on every quantity worth 4 windows.
+    The spread is that of windows, never less than their own errors, and that from record to record.
 
     Args:
         recordings: of the healthy motor at work.
         window_s: length of a window; by default a twentieth of all recordings.
-        steady: nothing but a fault moves the motor, as on a test bench: no prior spread, no other temperature, the
+        steady: nothing but a fault moves the motor, as on a test bench: records are alike, no other temperature, the
             load and the sensors' offsets as in the recordings.
 
     Raises:
