@@ -51,7 +51,7 @@ def learn_windows(
 ) -> tuple[Healthy, list[FittedWindow]]:
     """What windows of a healthy motor at work teach about its next window, and their fits.
 
-    The spread is that of windows, never less than their own errors, and that from record to record.
+    The spread is that of windows, with their own errors as a prior worth 4 of them, and that from record to record.
 
     Args:
         recordings: of the healthy motor at work.
