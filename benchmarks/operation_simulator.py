@@ -276,6 +276,7 @@ def simulate(
     torque_n_m: float | None = None,
     supply_ohm: float = 0.0,
     stiffness: float = 1.0,
+    usual: Motor | None = None,
 ) -> Recording:
     """One recording of a motor at work.
 
@@ -291,13 +292,15 @@ def simulate(
         torque_n_m: of the load, at the speed without load; 15 % of the stall torque if None.
         supply_ohm: resistance of the supply; the voltage is recorded behind it.
         stiffness: gains of the controller, times the usual ones.
+        usual: motor that drive, load and sensors were made for, which know of no fault; this one if None.
     """
-    dt = dt_s or motor.mechanical_s / 10.0 ** rng.uniform(0.6, 1.6)
+    usual = usual or motor
+    dt = dt_s or usual.mechanical_s / 10.0 ** rng.uniform(0.6, 1.6)
     if warm_k:
         motor = warmed(motor, warm_k)
     fine = math.ceil(dt * max(FINEST_HZ, 30.0 * motor.ohm / motor.henry))
-    command, mode, open_ = wanted(profile, motor, samples, dt, rng)
-    rated = motor.constant * motor.stall_a * 0.15 if torque_n_m is None else torque_n_m
+    command, mode, open_ = wanted(profile, usual, samples, dt, rng)
+    rated = usual.constant * usual.stall_a * 0.15 if torque_n_m is None else torque_n_m
     torque = np.zeros(samples)
     if load == "constant":
         torque += rated
@@ -305,15 +308,15 @@ def simulate(
         torque = rated * np.cumsum(rng.standard_normal(samples)) / math.sqrt(samples)
     constants = np.array(
         [motor.ohm, motor.henry, motor.constant, motor.inertia, motor.viscous, motor.coulomb, motor.stribeck,
-         motor.drop, motor.ripple, motor.heat, motor.cool, KNEE * motor.stall_a, SLIDING * motor.speed, supply_ohm,
-         rated if load == "dry" else 0.0, *_further(motor)]
+         motor.drop, motor.ripple, motor.heat, motor.cool, KNEE * usual.stall_a, SLIDING * usual.speed, supply_ohm,
+         rated if load == "dry" else 0.0, *_further(usual)]
     )  # fmt: skip
-    gain = stiffness * (0.5 * motor.volts / motor.speed * 6.0 if mode == 1 else 0.5 * motor.ohm)
-    gains = np.array([gain, gain * min(dt / motor.mechanical_s, 0.3)])
+    gain = stiffness * (0.5 * usual.volts / usual.speed * 6.0 if mode == 1 else 0.5 * usual.ohm)
+    gains = np.array([gain, gain * min(dt / usual.mechanical_s, 0.3)])
     out = np.empty((samples, 4))
-    _run(command, mode, open_, torque, rated / motor.speed**2 if load == "square" else 0.0, constants, fine,
+    _run(command, mode, open_, torque, rated / usual.speed**2 if load == "square" else 0.0, constants, fine,
          dt / fine, motor.volts, gains, out, np.zeros((4, 5)))  # fmt: skip
-    return recorded(motor, profile, out, dt=dt, rng=rng, bits=motor.further.bits or bits)
+    return recorded(usual, profile, out, dt=dt, rng=rng, bits=usual.further.bits or bits)
 
 
 def _further(motor: Motor) -> tuple[float, ...]:

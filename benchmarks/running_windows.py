@@ -8,7 +8,7 @@
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
 With other physics the motors have all of its SWITCHES, and are judged in other profiles, under other controllers, too.
-Windows of a length in seconds are sampled at 100 Hz, and faults are judged in the own profile alone.
+Windows of a length in seconds are sampled at 100 Hz. Their faults, and severe ones, are judged in the own one alone.
 """
 
 from __future__ import annotations
@@ -42,20 +42,27 @@ UNDER: dict[str, dict[str, Any]] = {
 }
 """Drives in which motors of other physics are judged."""
 OWN: dict[str, dict[str, Any]] = {"the same": {}}
+SEVERE = ("R × 2", "friction × 2", "friction × 4", "K −30 %", "J × 2")
 
 
 def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
     """Motors to judge by what has changed, with the right verdict."""
+
+    def friction(times: float) -> tuple[Motor, str]:
+        return replace(motor, viscous=times * motor.viscous, coulomb=times * motor.coulomb), "bearing"
+
     return {
         "nothing changed": (motor, "healthy"),
         f"{WARM_K:.0f} K more": (motor, "healthy"),
         "R +25 %": (replace(motor, ohm=1.25 * motor.ohm), "winding"),
-        "friction +50 %": (
-            replace(motor, viscous=1.5 * motor.viscous, coulomb=1.5 * motor.coulomb),
-            "bearing",
-        ),
+        "friction +50 %": friction(1.5),
         "K −10 %": (replace(motor, constant=0.9 * motor.constant), "magnet"),
         "J +25 %": (replace(motor, inertia=1.25 * motor.inertia), "other"),
+        "R × 2": (replace(motor, ohm=2.0 * motor.ohm), "winding"),
+        "friction × 2": friction(2.0),
+        "friction × 4": friction(4.0),
+        "K −30 %": (replace(motor, constant=0.7 * motor.constant), "magnet"),
+        "J × 2": (replace(motor, inertia=2.0 * motor.inertia), "other"),
     }
 
 
@@ -66,7 +73,7 @@ def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None
     learned = PROFILES[number % len(PROFILES)]
     dt_s = DT * motor.mechanical_s if window_s is None else SLOW_S
     window = WINDOW if window_s is None else round(window_s / SLOW_S)
-    recorded = partial(simulate, rng=rng, dt_s=dt_s)
+    recorded = partial(simulate, rng=rng, dt_s=dt_s, usual=motor)
     try:
         logs = [recorded(motor, learned, samples=LEARNED // records * window) for _ in range(records)]
         healthy, _ = learn_windows(logs, window * dt_s)
@@ -74,7 +81,7 @@ def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None
         return [(("commissioning", learned), str(error))]
     known, said = motor_of_windows(healthy, "this motor"), Said()
     for name, (other, right) in changed(motor).items():
-        is_own = not other_physics or (window_s is not None and right != "healthy")
+        is_own = not other_physics or name in SEVERE or (window_s is not None and right != "healthy")
         for under, options in OWN.items() if is_own else UNDER.items():
             warm_k = WARM_K if "K more" in name else 0.0
             drive = {"profile": learned} | options

@@ -129,9 +129,9 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
     # Healthy pieces may scatter by their load; that is no defect of this one.
     spread = view.difference.covariance
     if reference.includes_fit_error:
-        spread = fit.log_covariance[np.ix_(rows, rows)] + reference.drive_covariance
+        spread = fit.log_covariance[np.ix_(rows, rows)]
     smallest = smallest_changes(replace(view.difference, covariance=spread), limits.z)
-    unseen = tuple(_unseen(smallest, reference))
+    unseen = tuple(_unseen(smallest, reference.source))
     if len(unseen) == len(_SEEN):
         return replace(healthy, verdict=Verdict.UNUSABLE, reasons=unseen, severity=None, confidence=None)
     healthy = replace(healthy, reasons=(*healthy.reasons, *unseen))
@@ -263,18 +263,18 @@ def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: fl
 _SEEN = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}
 
 
-def _unseen(smallest: dict[str, float], reference: Reference) -> Iterator[str]:
+def _unseen(smallest: dict[str, float], source: str) -> Iterator[str]:
     """What a piece leaves undecided, in sentences: a doubling would not show, or there is nothing to compare with."""
-    why = "the recording is too coarse, too noisy or too short to tell it"
-    if np.any(reference.drive_covariance):
-        why = "the motor was driven otherwise when it was healthy"
     for kind, quantity in _SEEN.items():
         severity = smallest.get(str(kind))
         if severity is None:
-            yield f"the {quantity} is undecided: it cannot be compared with {reference.source}"
+            yield f"the {quantity} is undecided: it cannot be compared with {source}"
         elif severity > _DOUBLED:
             shown = f"only a rise of {severity:.0%}" if severity < _TENFOLD else "not even a tenfold one"
-            yield f"the {quantity} is undecided: {why}, {shown} would show"
+            yield (
+                f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it,"
+                f" {shown} would show"
+            )
 
 
 def _other_reasons(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:

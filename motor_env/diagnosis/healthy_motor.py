@@ -44,7 +44,6 @@ class Reference:
         own_friction: share of the drag that is the motor's own friction; None where a load was not told.
         excess: by which factor healthy pieces scatter more than covariance and fit say (variance).
         is_taught: recordings have taught it, its sensors too; a data sheet says nothing of sensors.
-        drive_covariance: what that covariance holds since the motor is driven otherwise than it was, shape (n, n) or 0.
     """
 
     source: str
@@ -61,7 +60,6 @@ class Reference:
     own_friction: float | None = None
     excess: float = 1.0
     is_taught: bool = False
-    drive_covariance: FloatArray | float = 0.0
 
     @property
     def values(self) -> dict[str, float]:

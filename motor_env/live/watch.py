@@ -229,7 +229,8 @@ class Watch:
         if isinstance(vigil, Lesson):
             return self._taught(recording, vigil)
         try:
-            return self._judged(vigil.judge.judge(recording, self.rate, vigil.ended)[0][0])
+            is_alarm = None if vigil.is_strange(recording) else vigil.ended
+            return self._judged(vigil.judge.judge(recording, self.rate, is_alarm)[0][0])
         except UnusableError as error:
             vigil.cut()
             return Event(self._time_s, "window", "unusable", reason=str(error))

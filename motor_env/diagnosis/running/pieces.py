@@ -13,6 +13,7 @@ from motor_env.diagnosis.running.windows import WindowJudge
 from motor_env.fitting import kernel
 from motor_env.fitting.record import Record
 from motor_env.fitting.window import Scores, scores
+from motor_env.motor.healthy import Scale
 from motor_env.motor.parameters import FloatArray
 
 N_STATES = 10
@@ -23,6 +24,8 @@ _ONE_WAY = 0.5  # mean over effective speed
 _MOST_HALVINGS = 7
 _FEWEST_SAMPLES = 4
 _SHORTEST_S = 0.2  # so that pieces take a tenth of a core at most
+_WIDE = 0.5  # standard deviation of a logarithm
+_MOST_STEPS, _SETTLED = 15, 0.1
 
 
 class Pieces(NamedTuple):
@@ -115,3 +118,34 @@ def sections_of(judge: WindowJudge, record: Record, at: FloatArray, ends: Sequen
     columns = np.stack([np.ones(len(speed)), speed, speed**2, record.marks == kernel.OPEN])
     samples, sums, squares, opened = np.add.reduceat(columns[:, : ends[-1]], ends[:-1], axis=1)
     return Sections(said, Motion(samples, sums, squares), opened == 0)
+
+
+def end_of(
+    record: Record, span_s: float, judge: WindowJudge, at: FloatArray, scale: Scale
+) -> tuple[FloatArray, FloatArray] | None:
+    """What the end of a record says, however far the motor has moved; None where its circuit is open.
+
+    Args:
+        record: with some samples before that end, from which the filter finds the state.
+        span_s: length of the end.
+        judge: the healthy motor.
+        at: where the motor was thought to be, shape (4,).
+        scale: what healthy pieces of about that length have taught.
+
+    Returns:
+        Logarithms of R, K, J and B over the healthy ones, shape (4,), and how they scatter, shape (4, 4).
+    """
+    count, prior = len(record.voltage_v), _WIDE**2 * np.eye(len(at))
+    ends = [max(count - max(round(span_s / record.dt_s), 2), 1), count]
+    usual = np.average(scale.covariances, axis=0, weights=scale.counts)
+    for _ in range(_MOST_STEPS):
+        pieces = sections_of(judge, record, at, ends).pieces(1, at, judge.peaks[2])
+        if not len(pieces.logs):
+            return None
+        root = np.linalg.cholesky(pieces.errors[0])
+        logs, spread = pieces.logs[0], root @ usual @ root.T + scale.wander
+        # On the way a fault of one quantity looks like changes of several.
+        before, at = at, prior @ np.linalg.solve(prior + spread, logs)
+        if (at - before) @ np.linalg.solve(spread, at - before) < _SETTLED:
+            break
+    return logs, spread

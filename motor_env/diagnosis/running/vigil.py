@@ -8,6 +8,7 @@ they should. Where they do alarm oftener, the second procedure alarms, which onl
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +18,7 @@ from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.running.counting import Counting, promised
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.learned import Learned
-from motor_env.diagnosis.running.pieces import Pieces, Sections, sections_of
+from motor_env.diagnosis.running.pieces import Pieces, Sections, end_of, sections_of
 from motor_env.diagnosis.running.replay import tails_hold
 from motor_env.diagnosis.running.scales import (
     AXES,
@@ -43,8 +44,6 @@ CONTEXT = 256
 """Samples before a piece."""
 _FEWEST = 2.0  # healthy pieces of a state
 _GOES_ON = 2.0
-_WIDE = 0.5  # standard deviation of a logarithm
-_MOST_STEPS, _SETTLED = 15, 0.1
 _MOSTLY = 0.9  # of the evidence
 _NOTHING = 1e-6
 _MOST_LEARNED, _LEARNED_S = 100, 3.0 * 3600.0
@@ -87,7 +86,7 @@ class Vigil:
         self._counting = Counting(self._healthy, most, np.zeros(len(AXES)))
         self._at: FloatArray = np.zeros(len(NAMES))
         self._toward, self._quiet = -1, 0.0
-        self._sections: list[Sections] = []
+        self.begin()
         self._holds = tails_hold(windows.replayed, self._healthy * self._pieces)
         self._can_count = bool(windows.most)
         if memory:
@@ -209,17 +208,30 @@ class Vigil:
 
     def begin(self) -> None:
         """A window begins."""
-        self._sections = []
+        self._sections: list[Sections] = []
+        self._known = deepcopy(self._detector)  # what was known before it
 
     def cut(self) -> None:
         """The window breaks off, or tells nothing."""
         self._learned.skip()
+
+    def is_strange(self, window: Recording) -> bool:
+        """Whether a window is driven otherwise than healthy ones; then it is no evidence, and teaches nothing."""
+        if not self.judge.is_driven_otherwise(window):
+            return False
+        self._detector, self._toward = self._known, -1
+        self._learned.skip()
+        return True
 
     def alarm(self, recording: Recording, rate: float) -> Judgement | None:
         """The judgement on what an alarm is about; None where it tells nothing. The evidence begins anew.
 
         The fault begins in the first of its pieces, which is not fitted where there are more. Where the samples fit no
         fault, as some of them may still be healthy, the evidence names it, unless something else has moved as well.
+
+        Args:
+            recording: of the window up to now and the one before it.
+            rate: of false alarms of a window.
         """
         pieces = min(max(math.ceil(self._detector.strongest[2]), 1), self._pieces)
         span_s, fitted_s = pieces * self.piece_s, max(pieces - 1, 1) * self.piece_s
@@ -227,7 +239,7 @@ class Vigil:
         self._detector.forget()
         recording = averaged(recording, self.judge.windows.window_s)
         judged = self.judge.failed_sensor(recording) or self._fitted(recording, fitted_s, rate)
-        if judged is None:
+        if judged is None or self.judge.is_driven_otherwise(recording):
             return None
         if judged.verdict is Verdict.OTHER and kind is not None and share > _MOSTLY:
             along = zip(NAMES, self._along.along[self._toward], strict=True)
@@ -243,20 +255,10 @@ class Vigil:
             record = replace(from_recordings([recording]), hold=self.judge.windows.hold)
         except UnusableError:
             return None
-        count = len(record.voltage_v)
-        ends = [max(count - max(round(span_s / record.dt_s), 2), 1), count]
-        at, scale, prior = self._at, self._learned.scale(0), _WIDE**2 * np.eye(len(NAMES))
-        usual = np.average(scale.covariances, axis=0, weights=scale.counts)
-        for _ in range(_MOST_STEPS):
-            pieces = sections_of(self.judge, record, at, ends).pieces(1, at, self._fastest)
-            if not len(pieces.logs):
-                return None
-            root = np.linalg.cholesky(pieces.errors[0])
-            logs, spread = pieces.logs[0], root @ usual @ root.T + scale.wander
-            # On the way a fault of one quantity looks like changes of several.
-            before, at = at, prior @ np.linalg.solve(prior + spread, logs)
-            if (at - before) @ np.linalg.solve(spread, at - before) < _SETTLED:
-                break
+        found = end_of(record, span_s, self.judge, self._at, self._learned.scale(0))
+        if found is None:
+            return None
+        logs, spread = found
         reference = replace(self.judge.reference, log_covariance=spread, excess=1.0)
         return decide(FittedWindow(reference.log_values + logs, spread), reference, rate, alarm=True)
 

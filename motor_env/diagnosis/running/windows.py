@@ -17,8 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import alarm_share
-from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
+from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
 from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.failed import judgement_of
 from motor_env.diagnosis.sensors.seen import Seen
@@ -39,15 +38,10 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
-_ALIKE = 0.3
-"""Relative entropy of what two windows tell of the motor, in nats, up to which they move it alike."""
-DRIVE_SPREAD = np.array([0.025, 0.0125, 0.025, 0.4])
-"""Standard deviation of the logarithms of R, K, J and B where a motor is moved otherwise, by e times that entropy. What
-the model lacks (stiction, a gear's teeth, brushes) is then taken for them in another way."""
-DRIVEN_OTHERWISE = (
-    "the motor is driven otherwise than when it was healthy: commission it under this drive, too; driven as then, it"
-    " would be said that"
-)
+_ALIKE = 0.12
+"""Distance of two windows, over what is commanded in one, up to which they are driven alike; see `apart`."""
+_LEVELS = np.linspace(0.05, 0.95, 10)
+DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
 NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 EXPONENTS = quantities.matrix(NAMES)
 WARMTH = quantities.warmth_direction(EXPONENTS)
@@ -134,22 +128,18 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
-    def reference_for(self, fit: FittedWindow, rate: float) -> Reference:
-        """Distribution of R, K, J and B of a healthy window that moves the motor like this one, for a rate of alarms.
+    def is_driven_otherwise(self, recording: Recording) -> bool:
+        """Whether no healthy window was driven like the last one of a recording.
 
-        The error of the model is much the same in all windows of one drive, and another one in those of another. How
-        far two drives differ shows in what their windows tell: a drive that seldom reverses tells less of friction.
-        A severe fault may change that, too, and friction most: there what is allowed for has a limit.
+        The error of the model is much the same in all windows of one drive, and another one in those of another.
+        Where healthy windows themselves are farther apart, so may this one be.
         """
-        known = self.windows.covariances
-        nats = 0.0 if known is None else unlike(fit.log_covariance, known)
-        if nats <= _ALIKE:
-            return self.reference
-        times = math.log(nats / _ALIKE)
-        drive = np.diag(np.square(DRIVE_SPREAD) * [times, times, times, min(times, 1.0)])
-        own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
-        spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
-        return replace(self.reference, log_covariance=spread, drive_covariance=spread - own)
+        known = self.windows.quantiles
+        if known is None:
+            return False
+        last = cut(recording, slice(-round(self.windows.window_s / recording.dt_s), None))
+        among = max(apart(one, np.delete(known, n, axis=0)) for n, one in enumerate(known))
+        return apart(driven(last), known) > max(_ALIKE, among)
 
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""
@@ -220,15 +210,16 @@ class WindowJudge:
             fit = self.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
-        reference = self.reference_for(fit, rate)
-        judged = decide(fit, reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
-        if reference is self.reference or is_alarm is not None or judged.verdict is not Verdict.HEALTHY:
+        judged = decide(fit, self.reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
+        if judged.verdict is Verdict.UNUSABLE or not self.is_driven_otherwise(part):
             return judged
-        then = decide(fit, self.reference, rate)
-        if not then.verdict.is_fault:
-            return judged
-        why = f"{DRIVEN_OTHERWISE} {then.reasons[0]}"
-        return replace(judged, verdict=Verdict.UNUSABLE, reasons=(why,), severity=None, confidence=None)
+        if not judged.verdict.is_fault:
+            return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
+        why = (
+            f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
+        )
+        reasons = (f"{why} {judged.reasons[0]}",)
+        return replace(judged, verdict=Verdict.UNUSABLE, reasons=reasons, severity=None, confidence=None)
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
@@ -249,16 +240,25 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
     return WindowJudge(healthy.windows, reference)
 
 
-def unlike(covariance: FloatArray, others: FloatArray) -> float:
-    """Least relative entropy (Kullback-Leibler) of a normal distribution from others of the same mean, in nats.
+def driven(part: Recording) -> FloatArray:
+    """How a motor is driven: quantiles of voltage, current and speed, shape (3, 10)."""
+    volts, speed = needed_columns(part)
+    return np.quantile([volts, part.current_a, speed], _LEVELS, axis=1).T
+
+
+def apart(one: FloatArray, others: FloatArray) -> float:
+    """How far a window is from being driven like any of some others.
+
+    A drive commands the voltage, the speed or the current. A fault leaves what is commanded as it is, however much it
+    changes the rest. So the one that is most alike counts: the mean distance of its quantiles (Wasserstein) over their
+    root mean square.
 
     Args:
-        covariance: of it, shape (p, p).
-        others: their covariances, shape (n, p, p).
+        one: its quantiles, shape (3, 10).
+        others: theirs, shape (n, 3, 10).
     """
-    ratios = np.linalg.solve(others, covariance)
-    entropies = np.trace(ratios, axis1=1, axis2=2) - len(covariance) - np.linalg.slogdet(ratios)[1]
-    return 0.5 * float(np.min(entropies))
+    sizes = np.sqrt(np.mean(np.square(others), axis=2))
+    return float(np.min(np.mean(np.abs(others - one), axis=2) / np.maximum(sizes, np.finfo(float).tiny)))
 
 
 def needed_columns(recording: Recording) -> tuple[FloatArray, FloatArray]:

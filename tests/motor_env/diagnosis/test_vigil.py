@@ -4,6 +4,7 @@ import itertools
 import math
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,6 +33,7 @@ from motor_env.fitting import places
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.recording import Recording
 
 WINDOW_S, ERROR = 600.0, np.diag([0.002, 0.002, 0.005, 0.01]) ** 2
 HOUR = YEAR_S / 3600.0
@@ -406,6 +408,53 @@ def test_a_watch_goes_on_from_its_memory_as_if_it_had_never_ended() -> None:
     ):
         with pytest.raises(InputError, match="the memory of the state"):
             vigil(healthy, HOUR, broken)
+
+
+def driven_by(size: float, count: int = 600) -> Recording:
+    values = size * np.resize([1.0, -1.0], count)
+    return Recording(Path("it"), np.arange(count, dtype=np.float64), values, values, values)
+
+
+@cache
+def knows_its_drive() -> Healthy:
+    """Driven by 1 and -1 in all windows."""
+    healthy, levels = commissioned(steady=True), np.repeat([-1.0, 1.0], 5)
+    assert healthy.windows is not None
+    return replace(healthy, windows=replace(healthy.windows, quantiles=np.resize(levels, (2, 3, 10))))
+
+
+def test_a_window_under_another_drive_is_no_evidence_and_teaches_nothing() -> None:
+    one, other = vigil(knows_its_drive()), vigil(knows_its_drive())
+    for watch in (one, other):
+        watch.begin()
+        watch.ended(fit(np.random.default_rng(5), np.zeros(4)))
+        watch.begin()
+    assert not one.is_strange(driven_by(1.1))
+    one._detector.add(0, np.full(len(one._along.weights), 4.0), 1)
+    one._toward = 1
+    assert one.is_strange(driven_by(2.0))
+    assert not one.goes_on
+    np.testing.assert_array_equal(one._detector.sums, other._detector.sums)
+    # What is behind it is not compared with what was before.
+    other.cut()
+    for watch in (one, other):
+        watch.begin()
+        watch.ended(fit(np.random.default_rng(6), np.zeros(4)))
+    assert one.memory == other.memory
+
+
+@pytest.mark.parametrize(("size", "is_told"), [(1.1, True), (2.0, False)])
+def test_an_alarm_under_another_drive_waits_for_the_window(
+    monkeypatch: pytest.MonkeyPatch, size: float, is_told: bool
+) -> None:
+    watch = vigil(knows_its_drive())
+    told = Judgement(Verdict.WINDING, ("because",))
+    monkeypatch.setattr(Vigil, "_fitted", lambda *_: told)
+    monkeypatch.setattr("motor_env.diagnosis.running.windows.WindowJudge.failed_sensor", lambda *_: None)
+    watch._toward = 0
+    watch._detector.sums[0, 0] = 1e9
+    assert (watch.alarm(driven_by(size), 0.01) is not None) is is_told
+    assert watch._detector.evidence == 0.0
 
 
 def test_an_alarm_is_named_by_its_evidence_where_its_samples_fit_no_fault(
