@@ -17,7 +17,8 @@ from typing import ClassVar
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
+from motor_env.diagnosis.explanations import alarm_share
+from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
 from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.failed import judgement_of
 from motor_env.diagnosis.sensors.seen import Seen
@@ -41,6 +42,9 @@ _REGIME = 2.0
 _ALIKE = 0.12
 """Distance of two windows, over what is commanded in one, up to which they are driven alike; see `apart`."""
 _LEVELS = np.linspace(0.05, 0.95, 10)
+DRIVE_SPREAD = np.array([0.035, 0.018, 0.035, 5.0])
+"""Standard deviation of the logarithms of R, K, J and B where a motor is driven otherwise. What the model lacks
+(stiction, a gear's teeth, brushes) is then taken for them in another way, and for friction by any factor."""
 DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
 NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 EXPONENTS = quantities.matrix(NAMES)
@@ -215,11 +219,17 @@ class WindowJudge:
             return judged
         if not judged.verdict.is_fault:
             return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
+        own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
+        drive = np.diag(np.square(DRIVE_SPREAD))
+        spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
+        allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
+        if allowed.verdict.is_fault:
+            return allowed
         why = (
             f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
         )
         reasons = (f"{why} {judged.reasons[0]}",)
-        return replace(judged, verdict=Verdict.UNUSABLE, reasons=reasons, severity=None, confidence=None)
+        return replace(allowed, verdict=Verdict.UNUSABLE, reasons=reasons, severity=None, confidence=None)
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
