@@ -228,18 +228,19 @@ class Vigil:
 
         The fault begins in the first of its pieces, which is not fitted where there are more. Where the samples fit no
         fault, as some of them may still be healthy, the evidence names it, unless something else has moved as well.
-
-        Args:
-            recording: of the window up to now and the one before it.
-            rate: of false alarms of a window.
+        If the last window of the recording is driven otherwise, the evidence is kept until that window's end.
         """
         pieces = min(max(math.ceil(self._detector.strongest[2]), 1), self._pieces)
         span_s, fitted_s = pieces * self.piece_s, max(pieces - 1, 1) * self.piece_s
         kind, share = self._along.kinds[self._toward], float(self._detector.shares[self._toward])
-        self._detector.forget()
         recording = averaged(recording, self.judge.windows.window_s)
-        judged = self.judge.failed_sensor(recording) or self._fitted(recording, fitted_s, rate)
-        if judged is None or self.judge.is_driven_otherwise(recording):
+        failed = self.judge.failed_sensor(recording)
+        if failed is None and self.judge.is_driven_otherwise(recording):
+            self._toward = -1
+            return None
+        self._detector.forget()
+        judged = failed or self._fitted(recording, fitted_s, rate)
+        if judged is None:
             return None
         if judged.verdict is Verdict.OTHER and kind is not None and share > _MOSTLY:
             along = zip(NAMES, self._along.along[self._toward], strict=True)
@@ -255,8 +256,7 @@ class Vigil:
             record = replace(from_recordings([recording]), hold=self.judge.windows.hold)
         except UnusableError:
             return None
-        found = end_of(record, span_s, self.judge, self._at, self._learned.scale(0))
-        if found is None:
+        if (found := end_of(record, span_s, self.judge, self._at, self._learned.scale(0))) is None:
             return None
         logs, spread = found
         reference = replace(self.judge.reference, log_covariance=spread, excess=1.0)
