@@ -85,7 +85,7 @@ class Vigil:
         most = np.array(windows.most) if windows.most else np.full(len(AXES), math.inf)
         self._counting = Counting(self._healthy, most, np.zeros(len(AXES)))
         self._at: FloatArray = np.zeros(len(NAMES))
-        self._toward, self._quiet = -1, 0.0
+        self._toward, self._quiet, self._is_strange = -1, 0.0, False
         self.begin()
         self._holds = tails_hold(windows.replayed, self._healthy * self._pieces)
         self._can_count = bool(windows.most)
@@ -217,25 +217,25 @@ class Vigil:
 
     def is_strange(self, window: Recording) -> bool:
         """Whether a window is driven otherwise than healthy ones; then it is no evidence, and teaches nothing."""
-        if not self.judge.is_driven_otherwise(window):
-            return False
-        self._detector, self._toward = self._known, -1
-        self._learned.skip()
-        return True
+        self._is_strange = self.judge.is_driven_otherwise(window)
+        if self._is_strange:
+            self._detector, self._toward = self._known, -1
+            self._learned.skip()
+        return self._is_strange
 
     def alarm(self, recording: Recording, rate: float) -> Judgement | None:
         """The judgement on what an alarm is about; None where it tells nothing. The evidence begins anew.
 
         The fault begins in the first of its pieces, which is not fitted where there are more. Where the samples fit no
         fault, as some of them may still be healthy, the evidence names it, unless something else has moved as well.
-        If the last window of the recording is driven otherwise, the evidence is kept until that window's end.
+        If the whole window before, or the recording's end, is driven otherwise, the evidence waits for the window's end.
         """
         pieces = min(max(math.ceil(self._detector.strongest[2]), 1), self._pieces)
         span_s, fitted_s = pieces * self.piece_s, max(pieces - 1, 1) * self.piece_s
         kind, share = self._along.kinds[self._toward], float(self._detector.shares[self._toward])
         recording = averaged(recording, self.judge.windows.window_s)
         failed = self.judge.failed_sensor(recording)
-        if failed is None and self.judge.is_driven_otherwise(recording):
+        if failed is None and (self._is_strange or self.judge.is_driven_otherwise(recording)):
             self._toward = -1
             return None
         self._detector.forget()

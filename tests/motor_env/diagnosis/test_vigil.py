@@ -460,6 +460,20 @@ def test_an_alarm_under_another_drive_waits_for_the_window(
     assert watch.alarm(driven_by(size), 0.01) is not None  # whatever the drive
 
 
+def test_behind_a_window_under_another_drive_alarms_wait_until_one_is_driven_as_usual(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    watch = vigil(knows_its_drive())
+    monkeypatch.setattr(Vigil, "_fitted", lambda *_: Judgement(Verdict.WINDING, ("because",)))
+    monkeypatch.setattr("motor_env.diagnosis.running.windows.WindowJudge.failed_sensor", lambda *_: None)
+    for size, is_strange in ((2.0, True), (1.0, False)):
+        watch.begin()
+        assert watch.is_strange(driven_by(size)) is is_strange
+        watch.begin()
+        watch._detector.sums[0, 0] = 1e9
+        assert (watch.alarm(driven_by(1.0), 0.01) is None) is is_strange
+
+
 def test_an_alarm_is_named_by_its_evidence_where_its_samples_fit_no_fault(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
