@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from cyclopts import run
 from networks import network_of
+from ranks import class_ranks, confidence_ranks, rank_check, severity_ranks, severity_shares
 from tables import keep_table
 
 from motor_classifiers.contest.tasks import load_task
@@ -28,13 +29,6 @@ from motor_classifiers.estimators.networks.severity_density import severity_reci
 from motor_classifiers.estimators.reference_starts import referenced_starts
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import in_recipe_order
-from motor_classifiers.scoring.ranks import (
-    class_ranks,
-    confidence_ranks,
-    rank_check,
-    severity_ranks,
-    severity_shares,
-)
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.refined import refined_probabilities

@@ -1,6 +1,8 @@
 """The joint posterior of class, severity and parameters: against the exact one, and by the ranks of the truth."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +20,13 @@ from motor_classifiers.estimators.networks.parameter_density import (
     given_fault,
     parameter_loss,
 )
-from motor_classifiers.scoring.ranks import rank_check
 from motor_datasets import generate_arrays
 from motor_env import FaultKind, Timing, load_recipe
 from motor_env.inference.class_model import ClassModel
 from motor_env.simulation.recipes import FaultClass
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+from ranks import rank_check
 
 BENCH = replace(
     load_recipe("bench", timing=Timing(1_000.0, 0.1)),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from motor_env import Diagnosis, InputError, diagnose, load_motor
+from motor_env import Diagnosis, InputError, Recording, diagnose, load_motor
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running.lessons import learn_windows
@@ -22,7 +22,6 @@ from motor_env.fitting.window import Scores
 from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.recording import Recording
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from motor_env import InputError
+from motor_env import InputError, Recording
 from motor_env.diagnosis.running.counting import Counting, fewest_in_a_row, windows_between_alarms
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.learned import Learned
@@ -33,7 +33,6 @@ from motor_env.fitting import places
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.recording import Recording
 
 WINDOW_S, ERROR = 600.0, np.diag([0.002, 0.002, 0.005, 0.01]) ** 2
 HOUR = YEAR_S / 3600.0
