@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.learning import next_window
+from motor_env.diagnosis.learning import RECORD_SPREAD, next_window
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
 from motor_env.diagnosis.running.replay import replay
 from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
@@ -38,8 +38,8 @@ from motor_env.recordings.recording import Recording
 FEWEST_WINDOWS = 4
 MOST_LEARNED = 40
 _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
-TEMPERATURE_K, STAYS_OFF = 15.0, 0.01
-"""Standard deviations of what a healthy motor may stay off: its temperature, and each logarithm for no known reason."""
+TEMPERATURE_K = 15.0
+"""How much warmer or colder a healthy motor may be, one standard deviation."""
 _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1
 """Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
@@ -139,7 +139,7 @@ def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> flo
 def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[FittedWindow]) -> Windows:
     """What pieces of the windows teach of the next ones, and how these windows alarm by what the others teach."""
     assert healthy.windows is not None  # noqa: S101  # it was learned from them
-    judge, prior_sd = judge_of(healthy), STAYS_OFF if healthy.temperature_k else 0.0
+    judge, prior_sd = judge_of(healthy), RECORD_SPREAD * (healthy.temperature_k > 0.0)
     some = slice(None, None, _every(records))
     lengths = halvings_of(healthy.windows.window_s, min(len(record.voltage_v) for record in records))
     windows = [_pieces_of(judge, *pair, lengths) for pair in zip(records[some], found[some], strict=True)]

@@ -61,14 +61,16 @@ def directions() -> Directions:
     return Directions(np.array(unit)[chosen], weights, kinds)
 
 
-def learn_scale(halvings: int, windows: Sequence[Pieces], prior_sd: float, *, temperature_k: float) -> Scale:
+def learn_scale(
+    halvings: int, windows: Sequence[Pieces], prior_sd: FloatArray, *, temperature_k: float
+) -> Scale:
     """What healthy pieces of one length teach; of whole windows each has one piece.
 
     Args:
         halvings: how often a window is halved for them.
         windows: pieces of each window.
-        prior_sd: of each logarithm: how far a healthy motor may stay off for no known reason; 0 where nothing but a
-            fault moves it.
+        prior_sd: of each logarithm: how far a healthy motor may stay off for no known reason, shape (4,); 0 where
+            nothing but a fault moves it.
         temperature_k: how much warmer or colder it may be, one standard deviation.
     """
     logs, errors, states = (np.concatenate([each[n] for each in windows]) for n in range(3))
@@ -91,8 +93,10 @@ def learn_scale(halvings: int, windows: Sequence[Pieces], prior_sd: float, *, te
         pulls = np.einsum("nij,nj->ni", inverse, off)
         levels = np.array([one @ pulls[place == n].sum(axis=0) for n, one in enumerate(believed)])
     scatter = np.cov(levels.T)
-    wander = prior_sd**2 * np.eye(_P) + temperature_k**2 * np.outer(WARMTH, WARMTH) + scatter / len(windows)
-    if halvings and prior_sd:
+    wander = (
+        np.diag(np.square(prior_sd)) + temperature_k**2 * np.outer(WARMTH, WARMTH) + scatter / len(windows)
+    )
+    if halvings and prior_sd.any():
         wander += beyond(believed.mean(axis=0), scatter)
     information: FloatArray = np.asarray(inverse.mean(axis=0), dtype=np.float64)
     return Scale(halvings, counts, centres, covariances, tails, information, wander, len(windows))

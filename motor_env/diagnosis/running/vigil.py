@@ -228,7 +228,7 @@ class Vigil:
 
         The fault begins in the first of its pieces, which is not fitted where there are more. Where the samples fit no
         fault, as some of them may still be healthy, the evidence names it, unless something else has moved as well.
-        If the whole window before, or the recording's end, is driven otherwise, the evidence waits for the window's end.
+        If the window before, or the recording's end, is driven otherwise, the evidence waits for the window's end.
         """
         pieces = min(max(math.ceil(self._detector.strongest[2]), 1), self._pieces)
         span_s, fitted_s = pieces * self.piece_s, max(pieces - 1, 1) * self.piece_s

@@ -181,8 +181,8 @@ def taught(rng: Random, count: int = 30, scale: float = 1.0) -> tuple[Scale, Sca
     short = [window(rng, 16, none, scale) for _ in range(count)]
     whole = [window(rng, 1, none, scale) for _ in range(count)]
     return (
-        learn_scale(4, short, 0.0, temperature_k=0.0),
-        learn_scale(0, whole, 0.0, temperature_k=0.0),
+        learn_scale(4, short, np.zeros(4), temperature_k=0.0),
+        learn_scale(0, whole, np.zeros(4), temperature_k=0.0),
     )
 
 
@@ -218,7 +218,7 @@ def test_each_state_has_its_own_friction_and_scatter() -> None:
         logs[:, 3] += centres
         return Pieces(logs, errors, states)
 
-    scale = learn_scale(5, [piece() for _ in range(20)], 0.0, temperature_k=0.0)
+    scale = learn_scale(5, [piece() for _ in range(20)], np.zeros(4), temperature_k=0.0)
     assert scale.centres[[0, 4], 3] == pytest.approx([0.0, -0.4], abs=0.02)
     assert np.diag(scale.covariances[4]) == pytest.approx([36.0] * 4, rel=0.3)
     assert (np.diag(scale.covariances[0]) < 1.6).all()
@@ -229,7 +229,7 @@ def test_no_piece_says_more_than_the_rarest_where_tails_are_heavy() -> None:
     rng = np.random.default_rng(5)
     heavy = [window(rng, 16, np.zeros(4)) for _ in range(30)]
     heavy = [each._replace(logs=each.logs * rng.standard_t(3.0, (16, 1))) for each in heavy]
-    of = learn_scale(4, heavy, 0.0, temperature_k=0.0)
+    of = learn_scale(4, heavy, np.zeros(4), temperature_k=0.0)
     assert of.freedom < 20.0
     far = Pieces(np.full((1, 4), 1.0), ERROR[None], np.zeros(1, dtype=np.intp))
     assert scored(of, far).max() == pytest.approx(stats.norm.isf(1.0 / 481.0))
@@ -240,7 +240,7 @@ def test_a_healthy_motor_may_stay_off_by_what_is_believed() -> None:
     """Two per cent of R and 15 K are allowed where 1 % is; 15 % more of R are not."""
     rng = np.random.default_rng(6)
     windows = [window(rng, 1, np.zeros(4)) for _ in range(12)]
-    of = learn_scale(0, windows, 0.01, temperature_k=15.0)
+    of = learn_scale(0, windows, np.full(4, 0.01), temperature_k=15.0)
     warm = 15.0 * np.array([0.00393, -0.001, 0.0, -0.003])
     for off, least, most in (
         (np.array([0.02, 0.0, 0.0, 0.0]), -9.0, 0.0),
@@ -294,7 +294,7 @@ def test_counting_allows_what_a_healthy_motor_may_stay_off() -> None:
 def commissioned(*, steady: bool, scatter: float = 1.0, seed: int = 8) -> Healthy:
     """Twelve windows of ten minutes, without shorter pieces."""
     rng = np.random.default_rng(seed)
-    kelvin, prior = (0.0, 0.0) if steady else (15.0, 0.01)
+    kelvin, prior = (0.0, np.zeros(4)) if steady else (15.0, np.full(4, 0.01))
     whole = [window(rng, 1, np.zeros(4), scatter) for _ in range(12)]
 
     def scale(some: list[Pieces]) -> Scale:

@@ -49,7 +49,7 @@ from motor_env.fitting.record import Record
 # Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
 from motor_env.fitting.window import WindowFit
 from motor_env.motor.healthy import Healthy, Starts, Windows
-from motor_env.motor.identifiable import matrix, visible_direction
+from motor_env.motor.identifiable import matrix, visible_direction, warmth_direction
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.regime import Taken
@@ -574,6 +574,20 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     (whole,) = taught.scales  # half a second is too short for shorter pieces
     assert (whole.halvings, whole.counts[0], whole.healthy_windows) == (0, 6.0, 6)
     assert (len(taught.most), len(taught.replayed)) == (8, 12)
+
+
+def test_a_healthy_motor_may_stay_off_as_from_record_to_record_and_by_its_warmth(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wander = []
+    for steady in (True, False):
+        Lesson(monkeypatch)
+        healthy, _ = learn_windows([recording(3100)], 0.5, steady=steady)
+        assert healthy.windows is not None
+        wander.append(healthy.windows.scales[0].wander)
+    warmth = warmth_direction(matrix(NAMES))
+    expected = np.diag([1e-4, 0.25e-4, 1e-4, 25e-4]) + 15.0**2 * np.outer(warmth, warmth)
+    np.testing.assert_allclose(wander[1] - wander[0], expected, atol=1e-12)
 
 
 def taught(recordings: Sequence[Recording], window_s: float | None = None) -> Windows:
