@@ -109,8 +109,8 @@ class Windows:
         peaks: largest voltage, current and speed of the windows: the scale of what is small; 1 each unless given.
         window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
             their own errors where these are larger (variance).
-        quantiles: of voltage, current and speed of healthy windows, shape (n, 3, 10): how the motor was driven.
-            None where nothing but a fault moves the motor.
+        driven: how voltage, current and speed were distributed and moved in healthy windows, shape (n, 3, 17), see
+            `running.windows.driven`. None where nothing but a fault moves the motor.
         scales: what healthy pieces of windows have taught, the shortest first and whole windows last; none for
             windows that were not watched.
         most: how far the farthest healthy window is off along each of `running.scales.AXES`.
@@ -126,17 +126,17 @@ class Windows:
     rms_volts: tuple[Positive, Positive] | None = None
     peaks: tuple[Positive, Positive, Positive] | None = None
     window_excess: Positive = 1.0
-    quantiles: Annotated[FloatArray, ArrayOf(tuple[tuple[tuple[Finite, ...], ...], ...])] | None = None
+    driven: Annotated[FloatArray, ArrayOf(tuple[tuple[tuple[Finite, ...], ...], ...])] | None = None
     scales: tuple[Scale, ...] = ()
     most: tuple[Finite, ...] = ()
     replayed: tuple[Annotated[int, Field(ge=0)], ...] = ()
 
     def __post_init__(self) -> None:
-        if self.quantiles is not None:
-            n, *shape = np.shape(self.quantiles)
+        if self.driven is not None:
+            n, *shape = np.shape(self.driven)
             require(
-                n > 1 and shape == [3, 10],
-                "healthy.windows.quantiles must be 10 of voltage, current and speed each, of two windows or more",
+                n > 1 and shape == [3, 17],
+                "healthy.windows.driven must hold 3 rows of 17 numbers of each of two windows or more",
             )
 
 

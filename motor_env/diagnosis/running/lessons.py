@@ -110,7 +110,7 @@ def learn_windows(
         rms_volts=(min(volts), max(volts)),
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
         window_excess=_squares(ratios, spreads) / _squares(ratios, [covariance] * len(fits)),
-        quantiles=None if steady else np.array([driven(part) for part in parts[:: _every(parts)]]),
+        driven=None if steady else np.array([driven(part) for part in parts[:: _every(parts)]]),
     )
     warm = 0.0 if steady else TEMPERATURE_K
     healthy = Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows)

@@ -217,7 +217,7 @@ class Vigil:
 
     def is_strange(self, window: Recording) -> bool:
         """Whether a window is driven otherwise than healthy ones; then it is no evidence, and teaches nothing."""
-        self._is_strange = self.judge.is_driven_otherwise(window)
+        self._is_strange = self.judge.strangeness(window) > 1.0
         if self._is_strange:
             self._detector, self._toward = self._known, -1
             self._learned.skip()
@@ -235,7 +235,7 @@ class Vigil:
         kind, share = self._along.kinds[self._toward], float(self._detector.shares[self._toward])
         recording = averaged(recording, self.judge.windows.window_s)
         failed = self.judge.failed_sensor(recording)
-        if failed is None and (self._is_strange or self.judge.is_driven_otherwise(recording)):
+        if failed is None and (self._is_strange or self.judge.strangeness(recording) > 1.0):
             self._toward = -1
             return None
         self._detector.forget()

@@ -39,12 +39,12 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
-_ALIKE = 0.12
-"""Distance of two windows, over what is commanded in one, up to which they are driven alike; see `apart`."""
-_LEVELS = np.linspace(0.05, 0.95, 10)
-DRIVE_SPREAD = np.array([0.035, 0.018, 0.035, 5.0])
-"""Standard deviation of the logarithms of R, K, J and B where a motor is driven otherwise. What the model lacks
-(stiction, a gear's teeth, brushes) is then taken for them in another way, and for friction by any factor."""
+_ALIKE, _FAR = 0.12, 3.0
+"""Distance of two windows up to which they are driven alike, see `apart`; and how many times that tells no fault."""
+_LEVELS, _HALVINGS = np.linspace(0.05, 0.95, 10), range(3, 10)
+DRIVE_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
+"""Standard deviation of the logarithms of R, K, J and B where a motor is driven otherwise, but not far: what the model
+lacks (stiction, a gear's teeth, brushes) is then taken for them in another way."""
 DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
 NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 EXPONENTS = quantities.matrix(NAMES)
@@ -132,18 +132,18 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
-    def is_driven_otherwise(self, recording: Recording) -> bool:
-        """Whether no healthy window was driven like the last one of a recording.
+    def strangeness(self, recording: Recording) -> float:
+        """How far the last window of a recording is from being driven like any healthy one: above 1 it is not.
 
         The error of the model is much the same in all windows of one drive, and another one in those of another.
         Where healthy windows themselves are farther apart, so may this one be.
         """
-        known = self.windows.quantiles
+        known = self.windows.driven
         if known is None:
-            return False
+            return 0.0
         last = cut(recording, slice(-round(self.windows.window_s / recording.dt_s), None))
         among = max(apart(one, np.delete(known, n, axis=0)) for n, one in enumerate(known))
-        return apart(driven(last), known) > max(_ALIKE, among)
+        return apart(driven(last), known) / max(_ALIKE, among)
 
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""
@@ -215,7 +215,7 @@ class WindowJudge:
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
         judged = decide(fit, self.reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
-        if judged.verdict is Verdict.UNUSABLE or not self.is_driven_otherwise(part):
+        if judged.verdict is Verdict.UNUSABLE or (strange := self.strangeness(part)) <= 1.0:
             return judged
         if not judged.verdict.is_fault:
             return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
@@ -223,7 +223,7 @@ class WindowJudge:
         drive = np.diag(np.square(DRIVE_SPREAD))
         spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
         allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
-        if allowed.verdict.is_fault:
+        if allowed.verdict.is_fault and strange <= _FAR:
             return allowed
         why = (
             f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
@@ -251,24 +251,32 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
 
 
 def driven(part: Recording) -> FloatArray:
-    """How a motor is driven: quantiles of voltage, current and speed, shape (3, 10)."""
+    """How a motor is driven: voltage, current and speed by 10 quantiles and by their moves, shape (3, 17).
+
+    The moves are the root mean squares of the change within an eighth of the recording, a sixteenth, ... a 512th.
+    """
     volts, speed = needed_columns(part)
-    return np.quantile([volts, part.current_a, speed], _LEVELS, axis=1).T
+    columns = np.array([volts, part.current_a, speed])
+    lags = [max(len(volts) >> times, 1) for times in _HALVINGS]
+    moves = [np.sqrt(np.mean(np.square(columns[:, lag:] - columns[:, :-lag]), axis=1)) for lag in lags]
+    return np.concatenate([np.quantile(columns, _LEVELS, axis=1), moves]).T
 
 
 def apart(one: FloatArray, others: FloatArray) -> float:
     """How far a window is from being driven like any of some others.
 
     A drive commands the voltage, the speed or the current. A fault leaves what is commanded as it is, however much it
-    changes the rest. So the one that is most alike counts: the mean distance of its quantiles (Wasserstein) over their
-    root mean square.
+    changes the rest. So the one that is most alike counts: the mean distance of its quantiles (Wasserstein) or that of
+    its moves, whichever is larger, over the root mean square of the quantiles.
 
     Args:
-        one: its quantiles, shape (3, 10).
-        others: theirs, shape (n, 3, 10).
+        one: how it is driven, shape (3, 17).
+        others: how they are, shape (n, 3, 17).
     """
-    sizes = np.sqrt(np.mean(np.square(others), axis=2))
-    return float(np.min(np.mean(np.abs(others - one), axis=2) / np.maximum(sizes, np.finfo(float).tiny)))
+    levels, off = len(_LEVELS), np.abs(others - one)
+    sizes = np.sqrt(np.mean(np.square(others[..., :levels]), axis=2))
+    distances = np.maximum(off[..., :levels].mean(axis=2), off[..., levels:].mean(axis=2))
+    return float(np.min(distances / np.maximum(sizes, np.finfo(float).tiny)))
 
 
 def needed_columns(recording: Recording) -> tuple[FloatArray, FloatArray]:

@@ -27,7 +27,7 @@ from motor_env.diagnosis.running.scales import (
     reaches,
 )
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
-from motor_env.diagnosis.running.windows import NAMES, FittedWindow, judge_of
+from motor_env.diagnosis.running.windows import NAMES, FittedWindow, driven, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.motor.faults import FaultKind
@@ -417,9 +417,9 @@ def driven_by(size: float, count: int = 600) -> Recording:
 @cache
 def knows_its_drive() -> Healthy:
     """Driven by 1 and -1 in all windows."""
-    healthy, levels = commissioned(steady=True), np.repeat([-1.0, 1.0], 5)
+    healthy, known = commissioned(steady=True), driven(driven_by(1.0))
     assert healthy.windows is not None
-    return replace(healthy, windows=replace(healthy.windows, quantiles=np.resize(levels, (2, 3, 10))))
+    return replace(healthy, windows=replace(healthy.windows, driven=np.array([known, known])))
 
 
 def test_a_window_under_another_drive_is_no_evidence_and_teaches_nothing() -> None:

@@ -564,13 +564,17 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     assert (
         taught.window_excess < 0.99
     ) is steady  # where there is no prior some errors are larger than the spread
-    assert (taught.quantiles is None) is steady
-    if taught.quantiles is not None:
-        levels = np.linspace(0.05, 0.95, 10)
-        amps = 500.0 * np.arange(6.0)[:, None] + 499.0 * levels
-        np.testing.assert_allclose(taught.quantiles[:, 1:], np.stack([amps, 30.0 * amps], axis=1))
-        sine = -7.0 * math.sqrt(2.0) * np.cos(math.pi * levels)
-        np.testing.assert_allclose(taught.quantiles[:, 0], np.tile(sine, (6, 1)), atol=0.3)
+    assert (taught.driven is None) is steady
+    if taught.driven is not None:
+        levels, lags = np.linspace(0.05, 0.95, 10), np.array([62, 31, 15, 7, 3, 1, 1])
+        amps = np.hstack(
+            [500.0 * np.arange(6.0)[:, None] + 499.0 * levels, np.tile(lags.astype(float), (6, 1))]
+        )
+        np.testing.assert_allclose(taught.driven[:, 1:], np.stack([amps, 30.0 * amps], axis=1))
+        sine = np.append(
+            -7.0 * np.cos(math.pi * levels), 14.0 * np.sin(math.pi * lags / 100.0) / math.sqrt(2.0)
+        )
+        np.testing.assert_allclose(taught.driven[:, 0], np.tile(sine * math.sqrt(2.0), (6, 1)), atol=0.3)
     (whole,) = taught.scales  # half a second is too short for shorter pieces
     assert (whole.halvings, whole.counts[0], whole.healthy_windows) == (0, 6.0, 6)
     assert (len(taught.most), len(taught.replayed)) == (8, 12)
