@@ -1,9 +1,11 @@
 """False alarms of `motor-env watch` on healthy motors whose physics the fit does not have.
 
     python benchmarks/watch_other_physics.py --motors 40 --hours 0.5 --workers 2 --rows out/watch_other_physics.jsonl
+    python benchmarks/watch_other_physics.py --motors 20 --otherwise --rows out/watch_otherwise.jsonl
 
 Motors of operation_simulator.py with all its switches on, each at work under one profile at 100 Hz. Windows of 20 s, a
-commissioning of 200 s, one false alarm an hour asked for. A run that was stopped goes on where it was.
+commissioning of 200 s, one false alarm an hour asked for. A run that was stopped goes on where it was. With --otherwise
+each motor is then driven for 100 s in each of running_windows.UNDER, and for 100 s as it was after each of them.
 """
 
 from collections import Counter
@@ -15,6 +17,7 @@ import numpy as np
 from cyclopts import run
 from kept_rows import kept_rows
 from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
+from running_windows import UNDER
 from scipy.stats import poisson
 from tables import keep_table
 from watch_counts import RATES, alarm_row, alarms, due, lines
@@ -23,6 +26,7 @@ from motor_env.live.state import State
 from motor_env.live.watch import Lesson, Watch
 
 WINDOW_S, LEARN_S, DT_S = 20.0, 200.0, 0.01
+BLOCK_S, PAUSE_S = 100.0, 1.0
 PROMISES = {"tails": "if the fitted tails hold", "counting": "by counting alone", "nothing": "not compared"}
 HEADER = (
     "profile",
@@ -36,6 +40,10 @@ HEADER = (
     "unusable windows",
     "by",
 )
+
+
+WORDS = ("healthy", "unusable", "alarms")
+HEADER_OTHERWISE = ("driven", "hours", "alarms due", *WORDS, "motors that alarm")
 
 
 def one(job: tuple[int, int, float]) -> dict[str, Any]:
@@ -60,6 +68,41 @@ def one(job: tuple[int, int, float]) -> dict[str, Any]:
     }
 
 
+def strange(job: tuple[int, int]) -> dict[str, Any]:
+    """One motor under other drives than that of its commissioning: what was said of its windows, and alarms."""
+    seed, number = job
+    rng, profile = np.random.default_rng([seed, number]), PROFILES[number % len(PROFILES)]
+    motor, own = draw_motor(rng, SWITCHES), dict[str, Any](profile=profile)
+    drives: list[tuple[str, float, dict[str, Any]]] = [("", LEARN_S + WINDOW_S, own)]
+    for name, options in UNDER.items():
+        drives += [(name, BLOCK_S, own | options), ("the same", BLOCK_S, own)]
+    begins, blocks, end_s = [], list[Any](), 0.0
+    for _, length_s, options in drives:
+        recording = simulate(motor, rng=rng, samples=round(length_s / DT_S), dt_s=DT_S, **options)
+        begins.append(end_s)
+        columns = (recording.time_s + end_s, recording.voltage_v, recording.current_a, recording.speed_rad_s)
+        blocks.append(np.column_stack([np.asarray(column) for column in columns]))
+        end_s = float(blocks[-1][-1, 0]) + PAUSE_S
+    watch = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=RATES["hour"])
+    said = Counter[str]()
+    for event in watch.events(lines(blocks, b"%.2f,%.6g,%.6g,%.6g\n")):
+        if event.kind in ("window", "another_motor"):
+            name = drives[int(np.searchsorted(begins, event.time_s, side="right")) - 1][0]
+            word = event.name.removeprefix("window ")
+            said[f"{name}, {word if word in ('healthy', 'unusable') else 'alarms'}"] += 1
+    return {"number": number, "profile": profile, "said": said}
+
+
+def rows_by_drive(found: list[dict[str, Any]]) -> Iterator[list[str]]:
+    """Rows of the table of motors that are driven otherwise."""
+    for name in UNDER:
+        each = [Counter({word: row["said"].get(f"{name}, {word}", 0) for word in WORDS}) for row in found]
+        hours = len(each) * BLOCK_S / 3600.0 * (len(UNDER) + 1 if name == "the same" else 1)
+        counts = [str(sum(one[word] for one in each)) for word in WORDS]
+        alarmed = sum(one["alarms"] > 0 for one in each)
+        yield [name, f"{hours:.2g}", f"{hours:.2g}", *counts, f"{alarmed} of {len(each)}"]
+
+
 def rows_by_profile(found: list[dict[str, Any]]) -> Iterator[list[str]]:
     """Rows of the table, and one of all."""
     for profile in (*PROFILES, "all"):
@@ -81,7 +124,13 @@ def rows_by_profile(found: list[dict[str, Any]]) -> Iterator[list[str]]:
 
 
 def main(
-    *, motors: int = 40, hours: float = 0.5, seed: int = 5, workers: int = 1, rows: Path | None = None
+    *,
+    motors: int = 40,
+    hours: float = 0.5,
+    seed: int = 5,
+    otherwise: bool = False,
+    workers: int = 1,
+    rows: Path | None = None,
 ) -> None:
     """Watch the motors and keep the table.
 
@@ -89,9 +138,15 @@ def main(
         motors: number.
         hours: that each is watched.
         seed: of the motors.
+        otherwise: drive the motors otherwise than when they were commissioned.
         workers: processes.
         rows: file of a JSON line a motor; those that it holds are not watched again.
     """
+    if otherwise:
+        pairs = {number: (seed, number) for number in range(motors)}
+        said = kept_rows(strange, pairs, lambda row: row["number"], workers, rows)
+        keep_table("operation", "watched_otherwise", HEADER_OTHERWISE, rows_by_drive(said))
+        return
     jobs = {number: (seed, number, hours) for number in range(motors)}
     known = kept_rows(one, jobs, lambda row: row["number"], workers, rows)
     keep_table("operation", "watched", HEADER, rows_by_profile(known))
