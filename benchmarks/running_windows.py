@@ -120,6 +120,8 @@ def main(
         records: of which each motor is commissioned, each with a work of its own; a divisor of LEARNED.
         how: options of every table.
     """
+    if LEARNED % records:
+        raise SystemExit(f"--records must divide {LEARNED}, got {records}")
     of: dict[str, Any] = {"seed": seed} | ({"other_physics": True} if other_physics else {})
     if window_s is not None:
         of["window_s"] = window_s

@@ -140,9 +140,7 @@ def states_of(best: Solution) -> FloatArray:
     return np.concatenate([states, np.gradient(states, axis=0)], axis=1)
 
 
-def model_error(
-    white: FloatArray, rows: FloatArray, series: FloatArray, *, states: FloatArray | None = None
-) -> FloatArray:
+def model_error(white: FloatArray, rows: FloatArray, series: FloatArray, *, states: FloatArray) -> FloatArray:
     """Covariance that a model's error adds to that of a stationary series, shape (p, p).
 
     A model that is wrong somewhere, as where a supply rises, errs most in samples that tell most. No stationary series
@@ -159,7 +157,7 @@ def model_error(
         white: residuals, see `normalised`.
         rows: their derivatives.
         series: covariance under a stationary series, see `sandwich`.
-        states: what the record is cut by beside time, shape (n, m); None for time alone.
+        states: what the record is cut by beside time, shape (n, m).
     """
     n, channels = white.shape
     values, axes = np.linalg.eigh(_inverse(rows.T @ rows))
@@ -167,11 +165,9 @@ def model_error(
     shares = rows[: n * channels].reshape(n, channels, -1) @ root
     leverage = np.einsum("ncp,ncp->n", shares, shares)
     total, by_chance = series, (1.0 + math.sqrt(len(series) / _PARTS)) ** 2
-    orders = [np.arange(n)]
-    if states is not None:
-        # At rest, only rounding tells states apart: they keep their order in time, so that every machine says the same.
-        rounded = np.round(states / np.maximum(np.ptp(states, axis=0), 1e-300), 6)
-        orders.extend(np.argsort(rounded.T, kind="stable"))
+    # At rest, only rounding tells states apart: they keep their order in time, so that every machine says the same.
+    rounded = np.round(states / np.maximum(np.ptp(states, axis=0), 1e-300), 6)
+    orders = [np.arange(n), *np.argsort(rounded.T, kind="stable")]
     for order, usual in zip(orders, [1.0] + [by_chance] * (len(orders) - 1), strict=True):
         told = np.cumsum(leverage[order])
         parts = np.minimum((_PARTS * told / max(float(told[-1]), 1e-300)).astype(int), _PARTS - 1)

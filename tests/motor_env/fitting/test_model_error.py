@@ -33,7 +33,7 @@ def told(of: Line) -> tuple[FloatArray, FloatArray]:
 def both(of: Line) -> tuple[FloatArray, FloatArray]:
     """Covariance of a stationary series, and what the model's error adds."""
     series, _ = sandwich(*told(of))
-    return series, model_error(*told(of), series)
+    return series, model_error(*told(of), series, states=np.empty((len(of.design), 0)))
 
 
 def test_scores_of_parts_are_scaled_as_bell_and_mccaffrey_have_it() -> None:
