@@ -110,7 +110,7 @@ class Windows:
         window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
             their own errors where these are larger (variance).
         driven: how voltage, current and speed were distributed and moved in healthy windows, shape (n, 3, 17), see
-            `running.windows.driven`. None where nothing but a fault moves the motor.
+            `running.windows.driven`. None where nothing but a fault moves the motor, or the model lacks nothing.
         scales: what healthy pieces of windows have taught, the shortest first and whole windows last; none for
             windows that were not watched.
         most: how far the farthest healthy window is off along each of `running.scales.AXES`.

@@ -44,6 +44,8 @@ _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1
 """Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
 fits say, and as they scatter."""
+_LEFT = 0.1
+"""Torque that is another one in each interval, over the drag, from which on the model lacks something of the motor."""
 _NOISES = slice(places.NOISE_I, places.WALK + 1)
 
 
@@ -79,6 +81,7 @@ def learn_windows(
     if joint.record.steps_seen < FEWEST_STEPS:
         raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
     known, wanted, hold = known_of(joint), joint.solution.names, joint.record.hold
+    speed, errs = effective_speed(joint), not steady and _lacks_something(joint)
     if steady:
         wanted = tuple(name for name in wanted if not name.startswith("offset"))
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
@@ -95,7 +98,6 @@ def learn_windows(
         known[places.WALK] = 0.0
     fits = [fit_window(record, known, wanted) for record in records]
     volts = [rms_volts(part) for part in parts]
-    speed = effective_speed(joint)
     found = [over_speed(fit, known, speed) for fit in fits]
     centre, covariance, freedom = next_window(found, steady=steady)
     ratios = [fit.log_values - centre for fit in found]
@@ -110,11 +112,18 @@ def learn_windows(
         rms_volts=(min(volts), max(volts)),
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
         window_excess=_squares(ratios, spreads) / _squares(ratios, [covariance] * len(fits)),
-        driven=None if steady else np.array([driven(part) for part in parts[:: _every(parts)]]),
+        driven=np.array([driven(part) for part in parts[:: _every(parts)]]) if errs else None,
     )
     warm = 0.0 if steady else TEMPERATURE_K
     healthy = Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows)
     return replace(healthy, windows=_with_scales(healthy, records, found)), found
+
+
+def _lacks_something(joint: Operation) -> bool:
+    """Whether a torque is left that no term of the model explains; else it errs under no drive."""
+    known = joint.solution.values
+    drag = known[places.COULOMB] + known[places.B] * effective_speed(joint)
+    return bool(known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag)
 
 
 def _twentieth_s(recordings: Sequence[Recording]) -> float:

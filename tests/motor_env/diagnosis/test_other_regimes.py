@@ -14,7 +14,7 @@ from motor_env import Diagnosis, InputError, Recording, diagnose, load_motor
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, apart, driven, judge_of
+from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, apart, driven, judge_of, windows_of
 from motor_env.diagnosis.verdict import Verdict
 
 # Reaches in: windows and scores are made by hand.
@@ -37,9 +37,14 @@ def geared() -> SimulatedMotor:
 
 @pytest.fixture(scope="module")
 def commissioned(geared: SimulatedMotor) -> Healthy:
-    rng, dt_s = np.random.default_rng(5), 0.1 * geared.mechanical_s
-    healthy, _ = learn_windows([simulate(geared, "reversals", rng, samples=2400, dt_s=dt_s)], 400 * dt_s)
-    return healthy
+    """As if the model lacked something of that motor."""
+    dt_s = 0.1 * geared.mechanical_s
+    log = simulate(geared, "reversals", np.random.default_rng(5), samples=2400, dt_s=dt_s)
+    healthy, _ = learn_windows([log], 400 * dt_s)
+    assert healthy.windows is not None
+    assert healthy.windows.driven is None
+    known = np.array([driven(part) for part in windows_of(log, 400 * dt_s)])
+    return replace(healthy, windows=replace(healthy.windows, driven=known))
 
 
 def test_the_loss_of_a_gear_is_found(geared: SimulatedMotor) -> None:

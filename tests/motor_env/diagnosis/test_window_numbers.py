@@ -528,7 +528,7 @@ def test_each_healthy_window_is_judged_by_the_others(temperature_k: float, times
 
 @pytest.mark.parametrize("steady", [False, True])
 def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    Lesson(monkeypatch)
+    Lesson(monkeypatch).values[places.NOISE_T] = 1.0
     found, learned = learn_windows([recording(3100)], 0.5, steady=steady)
     assert found.windows is not None
     # The drag over the effective speed: the factor times 2e-6 + 3e-4 / 100.
@@ -578,6 +578,26 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     (whole,) = taught.scales  # half a second is too short for shorter pieces
     assert (whole.halvings, whole.counts[0], whole.healthy_windows) == (0, 6.0, 6)
     assert (len(taught.most), len(taught.replayed)) == (8, 12)
+
+
+@pytest.mark.parametrize(
+    ("place", "torque", "is_kept"),
+    [
+        (places.NOISE_T, 0.0, False),
+        (places.NOISE_T, 0.99e-4, False),
+        (places.NOISE_T, 1.01e-4, True),
+        (places.WALK, 1e-9, True),
+    ],
+)
+def test_how_a_motor_was_driven_is_kept_where_its_model_lacks_something(
+    monkeypatch: pytest.MonkeyPatch, place: int, torque: float, is_kept: bool
+) -> None:
+    """Of 1e-3 N m of friction at the effective speed a tenth is another torque in each interval; or a load walks."""
+    lesson = Lesson(monkeypatch)
+    lesson.values[[places.B, places.COULOMB, place]] = 4e-6, 6e-4, torque
+    healthy, _ = learn_windows([recording(3100)], 0.5)
+    assert healthy.windows is not None
+    assert (healthy.windows.driven is not None) is is_kept
 
 
 def test_a_healthy_motor_may_stay_off_as_from_record_to_record_and_by_its_warmth(
