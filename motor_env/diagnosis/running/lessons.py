@@ -44,7 +44,7 @@ _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1
 """Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
 fits say, and as they scatter."""
-_LEFT = 0.1
+_LEFT = 0.05
 """Torque that is another one in each interval, over the drag, from which on the model lacks something of the motor."""
 _NOISES = slice(places.NOISE_I, places.WALK + 1)
 

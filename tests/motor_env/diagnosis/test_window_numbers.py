@@ -584,15 +584,15 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     ("place", "torque", "is_kept"),
     [
         (places.NOISE_T, 0.0, False),
-        (places.NOISE_T, 0.99e-4, False),
-        (places.NOISE_T, 1.01e-4, True),
+        (places.NOISE_T, 0.99 * 5e-5, False),
+        (places.NOISE_T, 1.01 * 5e-5, True),
         (places.WALK, 1e-9, True),
     ],
 )
 def test_how_a_motor_was_driven_is_kept_where_its_model_lacks_something(
     monkeypatch: pytest.MonkeyPatch, place: int, torque: float, is_kept: bool
 ) -> None:
-    """Of 1e-3 N m of friction at the effective speed a tenth is another torque in each interval; or a load walks."""
+    """Of 1e-3 N m of friction at the effective speed 5 % are another torque in each interval; or a load walks."""
     lesson = Lesson(monkeypatch)
     lesson.values[[places.B, places.COULOMB, place]] = 4e-6, 6e-4, torque
     healthy, _ = learn_windows([recording(3100)], 0.5)
