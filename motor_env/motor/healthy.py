@@ -110,7 +110,8 @@ class Windows:
         window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
             their own errors where these are larger (variance).
         driven: how voltage, current and speed were distributed and moved in healthy windows, shape (n, 3, 17), see
-            `running.windows.driven`. None where nothing but a fault moves the motor, or the model lacks nothing.
+            `running.windows.driven`. None where nothing but a fault moves the motor.
+        alike: how far from these a window may be that is driven alike.
         scales: what healthy pieces of windows have taught, the shortest first and whole windows last; none for
             windows that were not watched.
         most: how far the farthest healthy window is off along each of `running.scales.AXES`.
@@ -127,16 +128,16 @@ class Windows:
     peaks: tuple[Positive, Positive, Positive] | None = None
     window_excess: Positive = 1.0
     driven: Annotated[FloatArray, ArrayOf(tuple[tuple[tuple[Finite, ...], ...], ...])] | None = None
+    alike: Positive = 1.0
     scales: tuple[Scale, ...] = ()
     most: tuple[Finite, ...] = ()
     replayed: tuple[Annotated[int, Field(ge=0)], ...] = ()
 
     def __post_init__(self) -> None:
         if self.driven is not None:
-            n, *shape = np.shape(self.driven)
             require(
-                n > 1 and shape == [3, 17],
-                "healthy.windows.driven must hold 3 rows of 17 numbers of each of two windows or more",
+                np.shape(self.driven)[1:] == (3, 17),
+                "healthy.windows.driven must hold 3 rows of 17 numbers of each window",
             )
 
 

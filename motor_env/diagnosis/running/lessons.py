@@ -13,11 +13,14 @@ from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
 from motor_env.diagnosis.running.replay import replay
 from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
 from motor_env.diagnosis.running.windows import (
+    ALIKE,
+    FAR,
     MOST_SAMPLES,
     NAMES,
     NEEDED,
     FittedWindow,
     WindowJudge,
+    apart,
     driven,
     judge_of,
     over_speed,
@@ -81,7 +84,8 @@ def learn_windows(
     if joint.record.steps_seen < FEWEST_STEPS:
         raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
     known, wanted, hold = known_of(joint), joint.solution.names, joint.record.hold
-    speed, errs = effective_speed(joint), not steady and _lacks_something(joint)
+    moved = np.array([driven(part) for part in parts[:: _every(parts)]])
+    speed, alike = effective_speed(joint), _alike(moved, joint)
     if steady:
         wanted = tuple(name for name in wanted if not name.startswith("offset"))
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
@@ -112,18 +116,26 @@ def learn_windows(
         rms_volts=(min(volts), max(volts)),
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
         window_excess=_squares(ratios, spreads) / _squares(ratios, [covariance] * len(fits)),
-        driven=np.array([driven(part) for part in parts[:: _every(parts)]]) if errs else None,
+        driven=None if steady else moved,
+        alike=alike,
     )
     warm = 0.0 if steady else TEMPERATURE_K
     healthy = Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows)
     return replace(healthy, windows=_with_scales(healthy, records, found)), found
 
 
-def _lacks_something(joint: Operation) -> bool:
-    """Whether a torque is left that no term of the model explains; else it errs under no drive."""
-    known = joint.solution.values
+def _alike(moved: FloatArray, joint: Operation) -> float:
+    """How far a window may be from healthy ones that is driven alike: as far as each of these is from the others.
+
+    Where no torque is left that the model does not explain, it errs under drives that are far from these only.
+    """
+    known, among = (
+        joint.solution.values,
+        [apart(one, np.delete(moved, n, axis=0)) for n, one in enumerate(moved)],
+    )
     drag = known[places.COULOMB] + known[places.B] * effective_speed(joint)
-    return bool(known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag)
+    lacks = known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag
+    return max(ALIKE, *among) * (1.0 if lacks else FAR)
 
 
 def _twentieth_s(recordings: Sequence[Recording]) -> float:

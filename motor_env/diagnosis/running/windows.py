@@ -39,7 +39,7 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
-_ALIKE, _FAR = 0.12, 3.0
+ALIKE, FAR = 0.12, 3.0
 """Distance of two windows up to which they are driven alike, see `apart`; and how many times that tells no fault."""
 _LEVELS, _HALVINGS = np.linspace(0.05, 0.95, 10), range(3, 10)
 DRIVE_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
@@ -136,14 +136,11 @@ class WindowJudge:
         """How far the last window of a recording is from being driven like any healthy one: above 1 it is not.
 
         The error of the model is much the same in all windows of one drive, and another one in those of another.
-        Where healthy windows themselves are farther apart, so may this one be.
         """
-        known = self.windows.driven
-        if known is None:
+        if self.windows.driven is None:
             return 0.0
         last = cut(recording, slice(-round(self.windows.window_s / recording.dt_s), None))
-        among = max(apart(one, np.delete(known, n, axis=0)) for n, one in enumerate(known))
-        return apart(driven(last), known) / max(_ALIKE, among)
+        return apart(driven(last), self.windows.driven) / self.windows.alike
 
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""
@@ -223,7 +220,7 @@ class WindowJudge:
         drive = np.diag(np.square(DRIVE_SPREAD))
         spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
         allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
-        if allowed.verdict.is_fault and strange <= _FAR:
+        if allowed.verdict.is_fault and strange <= FAR:
             return allowed
         why = (
             f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"

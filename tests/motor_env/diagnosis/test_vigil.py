@@ -419,7 +419,7 @@ def knows_its_drive() -> Healthy:
     """Driven by 1 and -1 in all windows."""
     healthy, known = commissioned(steady=True), driven(driven_by(1.0))
     assert healthy.windows is not None
-    return replace(healthy, windows=replace(healthy.windows, driven=np.array([known, known])))
+    return replace(healthy, windows=replace(healthy.windows, driven=known[None], alike=0.12))
 
 
 def test_a_window_under_another_drive_is_no_evidence_and_teaches_nothing() -> None:

@@ -32,7 +32,9 @@ from motor_env.diagnosis.running.windows import (
     WARMTH,
     FittedWindow,
     WindowJudge,
+    apart,
     averaged,
+    driven,
     judge_of,
     over_speed,
     rms_volts,
@@ -528,7 +530,7 @@ def test_each_healthy_window_is_judged_by_the_others(temperature_k: float, times
 
 @pytest.mark.parametrize("steady", [False, True])
 def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    Lesson(monkeypatch).values[places.NOISE_T] = 1.0
+    Lesson(monkeypatch)
     found, learned = learn_windows([recording(3100)], 0.5, steady=steady)
     assert found.windows is not None
     # The drag over the effective speed: the factor times 2e-6 + 3e-4 / 100.
@@ -581,23 +583,32 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(
-    ("place", "torque", "is_kept"),
+    ("place", "torque", "times"),
     [
-        (places.NOISE_T, 0.0, False),
-        (places.NOISE_T, 0.99 * 5e-5, False),
-        (places.NOISE_T, 1.01 * 5e-5, True),
-        (places.WALK, 1e-9, True),
+        (places.NOISE_T, 0.0, 3.0),
+        (places.NOISE_T, 0.99 * 5e-5, 3.0),
+        (places.NOISE_T, 1.01 * 5e-5, 1.0),
+        (places.WALK, 1e-9, 1.0),
     ],
 )
-def test_how_a_motor_was_driven_is_kept_where_its_model_lacks_something(
-    monkeypatch: pytest.MonkeyPatch, place: int, torque: float, is_kept: bool
+@pytest.mark.parametrize("is_alike", [True, False])
+def test_a_model_that_lacks_nothing_errs_under_far_drives_only(
+    monkeypatch: pytest.MonkeyPatch, place: int, torque: float, times: float, is_alike: bool
 ) -> None:
-    """Of 1e-3 N m of friction at the effective speed 5 % are another torque in each interval; or a load walks."""
-    lesson = Lesson(monkeypatch)
+    """Of 1e-3 N m of friction at the effective speed 5 % are another torque in each interval; or a load walks.
+
+    Beyond 0.12 windows are driven alike that are as far apart as the healthy one is that is farthest from all others.
+    """
+    lesson, log, among = Lesson(monkeypatch), recording(3100), 0.12
     lesson.values[[places.B, places.COULOMB, place]] = 4e-6, 6e-4, torque
-    healthy, _ = learn_windows([recording(3100)], 0.5)
+    if not is_alike:  # the voltage is the same in all windows otherwise
+        log = replace(log, voltage_v=log.current_a)
+        parts = [driven(part) for part in windows_of(log, 0.5)]
+        among = max(min(apart(one, other[None]) for other in parts if other is not one) for one in parts)
+        assert among > 0.3
+    healthy, _ = learn_windows([log], 0.5)
     assert healthy.windows is not None
-    assert (healthy.windows.driven is not None) is is_kept
+    assert healthy.windows.alike == pytest.approx(among * times)
 
 
 def test_a_healthy_motor_may_stay_off_as_from_record_to_record_and_by_its_warmth(
