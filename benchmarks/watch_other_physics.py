@@ -1,7 +1,7 @@
 """False alarms of `motor-env watch` on healthy motors whose physics the fit does not have.
 
     python benchmarks/watch_other_physics.py --motors 40 --hours 0.5 --workers 2 --rows out/watch_other_physics.jsonl
-    python benchmarks/watch_other_physics.py --motors 20 --otherwise --rows out/watch_otherwise.jsonl
+    python benchmarks/watch_other_physics.py --motors 10 --otherwise --rows out/watch_otherwise.jsonl
 
 Motors of operation_simulator.py with all its switches on, each at work under one profile at 100 Hz. Windows of 20 s, a
 commissioning of 200 s, one false alarm an hour asked for. A run that was stopped goes on where it was. With --otherwise
