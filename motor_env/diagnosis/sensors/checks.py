@@ -259,9 +259,8 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
     else:
         return None
     # A current that is not off, where the healthy one was, is no failure: what a fit finds may be no sensor's.
-    off = min(off, off - known, key=abs) / max(
-        size(current) / size(by_speed), 1.0
-    )  # of a current in mA, in A
+    # One in mA is off in A.
+    off = min(off, off - known, key=abs) / max(size(current) / size(by_speed), 1.0)
     if abs(off) < most * float(np.max(np.abs(seen.voltage_v)) / physical[places.R]):
         return None
     return Failure(

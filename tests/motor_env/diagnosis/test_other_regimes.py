@@ -76,9 +76,8 @@ def test_windows_are_driven_alike_where_one_quantity_is(held: str) -> None:
     known = np.array([driven(window(4.0, held=held)), driven(window(8.0, held=held))])
     for command, off in ((4.0, 0.0), (4.5, 0.5 / 4.0), (7.0, 1.0 / 8.0)):
         found = apart(driven(window(command, held=held, others=5.0)), known)
-        assert found == pytest.approx(
-            off * 2.0 * math.sqrt(2.0) / math.pi, abs=0.01
-        )  # mean of a sine over its rms
+        mean_over_rms = 2.0 * math.sqrt(2.0) / math.pi  # of a sine
+        assert found == pytest.approx(off * mean_over_rms, abs=0.01)
 
 
 def test_a_window_that_stands_elsewhere_is_driven_otherwise_by_its_levels() -> None:
