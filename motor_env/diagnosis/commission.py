@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,15 +11,14 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide, limits_of
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.healthy_motor import Reference, reference_of
-from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, without
+from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, promise_of
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.sensors.failed import with_signs
 from motor_env.diagnosis.shown.report import UNITS, of_the_drag
-from motor_env.diagnosis.views import Fitted, smallest_of, views_of
+from motor_env.diagnosis.views import Fitted
 from motor_env.errors import InputError, require_options
 from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.identified import Identified
@@ -92,9 +90,10 @@ class Commissioned:
         """What was learned, with the interval of the next healthy piece."""
         healthy, rate = self.healthy, self.false_alarm_rate
         extensions = () if healthy.starts is None else healthy.starts.model
-        piece, kind = "start", f", model {' + '.join(['textbook', *extensions])}"
+        piece, kind, drives = "start", f", model {' + '.join(['textbook', *extensions])}", 0
         if healthy.windows is not None:
             piece, kind = "window", f" of {healthy.windows.window_s:g} s"
+            drives = len(healthy.windows.drives)
         explained = [fit.r2_current for fit in self.fits if isinstance(fit, Identified)]
         quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
         smallest = ", ".join(f"{fault} {severity:.1%}" for fault, severity in self.smallest.items())
@@ -105,6 +104,11 @@ class Commissioned:
                 f"  {name:<12} {row['value']:11.4g} {row['unit']:<12}"
                 f" {row['interval'][0] / row['value'] - 1.0:+.1%} to {row['interval'][1] / row['value'] - 1.0:+.1%}"
                 for name, row in self.parameters.items()
+            ),
+            *(
+                [f"  driven in {drives} ways: each window is compared with those that are driven alike"]
+                if drives > 1
+                else []
             ),
             *(f"  taken for {one}" for one in self.taken),
             *self.read,
@@ -220,33 +224,9 @@ def commission(
         motor = to_motor(starts, name, healthy=healthy, constant=constant)
         motor = with_signs(motor, [part for one in read for part in chosen_starts(one, start)], voltage_v)
         fits = tuple(starts)
-    promise = _promise(motor, fits, temperature_c, false_alarm_rate)
+    promise = promise_of(motor, fits, temperature_c, false_alarm_rate)
     told = tuple(understood((one.path, one.columns) for one in read))
     return Commissioned(motor, fits, *promise, false_alarm_rate, taken, told)
-
-
-def _promise(
-    motor: Motor, fits: Sequence[Fitted], temperature_c: float | None, rate: float
-) -> tuple[dict[str, float], dict[str, int]]:
-    """Smallest changes that the next piece shows; and how many pieces, judged by the others, leave what undecided."""
-    reference = _reference(motor, fits[0], temperature_c)
-    views = views_of(fits[0], reference, rate)
-    limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
-    assert motor.healthy is not None  # noqa: S101  # it was just learned
-    count = len(fits) if len(fits) > 1 else 0
-    others = [replace(motor, healthy=without(motor.healthy, fits, n)) for n in range(count)]
-    judged = [decide(fits[n], _reference(others[n], fits[n], temperature_c), rate) for n in range(count)]
-    changes = [change for one in judged for change in one.changes]
-    undecided = Counter(change.name for change in changes if change.verdict == "undecided")
-    return smallest_of(views, reference.own_friction, limits.z), dict(undecided)
-
-
-def _reference(motor: Motor, fit: Fitted, temperature_c: float | None) -> Reference:
-    found = reference_of(
-        motor, fit.quantity_names, are_starts=isinstance(fit, Identified), temperature_c=temperature_c
-    )
-    assert found is not None  # noqa: S101  # it was learned from these quantities
-    return found
 
 
 def fit_starts(

@@ -159,7 +159,12 @@ def _source(healthy: Healthy, motor: str) -> str:
     """What a piece is compared with, in words."""
     if healthy.fleet is not None:
         return f"{healthy.fleet.motors} sisters of {motor}"
-    return f"{healthy.pieces} healthy {'windows' if healthy.starts is None else 'starts'} of {motor}"
+    if healthy.windows is None:
+        return f"{healthy.pieces} healthy starts of {motor}"
+    all_of_them = sum(len(drive.pieces) for drive in healthy.windows.drives)
+    if healthy.pieces < all_of_them:
+        return f"{healthy.pieces} of {all_of_them} healthy windows of {motor} that are driven alike"
+    return f"{healthy.pieces} healthy windows of {motor}"
 
 
 def with_normal(covariance: FloatArray, normal: FloatArray, share: float, freedom: float) -> FloatArray:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.views import Fitted
+from motor_env.diagnosis.decision import decide, limits_of
+from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.views import Fitted, smallest_of, views_of
 from motor_env.fitting.starts.choice import NUISANCES, identify_best
 from motor_env.fitting.starts.commutation import ripple_quantities
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import Recording
@@ -104,8 +108,10 @@ def next_window(fits: Sequence[Fitted], *, steady: bool) -> tuple[FloatArray, Fl
 
 
 def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
-    """What all healthy pieces but one teach, fitted with the same model."""
-    others = [fit for n, fit in enumerate(fits) if n != number]
+    """What all healthy pieces but one teach, fitted with the same model; of windows those that are driven alike."""
+    drives = () if healthy.windows is None else healthy.windows.drives
+    alike = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
+    others = [fits[n] for n in alike if n != number]
     if healthy.windows is None:
         centre, covariance, freedom = next_piece(others, START_SPREAD)
     else:
@@ -171,3 +177,37 @@ def odd_one_out(fits: Sequence[Identified], number: int) -> str | None:
         return None
     name = fits[number].quantity_names[worst]
     return f"its {name} is {math.exp(off[worst]):.3g} times that of the others"
+
+
+def promise_of(
+    motor: Motor, fits: Sequence[Fitted], temperature_c: float | None, rate: float
+) -> tuple[dict[str, float], dict[str, int]]:
+    """Smallest changes that the next piece shows; and how many pieces, judged by the others, leave what undecided.
+
+    Of a motor that was driven in several ways they are the smallest that show in each of them.
+    """
+    healthy = motor.healthy
+    assert healthy is not None  # noqa: S101  # it was just learned
+    drives = () if healthy.windows is None else healthy.windows.drives
+    taught = [(fits[drive.pieces[0]], healthy.under(drive)) for drive in drives] or [(fits[0], healthy)]
+    smallest: dict[str, float] = {}
+    for fit, some in taught:
+        reference = _reference(replace(motor, healthy=some), fit, temperature_c)
+        views = views_of(fit, reference, rate)
+        limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
+        for kind, severity in smallest_of(views, reference.own_friction, limits.z).items():
+            smallest[kind] = max(severity, smallest.get(kind, 0.0))
+    count = len(fits) if len(fits) > 1 else 0
+    others = [replace(motor, healthy=without(healthy, fits, n)) for n in range(count)]
+    judged = [decide(fits[n], _reference(others[n], fits[n], temperature_c), rate) for n in range(count)]
+    changes = [change for one in judged for change in one.changes]
+    undecided = Counter(change.name for change in changes if change.verdict == "undecided")
+    return smallest, dict(undecided)
+
+
+def _reference(motor: Motor, fit: Fitted, temperature_c: float | None) -> Reference:
+    found = reference_of(
+        motor, fit.quantity_names, are_starts=isinstance(fit, Identified), temperature_c=temperature_c
+    )
+    assert found is not None  # noqa: S101  # it was learned from these quantities
+    return found

@@ -284,8 +284,7 @@ def to_toml(motor: Motor) -> str:
         whole = content["healthy"]
         parts = {name: whole.pop(name) for name in ("starts", "windows", "fleet")}
         tables["healthy"] = whole
-        scales = parts["windows"].pop("scales") if parts["windows"] else None
+        lists = {name: parts["windows"].pop(name) for name in ("drives", "scales") if parts["windows"]}
         tables |= {f"healthy.{name}": part for name, part in parts.items() if part is not None}
-        if scales is not None:
-            tables["healthy.windows.scales"] = scales
+        tables |= {f"healthy.windows.{name}": rows for name, rows in lists.items()}
     return toml_text(top, tables)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -95,6 +95,40 @@ class Scale:
 
 
 @dataclass(frozen=True, slots=True)
+class Drive:
+    """One way in which a healthy motor was driven, and what windows driven alike tell of the next one.
+
+    Attributes:
+        pieces: which of the healthy windows.
+        moved: how voltage, current and speed were distributed and moved in them, or in some of many, shape
+            (n, 3, 17), see `running.drives.driven`.
+        values: geometric means of R, K, J and B over them, SI, shape (4,).
+        log_covariance: of the logarithms of the next window's, shape (4, 4).
+        degrees_of_freedom: of that covariance (Student t).
+    """
+
+    pieces: tuple[Annotated[int, Field(ge=0)], ...]
+    moved: Annotated[FloatArray, ArrayOf(tuple[tuple[tuple[Finite, ...], ...], ...])]
+    values: Annotated[FloatArray, ArrayOf(tuple[Positive, ...])]
+    log_covariance: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    degrees_of_freedom: Positive
+
+    def __post_init__(self) -> None:
+        require(
+            np.shape(self.moved)[1:] == (3, 17),
+            "healthy.windows.drives.moved must hold 3 rows of 17 numbers of each window",
+        )
+        require(np.shape(self.values) == (4,), "healthy.windows.drives.values must have 4 numbers")
+        covariance = self.log_covariance
+        require(
+            np.shape(covariance) == (4, 4)
+            and np.allclose(covariance, covariance.T)
+            and bool(np.linalg.eigvalsh(covariance)[0] > 0.0),
+            "healthy.windows.drives.log_covariance must be 4 by 4 and positive definite",
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Windows:
     """How the healthy pieces were recorded and fitted, where they are windows of the motor at work.
 
@@ -109,9 +143,8 @@ class Windows:
         peaks: largest voltage, current and speed of the windows: the scale of what is small; 1 each unless given.
         window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
             their own errors where these are larger (variance).
-        driven: how voltage, current and speed were distributed and moved in healthy windows, shape (n, 3, 17), see
-            `running.windows.driven`. None where nothing but a fault moves the motor.
-        alike: how far from these a window may be that is driven alike.
+        drives: how it was driven; none where nothing but a fault moves the motor.
+        alike: how far from a window of a drive one may be that is driven alike, see `running.drives.apart`.
         scales: what healthy pieces of windows have taught, the shortest first and whole windows last; none for
             windows that were not watched.
         most: how far the farthest healthy window is off along each of `running.scales.AXES`.
@@ -127,18 +160,11 @@ class Windows:
     rms_volts: tuple[Positive, Positive] | None = None
     peaks: tuple[Positive, Positive, Positive] | None = None
     window_excess: Positive = 1.0
-    driven: Annotated[FloatArray, ArrayOf(tuple[tuple[tuple[Finite, ...], ...], ...])] | None = None
+    drives: tuple[Drive, ...] = ()
     alike: Positive = 1.0
     scales: tuple[Scale, ...] = ()
     most: tuple[Finite, ...] = ()
     replayed: tuple[Annotated[int, Field(ge=0)], ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.driven is not None:
-            require(
-                np.shape(self.driven)[1:] == (3, 17),
-                "healthy.windows.driven must hold 3 rows of 17 numbers of each window",
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,4 +228,14 @@ class Healthy:
         require(
             (self.starts is None) != (self.windows is None),
             "healthy must have one of the tables starts and windows",
+        )
+
+    def under(self, drive: Drive) -> Healthy:
+        """What windows of one of its drives have taught."""
+        return replace(
+            self,
+            pieces=len(drive.pieces),
+            values=drive.values,
+            log_covariance=drive.log_covariance,
+            degrees_of_freedom=drive.degrees_of_freedom,
         )

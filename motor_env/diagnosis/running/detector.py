@@ -83,3 +83,12 @@ class Detector:
     def forget(self) -> None:
         """Begin anew, as after an alarm."""
         self.sums[:], self.ages[:] = 0.0, 0.0
+
+    @property
+    def memory(self) -> dict[str, FloatArray]:
+        """What a later watch needs to go on."""
+        return {"sums": self.sums, "ages": self.ages}
+
+    def remember(self, memory: dict[str, FloatArray]) -> None:
+        """Go on from there."""
+        self.sums, self.ages = (memory[name].reshape(self.sums.shape) for name in ("sums", "ages"))

@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motor_env.diagnosis.learning import RECORD_SPREAD, next_window
+from motor_env.diagnosis.running.drives import FAR, NEEDED, driven, rms_volts, sorted_by_drive
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
 from motor_env.diagnosis.running.replay import replay
 from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
 from motor_env.diagnosis.running.windows import (
-    ALIKE,
-    FAR,
     MOST_SAMPLES,
     NAMES,
-    NEEDED,
     FittedWindow,
     WindowJudge,
-    apart,
-    driven,
     judge_of,
     over_speed,
-    rms_volts,
     windows_of,
 )
 from motor_env.fitting import places
@@ -33,7 +29,7 @@ from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.uncertainty import beyond
 from motor_env.fitting.window import fit_window
-from motor_env.motor.healthy import Healthy, Scale, Windows
+from motor_env.motor.healthy import Drive, Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
@@ -84,8 +80,7 @@ def learn_windows(
     if joint.record.steps_seen < FEWEST_STEPS:
         raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
     known, wanted, hold = known_of(joint), joint.solution.names, joint.record.hold
-    moved = np.array([driven(part) for part in parts[:: _every(parts)]])
-    speed, alike = effective_speed(joint), _alike(moved, joint)
+    speed, times = effective_speed(joint), 1.0 if _lacks(joint) else FAR
     if steady:
         wanted = tuple(name for name in wanted if not name.startswith("offset"))
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
@@ -104,6 +99,12 @@ def learn_windows(
     volts = [rms_volts(part) for part in parts]
     found = [over_speed(fit, known, speed) for fit in fits]
     centre, covariance, freedom = next_window(found, steady=steady)
+    of, alike = np.zeros(len(parts), dtype=np.intp), 1.0
+    drives: tuple[Drive, ...] = ()
+    if not steady:
+        moved = np.array([driven(part) for part in parts])
+        of, alike = sorted_by_drive(moved, times)
+        drives = tuple(_drive(np.flatnonzero(of == n), moved, found) for n in range(of.max() + 1))
     ratios = [fit.log_values - centre for fit in found]
     spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
     windows = Windows(
@@ -116,26 +117,27 @@ def learn_windows(
         rms_volts=(min(volts), max(volts)),
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
         window_excess=_squares(ratios, spreads) / _squares(ratios, [covariance] * len(fits)),
-        driven=None if steady else moved,
+        drives=drives,
         alike=alike,
     )
     warm = 0.0 if steady else TEMPERATURE_K
     healthy = Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows)
-    return replace(healthy, windows=_with_scales(healthy, records, found)), found
+    return replace(healthy, windows=_with_scales(healthy, records, found, of)), found
 
 
-def _alike(moved: FloatArray, joint: Operation) -> float:
-    """How far a window may be from healthy ones that is driven alike: as far as each of these is from the others.
-
-    Where no torque is left that the model does not explain, it errs under drives that are far from these only.
-    """
-    known, among = (
-        joint.solution.values,
-        [apart(one, np.delete(moved, n, axis=0)) for n, one in enumerate(moved)],
-    )
+def _lacks(joint: Operation) -> bool:
+    """Whether the model leaves torque unexplained; where it does not, it errs under far drives only."""
+    known = joint.solution.values
     drag = known[places.COULOMB] + known[places.B] * effective_speed(joint)
-    lacks = known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag
-    return max(ALIKE, *among) * (1.0 if lacks else FAR)
+    return bool(known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag)
+
+
+def _drive(pieces: NDArray[np.intp], moved: FloatArray, found: Sequence[FittedWindow]) -> Drive:
+    """What windows that are driven alike teach, some of all."""
+    centre, covariance, freedom = next_window([found[n] for n in pieces], steady=False)
+    return Drive(
+        tuple(pieces.tolist()), moved[pieces[:: _every(pieces)]], np.exp(centre), covariance, freedom
+    )
 
 
 def _twentieth_s(recordings: Sequence[Recording]) -> float:
@@ -157,13 +159,21 @@ def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> flo
     return sum(float(off @ np.linalg.solve(spread, off)) / len(NAMES) for off, spread in pairs)
 
 
-def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[FittedWindow]) -> Windows:
-    """What pieces of the windows teach of the next ones, and how these windows alarm by what the others teach."""
+def _with_scales(
+    healthy: Healthy, records: Sequence[Record], found: Sequence[FittedWindow], of: NDArray[np.intp]
+) -> Windows:
+    """What pieces of the windows teach of the next ones, and how these windows alarm by what the others teach.
+
+    Each is compared with its drive's.
+    """
     assert healthy.windows is not None  # noqa: S101  # it was learned from them
     judge, prior_sd = judge_of(healthy), RECORD_SPREAD * (healthy.temperature_k > 0.0)
     some = slice(None, None, _every(records))
     lengths = halvings_of(healthy.windows.window_s, min(len(record.voltage_v) for record in records))
-    windows = [_pieces_of(judge, *pair, lengths) for pair in zip(records[some], found[some], strict=True)]
+    windows = [
+        _pieces_of(judge.under(n), record, fit, lengths)
+        for n, record, fit in zip(of[some].tolist(), records[some], found[some], strict=True)
+    ]
     # Where the circuit is open all the time, a window has no pieces of a length.
     told = [n for n in range(len(lengths)) if all(len(window[n].logs) for window in windows)]
     lengths, windows = tuple(lengths[n] for n in told), [[window[n] for n in told] for window in windows]
@@ -187,7 +197,7 @@ def _with_scales(healthy: Healthy, records: Sequence[Record], found: Sequence[Fi
     )
 
 
-def _every(windows: Sequence[object]) -> int:
+def _every(windows: Sized) -> int:
     """Every which window teaches: each of few, some of many."""
     return math.ceil(len(windows) / MOST_LEARNED)
 

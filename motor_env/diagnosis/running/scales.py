@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from scipy.special import ndtri, stdtr, stdtrit
 from motor_env.diagnosis.learning import PRIOR_WEIGHT
 from motor_env.diagnosis.running.pieces import N_STATES, Pieces
 from motor_env.diagnosis.running.windows import EXPONENTS, NAMES, WARMTH
+from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting.uncertainty import beyond
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.faults import FaultKind
@@ -34,6 +36,8 @@ _LEAST_EXCESS = 1e-3  # of the kurtosis
 _NAMED_WEIGHT = 4.0
 _REACHES = (0.1, 3.0)
 _NORMAL_TAILS = 30.0  # degrees of freedom
+_MOSTLY = 0.9  # of the evidence
+_NOTHING = 1e-6
 
 
 class Directions(NamedTuple):
@@ -48,6 +52,19 @@ class Directions(NamedTuple):
     along: FloatArray
     weights: FloatArray
     kinds: tuple[FaultKind | None, ...]
+
+    def named(self, judged: Judgement, place: int, share: float) -> Judgement:
+        """A judgement that names no fault, named by the direction with this share of the evidence.
+
+        Not where it has little of it, or something else has moved as well.
+        """
+        kind = self.kinds[place]
+        if judged.verdict is not Verdict.OTHER or kind is None or share <= _MOSTLY:
+            return judged
+        moves = {name for name, part in zip(NAMES, self.along[place], strict=True) if abs(part) > _NOTHING}
+        if not moves >= {one.name for one in judged.changes if one.significant}:
+            return judged
+        return replace(judged, verdict=Verdict(kind.verdict), fault_kind=kind, kind_probability=share)
 
 
 def directions() -> Directions:

@@ -7,16 +7,9 @@ import math
 import numpy as np
 
 from motor_env.diagnosis.healthy_motor import reference_of
+from motor_env.diagnosis.running.drives import NEEDED, needed_columns
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
-from motor_env.diagnosis.running.windows import (
-    MOST_SAMPLES,
-    NAMES,
-    NEEDED,
-    WindowJudge,
-    judge_of,
-    needed_columns,
-    viscous,
-)
+from motor_env.diagnosis.running.windows import MOST_SAMPLES, NAMES, WindowJudge, judge_of, viscous
 from motor_env.fitting.identify import identify_record
 from motor_env.fitting.record import STRETCHES, Record
 from motor_env.fitting.recorded import from_recordings

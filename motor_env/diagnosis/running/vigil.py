@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from motor_env.diagnosis.running.scales import (
     untaught_scale,
 )
 from motor_env.diagnosis.running.windows import NAMES, FittedWindow, WindowJudge, averaged
-from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.diagnosis.verdict import Judgement
 from motor_env.errors import InputError
 from motor_env.fitting.recorded import from_recordings
 from motor_env.motor.healthy import Healthy
@@ -43,9 +42,7 @@ YEAR_S = 365.25 * 86_400.0
 CONTEXT = 256
 """Samples before a piece."""
 _FEWEST = 2.0  # healthy pieces of a state
-_GOES_ON = 2.0
-_MOSTLY = 0.9  # of the evidence
-_NOTHING = 1e-6
+_GOES_ON, _SUSPECT = 2.0, 4.0  # scores of a window: a fault goes on; nothing is learned from it
 _MOST_LEARNED, _LEARNED_S = 100, 3.0 * 3600.0
 
 
@@ -85,7 +82,7 @@ class Vigil:
         most = np.array(windows.most) if windows.most else np.full(len(AXES), math.inf)
         self._counting = Counting(self._healthy, most, np.zeros(len(AXES)))
         self._at: FloatArray = np.zeros(len(NAMES))
-        self._toward, self._quiet, self._is_strange = -1, 0.0, False
+        self._toward, self._quiet, self._drive, self._is_strange = -1, 0.0, 0, False
         self.begin()
         self._holds = tails_hold(windows.replayed, self._healthy * self._pieces)
         self._can_count = bool(windows.most)
@@ -107,6 +104,11 @@ class Vigil:
             len(AXES),
             adds_up=self.adds_up if self._can_count else None,
         )
+
+    @property
+    def _own(self) -> WindowJudge:
+        """The judge of windows that are driven as the last one was."""
+        return self.judge.under(self._drive)
 
     @property
     def goes_on(self) -> bool:
@@ -137,7 +139,7 @@ class Vigil:
         is_alarm = False
         for n in range(len(ends) - 1):
             pair = [int(ends[n]) - first, int(ends[n + 1]) - first]
-            self._sections.append(sections_of(self.judge, record, self._at, pair))
+            self._sections.append(sections_of(self._own, record, self._at, pair))
             is_alarm |= self._piece()
         if is_alarm and not self.adds_up:
             self._detector.forget()
@@ -145,11 +147,10 @@ class Vigil:
 
     def _piece(self) -> bool:
         """The last section, and the longer pieces that end with it."""
-        count = len(self._sections)
         self._quiet += 1.0
         for n, scale in enumerate(self._scales[:-1]):
             together = 2 ** (self._scales[0].halvings - scale.halvings)
-            if count % together == 0:
+            if len(self._sections) % together == 0:
                 part = Sections.joined(self._sections[-together:])
                 for row in zip(*self._scored(n, part.pieces(together, self._at, self._fastest)), strict=True):
                     self._detector.add(n, row[0], together, row[1])
@@ -171,21 +172,20 @@ class Vigil:
 
     def ended(self, fit: FittedWindow) -> bool:
         """Whether a whole window is, or goes on, an alarm."""
-        logs = fit.log_values - self.judge.reference.log_values
+        logs = fit.log_values - self._own.reference.log_values
         pieces = Pieces(logs[None], fit.log_covariance[None], np.zeros(1, dtype=np.intp))
         (scores,), (reach,) = self._scored(len(self._scales) - 1, pieces)
         self._detector.add(len(self._scales) - 1, scores, self._pieces, reach)
         places, allowed, _ = places_on_axes(self._scales[-1], pieces)
         stays = farthest(self._scales[-1], self.windows) if self._may_stay else 0.0
         self._counting.add(places[0] - stays * allowed[0])
-        is_new = self._is_alarm()
-        if is_new:
+        if self._is_alarm():
             self._detector.forget()
-        elif self._toward >= 0 and scores[self._toward] < _GOES_ON:
+        elif scores.max() < _GOES_ON:
             self._toward = -1
         is_counted = self._counting.alarm(self.windows) is not None
         is_alarm = self._toward >= 0 if self.adds_up else is_counted
-        if self._toward < 0 and not is_counted:
+        if self._toward < 0 and not is_counted and scores.max() < _SUSPECT:
             self._learn(pieces, places[0])
         else:
             self._learned.skip()
@@ -202,8 +202,8 @@ class Vigil:
                 Sections.joined(self._sections).pieces(together, self._at, self._fastest) if whole else None
             )
         self._learned.hear([*parts, window])
-        seen = self._counting.healthy - self._healthy
-        if seen < min(_MOST_LEARNED, _LEARNED_S / self.judge.windows.window_s):
+        most = min(_MOST_LEARNED, _LEARNED_S / self.judge.windows.window_s)
+        if self._counting.healthy - self._healthy < most:
             self._counting.learn(places)
 
     def begin(self) -> None:
@@ -216,11 +216,20 @@ class Vigil:
         self._learned.skip()
 
     def is_strange(self, window: Recording) -> bool:
-        """Whether a window is driven otherwise than healthy ones; then it is no evidence, and teaches nothing."""
-        self._is_strange = self.judge.strangeness(window) > 1.0
-        if self._is_strange:
-            self._detector, self._toward = self._known, -1
-            self._learned.skip()
+        """Whether a window is driven otherwise than healthy ones; then it is no evidence, and teaches nothing.
+
+        If it is driven as in another of several drives, it is heard anew, beside those.
+        """
+        drive, off = self.judge.drive_of(window)
+        self._is_strange = off > 1.0
+        if not self._is_strange and drive == self._drive:
+            return False
+        self._detector, self._toward = self._known, -1
+        self._learned.skip()
+        if not self._is_strange:
+            self._at, self._drive = np.zeros(len(NAMES)), drive
+            self.begin()
+            self.heard(window, float(window.time_s[0]))
         return self._is_strange
 
     def alarm(self, recording: Recording, rate: float) -> Judgement | None:
@@ -228,27 +237,22 @@ class Vigil:
 
         The fault begins in the first of its pieces, which is not fitted where there are more. Where the samples fit no
         fault, as some of them may still be healthy, the evidence names it, unless something else has moved as well.
-        If the window before, or the recording's end, is driven otherwise, the evidence waits for the window's end.
+        Where the window before, or the recording's end, is driven otherwise, or the two are in two ways, the evidence
+        waits for the window's end.
         """
         pieces = min(max(math.ceil(self._detector.strongest[2]), 1), self._pieces)
         span_s, fitted_s = pieces * self.piece_s, max(pieces - 1, 1) * self.piece_s
-        kind, share = self._along.kinds[self._toward], float(self._detector.shares[self._toward])
+        toward, share = self._toward, float(self._detector.shares[self._toward])
         recording = averaged(recording, self.judge.windows.window_s)
         failed = self.judge.failed_sensor(recording)
-        if failed is None and (self._is_strange or self.judge.strangeness(recording) > 1.0):
+        drive, off = self.judge.drive_of(recording)
+        if failed is None and (self._is_strange or off > 1.0 or drive != self._drive):
             self._toward = -1
             return None
         self._detector.forget()
-        judged = failed or self._fitted(recording, fitted_s, rate)
-        if judged is None:
+        if (judged := failed or self._fitted(recording, fitted_s, rate)) is None:
             return None
-        if judged.verdict is Verdict.OTHER and kind is not None and share > _MOSTLY:
-            along = zip(NAMES, self._along.along[self._toward], strict=True)
-            moves = {name for name, part in along if abs(part) > _NOTHING}
-            if moves >= {one.name for one in judged.changes if one.significant}:
-                judged = replace(
-                    judged, verdict=Verdict(kind.verdict), fault_kind=kind, kind_probability=share
-                )
+        judged = self._along.named(judged, toward, share)
         return replace(judged, begin_s=float(recording.time_s[-1]) - span_s, duration_s=span_s)
 
     def _fitted(self, recording: Recording, span_s: float, rate: float) -> Judgement | None:
@@ -256,45 +260,41 @@ class Vigil:
             record = replace(from_recordings([recording]), hold=self.judge.windows.hold)
         except UnusableError:
             return None
-        if (found := end_of(record, span_s, self.judge, self._at, self._learned.scale(0))) is None:
+        if (found := end_of(record, span_s, self._own, self._at, self._learned.scale(0))) is None:
             return None
         logs, spread = found
-        reference = replace(self.judge.reference, log_covariance=spread, excess=1.0)
+        reference = replace(self._own.reference, log_covariance=spread, excess=1.0)
         return decide(FittedWindow(reference.log_values + logs, spread), reference, rate, alarm=True)
 
     @property
     def memory(self) -> dict[str, list[float]]:
         """All that a later watch needs to go on."""
-        detector, counting = self._detector, self._counting
         arrays = {
-            "sums": detector.sums,
-            "ages": detector.ages,
             "at": self._at,
-            "counted": np.array([counting.healthy, self._toward, self._quiet]),
-            "most": counting.most,
-            "rows": counting.rows,
+            "counted": np.array([self._counting.healthy, self._toward, self._quiet, self._drive]),
+            "most": self._counting.most,
+            "rows": self._counting.rows,
+            **self._detector.memory,
             **self._learned.memory,
         }
         return {name: np.nan_to_num(array).ravel().tolist() for name, array in arrays.items()}
 
     def _remember(self, memory: dict[str, list[float]]) -> None:
-        now: dict[str, Any] = self.memory
-        if {name: len(row) for name, row in memory.items()} != {name: len(row) for name, row in now.items()}:
+        if {n: len(row) for n, row in memory.items()} != {n: len(row) for n, row in self.memory.items()}:
             raise InputError("the memory of the state is not that of this motor; give another --state")
-        shape = self._detector.sums.shape
         arrays = {name: np.array(row) for name, row in memory.items()}
-        self._detector.sums, self._detector.ages = (
-            arrays["sums"].reshape(shape),
-            arrays["ages"].reshape(shape),
+        healthy, toward, self._quiet, drive = memory["counted"]
+        allowed = (
+            0 <= healthy < 1e9,
+            -1 <= toward < len(self._along.weights),
+            0 <= drive < max(len(self.judge.windows.drives), 1),
         )
-        healthy, toward, self._quiet = memory["counted"]
         try:
-            require(0 <= healthy < 1e9 and -1 <= toward < len(self._along.weights), "counted is out of range")
+            require(all(allowed), "counted is out of range")
             self._learned.remember(arrays)
         except ValueError:
-            raise InputError(
-                "the memory of the state holds the numbers of no watch; give another --state"
-            ) from None
-        self._at, self._toward = arrays["at"], int(toward)
+            raise InputError("the memory of the state is that of no watch; give another --state") from None
+        self._detector.remember(arrays)
+        self._at, self._toward, self._drive = arrays["at"], int(toward), int(drive)
         most = arrays["most"] if self._can_count else self._counting.most
         self._counting = Counting(int(healthy), most, arrays["rows"])

@@ -19,6 +19,7 @@ import numpy as np
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import alarm_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
+from motor_env.diagnosis.running.drives import FAR, driven, nearest, needed_columns, rms_volts
 from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.failed import judgement_of
 from motor_env.diagnosis.sensors.seen import Seen
@@ -39,14 +40,10 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
-ALIKE, FAR = 0.12, 3.0
-"""Distance of two windows up to which they are driven alike, see `apart`; and how many times that tells no fault."""
-_LEVELS, _HALVINGS = np.linspace(0.05, 0.95, 10), range(3, 10)
 DRIVE_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
 """Standard deviation of the logarithms of R, K, J and B where a motor is driven otherwise, but not far: what the model
 lacks (stiction, a gear's teeth, brushes) is then taken for them in another way."""
 DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
-NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 EXPONENTS = quantities.matrix(NAMES)
 WARMTH = quantities.warmth_direction(EXPONENTS)
 
@@ -109,10 +106,12 @@ class WindowJudge:
     Attributes:
         windows: how healthy windows were recorded and fitted.
         reference: distribution of R, K, J and B of a healthy window.
+        references: of windows under each drive that it was commissioned in.
     """
 
     windows: Windows
     reference: Reference
+    references: tuple[Reference, ...] = ()
 
     @property
     def peaks(self) -> tuple[float, float, float]:
@@ -132,15 +131,19 @@ class WindowJudge:
         fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
         return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
 
-    def strangeness(self, recording: Recording) -> float:
-        """How far the last window of a recording is from being driven like any healthy one: above 1 it is not.
-
-        The error of the model is much the same in all windows of one drive, and another one in those of another.
-        """
-        if self.windows.driven is None:
-            return 0.0
+    def drive_of(self, recording: Recording) -> tuple[int, float]:
+        """Which of the healthy drives the last window of a recording is like, and how far off: above 1 it is not."""
+        if not self.windows.drives:
+            return 0, 0.0
         last = cut(recording, slice(-round(self.windows.window_s / recording.dt_s), None))
-        return apart(driven(last), self.windows.driven) / self.windows.alike
+        place, distance = nearest(driven(last), self.windows.drives)
+        return place, distance / self.windows.alike
+
+    def under(self, place: int) -> WindowJudge:
+        """The judge of windows that are driven as in one of several drives: healthy are those that were, too."""
+        if len(self.references) < 2:
+            return self
+        return replace(self, reference=self.references[place])
 
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""
@@ -211,8 +214,10 @@ class WindowJudge:
             fit = self.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
-        judged = decide(fit, self.reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
-        if judged.verdict is Verdict.UNUSABLE or (strange := self.strangeness(part)) <= 1.0:
+        place, strange = self.drive_of(part)
+        reference = self.under(place).reference if strange <= 1.0 else self.reference
+        judged = decide(fit, reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
+        if judged.verdict is Verdict.UNUSABLE or strange <= 1.0:
             return judged
         if not judged.verdict.is_fault:
             return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
@@ -236,7 +241,11 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
         UnusableError: the healthy pieces are no windows, or do not tell R, K, J and B.
         InputError: their physical values are not as many as the fit has.
     """
-    reference = reference_of_pieces(healthy, NAMES, motor, are_starts=False, temperature_c=temperature_c)
+
+    def taught_by(some: Healthy) -> Reference | None:
+        return reference_of_pieces(some, NAMES, motor, are_starts=False, temperature_c=temperature_c)
+
+    reference = taught_by(healthy)
     if healthy.windows is None or reference is None or reference.names != NAMES:
         raise UnusableError(f"the healthy pieces of {motor} do not tell {', '.join(NAMES)} of windows")
     if len(healthy.windows.physical) != places.N_VALUES:
@@ -244,49 +253,5 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
             f"{motor}: healthy.windows.physical must have {places.N_VALUES} values,"
             f" got {len(healthy.windows.physical)}"
         )
-    return WindowJudge(healthy.windows, reference)
-
-
-def driven(part: Recording) -> FloatArray:
-    """How a motor is driven: voltage, current and speed by 10 quantiles and by their moves, shape (3, 17).
-
-    The moves are the root mean squares of the change within an eighth of the recording, a sixteenth, ... a 512th.
-    """
-    volts, speed = needed_columns(part)
-    columns = np.array([volts, part.current_a, speed])
-    lags = [max(len(volts) >> times, 1) for times in _HALVINGS]
-    moves = [np.sqrt(np.mean(np.square(columns[:, lag:] - columns[:, :-lag]), axis=1)) for lag in lags]
-    return np.concatenate([np.quantile(columns, _LEVELS, axis=1), moves]).T
-
-
-def apart(one: FloatArray, others: FloatArray) -> float:
-    """How far a window is from being driven like any of some others.
-
-    A drive commands the voltage, the speed or the current. A fault leaves what is commanded as it is, however much it
-    changes the rest. So the one that is most alike counts: the mean distance of its quantiles (Wasserstein) or that of
-    its moves, whichever is larger, over the root mean square of the quantiles.
-
-    Args:
-        one: how it is driven, shape (3, 17).
-        others: how they are, shape (n, 3, 17).
-    """
-    levels, off = len(_LEVELS), np.abs(others - one)
-    sizes = np.sqrt(np.mean(np.square(others[..., :levels]), axis=2))
-    distances = np.maximum(off[..., :levels].mean(axis=2), off[..., levels:].mean(axis=2))
-    return float(np.min(distances / np.maximum(sizes, np.finfo(float).tiny)))
-
-
-def needed_columns(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Voltage and speed.
-
-    Raises:
-        UnusableError: one of them is missing.
-    """
-    if recording.voltage_v is None or recording.speed_rad_s is None:
-        raise UnusableError(NEEDED)
-    return recording.voltage_v, recording.speed_rad_s
-
-
-def rms_volts(recording: Recording) -> float:
-    """Effective voltage."""
-    return float(np.sqrt(np.mean(np.square(needed_columns(recording)[0]))))
+    references = [taught_by(healthy.under(drive)) for drive in healthy.windows.drives]
+    return WindowJudge(healthy.windows, reference, tuple(one for one in references if one is not None))

@@ -13,8 +13,9 @@ from scipy import optimize, stats
 from motor_env import Diagnosis, InputError, Recording, diagnose, load_motor
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.motor_files import motor_of_windows
+from motor_env.diagnosis.running.drives import apart, driven
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, apart, driven, judge_of
+from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Verdict
 
 # Reaches in: windows and scores are made by hand.
@@ -75,7 +76,7 @@ def test_windows_are_driven_alike_where_one_quantity_is(held: str) -> None:
     """A severe fault changes the others."""
     known = np.array([driven(window(4.0, held=held)), driven(window(8.0, held=held))])
     for command, off in ((4.0, 0.0), (4.5, 0.5 / 4.0), (7.0, 1.0 / 8.0)):
-        found = apart(driven(window(command, held=held, others=5.0)), known)
+        found = apart(driven(window(command, held=held, others=5.0)), known).min()
         mean_over_rms = 2.0 * math.sqrt(2.0) / math.pi  # of a sine
         assert found == pytest.approx(off * mean_over_rms, abs=0.01)
 
@@ -86,7 +87,7 @@ def test_a_window_that_stands_elsewhere_is_driven_otherwise_by_its_levels() -> N
     levels = [np.sort(rng.normal(size, 1.0, 4_000)) for size in (3.0, 4.0)]
     one, other = (driven(Recording(Path("it"), time_s, each, each, each)) for each in levels)
     exact = stats.wasserstein_distance(*levels) / np.sqrt(np.mean(np.square(levels[1])))
-    assert apart(one, other[None]) == pytest.approx(exact, rel=0.02)
+    assert apart(one, other[None])[0] == pytest.approx(exact, rel=0.02)
 
 
 def test_a_window_with_other_holding_times_is_driven_otherwise_by_its_moves() -> None:
@@ -101,7 +102,7 @@ def test_a_window_with_other_holding_times_is_driven_otherwise_by_its_moves() ->
     np.testing.assert_allclose(slow[0, 10:], shares, rtol=0.08)
     np.testing.assert_allclose(np.diff(fast[0, 10:13]), 0.0, atol=1e-12)  # whole periods of it
     np.testing.assert_allclose(fast[0, 13:], [2.0 * np.sqrt(lag / 16.0) for lag in (16, 8, 4, 2)], rtol=0.02)
-    assert apart(fast, slow[None]) == pytest.approx(np.mean(np.abs(fast - slow)[0, 10:]))
+    assert apart(fast, slow[None])[0] == pytest.approx(np.mean(np.abs(fast - slow)[0, 10:]))
 
 
 def test_the_last_window_of_a_recording_is_compared(commissioned: Healthy) -> None:
@@ -115,12 +116,16 @@ def test_the_last_window_of_a_recording_is_compared(commissioned: Healthy) -> No
         return Recording(Path("window"), dt_s * np.arange(float(count)), values, values, values)
 
     known = np.array([driven(of(2.0)), driven(of(9.0))])
-    taught = replace(judge, windows=replace(judge.windows, driven=known, alike=0.4))
+    first, second = (replace(judge.windows.drives[0], moved=one[None]) for one in known)
+    taught = replace(judge, windows=replace(judge.windows, drives=(first, second), alike=0.4))
     values: FloatArray = np.append(np.full(count, 50.0), of(3.0).current_a).astype(np.float64)
     time_s: FloatArray = dt_s * np.arange(len(values)).astype(np.float64)
     log = Recording(Path("log"), time_s, values, values, values)
-    assert taught.strangeness(log) == pytest.approx(apart(driven(of(3.0)), known) / 0.4)
-    assert replace(judge, windows=replace(judge.windows, driven=None)).strangeness(log) == 0.0
+    place, strange = taught.drive_of(log)
+    assert place == 0
+    assert strange == pytest.approx(apart(driven(of(3.0)), known)[0] / 0.4)
+    assert taught.drive_of(of(8.0))[0] == 1
+    assert replace(judge, windows=replace(judge.windows, drives=())).drive_of(log) == (0, 0.0)
 
 
 @pytest.mark.parametrize("quantity", [0, 1, 2])
@@ -140,7 +145,8 @@ def test_under_another_drive_resistance_constant_and_inertia_may_be_off_by_more(
 
     def said(shift: float, known: FloatArray | None) -> Verdict:
         monkeypatch.setattr(WindowJudge, "fitted", lambda *_: off(shift))
-        (one,), _ = replace(judge, windows=replace(judge.windows, driven=known, alike=0.12)).judge(log, 0.01)
+        drives = () if known is None else (replace(judge.windows.drives[0], moved=known),)
+        (one,), _ = replace(judge, windows=replace(judge.windows, drives=drives, alike=0.12)).judge(log, 0.01)
         return one.verdict
 
     def limit(says: Callable[[float], Verdict]) -> float:
@@ -199,17 +205,35 @@ def test_a_motor_file_keeps_how_it_was_driven(commissioned: Healthy, tmp_path: P
     save_motor(motor_of_windows(commissioned, "it"), path)
     read = load_motor(path).healthy
     assert read is not None
-    kept, learned = (judge_of(one).windows.driven for one in (read, commissioned))
-    assert kept is not None
-    assert learned is not None
-    assert kept.shape == (6, 3, 17)
-    np.testing.assert_array_equal(kept, learned)
+    (kept,), (learned,) = (judge_of(one).windows.drives for one in (read, commissioned))
+    assert kept.moved.shape == (6, 3, 17)
+    np.testing.assert_array_equal(kept.moved, learned.moved)
+    np.testing.assert_array_equal(kept.log_covariance, learned.log_covariance)
     text = path.read_text(encoding="utf-8")
-    first = next(line for line in text.splitlines() if line.startswith("driven"))
-    for broken in ("[[[1.0, 0.0], [0.0, 1.0]]]", str([[[1.0] * 16] * 3]), str([[[1.0] * 17] * 2] * 2)):
-        path.write_text(text.replace(first, f"driven = {broken}"), encoding="utf-8")
-        with pytest.raises(InputError, match=r"healthy\.windows\.driven must hold 3 rows of 17 numbers"):
-            load_motor(path)
+    words = {
+        "moved must hold 3 rows of 17": (
+            [[[1.0, 0.0], [0.0, 1.0]]],
+            [[[1.0] * 16] * 3],
+            [[[1.0] * 17] * 2] * 2,
+        ),
+        "values must have 4 numbers": ([1.0],),
+        "log_covariance must be 4 by 4 and positive definite": (
+            np.diag([1.0, 1.0, 1.0, -1.0]).tolist(),
+            np.eye(3).tolist(),
+            (np.eye(4) + 0.1 * np.eye(4, k=1)).tolist(),
+        ),
+    }
+    for error, values in words.items():
+        name = error.split()[0]
+        first = next(
+            line
+            for line in text.partition("[healthy.windows.drives]")[2].splitlines()
+            if line.startswith(name)
+        )
+        for broken in values:
+            path.write_text(text.replace(first, f"{name} = {broken}"), encoding="utf-8")
+            with pytest.raises(InputError, match=rf"healthy\.windows\.drives\.{error}"):
+                load_motor(path)
 
 
 def test_a_load_that_a_section_says_nothing_of_stays_as_it_is_known() -> None:

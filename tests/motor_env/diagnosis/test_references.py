@@ -354,13 +354,13 @@ def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> N
         expected += bool((limit + 1.645) * math.sqrt(same[3, 3]) > math.log(2.0))
     assert expected == (4 if odd else 0)
     motor = motor_files.to_motor(given, "m", healthy=learn_starts(given))
-    smallest, undecided = commission._promise(motor, given, None, RATE)
+    smallest, undecided = learning.promise_of(motor, given, None, RATE)
     assert undecided == ({"B/J": expected} if odd else {})
     reference = reference_of(motor, CURRENT)
     assert reference is not None
     views = views_of(given[0], reference, RATE)
     assert smallest == smallest_of(views, None, limits_of(views, RATE, tests_noise=True).z)
-    assert commission._promise(motor, given[:1], None, RATE)[1] == {}  # nothing is left to judge one by
+    assert learning.promise_of(motor, given[:1], None, RATE)[1] == {}  # nothing is left to judge one by
 
 
 def test_words_of_a_commissioning() -> None:

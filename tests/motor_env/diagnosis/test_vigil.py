@@ -14,6 +14,7 @@ from scipy import stats
 from motor_env import InputError, Recording
 from motor_env.diagnosis.running.counting import Counting, fewest_in_a_row, windows_between_alarms
 from motor_env.diagnosis.running.detector import Detector
+from motor_env.diagnosis.running.drives import driven
 from motor_env.diagnosis.running.learned import Learned
 from motor_env.diagnosis.running.pieces import N_STATES, Motion, Pieces
 from motor_env.diagnosis.running.replay import THRESHOLDS, replay, tails_hold
@@ -27,11 +28,11 @@ from motor_env.diagnosis.running.scales import (
     reaches,
 )
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
-from motor_env.diagnosis.running.windows import NAMES, FittedWindow, driven, judge_of
+from motor_env.diagnosis.running.windows import NAMES, FittedWindow, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.motor.faults import FaultKind
-from motor_env.motor.healthy import Healthy, Scale, Windows
+from motor_env.motor.healthy import Drive, Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 
 WINDOW_S, ERROR = 600.0, np.diag([0.002, 0.002, 0.005, 0.01]) ** 2
@@ -342,6 +343,27 @@ def test_a_drift_of_one_per_cent_an_hour_is_told(direction: list[float], steady:
     assert counts or watch.goes_on
 
 
+@pytest.mark.parametrize(("sd", "is_learned"), [(0.0, True), (3.9, True), (4.1, False)])
+def test_nothing_is_learned_from_a_window_that_may_be_of_a_faulty_motor(sd: float, is_learned: bool) -> None:
+    """A fault that is no alarm yet would widen what windows scatter, and hide itself."""
+    watch = vigil(commissioned(steady=True), HOUR / 1e6)
+    watch._scored = lambda *_: (np.full((1, 9), sd), np.ones((1, 9)))  # type: ignore[method-assign]
+    watch.ended(FittedWindow(np.zeros(4), ERROR))
+    assert not watch.goes_on
+    assert (watch._learned.memory["before"].any()) == is_learned
+
+
+def test_an_alarm_goes_on_while_a_window_is_off_in_any_direction() -> None:
+    """The pieces before it may have been too short to tell the direction."""
+    watch = vigil(commissioned(steady=True))
+    for highest, goes_on in ((2.1, True), (1.9, False)):
+        scores = np.append(np.full(8, -3.0), highest)[None]
+        watch._scored = lambda *_, row=scores: (row, np.full((1, 9), 1e-9))  # type: ignore[method-assign]
+        watch._toward = 0
+        assert watch.ended(FittedWindow(np.zeros(4), ERROR)) is goes_on
+        assert watch.goes_on is goes_on
+
+
 def test_false_alarms_of_windows_are_no_more_than_was_asked() -> None:
     """Commissionings with windows that scatter three times as much as their errors say; one alarm in 10 windows."""
     alarms, runs, windows = {False: 0, True: 0}, 8, 100
@@ -414,12 +436,21 @@ def driven_by(size: float, count: int = 600) -> Recording:
     return Recording(Path("it"), np.arange(count, dtype=np.float64), values, values, values)
 
 
+def with_drives(logs: dict[float, FloatArray]) -> Healthy:
+    """Driven by each of these and its negative, with these logarithms of R, K, J and B."""
+    healthy = commissioned(steady=True)
+    assert healthy.windows is not None
+    drives = tuple(
+        Drive((n,), driven(driven_by(size))[None], np.exp(at), healthy.log_covariance, 15.0)
+        for n, (size, at) in enumerate(logs.items())
+    )
+    return replace(healthy, windows=replace(healthy.windows, drives=drives, alike=0.12))
+
+
 @cache
 def knows_its_drive() -> Healthy:
     """Driven by 1 and -1 in all windows."""
-    healthy, known = commissioned(steady=True), driven(driven_by(1.0))
-    assert healthy.windows is not None
-    return replace(healthy, windows=replace(healthy.windows, driven=known[None], alike=0.12))
+    return with_drives({1.0: np.zeros(4)})
 
 
 def test_a_window_under_another_drive_is_no_evidence_and_teaches_nothing() -> None:

@@ -24,6 +24,7 @@ from motor_env.diagnosis.learning import the_next, without
 from motor_env.diagnosis.loaded import Drag
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons, windows
+from motor_env.diagnosis.running.drives import apart, driven, rms_volts
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of
 from motor_env.diagnosis.running.windows import (
@@ -32,12 +33,9 @@ from motor_env.diagnosis.running.windows import (
     WARMTH,
     FittedWindow,
     WindowJudge,
-    apart,
     averaged,
-    driven,
     judge_of,
     over_speed,
-    rms_volts,
     viscous,
     windows_of,
 )
@@ -150,7 +148,7 @@ def test_sensors_are_checked_against_what_windows_have_taught(monkeypatch: pytes
 
 def test_the_temperature_of_healthy_logs_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("motor_env.diagnosis.commission.learn_windows", lambda *_, **__: (HEALTHY, []))
-    monkeypatch.setattr("motor_env.diagnosis.commission._promise", lambda *_: ({}, {}))
+    monkeypatch.setattr("motor_env.diagnosis.commission.promise_of", lambda *_: ({}, {}))
     for celsius in (None, 21.0):
         found = commission([recording(2000)], window_s=0.5, temperature_c=celsius)
         assert found.healthy.temperature_c == celsius
@@ -566,17 +564,20 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     assert (
         taught.window_excess < 0.99
     ) is steady  # where there is no prior some errors are larger than the spread
-    assert (taught.driven is None) is steady
-    if taught.driven is not None:
+    assert (taught.drives == ()) is steady
+    for drive in taught.drives:  # one: the voltage is the same in all windows
+        np.testing.assert_allclose(drive.values, found.values)
+        np.testing.assert_allclose(drive.log_covariance, found.log_covariance)
+        assert (drive.pieces, drive.degrees_of_freedom) == (tuple(range(6)), 9.0)
         levels, lags = np.linspace(0.05, 0.95, 10), np.array([62, 31, 15, 7, 3, 1, 1])
         amps = np.hstack(
             [500.0 * np.arange(6.0)[:, None] + 499.0 * levels, np.tile(lags.astype(float), (6, 1))]
         )
-        np.testing.assert_allclose(taught.driven[:, 1:], np.stack([amps, 30.0 * amps], axis=1))
+        np.testing.assert_allclose(drive.moved[:, 1:], np.stack([amps, 30.0 * amps], axis=1))
         sine = np.append(
             -7.0 * np.cos(math.pi * levels), 14.0 * np.sin(math.pi * lags / 100.0) / math.sqrt(2.0)
         )
-        np.testing.assert_allclose(taught.driven[:, 0], np.tile(sine * math.sqrt(2.0), (6, 1)), atol=0.3)
+        np.testing.assert_allclose(drive.moved[:, 0], np.tile(sine * math.sqrt(2.0), (6, 1)), atol=0.3)
     (whole,) = taught.scales  # half a second is too short for shorter pieces
     assert (whole.halvings, whole.counts[0], whole.healthy_windows) == (0, 6.0, 6)
     assert (len(taught.most), len(taught.replayed)) == (8, 12)
@@ -604,7 +605,7 @@ def test_a_model_that_lacks_nothing_errs_under_far_drives_only(
     if not is_alike:  # the voltage is the same in all windows otherwise
         log = replace(log, voltage_v=log.current_a)
         parts = [driven(part) for part in windows_of(log, 0.5)]
-        among = max(min(apart(one, other[None]) for other in parts if other is not one) for one in parts)
+        among = max(min(apart(one, other[None])[0] for other in parts if other is not one) for one in parts)
         assert among > 0.3
     healthy, _ = learn_windows([log], 0.5)
     assert healthy.windows is not None

@@ -1,0 +1,169 @@
+"""Motors that were commissioned under several drives: a window is compared with those that are driven alike."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motor_env import Recording, commission
+from motor_env.diagnosis.learning import RECORD_SPREAD, promise_of, the_next, without
+from motor_env.diagnosis.motor_files import motor_of_windows
+
+# Reaches in: drives and windows are made by hand, and a watch hears them.
+from motor_env.diagnosis.running.drives import sorted_by_drive
+from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
+from motor_env.diagnosis.running.windows import NAMES, FittedWindow, judge_of, windows_of
+from motor_env.fitting.recorded import from_recordings
+from motor_env.motor.healthy import Healthy
+from motor_env.motor.parameters import FloatArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
+
+WINDOW = 400
+PROFILES = ("reversals", "steps")
+
+
+@pytest.fixture(scope="module")
+def simulated() -> SimulatedMotor:
+    """A motor with a gear, stiction and cogging."""
+    return draw_motor(np.random.default_rng([3, 1]), ("gear", "presliding", "cogging"))
+
+
+def log_of(
+    motor: SimulatedMotor, profile: str, seed: int, *, usual: SimulatedMotor, windows: int = 3
+) -> Recording:
+    rng = np.random.default_rng(seed)
+    dt_s = 0.1 * usual.mechanical_s
+    return simulate(motor, profile, rng, samples=windows * WINDOW, dt_s=dt_s, usual=usual)
+
+
+@pytest.fixture(scope="module")
+def logs(simulated: SimulatedMotor) -> list[Recording]:
+    return [log_of(simulated, profile, 5, usual=simulated) for profile in PROFILES]
+
+
+@pytest.fixture(scope="module")
+def learned(simulated: SimulatedMotor, logs: list[Recording]) -> tuple[Healthy, list[FittedWindow]]:
+    return learn_windows(logs, WINDOW * 0.1 * simulated.mechanical_s)
+
+
+def test_windows_are_sorted_by_how_they_are_driven() -> None:
+    """Windows of one drive follow one another, each as near to the next as the farthest one is to its nearest."""
+    levels = np.array([1.0, 1.1, 3.0, 1.2, 3.3])
+    moved: FloatArray = np.zeros((5, 3, 17))
+    moved[:, :, :10] = levels[:, None, None]  # a constant: as far apart as the levels, over the other's
+    drive, alike = sorted_by_drive(moved, 1.0)
+    assert drive.tolist() == [0, 0, 1, 0, 1]
+    assert alike == pytest.approx(0.12)  # 0.3 / 3.3 is less
+    farther, alike = sorted_by_drive(moved, 6.0)
+    assert farther.tolist() == [0] * 5  # 1.8 / 3.0 is 0.6
+    assert alike == pytest.approx(0.72)
+    spread, alike = sorted_by_drive(moved * np.array([1.0, 1.2, 1.0, 1.0, 1.3])[:, None, None], 1.0)
+    assert spread.tolist() == [0, 0, 1, 0, 1]
+    assert alike == pytest.approx(1.29 / 3.0)
+
+
+def test_each_drive_teaches_its_own_values(learned: tuple[Healthy, list[FittedWindow]]) -> None:
+    """With the spread of its own windows, and that from record to record."""
+    healthy, fits = learned
+    assert healthy.windows is not None
+    drives = healthy.windows.drives
+    assert [drive.pieces for drive in drives] == [(0, 1, 2), (3, 4, 5)]
+    for drive in drives:
+        some = [fits[n] for n in drive.pieces]
+        centre, covariance, freedom = the_next(
+            np.array([fit.log_values for fit in some]),
+            np.mean([fit.white_covariance for fit in some], axis=0),
+        )
+        np.testing.assert_allclose(np.log(drive.values), centre)
+        np.testing.assert_allclose(drive.log_covariance, covariance + np.diag(np.square(RECORD_SPREAD)))
+        assert drive.degrees_of_freedom == freedom == 6.0
+    off = np.log(drives[0].values / drives[1].values)
+    assert np.abs(off[3]) > 0.05  # friction is another one
+
+
+def test_a_window_is_compared_with_those_that_are_driven_alike(
+    simulated: SimulatedMotor, learned: tuple[Healthy, list[FittedWindow]]
+) -> None:
+    healthy, _ = learned
+    judge = judge_of(healthy)
+    worn = replace(simulated, viscous=2.0 * simulated.viscous, coulomb=2.0 * simulated.coulomb)
+    for place, profile in enumerate(PROFILES):
+        fresh = log_of(simulated, profile, 6, usual=simulated)
+        assert judge.drive_of(fresh)[0] == place
+        assert judge.drive_of(fresh)[1] <= 1.0
+        assert [one.verdict for one in judge.judge(fresh, 0.01)[0]] == ["healthy"] * 3
+        for one in judge.judge(log_of(worn, profile, 6, usual=simulated), 0.01)[0]:
+            assert one.verdict == "bearing"
+            assert (
+                one.reasons[-1] == "compared with 3 of 6 healthy windows of this motor that are driven alike"
+            )
+
+
+def test_the_smallest_change_shows_under_each_drive(learned: tuple[Healthy, list[FittedWindow]]) -> None:
+    healthy, fits = learned
+    assert healthy.windows is not None
+    motor = motor_of_windows(healthy, "it")
+    smallest, _ = promise_of(motor, fits, None, 0.01)
+    each = []
+    for drive in healthy.windows.drives:
+        alone = replace(healthy.under(drive), windows=replace(healthy.windows, drives=()))
+        own = [fits[n] for n in drive.pieces]
+        each.append(promise_of(replace(motor, healthy=alone), own, None, 0.01)[0])
+    assert smallest == pytest.approx({kind: max(one[kind] for one in each) for kind in each[0]})
+    others = [fits[n] for n in (3, 5)]
+    np.testing.assert_allclose(
+        np.log(without(healthy, fits, 4).values), np.mean([fit.log_values for fit in others], axis=0)
+    )
+
+
+def test_a_commissioning_says_in_how_many_ways_the_motor_was_driven(
+    simulated: SimulatedMotor, logs: list[Recording]
+) -> None:
+    window_s = WINDOW * 0.1 * simulated.mechanical_s
+    assert (
+        "  driven in 2 ways: each window is compared with those" in commission(logs, window_s=window_s).text()
+    )
+    again = log_of(simulated, PROFILES[0], 7, usual=simulated)
+    assert "  driven in" not in commission([logs[0], again], window_s=window_s).text()
+
+
+def test_a_watch_goes_on_from_one_drive_to_another(
+    simulated: SimulatedMotor, learned: tuple[Healthy, list[FittedWindow]]
+) -> None:
+    """Whatever the friction is taken for under each: what was healthy before is no fault after, and a fault is told."""
+    healthy, _ = learned
+    judge = judge_of(healthy)
+
+    def heard(watch: Vigil, log: Recording) -> list[bool]:
+        told = []
+        for part in windows_of(log, judge.windows.window_s):
+            watch.begin()
+            watch.heard(part, float(part.time_s[0]))
+            if not watch.is_strange(part):
+                told.append(watch.ended(judge.fitted(from_recordings([part]))))
+        return told
+
+    per_year = YEAR_S / (1000.0 * judge.windows.window_s)
+    for first, second in (PROFILES, PROFILES[::-1]):
+        watch = Vigil(judge, healthy, false_alarms_per_year=per_year)
+        assert heard(watch, log_of(simulated, first, 8, usual=simulated)) == [False] * 3
+        began = watch.memory
+        assert heard(watch, log_of(simulated, second, 9, usual=simulated)) == [False] * 3
+        assert watch.memory["counted"][-1] == float(PROFILES.index(second))
+        later = Vigil(judge, healthy, false_alarms_per_year=per_year, memory=watch.memory)
+        worn = replace(simulated, ohm=1.25 * simulated.ohm)
+        assert heard(later, log_of(worn, second, 10, usual=simulated))[-1]
+        # The window in which the drive is another one is heard under that.
+        again = Vigil(judge, healthy, false_alarms_per_year=per_year, memory=began)
+        told = heard(again, log_of(worn, second, 10, usual=simulated, windows=1))
+        assert told == [again.goes_on]
+        fit = judge.fitted(from_recordings([log_of(worn, second, 10, usual=simulated, windows=1)]))
+        own = judge.under(PROFILES.index(second)).reference.log_values
+        np.testing.assert_allclose(
+            again.memory["at"], np.zeros(len(NAMES)) if told[0] else fit.log_values - own
+        )
