@@ -3,7 +3,6 @@
     python benchmarks/running_windows.py --motors 40
     python benchmarks/running_windows.py --motors 30 --other-physics
     python benchmarks/running_windows.py --motors 30 --other-physics --window-s 20
-    python benchmarks/running_windows.py --motors 20 --other-physics --window-s 20 --records 5
     python benchmarks/running_windows.py --motors 30 --other-physics --every-drive
     python benchmarks/running_windows.py --motors 20 --other-physics --every-drive --window-s 20
 
@@ -11,7 +10,7 @@ Random motors and profiles from the independent simulator in operation_simulator
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
 With other physics the motors have all of its SWITCHES, and are judged in other profiles, under other controllers, too.
 Windows of a length in seconds are sampled at 100 Hz. Their faults, and severe ones, are judged in the own one alone.
-With every drive motors are commissioned by one record under each, of 2 windows, and all faults are judged under each.
+With every drive motors are commissioned by one record of 2 windows under each, and faults are judged under each.
 """
 
 from __future__ import annotations
@@ -69,9 +68,7 @@ def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
     }
 
 
-def judge(
-    number: int, seed: int, *, other_physics: bool, window_s: float | None, records: int, every_drive: bool
-) -> Said:
+def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None, every_drive: bool) -> Said:
     """Verdicts on one motor, commissioned in one profile, or under each drive."""
     rng = np.random.default_rng([seed, number])
     motor = draw_motor(rng, SWITCHES if other_physics else ())
@@ -79,7 +76,7 @@ def judge(
     dt_s = DT * motor.mechanical_s if window_s is None else SLOW_S
     window = WINDOW if window_s is None else round(window_s / SLOW_S)
     recorded = partial(simulate, rng=rng, dt_s=dt_s, usual=motor)
-    drives = list(UNDER.values()) if every_drive else [{}] * records
+    drives = (UNDER if every_drive else OWN).values()
     try:
         logs = [
             recorded(motor, samples=LEARNED // len(drives) * window, **({"profile": learned} | drive))
@@ -117,7 +114,6 @@ def main(
     seed: int = 1,
     other_physics: bool = False,
     window_s: float | None = None,
-    records: int = 1,
     every_drive: bool = False,
     how: How = HERE,
 ) -> None:
@@ -128,17 +124,12 @@ def main(
         seed: of them.
         other_physics: motors with all switches, also judged under other drives than they were commissioned in.
         window_s: length of a window; by default 40 mechanical time constants.
-        records: of which each motor is commissioned, each with a work of its own; a divisor of LEARNED.
-        every_drive: commissioned by a record under each drive instead.
+        every_drive: commissioned by a record under each drive, not in one profile.
         how: options of every table.
     """
-    if LEARNED % records:
-        raise SystemExit(f"--records must divide {LEARNED}, got {records}")
     of: dict[str, Any] = {"seed": seed} | ({"other_physics": True} if other_physics else {})
     if window_s is not None:
         of["window_s"] = window_s
-    if records > 1:
-        of["records"] = records
     if every_drive:
         of["every_drive"] = True
     judged = partial(
@@ -146,15 +137,13 @@ def main(
         seed=seed,
         other_physics=other_physics,
         window_s=window_s,
-        records=records,
         every_drive=every_drive,
     )
     counts = counted(judged, motors, how, of=of)
     print(*counts[("commissioning",)].elements(), sep="\n")
     header = ("changed", "judged in", "right verdict", "said", "else")
     name = "windows_other_physics" if other_physics else "windows"
-    name += ("" if window_s is None else "_longer") + ("" if records == 1 else "_several")
-    name += "_every_drive" if every_drive else ""
+    name += ("" if window_s is None else "_longer") + ("_every_drive" if every_drive else "")
     keep_table("operation", name, header, rows(counts, UNDER if other_physics else OWN))
 
 

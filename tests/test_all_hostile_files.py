@@ -376,12 +376,16 @@ KINDS = {
 }
 
 
+PROMISE = "one false alarm in"
+"""What `watch` says at its start, before it has read anything."""
+
+
 def defect(said: str, *, seen: bool, new: set[Path]) -> str:
     """What is wrong with the end of a command; empty where nothing is."""
     if not said.startswith("["):
         return said
     status, out, err = json.loads(said)
-    lines = err.splitlines()
+    lines = [line for line in err.splitlines() if PROMISE not in line]
     wrong = {
         f"status {status}": status not in (0, 1, 2, 3),
         "a traceback": "Traceback" in out + err,

@@ -104,7 +104,8 @@ def _whole(values: FloatArray) -> FloatArray:
     """Columns with their missing values filled; of whole numbers with whole ones, since counts are known by that."""
     if not np.isnan(values).any():
         return values
-    is_whole = np.array([np.array_equal(column, np.round(column), equal_nan=True) for column in values.T])
+    with np.errstate(invalid="ignore"):  # a file may hold a signalling NaN
+        is_whole = np.array([np.array_equal(column, np.round(column), equal_nan=True) for column in values.T])
     full = np.stack([filled(column) for column in values.T], axis=1)
     return np.where(is_whole, np.round(full), full)
 

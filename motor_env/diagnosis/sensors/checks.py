@@ -251,8 +251,11 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
     known = float(physical[places.OFFSET_I])
     by_speed = np.asarray(_by_the_others(seen, physical)[0]) - known
     if np.count_nonzero(rests) >= _FEWEST:
-        # A controller may hold a small voltage, of which a rotor that stands draws its current.
-        off, most = float(np.mean(current[rests] - by_speed[rests])), _OFFSET_AT_REST
+        # A controller may hold a small voltage, of which a rotor that stands draws its current. A speed in another unit
+        # is none at rest.
+        held = seen.voltage_v / physical[places.R]
+        off = min((float(np.mean((current - each)[rests])) for each in (by_speed, held)), key=abs)
+        most = _OFFSET_AT_REST
     elif min(turning) > _TURNS_BACK:
         shapes = np.stack([np.ones(len(current)), by_speed, speed, np.sign(speed)], axis=1)
         off, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET

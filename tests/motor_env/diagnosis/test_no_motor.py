@@ -99,6 +99,7 @@ def test_what_does_not_turn_has_no_bearing(form: str, name: str) -> None:
             "the current is in mA, and was read in A, or if the voltage is in kV, and was read in V",
         ),
         ("log", "speed in deg/s", "the speed is in degrees a second, and was read in rad/s"),
+        ("log", "speed in rpm", "the speed is in rpm, and was read in rad/s"),
     ],
 )
 def test_a_wrong_scale_is_named_first(form: str, name: str, first: str) -> None:

@@ -66,6 +66,15 @@ def test_thousand_mutated_files_are_read_or_refused(kind: str, seed: int, tmp_pa
     check_mutated(kind, 10 + seed, 100, tmp_path / f"a.{kind}")
 
 
+def test_a_signalling_nan_is_a_missing_sample(tmp_path: Path) -> None:
+    """Whatever arithmetic says of it: damage can make one of a number."""
+    current = 3.0 * np.random.default_rng(1).random(1000)
+    current.view(np.uint64)[500] = 0x7FF0_0000_0000_0001
+    np.save(tmp_path / "a.npy", np.stack([1e-3 * np.arange(1000.0), current], axis=1))
+    found = read_recording(tmp_path / "a.npy").current_a
+    assert found[500] == pytest.approx(np.mean(current[[499, 501]]))
+
+
 def test_a_crash_of_the_parser_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some damaged MATLAB files end the process that parses them."""
     crashing = tmp_path / "crashing.py"
