@@ -15,7 +15,7 @@ from motor_env.motor.parameters import FloatArray
 LEANS = np.array([0.6, 1.2, 2.4])
 """Sizes of a fault that are looked for, in standard deviations of a piece."""
 _LARGEST = 10.0
-_OVERSHOOT = 0.5
+_OVERSHOOT, _ENOUGH = 0.5, 1e100
 
 
 class Detector:
@@ -49,6 +49,8 @@ class Detector:
         u, leans = np.minimum(scores, _LARGEST)[:, None], LEANS * np.reshape(reach, (-1, 1))
         e_values = np.exp(leans * u - 0.5 * leans**2)
         begun = self.sums[length] + pieces
+        # Evidence that waits for a window's end goes on growing: there is more than enough of it.
+        e_values /= np.maximum(begun * e_values / _ENOUGH, 1.0)
         self.ages[length] = (self.ages[length] + pieces * begun) * e_values
         self.sums[length] = begun * e_values
 

@@ -104,6 +104,17 @@ def test_a_sum_is_that_of_shiryaev_and_roberts() -> None:
     assert detector.strongest[2] == pytest.approx(age)
 
 
+def test_evidence_that_is_not_asked_for_stays_finite() -> None:
+    """Its direction and age are as they were."""
+    detector = Detector(1, np.ones(2))
+    for _ in range(300):
+        detector.add(0, np.array([10.0, 0.0]), 1)
+    assert 1e99 < detector.evidence < 1e101
+    length, direction, age = detector.strongest
+    assert (length, direction) == (0, 0)
+    assert age == pytest.approx(300.0, rel=0.01)
+
+
 def test_sizes_go_with_what_a_piece_tells() -> None:
     """A piece of half the reach looks for half the shift: by hand, for one piece."""
     detector = Detector(1, np.ones(2))
