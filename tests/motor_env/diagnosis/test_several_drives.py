@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from motor_env.diagnosis.learning import RECORD_SPREAD, promise_of, the_next, wi
 from motor_env.diagnosis.motor_files import motor_of_windows
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
+from motor_env.diagnosis.running import lessons
 from motor_env.diagnosis.running.drives import sorted_by_drive
 from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.running.pieces import Pieces
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
-from motor_env.diagnosis.running.windows import NAMES, FittedWindow, judge_of, windows_of
+from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of, windows_of
 from motor_env.fitting.recorded import from_recordings
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
@@ -115,6 +118,9 @@ def test_the_smallest_change_shows_under_each_drive(learned: tuple[Healthy, list
         own = [fits[n] for n in drive.pieces]
         each.append(promise_of(replace(motor, healthy=alone), own, None, 0.01)[0])
     assert smallest == pytest.approx({kind: max(one[kind] for one in each) for kind in each[0]})
+    assert each[0] != each[1]
+    turned = replace(healthy, windows=replace(healthy.windows, drives=healthy.windows.drives[::-1]))
+    assert promise_of(replace(motor, healthy=turned), fits, None, 0.01)[0] == smallest  # whatever their order
     others = [fits[n] for n in (3, 5)]
     np.testing.assert_allclose(
         np.log(without(healthy, fits, 4).values), np.mean([fit.log_values for fit in others], axis=0)
@@ -129,7 +135,27 @@ def test_a_commissioning_says_in_how_many_ways_the_motor_was_driven(
         "  driven in 2 ways: each window is compared with those" in commission(logs, window_s=window_s).text()
     )
     again = log_of(simulated, PROFILES[0], 7, usual=simulated)
-    assert "  driven in" not in commission([logs[0], again], window_s=window_s).text()
+    alike = commission([logs[0], again], window_s=window_s)
+    assert "  driven in" not in alike.text()
+    assert judge_of(alike.healthy).reference.source == "6 healthy windows of this motor"
+
+
+def test_pieces_teach_how_they_scatter_about_their_own_drive(
+    simulated: SimulatedMotor, logs: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taught_by: list[FloatArray] = []
+    pieces_of = lessons._pieces_of
+
+    def spy(judge: WindowJudge, *window: Any) -> list[Pieces]:
+        taught_by.append(judge.reference.log_values)
+        return pieces_of(judge, *window)
+
+    monkeypatch.setattr(lessons, "_pieces_of", spy)
+    healthy, _ = learn_windows(logs, WINDOW * 0.1 * simulated.mechanical_s)
+    assert healthy.windows is not None
+    for drive in healthy.windows.drives:
+        for n in drive.pieces:
+            np.testing.assert_allclose(taught_by[n], np.log(drive.values))
 
 
 def test_a_watch_goes_on_from_one_drive_to_another(
@@ -145,6 +171,7 @@ def test_a_watch_goes_on_from_one_drive_to_another(
             watch.begin()
             watch.heard(part, float(part.time_s[0]))
             if not watch.is_strange(part):
+                assert len(watch._sections) == watch._pieces  # all of the window, under the drive that it has
                 told.append(watch.ended(judge.fitted(from_recordings([part]))))
         return told
 
@@ -152,18 +179,33 @@ def test_a_watch_goes_on_from_one_drive_to_another(
     for first, second in (PROFILES, PROFILES[::-1]):
         watch = Vigil(judge, healthy, false_alarms_per_year=per_year)
         assert heard(watch, log_of(simulated, first, 8, usual=simulated)) == [False] * 3
-        began = watch.memory
-        assert heard(watch, log_of(simulated, second, 9, usual=simulated)) == [False] * 3
+        changed = log_of(simulated, second, 9, usual=simulated)
+        assert heard(watch, changed) == [False] * 3
+        last = judge.fitted(from_recordings([windows_of(changed, judge.windows.window_s)[-1]]))
+        own = judge.under(PROFILES.index(second)).reference.log_values
+        np.testing.assert_allclose(watch.memory["at"], last.log_values - own)
         assert watch.memory["counted"][-1] == float(PROFILES.index(second))
         later = Vigil(judge, healthy, false_alarms_per_year=per_year, memory=watch.memory)
         worn = replace(simulated, ohm=1.25 * simulated.ohm)
         assert heard(later, log_of(worn, second, 10, usual=simulated))[-1]
-        # The window in which the drive is another one is heard under that.
-        again = Vigil(judge, healthy, false_alarms_per_year=per_year, memory=began)
-        told = heard(again, log_of(worn, second, 10, usual=simulated, windows=1))
-        assert told == [again.goes_on]
-        fit = judge.fitted(from_recordings([log_of(worn, second, 10, usual=simulated, windows=1)]))
-        own = judge.under(PROFILES.index(second)).reference.log_values
-        np.testing.assert_allclose(
-            again.memory["at"], np.zeros(len(NAMES)) if told[0] else fit.log_values - own
-        )
+
+
+def test_pieces_of_a_window_are_compared_with_their_own_drive(
+    simulated: SimulatedMotor, learned: tuple[Healthy, list[FittedWindow]]
+) -> None:
+    """As if R had been twice as large under the second one: it is down there now."""
+    healthy, _ = learned
+    assert healthy.windows is not None
+    first, second = healthy.windows.drives
+    larger = replace(second, values=second.values * np.array([2.0, 1.0, 1.0, 1.0]))
+    taught = replace(healthy, windows=replace(healthy.windows, drives=(first, larger)))
+    judge = judge_of(taught)
+    watch = Vigil(judge, taught, false_alarms_per_year=YEAR_S / (1000.0 * judge.windows.window_s))
+    one, other, _ = windows_of(log_of(simulated, PROFILES[1], 8, usual=simulated), judge.windows.window_s)
+    watch.begin()
+    assert not watch.is_strange(one)
+    watch.begin()
+    assert watch.heard(other, float(other.time_s[0]))
+    told = watch.alarm(other, 0.01)
+    assert told is not None
+    assert told.changes[0].ratio == pytest.approx(0.5, rel=0.05)

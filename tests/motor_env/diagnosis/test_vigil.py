@@ -501,6 +501,21 @@ def test_an_alarm_under_another_drive_waits_for_the_window(
     assert watch.alarm(driven_by(size), 0.01) is not None  # whatever the drive
 
 
+@pytest.mark.parametrize("known", [1.0, 2.0])
+def test_an_alarm_waits_where_the_drive_has_become_another_known_one(
+    monkeypatch: pytest.MonkeyPatch, known: float
+) -> None:
+    """What was heard of the window was compared with healthy windows of the drive before."""
+    monkeypatch.setattr(Vigil, "_fitted", lambda *_: Judgement(Verdict.WINDING, ("because",)))
+    monkeypatch.setattr("motor_env.diagnosis.running.windows.WindowJudge.failed_sensor", lambda *_: None)
+    watch = vigil(with_drives({1.0: np.zeros(4), 2.0: np.full(4, 0.1)}))
+    monkeypatch.setattr(Vigil, "heard", lambda *_: False)
+    assert not watch.is_strange(driven_by(known))
+    for size in (1.0, 2.0):
+        watch._detector.sums[0, 0] = 1e9
+        assert (watch.alarm(driven_by(size), 0.01) is not None) is (size == known)
+
+
 def test_behind_a_window_under_another_drive_alarms_wait_until_one_is_driven_as_usual(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
