@@ -10,7 +10,8 @@ Random motors and profiles from the independent simulator in operation_simulator
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
 With other physics the motors have all of its SWITCHES, and are judged in other profiles, under other controllers, too.
 Windows of a length in seconds are sampled at 100 Hz. Their faults, and severe ones, are judged in the own one alone.
-With every drive motors are commissioned by one record of 2 windows under each, and faults are judged under each.
+With --every-drive motors are commissioned by one record of 2 windows under each, and all but severe faults are judged
+under each.
 """
 
 from __future__ import annotations
@@ -87,8 +88,8 @@ def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None
         return [(("commissioning", learned), str(error))]
     known, said = motor_of_windows(healthy, "this motor"), Said()
     for name, (other, right) in changed(motor).items():
-        is_told_there = right == "healthy" or every_drive or window_s is None
-        is_own = not other_physics or name in SEVERE or not is_told_there
+        is_everywhere = right == "healthy" or every_drive or window_s is None
+        is_own = not other_physics or name in SEVERE or not is_everywhere
         for under, options in OWN.items() if is_own else UNDER.items():
             warm_k = WARM_K if "K more" in name else 0.0
             drive = {"profile": learned} | options
@@ -133,11 +134,7 @@ def main(
     if every_drive:
         of["every_drive"] = True
     judged = partial(
-        judge,
-        seed=seed,
-        other_physics=other_physics,
-        window_s=window_s,
-        every_drive=every_drive,
+        judge, seed=seed, other_physics=other_physics, window_s=window_s, every_drive=every_drive
     )
     counts = counted(judged, motors, how, of=of)
     print(*counts[("commissioning",)].elements(), sep="\n")

@@ -1,4 +1,4 @@
-"""False alarms of `motor-env watch` on healthy motors whose physics the fit does not have.
+"""False alarms of `motor-env watch`, and faults that it tells, on motors whose physics the fit does not have.
 
     python benchmarks/watch_other_physics.py --motors 40 --hours 0.5 --workers 2 --rows out/watch_other_physics.jsonl
     python benchmarks/watch_other_physics.py --motors 10 --otherwise --rows out/watch_otherwise.jsonl
@@ -72,8 +72,8 @@ def one(job: tuple[int, int, float]) -> dict[str, Any]:
     }
 
 
-def strange(job: tuple[int, int, bool]) -> dict[str, Any]:
-    """One motor under other drives than that of its commissioning, or all of these: what was said of its windows."""
+def under_drives(job: tuple[int, int, bool]) -> dict[str, Any]:
+    """What was said of one motor's windows under several drives; it was commissioned under one, or under each."""
     seed, number, every_drive = job
     rng, profile = np.random.default_rng([seed, number]), PROFILES[number % len(PROFILES)]
     motor, own = draw_motor(rng, SWITCHES), dict[str, Any](profile=profile)
@@ -162,7 +162,7 @@ def main(
     """
     if otherwise or every_drive:
         them = {number: (seed, number, every_drive) for number in range(motors)}
-        said = kept_rows(strange, them, lambda row: row["number"], workers, rows)
+        said = kept_rows(under_drives, them, lambda row: row["number"], workers, rows)
         header = HEADER_EVERY_DRIVE if every_drive else HEADER_OTHERWISE
         name = "watched_every_drive" if every_drive else "watched_otherwise"
         keep_table("operation", name, header, rows_by_drive(said, FAULTS if every_drive else ()))
