@@ -35,7 +35,7 @@ from motor_env.motor.model import steady_state
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of
-from motor_env.recordings.regime import taken_for
+from motor_env.recordings.regime import Taken, taken_for
 from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit, Start, prepare
 
@@ -119,6 +119,8 @@ def diagnose(
     if isinstance(motor, str | Path):
         motor = load_motor(motor)
     taken = taken_for(recording, regime, start)
+    if regime == "auto" and start is None and _is_like_healthy_windows(recording, motor):
+        taken = Taken("operation", "as its healthy recordings")
     known: dict[str, Any] = {"voltage_v": voltage_v, "circuit": circuit, "temperature_c": temperature_c}
     if taken.regime == "operation":
         for option, value in (("start", start), ("sensor-lag", circuit and circuit.sensor_lag_s)):
@@ -152,6 +154,12 @@ def diagnose(
                 each = (replace(said, begin_s=one.begin_s, duration_s=one.duration_s) for one in found.pieces)
                 return replace(found, pieces=tuple(each))
     return found
+
+
+def _is_like_healthy_windows(recording: Recording, motor: Motor | None) -> bool:
+    """Whether a motor was commissioned at work, and the recording is as long as such a window."""
+    windows = None if motor is None or motor.healthy is None else motor.healthy.windows
+    return windows is not None and len(recording.time_s) * recording.dt_s >= windows.window_s
 
 
 def _is_per_volt(healthy: Healthy) -> bool:

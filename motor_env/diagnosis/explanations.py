@@ -26,6 +26,8 @@ _OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else
 _STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the best step
 _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
+_MODEL_ERROR = 0.04  # of a fault's step, squared
+_VOLTAGE = quantities.PARAMETERS.index("V")
 _IMITATED = [quantities.PARAMETERS.index(name) for name in "KJB"]
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1
 _DIRECTIONS = 4096
@@ -103,6 +105,7 @@ class Explanation:
         step_sd: its standard deviation.
         p_left_over: probability of a rest at least as large as the one that it leaves unexplained.
         direction: how the quantities move with one unit of the step, shape (n,).
+        covariance: of what is beside the fault, shape (n, n).
     """
 
     kind: FaultKind
@@ -111,6 +114,7 @@ class Explanation:
     step_sd: float
     p_left_over: float
     direction: FloatArray
+    covariance: FloatArray
 
     @property
     def severity(self) -> float:
@@ -156,14 +160,28 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
     )
 
 
-def along(difference: Difference, direction: FloatArray) -> tuple[float, float, float, float]:
-    """A difference along a direction: z, the step and its standard deviation, and `p_left_over` of an `Explanation`."""
+def beside(difference: Difference, step: float) -> FloatArray:
+    """Covariance of what a fault leaves: beside its step each parameter may move by a share of it.
+
+    No motor is quite the model's, and the further a fault takes it, the less it is.
+    """
+    parameters = difference.exponents[:, :_VOLTAGE]
+    covariance: FloatArray = difference.covariance + (_MODEL_ERROR * step**2) ** 2 * parameters @ parameters.T
+    return covariance
+
+
+def along(difference: Difference, direction: FloatArray) -> tuple[float, float, float]:
+    """A difference along a direction: z, the step, and its standard deviation."""
     inverse = difference.inverse
     information = float(direction @ inverse @ direction)
     step = float(direction @ inverse @ difference.log_ratios) / information
-    z = step * math.sqrt(information)
-    rest = difference.p_value(difference.squared_distance - z * z, len(difference.log_ratios) - 1)
-    return z, step, 1.0 / math.sqrt(information), rest
+    return step * math.sqrt(information), step, 1.0 / math.sqrt(information)
+
+
+def left_over(difference: Difference, moved: FloatArray, covariance: FloatArray) -> float:
+    """Probability of a rest at least as large as what is left where a fault has moved the quantities."""
+    rest = difference.log_ratios - moved
+    return difference.p_value(float(rest @ np.linalg.solve(covariance, rest)), len(rest) - 1)
 
 
 def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
@@ -173,7 +191,10 @@ def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) 
     for kind in quantities.nameable_kinds(difference.exponents) if kinds is None else kinds:
         direction = quantities.visible_direction(kind, response)
         if np.linalg.norm(direction) >= _LEAST:
-            explanations.append(Explanation(kind, *along(difference, direction), direction))
+            z, step, step_sd = along(difference, direction)
+            covariance = beside(difference, step)
+            rest = left_over(difference, step * direction, covariance)
+            explanations.append(Explanation(kind, z, step, step_sd, rest, direction, covariance))
     return explanations
 
 
@@ -265,7 +286,7 @@ def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str
         steps = max(fault.step, 0.0) + fault.step_sd * _STEP_NODES
         steps = steps[steps >= 0.0]
         prior = math.log(2.0 / (math.pi * _SEVERITY_PRIOR)) - np.log1p((steps / _SEVERITY_PRIOR) ** 2)
-        along = _log_density(log_ratios - steps[:, None] * fault.direction, covariance, freedom)
+        along = _log_density(log_ratios - steps[:, None] * fault.direction, fault.covariance, freedom)
         width = math.log(fault.step_sd * (_STEP_NODES[1] - _STEP_NODES[0]))
         logs[fault.kind] = width + float(np.logaddexp.reduce(along + prior))
     logs["other"] = float(_log_density(log_ratios, covariance + _OTHER_PRIOR**2 * np.eye(n), freedom))

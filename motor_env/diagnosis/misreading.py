@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.explanations import Difference, Explanation, along
+from motor_env.diagnosis.explanations import Difference, Explanation, along, left_over
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting.starts.plausibility import NOT_TURNING
 from motor_env.motor.faults import FaultKind
@@ -93,7 +93,9 @@ def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, r
         direction = difference.exponents @ [POWERS[column].get(parameter, 0.0) for parameter in PARAMETERS]
         if not direction.any():  # a voltage, where nothing of it is compared
             continue
-        z, step, step_sd, p_left_over = along(difference, direction)
+        z, step, step_sd = along(difference, direction)
+        # A reading's scale is exact: nothing else moves with it.
+        p_left_over = left_over(difference, step * direction, difference.covariance)
         if abs(z) <= limit or p_left_over <= rate:
             continue
         # One quantity alone moves by faults and loads as well: only a known factor, and no other near it, counts.
@@ -103,7 +105,9 @@ def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, r
         gain, turned = None, math.copysign(1.0, step)
         if column != "time" and word not in _UNITS[column].values():
             kind = FaultKind(f"{column}_gain")
-            gain = Explanation(kind, abs(z), abs(step), step_sd, p_left_over, turned * direction)
+            gain = Explanation(
+                kind, abs(z), abs(step), step_sd, p_left_over, turned * direction, difference.covariance
+            )
         found += [Scale(column, word, gain)] if word else []
     return found
 

@@ -22,6 +22,7 @@ _FEWEST_CHANGES = 3
 _MOST_SWITCHES = 5
 _PAUSE_S, BOUNCE_S = 0.1, 0.02  # a motor does not stop in so short a pause; a contact has bounced and settled
 _INRUSH, _STILL_TURNS = 0.75, 0.1  # of the largest inrush, and of the top speed
+_FIRST = 3  # samples
 _FEWEST_JUMPS = 8  # of the voltage
 _CHANCE, _UNKNOWN, _KNOWN = 3.0, 0.25, 0.8  # rank correlation with the current's: standard errors; its bounds
 _NOISE_SPAN = 10.0  # a voltage that is only noise spans so many standard deviations
@@ -85,6 +86,7 @@ def work_seen(recording: Recording) -> str | None:
         "the voltage takes several levels": has_levels,
         "the voltage is switched faster than a motor stops": is_pulsed,
         "the voltage comes back before the motor stands": _restarted(recording, size, levels == 0),
+        "the motor turns already": size[0] > _OFF and _turns(recording, np.arange(_FIRST)),
     }
     return next((words for words, is_shown in shown.items() if is_shown), None)
 
@@ -96,13 +98,20 @@ def _restarted(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_
     if len(restarts) == 0:
         return False
     if recording.speed_rad_s is not None:
-        speed = np.abs(recording.speed_rad_s)
-        return bool(np.median(speed[restarts - 1]) > _STILL_TURNS * np.quantile(speed, 0.999))
+        return _turns(recording, restarts - 1)
     current = np.where(is_off, 0.0, np.abs(recording.current_a - np.median(recording.current_a[is_off])))
     without_wild = np.append(np.minimum(current[:-1], current[1:]), 0.0)
     begins = np.append(on[0], restarts)
     inrush = np.maximum.reduceat(without_wild, begins) / np.maximum.reduceat(share, begins)
     return bool(np.median(inrush[1:]) < _INRUSH * inrush.max())
+
+
+def _turns(recording: Recording, samples: NDArray[np.intp]) -> bool:
+    """Whether the motor turns at most of some samples, by its speed."""
+    if recording.speed_rad_s is None:
+        return False
+    speed = np.abs(recording.speed_rad_s)
+    return bool(np.median(speed[samples]) > _STILL_TURNS * np.quantile(speed, 0.999))
 
 
 def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:

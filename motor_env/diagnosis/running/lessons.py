@@ -79,22 +79,12 @@ def learn_windows(
         raise UnusableError(NEEDED)
     if joint.record.steps_seen < FEWEST_STEPS:
         raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
-    known, wanted, hold = known_of(joint), joint.solution.names, joint.record.hold
-    speed, times = effective_speed(joint), 1.0 if _lacks(joint) else FAR
-    if steady:
-        wanted = tuple(name for name in wanted if not name.startswith("offset"))
+    hold, speed, times = joint.record.hold, effective_speed(joint), 1.0 if _lacks(joint) else FAR
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
-    with_load = tuple(dict.fromkeys((*wanted, *_LOAD)))
-    fits = [fit_window(record, known, wanted if steady else with_load) for record in records]
-    drag_sd = max(
-        math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])), np.std([fit.logs[-1] for fit in fits])
-    )
-    if not steady and drag_sd < _TOLD:
-        wanted = with_load
+    known, wanted = told_by(records, joint, steady=steady)
+    fits = [fit_window(record, known, wanted) for record in records]
     # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
     known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
-    if "load_walk" not in wanted:
-        known[places.WALK] = 0.0
     fits = [fit_window(record, known, wanted) for record in records]
     volts = [rms_volts(part) for part in parts]
     found = [over_speed(fit, known, speed) for fit in fits]
@@ -130,6 +120,30 @@ def _lacks(joint: Operation) -> bool:
     known = joint.solution.values
     drag = known[places.COULOMB] + known[places.B] * effective_speed(joint)
     return bool(known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag)
+
+
+def told_by(
+    records: Sequence[Record], joint: Operation, *, steady: bool = False
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Physical values that windows share, and the terms of a window: a load only where windows tell it from friction.
+
+    Elsewhere a load that brakes is a part of the dry friction.
+    """
+    known = known_of(joint)
+    own = [name for name in joint.solution.names if name not in _LOAD]
+    with_load = (*own, *_LOAD)
+    fits = [fit_window(record, known, with_load) for record in records]
+    drag_sd = max(
+        math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])), np.std([fit.logs[-1] for fit in fits])
+    )
+    if drag_sd < _TOLD and not steady:
+        return known, with_load
+    braking = math.copysign(1.0, float(np.mean(joint.expected[:, 1]))) * known[places.LOAD]
+    if drag_sd >= _TOLD and known[places.COULOMB] + braking >= 0.0:
+        known[places.COULOMB] += braking
+        known[places.LOAD] = 0.0
+    known[places.WALK] = 0.0
+    return known, tuple(name for name in own if not (steady and name.startswith("offset")))
 
 
 def _drive(pieces: NDArray[np.intp], moved: FloatArray, found: Sequence[FittedWindow]) -> Drive:

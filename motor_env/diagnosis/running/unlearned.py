@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from motor_env.diagnosis.healthy_motor import reference_of
 from motor_env.diagnosis.running.drives import NEEDED, needed_columns
-from motor_env.diagnosis.running.lessons import effective_speed, known_of
-from motor_env.diagnosis.running.windows import MOST_SAMPLES, NAMES, WindowJudge, judge_of, viscous
+from motor_env.diagnosis.running.lessons import effective_speed, told_by
+from motor_env.diagnosis.running.windows import (
+    MOST_SAMPLES,
+    NAMES,
+    WindowJudge,
+    judge_of,
+    viscous,
+    windows_of,
+)
 from motor_env.fitting.identify import identify_record
 from motor_env.fitting.record import STRETCHES, Record
 from motor_env.fitting.recorded import from_recordings
@@ -41,7 +50,12 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
     joint = identify_record(_enough(from_recordings([recording]), _settles_s(motor)))
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)
-    physical, speed = known_of(joint), effective_speed(joint)
+    window_s, speed = _window_s(recording, _settles_s(motor)), effective_speed(joint)
+    records = []
+    for part in windows_of(recording, window_s)[:_WINDOWS]:
+        with suppress(UnusableError):  # as at rest
+            records.append(replace(from_recordings([part]), hold=joint.record.hold))
+    physical, terms = told_by(records or [joint.record], joint)
     reference = reference_of(
         motor,
         NAMES,
@@ -54,8 +68,8 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
             f"{motor.name} does not tell {', '.join(NAMES)}, which a motor at work is judged by"
         )
     windows = Windows(
-        window_s=_window_s(recording, _settles_s(motor)),
-        terms=joint.solution.names,
+        window_s=window_s,
+        terms=terms,
         physical=physical,
         hold=joint.record.hold,
         dt_s=recording.dt_s,

@@ -29,6 +29,9 @@ from motor_env.diagnosis.views import views_of
 from motor_env.motor.identifiable import matrix, nameable_kinds, visible_direction
 from motor_env.motor.parameters import FloatArray
 
+PARAMETERS_MOVED = EXPONENTS[:, :5] @ EXPONENTS[:, :5].T
+"""Covariance of the quantities where each parameter but the voltage has a variance of 1."""
+
 
 def test_tests_share_the_rate_of_false_alarms() -> None:
     """Three faults of the current alone, four of R, K, J and the drag; the noise and the whole."""
@@ -79,8 +82,10 @@ def test_explanations_of_a_difference_by_hand() -> None:
             assert one.step == pytest.approx(g @ inverse @ off / information)
             assert one.step_sd == pytest.approx(information**-0.5)
             assert one.z == pytest.approx(one.step / one.step_sd)
+            beside = covariance + (0.04 * one.step**2) ** 2 * PARAMETERS_MOVED
+            np.testing.assert_allclose(one.covariance, beside, rtol=1e-12)
             rest = off - one.step * g
-            p_value = stats.f.sf(rest @ inverse @ rest / 3.0, 3, 9.0)
+            p_value = stats.f.sf(rest @ np.linalg.solve(beside, rest) / 3.0, 3, 9.0)
             assert one.p_left_over == pytest.approx(p_value, rel=1e-9)
             assert one.severity == pytest.approx(FaultKind(name).severity(one.step))
     whole = difference(off, covariance)
@@ -152,17 +157,21 @@ def test_a_quantity_is_undecided_where_its_doubling_might_not_show() -> None:
 def test_probabilities_by_integration(off: tuple[float, ...], told: tuple[str, ...]) -> None:
     """Healthy 0.8 beforehand; each fault and something else share the rest; a severity is half-Cauchy of 0.3.
 
-    Faults that do not show at all are summed coarsely, and left out here.
+    Beside a fault each parameter may move by 0.04 of its best step's square. Faults that do not show at all are summed
+    coarsely, and left out here.
     """
     covariance, at = 4.0 * spread(4), np.array(off)
     given = replace(difference(at, covariance), degrees_of_freedom=9.7)
     healthy = stats.multivariate_t(np.zeros(4), covariance, df=9)
     weights: dict[str, Any] = {"healthy": 0.8 * healthy.pdf(at)}
+    steps = {str(one.kind): one.step for one in explain(given)}
     for kind in told:
         g = visible_direction(FaultKind(kind), EXPONENTS)
+        beside = covariance + (0.04 * steps[kind] ** 2) ** 2 * PARAMETERS_MOVED
+        faulty = stats.multivariate_t(np.zeros(4), beside, df=9)
 
-        def density(step: float, g: FloatArray = g) -> float:
-            return float(healthy.pdf(at - step * g) * stats.halfcauchy.pdf(step, scale=0.3))
+        def density(step: float, g: FloatArray = g, faulty: Any = faulty) -> float:
+            return float(faulty.pdf(at - step * g) * stats.halfcauchy.pdf(step, scale=0.3))
 
         weights[kind] = 0.05 * integrate.quad(density, 0.0, 3.0, limit=200)[0]
     weights["other"] = 0.05 * stats.multivariate_t(np.zeros(4), covariance + 0.09 * np.eye(4), df=9).pdf(at)

@@ -43,10 +43,10 @@ TERMS = ("R", "K", "J", "B", "noise_current", "noise_speed", "noise_voltage")
 
 
 @cache
-def log(faults: tuple[Fault, ...] = (), samples: int = 1600) -> Recording:
+def log(faults: tuple[Fault, ...] = (), samples: int = 1600, least_v: float = -10.0) -> Recording:
     """A controller sets another voltage every 50 ms."""
     rng, time_s = np.random.default_rng(1), DT_S * np.arange(float(samples))
-    voltage_v = np.repeat(rng.uniform(-10.0, 10.0, samples // 25), 25)
+    voltage_v = np.repeat(rng.uniform(least_v, 10.0, samples // 25), 25)
     current_a, speed_rad_s = simulate_states(P, voltage_v, DT_S, faults=faults).T
     current_a = current_a + rng.normal(0.0, 0.02, samples)
     return Recording(Path("log"), time_s, current_a, voltage_v, speed_rad_s + rng.normal(0.0, 1.0, samples))
@@ -103,6 +103,38 @@ def test_a_log_is_judged_without_a_commissioning_at_work(motor: Any) -> None:
     for piece in found.pieces[2:]:
         low, high = piece.severity_interval or (0.0, 0.0)
         assert low < 1.0 < high
+
+
+@pytest.mark.parametrize("at_rest", [0, 400])
+def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
+    monkeypatch: pytest.MonkeyPatch, at_rest: int
+) -> None:
+    """Its fit took a load for dry friction: with the load free in each window, the doubled friction would be a load.
+
+    A window at rest tells nothing.
+    """
+
+    def one_direction(record: Record) -> Any:
+        found = true_fit(record)
+        found.solution.values[[places.COULOMB, places.LOAD]] = 5e-3, -5e-3
+        found.solution.names = (*TERMS, "coulomb", "load_constant", "load_walk")
+        return found
+
+    monkeypatch.setattr(unlearned, "identify_record", one_direction)
+    whole = log(HALF_WAY, least_v=6.0)
+    assert whole.voltage_v is not None
+    assert whole.speed_rad_s is not None
+    works = np.arange(1600) >= at_rest
+    whole = replace(
+        whole,
+        current_a=whole.current_a * works,
+        voltage_v=whole.voltage_v * works,
+        speed_rad_s=whole.speed_rad_s * works,
+    )
+    judge = judge_for(whole, SHEET)
+    assert judge.windows.terms == (*TERMS, "coulomb")
+    np.testing.assert_allclose(judge.windows.physical[[places.COULOMB, places.LOAD]], 0.0)
+    assert said(whole, SHEET) == ["unusable" if at_rest else "healthy", "healthy", "bearing", "bearing"]
 
 
 @pytest.mark.long

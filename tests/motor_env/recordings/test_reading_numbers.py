@@ -565,6 +565,20 @@ def test_a_motor_that_still_turns_when_it_is_switched_on_is_at_work() -> None:
     )
 
 
+def test_a_motor_that_turns_when_the_recording_begins_is_at_work() -> None:
+    """By the median of its first three speeds, a tenth of the largest, and a tenth of the largest voltage."""
+    volts, speed = np.full(2000, 12.0), np.full(2000, -100.0)
+    for turning, begun, is_work in (
+        (9.9, 12.0, False),
+        (10.1, 12.0, True),
+        (10.1, 1.21, True),
+        (10.1, 1.19, False),
+    ):
+        volts[0], speed[:3] = begun, [0.0, turning, turning]
+        assert (work_seen(driven(volts, speed=speed)) == "the motor turns already") is is_work
+    assert work_seen(driven(volts)) is None  # nobody knows
+
+
 def test_levels_and_gaps_by_hand() -> None:
     assert changes(np.array([0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.8, 0.0, 0.0, 0.0, 0.09])) == 2
     assert changes(np.array([0.0, 0.11, 0.11, 0.0])) == 1
