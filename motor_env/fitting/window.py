@@ -16,7 +16,7 @@ import numpy as np
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.identify import without_lines
-from motor_env.fitting.problem import STEP, Problem
+from motor_env.fitting.problem import STEP, Problem, Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import NOISES, terms
 from motor_env.fitting.threads import on_one_thread
@@ -26,6 +26,7 @@ from motor_env.motor.parameters import FloatArray
 _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
+_LEAST_SHARE = 0.01  # of the friction, where a fit without a load begins
 _WILD = 6.0  # standard deviations beyond which an innovation counts no more
 _TOLD_APART = 1e-10  # least eigenvalue of an information matrix whose diagonal is 1
 _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell nothing
@@ -68,6 +69,22 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
     whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
     return WindowFit(logs, capped(slope @ spread[at] @ slope), values, whitened, best.misfit)
+
+
+def without_load(best: Solution, speed_rad_s: float) -> Solution:
+    """A fit in which all that brakes is friction: nothing told it from a load. Its mean speed tells the drag."""
+    values, theta = best.values, best.theta.copy()
+    friction = values[places.COULOMB] + abs(speed_rad_s) * (
+        values[places.B] + values[places.SQUARE] * abs(speed_rad_s)
+    )
+    braking = math.copysign(1.0, speed_rad_s) * values[places.LOAD]
+    share = max(1.0 + braking / friction, _LEAST_SHARE) if friction > 0.0 else 1.0
+    theta[[best.names.index(name) for name in ("coulomb", "B", "load_square") if name in best.names]] *= share
+    kept = [n for n, term in enumerate(best.problem.free) if term.name not in ("load_constant", "load_walk")]
+    known = best.problem.known.copy()
+    known[[places.LOAD, places.WALK]] = 0.0
+    free = tuple(best.problem.free[n] for n in kept)
+    return replace(best.problem, known=known, free=free).solve(theta[kept])
 
 
 class Scores(NamedTuple):

@@ -110,7 +110,7 @@ def first_fit(reading: Reading, path: Path) -> First:
     return First(
         names=found.solution.names,
         quantities=NAMES,
-        values=tuple(known_of(found).tolist()),
+        values=tuple(known_of(found.solution).tolist()),
         hold=found.record.hold,
         speed_rad_s=effective_speed(found),
         rms_volts=rms_volts(log),

@@ -63,7 +63,7 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
     """
     with suppress(UnusableError):
         joint = identify_record(from_recordings([whole]))
-        physical = known_of(joint)
+        physical = known_of(joint.solution)
         drag = viscous(physical, effective_speed(joint))
         logs = np.log([*physical[[places.R, places.K, places.J]], drag])
         spread = judge.reference.log_covariance + np.diag(np.square(_COARSE))

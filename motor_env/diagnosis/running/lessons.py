@@ -25,10 +25,11 @@ from motor_env.diagnosis.running.windows import (
 )
 from motor_env.fitting import places
 from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, identify_operation
+from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.uncertainty import beyond
-from motor_env.fitting.window import fit_window
+from motor_env.fitting.window import fit_window, without_load
 from motor_env.motor.healthy import Drive, Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -127,9 +128,9 @@ def told_by(
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Physical values that windows share, and the terms of a window: a load only where windows tell it from friction.
 
-    Elsewhere a load that brakes is a part of the dry friction.
+    Elsewhere all that brakes is friction.
     """
-    known = known_of(joint)
+    known = known_of(joint.solution)
     own = [name for name in joint.solution.names if name not in _LOAD]
     with_load = (*own, *_LOAD)
     fits = [fit_window(record, known, with_load) for record in records]
@@ -138,10 +139,8 @@ def told_by(
     )
     if drag_sd < _TOLD and not steady:
         return known, with_load
-    braking = math.copysign(1.0, float(np.mean(joint.expected[:, 1]))) * known[places.LOAD]
-    if drag_sd >= _TOLD and known[places.COULOMB] + braking >= 0.0:
-        known[places.COULOMB] += braking
-        known[places.LOAD] = 0.0
+    if drag_sd >= _TOLD and set(_LOAD) & set(joint.solution.names):
+        known = known_of(without_load(joint.solution, float(np.mean(joint.expected[:, 1]))))
     known[places.WALK] = 0.0
     return known, tuple(name for name in own if not (steady and name.startswith("offset")))
 
@@ -228,8 +227,8 @@ def _pieces_of(judge: WindowJudge, record: Record, fit: FittedWindow, lengths: S
     ]
 
 
-def known_of(joint: Operation) -> FloatArray:
+def known_of(joint: Solution) -> FloatArray:
     """Physical values of the joint fit, without warmth: each window is taken at its own temperature."""
-    known = joint.solution.values
+    known = joint.values
     known[[places.HEATING, places.COOLING]] = 0.0
     return known

@@ -121,7 +121,9 @@ def test_a_whole_log_that_was_read_wrongly_need_not_fit_to_a_percent(
     read[[places.R, places.K, places.J]] = 1.02 * motor["R"], motor["K"] / by, 0.97 * motor["J"] / by**2
     read[places.B] = friction * motor["B"] / by**2
     monkeypatch.setattr(judging, "from_recordings", lambda _: None)
-    monkeypatch.setattr(judging, "identify_record", lambda _: SimpleNamespace(expected=np.ones((2, 2))))
+    monkeypatch.setattr(
+        judging, "identify_record", lambda _: SimpleNamespace(solution=None, expected=np.ones((2, 2)))
+    )
     monkeypatch.setattr(judging, "known_of", lambda _: read)
     log: Any = Recording(Path("log"), np.arange(2.0), np.zeros(2))
     said = Judgement(Verdict.OTHER, (BEYOND_WEAR,))

@@ -23,7 +23,7 @@ from motor_env.fitting import fit as fitting, kernel, places, uncertainty
 from motor_env.fitting.beginnings import _sign, beginnings
 from motor_env.fitting.identify import Operation, _drag, _refuse_poor, identify_operation, identify_record
 from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.record import Hold
+from motor_env.fitting.record import Hold, Record
 from motor_env.fitting.recorded import (
     at_terminals,
     block_means,
@@ -41,7 +41,7 @@ from motor_env.fitting.uncertainty import (
     sandwich,
     secants,
 )
-from motor_env.fitting.window import fit_window, scores
+from motor_env.fitting.window import fit_window, scores, without_load
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise
@@ -560,6 +560,51 @@ def test_regressions_begin_near_the_motor() -> None:
     assert near[places.K] == pytest.approx(0.03 + drag, rel=0.02)
     assert near[places.J] / near[places.K] == pytest.approx(lag, rel=0.25)
     assert near[places.COULOMB] / near[places.K] == pytest.approx(dead, rel=0.3)
+
+
+def at(record: Record, names: list[str], p: FloatArray) -> Solution:
+    """The model of these values as the fit of these terms; without a walking load."""
+    begin = solution(record, names, p, np.zeros(len(names)))
+    pairs = [(p[term.place] / term.unit, term.is_log) for term in begin.problem.free]
+    theta = [math.log(max(value, 1e-3)) if is_log else value for value, is_log in pairs]
+    return replace(begin, theta=np.array(theta))
+
+
+@pytest.mark.parametrize(
+    ("turns", "square", "load", "share"),
+    [
+        (1.0, 0.0, 6e-3, 4.0),
+        (1.0, 0.0, -1e-3, 0.5),
+        (1.0, 0.0, -9e-3, 0.01),
+        (-1.0, 0.0, 1e-3, 0.5),
+        (1.0, 8e-9, 6e-3, 2.5),
+    ],
+)
+def test_a_fit_without_a_load_begins_with_its_drag_as_friction(
+    monkeypatch: pytest.MonkeyPatch, turns: float, square: float, load: float, share: float
+) -> None:
+    """At a mean speed of 500 rad/s: 2e-3 N m of dry and viscous friction, and as much again of a fan."""
+    p = values(COULOMB=5e-4, B=3e-6, SQUARE=square, LOAD=load)
+    names = ["R", "coulomb", "load_constant", "B", "load_square", "load_walk"]
+    begin = at(plain(50, np.full(50, 6.0)), names, p)
+    monkeypatch.setattr(Problem, "solve", lambda problem, theta: (problem.names, theta))
+    kept, theta = cast("Any", without_load(begin, 500.0 * turns))
+    assert kept == ("R", "coulomb", "B", "load_square")
+    known = dict(zip(names, begin.theta, strict=True))
+    for name, one in zip(kept, theta, strict=True):
+        factor = share if name in ("coulomb", "B", "load_square") else 1.0
+        assert one == pytest.approx(factor * known[name], rel=1e-6), name
+
+
+def test_a_fit_without_a_load_finds_the_friction() -> None:
+    """Of a motor that never reverses, where a load of nine tenths of the dry friction had been taken off it."""
+    truth = values(COULOMB=0.002)
+    record = worked(truth, n=600, lowest=4.0)
+    wrong = values(COULOMB=0.02, LOAD=-0.018)
+    found = without_load(at(record, [*LOGS, "coulomb", "B", "load_constant"], wrong), 250.0)
+    drag, expected = (p[places.COULOMB] + 250.0 * p[places.B] for p in (found.values, truth))
+    assert drag == pytest.approx(expected, rel=0.05)
+    assert found.values[places.LOAD] == 0.0
 
 
 def test_scores_of_sections_are_linear_least_squares() -> None:
