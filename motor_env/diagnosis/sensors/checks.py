@@ -190,6 +190,10 @@ def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure 
         likeness(seen.speed_rad_s, expected.speed_rad_s), likeness(seen.speed_rad_s, by_current)
     )
     speed_agreed = likeness(expected.speed_rad_s, by_current) > _ALIKE
+    # A noisy or a coarse channel, such as a speed by few edges, cannot be more alike than its noise allows.
+    apart = {
+        name: _APART * _most_alike(shown, healthy) for name, _, shown, healthy in _channels(seen, expected)
+    }
     # What a speed in another unit says of the current is nothing, and the other way round.
     sizes = {name: _of_a_size(shown, healthy) for name, _, shown, healthy in _channels(seen, expected)}
     against = (current_agreed and current_at_most < _AGAINST) or (by_both < _OPPOSITE and current < -_AGAINST)
@@ -203,15 +207,20 @@ def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure 
         ),
         ("current_polarity", "the current goes against voltage and speed"): speed > _ALIKE and against,
         ("swapped", "the current is not that of the motor that has this voltage and speed"): (
-            speed > _ALIKE and sizes["speed"] and current_agreed and current_at_most < _APART
+            speed > _ALIKE and sizes["speed"] and current_agreed and current_at_most < apart["current"]
         ),
         ("swapped", "the speed is not that of the motor that has this voltage and current"): (
-            current > _ALIKE and sizes["current"] and speed_agreed and speed_at_most < _APART
+            current > _ALIKE and sizes["current"] and speed_agreed and speed_at_most < apart["speed"]
         ),
     }
     return next(
         (Failure(FaultKind(kind), words) for (kind, words), is_shown in shown.items() if is_shown), None
     )
+
+
+def _most_alike(shown: FloatArray, healthy: FloatArray) -> float:
+    """Correlation of what the healthy motor shows with itself behind the noise of a channel."""
+    return float(np.std(healthy) / max(np.hypot(np.std(healthy), difference_noise(shown)), 1e-300))
 
 
 def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:

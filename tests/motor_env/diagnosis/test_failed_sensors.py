@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
 from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of, with_signs
-from motor_env.diagnosis.sensors.seen import Seen, free_run
+from motor_env.diagnosis.sensors.seen import Seen, free_run, likeness
 from motor_env.diagnosis.shown.words import WORDS
 from motor_env.errors import InputError
 
@@ -209,6 +209,20 @@ def test_a_column_of_another_motor_is_named(column: str) -> None:
     assert found is not None
     assert found.kind == "swapped"
     assert found.why.startswith(f"the {COLUMNS[column]} is not that of the motor")
+
+
+def test_a_noisy_speed_is_not_that_of_another_motor() -> None:
+    """A controller moves the voltage by 1 V about 6 V: less than one count of the encoder in a sample."""
+    rng = np.random.default_rng(3)
+    volts = 6.0 + np.repeat(rng.uniform(-1.0, 1.0, 40), 30)
+    current, speed = free_run(PHYSICAL, volts, DT_S)
+    noise = rng.normal(0.0, np.std(speed), len(volts))
+    shown = Seen(DT_S, volts, current, speed + 4.0 * noise)
+    assert likeness(shown.speed_rad_s, speed) < 0.3
+    assert failure_in(shown, PHYSICAL) is None
+    found = failure_in(shown._replace(speed_rad_s=np.roll(speed, 317) + 0.01 * noise), PHYSICAL)
+    assert found is not None
+    assert found.kind == "swapped"
 
 
 LARGE = (("bearing", 3.0), ("winding_contact", 2.0), ("winding_short", 0.5), ("magnet", 0.5))
