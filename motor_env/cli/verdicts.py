@@ -48,7 +48,8 @@ def diagnose(
         out: Folder for one HTML page a recording: verdict, what to do first, and what it rests on.
         measurement: How it was measured.
         temperature_c: Temperature of the motor; it counts where `commission` was told one too.
-        regime: start, operation (a motor at work), or auto: decided by what the voltage does.
+        regime: start, operation (a motor at work), or auto: decided by what the voltage does, and by what the motor was
+            commissioned on.
         verbose: Print how well model and filter fit, too.
         json_: Print one array with one object a file, with --fleet one a motor.
         fleet: Judge each motor by its sisters. Those of its own machine do not count.

@@ -104,7 +104,7 @@ def diagnose(
         false_alarm_rate: per healthy recording; its pieces share it.
         circuit: what is known of the measuring circuit.
         temperature_c: of the motor, where measured; it counts where that of the healthy pieces is known too.
-        regime: start, operation, or auto: decided by what the voltage does.
+        regime: start, operation, or auto: decided by what the voltage does, and by what the motor was commissioned on.
         start: which one, counted from 1, of a recording of several; all of them unless given.
         periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
 
