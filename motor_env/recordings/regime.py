@@ -86,7 +86,10 @@ def work_seen(recording: Recording) -> str | None:
         "the voltage takes several levels": has_levels,
         "the voltage is switched faster than a motor stops": is_pulsed,
         "the voltage comes back before the motor stands": _restarted(recording, size, levels == 0),
-        "the motor turns already": size[0] > _OFF and _turns(recording, np.arange(_FIRST)),
+        # Without its voltage no log can be judged: what was recorded with a duty is taken for a start.
+        "the motor turns already": recording.voltage_v is not None
+        and size[0] > _OFF
+        and _turns(recording, np.arange(_FIRST)),
     }
     return next((words for words, is_shown in shown.items() if is_shown), None)
 

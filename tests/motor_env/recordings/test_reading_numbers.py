@@ -577,6 +577,8 @@ def test_a_motor_that_turns_when_the_recording_begins_is_at_work() -> None:
         volts[0], speed[:3] = begun, [0.0, turning, turning]
         assert (work_seen(driven(volts, speed=speed)) == "the motor turns already") is is_work
     assert work_seen(driven(volts)) is None  # nobody knows
+    by_duty = replace(driven(volts, speed=np.full(2000, 100.0)), voltage_v=None, duty=volts / 12.0)
+    assert work_seen(by_duty) is None  # a log needs its voltage
 
 
 def test_levels_and_gaps_by_hand() -> None:
