@@ -44,6 +44,7 @@ _LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1
 """Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
 fits say, and as they scatter."""
+_ONE_WAY = 0.9  # of the turns
 _LEFT = 0.05
 """Torque that is another one in each interval, over the drag, from which on the model lacks something of the motor."""
 _NOISES = slice(places.NOISE_I, places.WALK + 1)
@@ -128,21 +129,24 @@ def told_by(
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Physical values that windows share, and the terms of a window: a load only where windows tell it from friction.
 
-    Elsewhere all that brakes is friction.
+    Where they do not, and the motor turns one way, all that brakes is friction.
     """
-    known = known_of(joint.solution)
-    own = [name for name in joint.solution.names if name not in _LOAD]
-    with_load = (*own, *_LOAD)
-    fits = [fit_window(record, known, with_load) for record in records]
+    known, wanted, speed = known_of(joint.solution), joint.solution.names, joint.expected[:, 1]
+    own = tuple(name for name in wanted if name not in _LOAD)
+    fits = [fit_window(record, known, (*own, *_LOAD)) for record in records]
     drag_sd = max(
         math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])), np.std([fit.logs[-1] for fit in fits])
     )
     if drag_sd < _TOLD and not steady:
-        return known, with_load
-    if drag_sd >= _TOLD and set(_LOAD) & set(joint.solution.names):
-        known = known_of(without_load(joint.solution, float(np.mean(joint.expected[:, 1]))))
-    known[places.WALK] = 0.0
-    return known, tuple(name for name in own if not (steady and name.startswith("offset")))
+        return known, (*own, *_LOAD)
+    is_one_way = abs(float(np.mean(speed))) > _ONE_WAY * float(np.mean(np.abs(speed)))
+    if drag_sd >= _TOLD and is_one_way and own != wanted:
+        known, wanted = known_of(without_load(joint.solution, float(np.mean(speed)))), own
+    if "load_walk" not in wanted:
+        known[places.WALK] = 0.0
+    if steady:
+        wanted = tuple(name for name in wanted if not name.startswith(("offset", "load_constant")))
+    return known, wanted
 
 
 def _drive(pieces: NDArray[np.intp], moved: FloatArray, found: Sequence[FittedWindow]) -> Drive:

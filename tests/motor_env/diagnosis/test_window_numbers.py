@@ -473,6 +473,7 @@ class Lesson:
         self.steps_seen = steps_seen
         self.logs = scatter * LOGS
         self.names: tuple[str, ...] = ("R", "K", "offset_speed")
+        self.speeds = (140.0, -20.0)  # 100 effective
         self.again: list[float] = []
         self.wanted: list[tuple[str, ...]] = []
         self.joint: list[int] = []
@@ -489,7 +490,7 @@ class Lesson:
         assert most == max(10_000, self.joint[-1])
         record = SimpleNamespace(seen=np.ones(2), hold="late", steps_seen=self.steps_seen)
         solution = SimpleNamespace(values=self.values, names=self.names)
-        speeds = np.array([[9.0, 140.0], [9.0, -20.0]])  # 100 effective
+        speeds = np.column_stack([[9.0, 9.0], self.speeds])
         return SimpleNamespace(record=record, solution=solution, expected=speeds)
 
     def without_load(self, best: Any, speed_rad_s: float) -> Any:
@@ -663,28 +664,42 @@ def test_a_load_is_unknown_in_windows_that_tell_it_from_friction(monkeypatch: py
         assert lesson.wanted[0] == ("R", "K", "offset_speed", "load_constant", "load_walk")
 
 
-@pytest.mark.parametrize(("load_sd", "is_told"), [(0.2, False), (0.05, True)])
-@pytest.mark.parametrize("load", ["load_constant", "load_walk", "offset_current"])
+@pytest.mark.parametrize(
+    ("load_sd", "back", "again"),
+    [
+        (0.05, 4.0, False),  # it is told
+        (0.2, 4.0, True),  # the motor turns one way
+        (0.2, 5.0, False),  # it turns back for more than a twentieth of its turns
+    ],
+)
+@pytest.mark.parametrize("load", ["load_constant", "load_walk", "gear_loss"])
 @pytest.mark.parametrize("steady", [False, True])
 def test_a_load_that_nothing_tells_from_friction_is_a_part_of_it(
-    monkeypatch: pytest.MonkeyPatch, load_sd: float, is_told: bool, load: str, steady: bool
+    monkeypatch: pytest.MonkeyPatch,
+    load_sd: float,
+    back: float,
+    again: bool,
+    load: str,
+    steady: bool,
 ) -> None:
-    """As where a motor always turns in one direction: the joint fit is made again. On a test bench no load is free."""
+    """The joint fit is made again where it had a load. On a test bench no constant one is free."""
     lesson = Lesson(monkeypatch, load_sd=load_sd)
-    lesson.names = ("R", load, "K", "offset_speed")
-    lesson.values[[places.COULOMB, places.LOAD]] = 3e-4, 2e-4
+    lesson.names, lesson.speeds = ("R", load, "K", "offset_speed"), (90.0, -back)
+    lesson.values[[places.COULOMB, places.LOAD, places.WALK]] = 3e-4, 2e-4, 9.0
     found = learn_windows([recording(3100)], 0.5, steady=steady)[0].windows
     assert found is not None
-    again = not is_told and load != "offset_current"
-    assert lesson.again == ([60.0] if again else [])  # the mean speed
-    expected = [7e-4, 0.0] if again else [3e-4, 2e-4]
-    np.testing.assert_allclose(found.physical[[places.COULOMB, places.LOAD]], expected)
-    is_free = is_told and not steady
-    assert set(found.terms) & {"load_constant", "load_walk"} == (
-        {"load_constant", "load_walk"} if is_free else set()
+    had_load = load != "gear_loss"
+    assert lesson.again == ([45.0 - 0.5 * back] if again and had_load else [])  # the mean speed
+    np.testing.assert_allclose(
+        found.physical[[places.COULOMB, places.LOAD]], [7e-4, 0.0] if again and had_load else [3e-4, 2e-4]
     )
+    loads = {"load_constant", "load_walk"}
+    expected = {load} & loads if steady or load_sd > 0.1 else loads
+    if again:
+        expected = set()
+    assert set(found.terms) & loads == (expected - {"load_constant"} if steady else expected)
     assert ("offset_speed" in found.terms) is not steady
-    assert bool(found.physical[places.WALK] > 0.0) is is_free
+    assert bool(found.physical[places.WALK] > 0.0) is ("load_walk" in found.terms)
 
 
 def test_a_lesson_needs_four_windows_and_chooses_some_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
