@@ -30,6 +30,9 @@ CHANGES: dict[str, dict[str, float]] = {
     "friction +50 %": {"friction": FRICTION},
     "K -10 %": {"back_emf_constant_v_s_per_rad": 0.9, "torque_constant_n_m_per_a": 0.9},
     "J +25 %": {"inertia_kg_m2": 1.25},
+    "contact × 2": {"resistance_ohm": 2.0},
+    "friction × 3": {"friction": 3.0},
+    "friction × 6": {"friction": 6.0},
 }
 HEALTHY = 5
 COUNT = HEALTHY + len(CHANGES)
