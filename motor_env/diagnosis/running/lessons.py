@@ -29,7 +29,7 @@ from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.uncertainty import beyond
-from motor_env.fitting.window import fit_window, without_load
+from motor_env.fitting.window import WindowFit, fit_window, without_load
 from motor_env.motor.healthy import Drive, Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -40,7 +40,7 @@ MOST_LEARNED = 40
 _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
 """How much warmer or colder a healthy motor may be, one standard deviation."""
-_LOAD = ("load_constant", "load_walk")
+LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1
 """Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
 fits say, and as they scatter."""
@@ -83,8 +83,7 @@ def learn_windows(
         raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
     hold, speed, times = joint.record.hold, effective_speed(joint), 1.0 if _lacks(joint) else FAR
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
-    known, wanted = told_by(records, joint, steady=steady)
-    fits = [fit_window(record, known, wanted) for record in records]
+    known, wanted, fits = told_by(records, joint, steady=steady)
     # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
     known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
     fits = [fit_window(record, known, wanted) for record in records]
@@ -126,19 +125,21 @@ def _lacks(joint: Operation) -> bool:
 
 def told_by(
     records: Sequence[Record], joint: Operation, *, steady: bool = False
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """Physical values that windows share, and the terms of a window: a load only where windows tell it from friction.
+) -> tuple[FloatArray, tuple[str, ...], list[WindowFit]]:
+    """Physical values that windows share, the terms of a window, and fits of windows with these.
 
-    Where they do not, and the motor turns one way, all that brakes is friction.
+    A load is a term only where windows tell it from friction. Where they do not, and the motor turns one way, all that
+    brakes is friction.
     """
     known, wanted, speed = known_of(joint.solution), joint.solution.names, joint.expected[:, 1]
-    own = tuple(name for name in wanted if name not in _LOAD)
-    fits = [fit_window(record, known, (*own, *_LOAD)) for record in records]
+    own = tuple(name for name in wanted if name not in LOAD)
+    with_load = (*own, *LOAD)
+    fits = [fit_window(record, known, with_load) for record in records]
     drag_sd = max(
         math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])), np.std([fit.logs[-1] for fit in fits])
     )
     if drag_sd < _TOLD and not steady:
-        return known, (*own, *_LOAD)
+        return known, with_load, fits
     is_one_way = abs(float(np.mean(speed))) > _ONE_WAY * float(np.mean(np.abs(speed)))
     if drag_sd >= _TOLD and is_one_way and own != wanted:
         known, wanted = known_of(without_load(joint.solution, float(np.mean(speed)))), own
@@ -146,7 +147,7 @@ def told_by(
         known[places.WALK] = 0.0
     if steady:
         wanted = tuple(name for name in wanted if not name.startswith(("offset", "load_constant")))
-    return known, wanted
+    return known, wanted, [fit_window(record, known, wanted) for record in records]
 
 
 def _drive(pieces: NDArray[np.intp], moved: FloatArray, found: Sequence[FittedWindow]) -> Drive:

@@ -10,7 +10,7 @@ import numpy as np
 
 from motor_env.diagnosis.healthy_motor import reference_of
 from motor_env.diagnosis.running.drives import NEEDED, needed_columns
-from motor_env.diagnosis.running.lessons import effective_speed, told_by
+from motor_env.diagnosis.running.lessons import LOAD, effective_speed, known_of, told_by
 from motor_env.diagnosis.running.windows import (
     MOST_SAMPLES,
     NAMES,
@@ -51,11 +51,13 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)
     window_s, speed = _window_s(recording, _settles_s(motor)), effective_speed(joint)
-    records = []
-    for part in windows_of(recording, window_s)[:_WINDOWS]:
-        with suppress(UnusableError):  # as at rest
-            records.append(replace(from_recordings([part]), hold=joint.record.hold))
-    physical, terms = told_by(records or [joint.record], joint)
+    physical, terms = known_of(joint.solution), joint.solution.names
+    if set(LOAD) & set(terms):
+        records = []
+        for part in windows_of(recording, window_s)[:_WINDOWS]:
+            with suppress(UnusableError):  # as at rest
+                records.append(replace(from_recordings([part]), hold=joint.record.hold))
+        physical, terms, _ = told_by(records or [joint.record], joint)
     reference = reference_of(
         motor,
         NAMES,
