@@ -57,7 +57,8 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
         for part in windows_of(recording, window_s)[:_WINDOWS]:
             with suppress(UnusableError):  # as at rest
                 records.append(replace(from_recordings([part]), hold=joint.record.hold))
-        physical, terms, _ = told_by(records or [joint.record], joint)
+        if records:
+            physical, terms, _ = told_by(records, joint)
     reference = reference_of(
         motor,
         NAMES,

@@ -181,18 +181,19 @@ def test_a_scale_that_nothing_compared_has_explains_nothing() -> None:
 
 def test_a_recording_as_long_as_a_healthy_window_is_judged_as_a_window() -> None:
     """A motor that stands at its begin, and is switched on: a start by what its voltage does."""
-    for samples, regime, expected in (
-        (499, "auto", "start"),
-        (500, "auto", "operation"),
-        (500, "start", "start"),
-    ):
+    cases: list[tuple[int, str, int | None, str]] = [
+        (499, "auto", None, "start"),
+        (500, "auto", None, "operation"),
+        (500, "start", None, "start"),
+        (500, "auto", 1, "start"),
+    ]
+    for samples, regime, chosen, expected in cases:
         time_s = 1e-3 * np.arange(-20.0, samples - 20.0)
         states = step_start(PAPER_MOTOR, time_s, 0.0, 12.0, COULOMB=0.0)
         noisy = states + np.random.default_rng(4).standard_normal(states.shape) * [0.003, 0.2]
         volts = np.where(time_s >= 0.0, 12.0, 0.0)
-        found = diagnose(
-            Recording(Path("x"), time_s, noisy[:, 0], volts, noisy[:, 1]), of_windows(), regime=regime
-        )
+        recording = Recording(Path("x"), time_s, noisy[:, 0], volts, noisy[:, 1])
+        found = diagnose(recording, of_windows(), regime=regime, start=chosen)
         assert found.taken.regime == expected
         assert (found.taken.why == "as its healthy recordings") is (expected == "operation")
-        assert diagnose(found.recording).taken.regime == "start"
+        assert diagnose(recording).taken.regime == "start"

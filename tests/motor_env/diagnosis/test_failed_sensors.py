@@ -211,16 +211,18 @@ def test_a_column_of_another_motor_is_named(column: str) -> None:
     assert found.why.startswith(f"the {COLUMNS[column]} is not that of the motor")
 
 
-def test_a_noisy_speed_is_not_that_of_another_motor() -> None:
-    """A controller moves the voltage by 1 V about 6 V: less than one count of the encoder in a sample."""
+@pytest.mark.parametrize("column", ["current_a", "speed_rad_s"])
+def test_a_noisy_column_is_not_that_of_another_motor(column: str) -> None:
+    """A controller moves the voltage by 1 V about 6 V: less than one count of an encoder, or step of a converter."""
     rng = np.random.default_rng(3)
     volts = 6.0 + np.repeat(rng.uniform(-1.0, 1.0, 40), 30)
-    current, speed = free_run(PHYSICAL, volts, DT_S)
-    noise = rng.normal(0.0, np.std(speed), len(volts))
-    shown = Seen(DT_S, volts, current, speed + 4.0 * noise)
-    assert likeness(shown.speed_rad_s, speed) < 0.3
+    healthy = Seen(DT_S, volts, *free_run(PHYSICAL, volts, DT_S))
+    own = getattr(healthy, column)
+    noise = rng.normal(0.0, np.std(own), len(volts))
+    shown = healthy._replace(**{column: own + 4.0 * noise})
+    assert likeness(getattr(shown, column), own) < 0.3
     assert failure_in(shown, PHYSICAL) is None
-    found = failure_in(shown._replace(speed_rad_s=np.roll(speed, 317) + 0.01 * noise), PHYSICAL)
+    found = failure_in(healthy._replace(**{column: np.roll(own, 317) + 0.01 * noise}), PHYSICAL)
     assert found is not None
     assert found.kind == "swapped"
 

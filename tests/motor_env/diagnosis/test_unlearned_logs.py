@@ -105,7 +105,7 @@ def test_a_log_is_judged_without_a_commissioning_at_work(motor: Any) -> None:
         assert low < 1.0 < high
 
 
-@pytest.mark.parametrize("at_rest", [0, 400])
+@pytest.mark.parametrize("at_rest", [0, 400, 1600])
 def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
     monkeypatch: pytest.MonkeyPatch, at_rest: int
 ) -> None:
@@ -124,10 +124,10 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
     monkeypatch.setattr(
         lessons, "without_load", lambda *_: true_fit(cast("Record", SimpleNamespace(readings=None))).solution
     )
-    whole = log(HALF_WAY, least_v=6.0)
+    whole = log(HALF_WAY, 1650, least_v=6.0)  # the last samples are no window
     assert whole.voltage_v is not None
     assert whole.speed_rad_s is not None
-    works = np.arange(1600) >= at_rest
+    works = np.arange(1650) >= at_rest
     whole = replace(
         whole,
         current_a=whole.current_a * works,
@@ -135,6 +135,9 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
         speed_rad_s=whole.speed_rad_s * works,
     )
     judge = judge_for(whole, SHEET)
+    if at_rest == 1600:
+        assert "load_walk" in judge.windows.terms  # as in the joint fit
+        return
     assert judge.windows.terms == (*TERMS, "coulomb")
     assert judge.windows.physical[places.COULOMB] == judge.windows.physical[places.LOAD] == 0.0
     assert said(whole, SHEET) == ["unusable" if at_rest else "healthy", "healthy", "bearing", "bearing"]

@@ -600,11 +600,11 @@ def test_a_fit_without_a_load_finds_the_friction() -> None:
     """Of a motor that never reverses, where a load of nine tenths of the dry friction had been taken off it."""
     truth = values(COULOMB=0.002)
     record = worked(truth, n=600, lowest=4.0)
-    wrong = values(COULOMB=0.02, LOAD=-0.018)
+    wrong = values(COULOMB=0.02, LOAD=-0.018, WALK=1e-3)
     found = without_load(at(record, [*LOGS, "coulomb", "B", "load_constant"], wrong), 250.0)
     drag, expected = (p[places.COULOMB] + 250.0 * p[places.B] for p in (found.values, truth))
     assert drag == pytest.approx(expected, rel=0.05)
-    assert found.values[places.LOAD] == 0.0
+    assert found.values[places.LOAD] == found.values[places.WALK] == 0.0
 
 
 def test_scores_of_sections_are_linear_least_squares() -> None:
