@@ -134,7 +134,15 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
         voltage_v=whole.voltage_v * works,
         speed_rad_s=whole.speed_rad_s * works,
     )
+    given: list[Record] = []
+
+    def told_by(records: list[Record], joint: Any) -> Any:
+        given.extend(records)
+        return lessons.told_by(records, joint)
+
+    monkeypatch.setattr(unlearned, "told_by", told_by)
     judge = judge_for(whole, SHEET)
+    assert [record.hold for record in given] == ["late"] * (4 - at_rest // 400)
     if at_rest == 1600:
         assert "load_walk" in judge.windows.terms  # as in the joint fit
         return
