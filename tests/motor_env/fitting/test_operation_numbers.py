@@ -834,12 +834,20 @@ def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
 
 
 def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
-    """The free model explains half of what was measured; L/R lies below 0.2 s."""
-    for r2, is_refused in ((0.499, True), (0.501, False), (math.nan, True)):
-        for name in ("r2_current", "r2_speed"):
-            refusal = pytest.raises(UnusableError, match="no motor model explains")
-            with refusal if is_refused else nullcontext():
-                _refuse_poor(replace(identified, **cast("Any", {name: r2})))
+    """The free model explains half of what is no noise, and a fifth of all in any case; L/R lies below 0.2 s."""
+    record, rng = identified.record, np.random.default_rng(1)
+    moves = np.where(np.arange(len(record.voltage_v)) // 40 % 2 == 0, 1.0, -1.0)
+    for noise, part in ((0.0, 0.5), (0.7, 0.33), (9.0, 0.2)):
+        readings = moves[:, None] + noise * rng.standard_normal((len(moves), 2))
+        shown = replace(identified, record=replace(record, readings=readings))
+        for n, name in enumerate(("r2_current", "r2_speed")):
+            share = difference_noise(readings[:, n]) ** 2 / np.var(readings[:, n])
+            least = max(0.5 * (1.0 - share), 0.2)
+            assert least == pytest.approx(part, abs=0.04)
+            for r2, is_refused in ((least - 1e-6, True), (least + 1e-6, False), (math.nan, True)):
+                refusal = pytest.raises(UnusableError, match=f"no motor model explains the {name[3:]}")
+                with refusal if is_refused else nullcontext():
+                    _refuse_poor(replace(shown, **cast("Any", {name: r2})))
     ohm = identified.quantity("R").value
     for lag, is_refused in ((0.201, True), (0.199, False)):
         slow = tuple(
