@@ -842,7 +842,7 @@ def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
         shown = replace(identified, record=replace(record, readings=readings))
         for n, name in enumerate(("r2_current", "r2_speed")):
             share = difference_noise(readings[:, n]) ** 2 / np.var(readings[:, n])
-            least = max(0.5 * (1.0 - share), 0.2)
+            least = max(float(0.5 * (1.0 - share)), 0.2)
             assert least == pytest.approx(part, abs=0.04)
             for r2, is_refused in ((least - 1e-6, True), (least + 1e-6, False), (math.nan, True)):
                 refusal = pytest.raises(UnusableError, match=f"no motor model explains the {name[3:]}")
