@@ -34,6 +34,7 @@ from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.model import steady_state
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
+from motor_env.recordings.noise import explainable
 from motor_env.recordings.recording import Recording, recording_of
 from motor_env.recordings.regime import Taken, taken_for
 from motor_env.recordings.splitting import chosen_starts
@@ -264,10 +265,15 @@ def unusable_reason(fit: Identified) -> str | None:
     clipped = fit.start.alignment.saturation
     if clipped:
         return f"the recording is clipped, {clipped}"
-    if fit.r2_current < POOR_FIT:
-        return f"no motor model explains the current (R2 {fit.r2_current:.2f}; at least {POOR_FIT} is needed)"
-    if fit.r2_speed is not None and fit.r2_speed < POOR_FIT:
-        return f"no motor model explains the speed (R2 {fit.r2_speed:.2f}; at least {POOR_FIT} is needed)"
+    start = fit.start
+    channels = (
+        ("current", fit.r2_current, (start.current_a - start.ripple_a)[start.counted]),
+        ("speed", fit.r2_speed, start.speed_rad_s),
+    )
+    for name, r2, shown in channels:
+        least = POOR_FIT * (1.0 if shown is None else explainable(shown))
+        if r2 is not None and r2 < least:
+            return f"no motor model explains the {name} (R2 {r2:.2f}; at least {least:.2g} is needed)"
     worst = float(np.sqrt(np.diag(fit.log_covariance)).min())
     if worst > 1.0:
         return "the recording is too short or too noisy: no quantity is known to a factor of e"

@@ -18,7 +18,7 @@ from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import covariance, motor_places
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.noise import difference_noise
+from motor_env.recordings.noise import explainable
 from motor_env.recordings.periodic_lines import PeriodicLine, constant_lines, periodic_lines
 from motor_env.recordings.recording import Recording
 
@@ -27,7 +27,7 @@ UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the ind
 _UNTOLD = 0.5
 _LONGEST_LAG_S = 0.2  # L/R of brushed motors, with a margin
 _UNFIT = "its voltage hardly moves, or is a raw pulse-width modulation that was sampled more slowly than it switches"
-_POOR, _MOST_NOISE = 0.5, 0.6  # of the variance
+_POOR = 0.5
 _CURRENT_TELLS = 0.3
 _TWO_SIDED = 1.96
 _SAME_LINE = 2.0  # bins of a spectrum
@@ -166,10 +166,7 @@ def _refuse_poor(found: Operation) -> None:
     for n, (name, r2) in enumerate((("current", found.r2_current), ("speed", found.r2_speed))):
         if r2 is None:
             continue
-        # No model explains noise, as of a speed by few counts in each interval.
-        readings = found.record.readings[found.record.told[:, n], n]
-        noise = min(difference_noise(readings) ** 2 / max(float(np.var(readings)), 1e-300), _MOST_NOISE)
-        least = _POOR * (1.0 - noise)
+        least = _POOR * explainable(found.record.readings[found.record.told[:, n], n])
         if not r2 >= least:
             raise UnusableError(
                 f"no motor model explains the {name} (R2 {r2:.2f}; at least {least:.2g} is needed)"

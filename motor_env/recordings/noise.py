@@ -16,6 +16,7 @@ _MAD_TO_STD = 1.4826
 _INNER_SHARE = 0.75
 _INNER_VARIANCE = 0.36852  # mean square of the smallest three quarters of normal numbers: |z| < 1.15035
 _FEWEST_FOR_SPECTRUM, _FLOOR_SHARE = 40, 0.9
+_MOST_NOISE = 0.6  # of the variance: a record of noise alone shows no motor
 _FEWEST_FOR_WILD = 50
 _WILD_NOISES = 10.0
 _WILD_SHARE = 0.05  # of the current's range: a smaller jump spoils no fit
@@ -36,6 +37,12 @@ def difference_noise(values: FloatArray) -> float:
     inner = off[: max(round(_INNER_SHARE * len(off)), 1)]
     spread = math.sqrt(float(np.mean(inner**2)) / _INNER_VARIANCE)
     return max(spread, 0.5 * float(np.std(second))) / math.sqrt(6.0)
+
+
+def explainable(values: FloatArray) -> float:
+    """Share of the variance that a model can explain, as no model explains white noise; 0.4 at least."""
+    noise = difference_noise(values) ** 2 / max(float(np.var(values)), 1e-300)
+    return 1.0 - min(noise, _MOST_NOISE)
 
 
 def floor_noise(values: FloatArray) -> float:

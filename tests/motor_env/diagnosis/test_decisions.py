@@ -287,12 +287,21 @@ def test_units_of_the_extensions() -> None:
 
 
 def test_a_fit_that_explains_too_little_is_unusable() -> None:
+    """Three quarters of what is no noise: half of a channel's variance may be, and more than 60 % never count so."""
     _, fit, _ = fitted()
-    for r2, is_refused in ((0.749, True), (0.751, False)):
-        for channel in ("r2_current", "r2_speed"):
-            given = {"r2_current": 1.0, "r2_speed": None, channel: r2}
-            fake = SimpleNamespace(start=fit.start, log_covariance=fit.log_covariance, **given)
-            assert (unusable_reason(cast("Any", fake)) is not None) is is_refused
+    rng, moves = np.random.default_rng(2), np.repeat([1.0, -1.0], 2000)
+    count = np.arange(4000) < 3000
+    for noise, least in ((1e-3, 0.75), (1.0, 0.375), (9.0, 0.3)):
+        shown = moves + noise * rng.standard_normal(4000)
+        start = SimpleNamespace(
+            alignment=fit.start.alignment, counted=count, ripple_a=0.5 * moves, speed_rad_s=shown
+        )
+        start.current_a = start.ripple_a + np.where(count, shown, 1e6)
+        for off, is_refused in ((-0.02, True), (0.02, False)):
+            for channel in ("r2_current", "r2_speed"):
+                given = {"r2_current": 1.0, "r2_speed": None, channel: least + off}
+                fake = SimpleNamespace(start=start, log_covariance=fit.log_covariance, **given)
+                assert (unusable_reason(cast("Any", fake)) is not None) is is_refused
     for sd, is_refused in ((1.01, True), (0.99, False)):
         wide = replace(fit, log_covariance=sd**2 * np.eye(4))
         assert (unusable_reason(wide) is not None) is is_refused
