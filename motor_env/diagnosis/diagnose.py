@@ -160,7 +160,7 @@ def diagnose(
 def _is_like_healthy_windows(recording: Recording, motor: Motor | None) -> bool:
     """Whether a motor was commissioned at work, and the recording is as long as such a window."""
     windows = None if motor is None or motor.healthy is None else motor.healthy.windows
-    return windows is not None and len(recording.time_s) * recording.dt_s >= windows.window_s
+    return windows is not None and len(recording.time_s) >= round(windows.window_s / recording.dt_s)
 
 
 def _is_per_volt(healthy: Healthy) -> bool:

@@ -26,7 +26,9 @@ _OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else
 _STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the best step
 _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
-_MODEL_ERROR = 0.04  # of a fault's step, squared
+_MODEL_ERROR = (
+    0.04  # standard deviation of each parameter beside a fault, over the square of the fault's step
+)
 _VOLTAGE = quantities.PARAMETERS.index("V")
 _IMITATED = [quantities.PARAMETERS.index(name) for name in "KJB"]
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1

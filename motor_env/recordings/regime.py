@@ -89,7 +89,7 @@ def work_seen(recording: Recording) -> str | None:
         # Without its voltage no log can be judged: what was recorded with a duty is taken for a start.
         "the motor turns already": recording.voltage_v is not None
         and size[0] > _OFF
-        and _turns(recording, np.arange(_FIRST)),
+        and _turns(recording, np.arange(min(_FIRST, len(size)))),
     }
     return next((words for words, is_shown in shown.items() if is_shown), None)
 

@@ -579,6 +579,7 @@ def test_a_motor_that_turns_when_the_recording_begins_is_at_work() -> None:
     assert work_seen(driven(volts)) is None  # nobody knows
     by_duty = replace(driven(volts, speed=np.full(2000, 100.0)), voltage_v=None, duty=volts / 12.0)
     assert work_seen(by_duty) is None  # a log needs its voltage
+    assert work_seen(driven(np.full(2, 12.0), speed=np.full(2, 9.0))) == "the motor turns already"
 
 
 def test_levels_and_gaps_by_hand() -> None:
