@@ -128,21 +128,20 @@ def told_by(
 ) -> tuple[FloatArray, tuple[str, ...], list[WindowFit]]:
     """Physical values that windows share, the terms of a window, and fits of windows with these.
 
-    A load is a term only where windows tell it from friction. Where they do not, and the motor turns one way, all that
-    brakes is friction.
+    Where the motor turns one way, all that brakes is friction: near standstill a fit may seem to tell a load from it,
+    by the shape that it gives the friction there. Elsewhere a load is a term where windows tell it.
     """
     known, wanted, speed = known_of(joint.solution), joint.solution.names, joint.expected[:, 1]
     own = tuple(name for name in wanted if name not in LOAD)
-    with_load = (*own, *LOAD)
-    fits = [fit_window(record, known, with_load) for record in records]
-    drag_sd = max(
-        math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits])), np.std([fit.logs[-1] for fit in fits])
-    )
-    if drag_sd < _TOLD and not steady:
-        return known, with_load, fits
-    is_one_way = abs(float(np.mean(speed))) > _ONE_WAY * float(np.mean(np.abs(speed)))
-    if drag_sd >= _TOLD and is_one_way and own != wanted:
-        known, wanted = known_of(without_load(joint.solution, float(np.mean(speed)))), own
+    if abs(float(np.mean(speed))) > _ONE_WAY * float(np.mean(np.abs(speed))):
+        if own != wanted:
+            known, wanted = known_of(without_load(joint.solution, float(np.mean(speed)))), own
+    elif not steady:
+        with_load = (*own, *LOAD)
+        fits = [fit_window(record, known, with_load) for record in records]
+        told_sd = math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits]))
+        if max(told_sd, np.std([fit.logs[-1] for fit in fits])) < _TOLD:
+            return known, with_load, fits
     if "load_walk" not in wanted:
         known[places.WALK] = 0.0
     if steady:

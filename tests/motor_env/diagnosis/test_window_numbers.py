@@ -667,8 +667,9 @@ def test_a_load_is_unknown_in_windows_that_tell_it_from_friction(monkeypatch: py
 @pytest.mark.parametrize(
     ("load_sd", "back", "again"),
     [
-        (0.05, 4.0, False),  # it is told
-        (0.2, 4.0, True),  # the motor turns one way
+        (0.05, 5.0, False),  # it is told
+        (0.05, 4.0, True),  # the motor turns one way, and it only seems to be told
+        (0.2, 4.0, True),
         (0.2, 5.0, False),  # it turns back for more than a twentieth of its turns
     ],
 )
