@@ -23,6 +23,7 @@ from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import capped, information_covariance, motor_places, secants
 from motor_env.motor.parameters import FloatArray
 
+LOAD = ("load_constant", "load_walk")
 _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
@@ -80,7 +81,7 @@ def without_load(best: Solution, speed_rad_s: float) -> Solution:
     braking = math.copysign(1.0, speed_rad_s) * values[places.LOAD]
     share = max(1.0 + braking / friction, _LEAST_SHARE) if friction > 0.0 else 1.0
     theta[[best.names.index(name) for name in ("coulomb", "B", "load_square") if name in best.names]] *= share
-    kept = [n for n, term in enumerate(best.problem.free) if term.name not in ("load_constant", "load_walk")]
+    kept = [n for n, term in enumerate(best.problem.free) if term.name not in LOAD]
     known = best.problem.known.copy()
     known[[places.LOAD, places.WALK]] = 0.0
     free = tuple(best.problem.free[n] for n in kept)

@@ -29,7 +29,7 @@ from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.uncertainty import beyond
-from motor_env.fitting.window import WindowFit, fit_window, without_load
+from motor_env.fitting.window import LOAD, WindowFit, fit_window, without_load
 from motor_env.motor.healthy import Drive, Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -40,7 +40,6 @@ MOST_LEARNED = 40
 _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
 """How much warmer or colder a healthy motor may be, one standard deviation."""
-LOAD = ("load_constant", "load_walk")
 _TOLD = 0.1
 """Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
 fits say, and as they scatter."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from motor_env.diagnosis.healthy_motor import reference_of
 from motor_env.diagnosis.running.drives import NEEDED, needed_columns
-from motor_env.diagnosis.running.lessons import LOAD, effective_speed, known_of, told_by
+from motor_env.diagnosis.running.lessons import effective_speed, known_of, told_by
 from motor_env.diagnosis.running.windows import (
     MOST_SAMPLES,
     NAMES,
@@ -22,6 +22,7 @@ from motor_env.diagnosis.running.windows import (
 from motor_env.fitting.identify import identify_record
 from motor_env.fitting.record import STRETCHES, Record
 from motor_env.fitting.recorded import from_recordings
+from motor_env.fitting.window import LOAD
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state
