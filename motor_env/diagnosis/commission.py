@@ -86,6 +86,9 @@ class Commissioned:
         assert self.motor.healthy is not None  # noqa: S101  # a commissioned motor has it
         return self.motor.healthy
 
+    def __repr__(self) -> str:
+        return self.text()
+
     def text(self) -> str:
         """What was learned, with the interval of the next healthy piece."""
         healthy, rate = self.healthy, self.false_alarm_rate

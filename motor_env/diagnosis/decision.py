@@ -48,7 +48,7 @@ from motor_env.motor.parameters import FloatArray
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _TELLING_WARMTH_K = 8.0
-_DOUBLED, _TENFOLD = 1.0, 9.0
+_DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
 _LEFT_OVER = 0.01
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
 
@@ -126,10 +126,10 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         # However often windows may alarm: a fault that is there leaves no more than this in 1 of 100.
         left_over = min(rate, _LEFT_OVER)
         return as_wear(_with_alarm(healthy, reference, views, log_ratios, limit, rate=left_over))
-    # Healthy pieces may scatter by their load; that is no defect of this one.
+    # That healthy pieces scatter by their load is no defect of this one, and the model's error is theirs as well.
     spread = view.difference.covariance
     if reference.includes_fit_error:
-        spread = fit.log_covariance[np.ix_(rows, rows)]
+        spread = fit.white_covariance[np.ix_(rows, rows)]
     smallest = smallest_changes(replace(view.difference, covariance=spread), limits.z)
     unseen = tuple(_unseen(smallest, reference.source))
     if len(unseen) == len(_SEEN):
@@ -282,19 +282,18 @@ def _other_reasons(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:
         changes, key=lambda c: abs(math.log(c.ratio)) / math.log(c.high / c.low), reverse=True
     )[:1]
     words = [
-        f"{c.name} is {'up' if c.ratio > 1.0 else 'down'} by {abs(c.ratio - 1.0):.0%}"
+        f"{c.name} is up more than {_MANYFOLD:.0f}-fold"
+        if c.ratio > _MANYFOLD
+        else f"{c.name} is {'up' if c.ratio > 1.0 else 'down'} by {abs(c.ratio - 1.0):.0%}"
         f" ({c.low - 1.0:+.0%} to {c.high - 1.0:+.0%})"
         for c in moved
     ]
-    hint = (
-        "; K down looks the same as J and B up in the current alone"
-        if any(c.name.startswith("K^2") for c in moved)
-        else ""
-    )
+    if any(c.name.startswith("K^2") for c in moved):
+        words.append("K down looks the same as J and B up in the current alone")
     # Friction moves with any load; two others move together where the motor is another one.
     several = len({c.name[0] for c in moved if c.significant} - {"B"}) > 1
     return (
-        "; ".join(words) + hint,
+        "; ".join(words),
         ("is this the right motor? N" if several else "n")
         + f"o single known fault explains this, compared with {source}",
     )

@@ -71,6 +71,9 @@ class Diagnosis(verdict.Diagnosis):
         """One object for programs; its schema is docs/output.schema.json."""
         return report.as_json(self)
 
+    def __repr__(self) -> str:
+        return self.text()
+
     def text(self, *, verbose: bool = False) -> str:
         """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
         return report.as_text(self, verbose=verbose)

@@ -26,9 +26,8 @@ _OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else
 _STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the best step
 _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
-_MODEL_ERROR = (
-    0.04  # standard deviation of each parameter beside a fault, over the square of the fault's step
-)
+# Standard deviation of each parameter beside a fault, over the square of the fault's step; no wear goes further.
+_MODEL_ERROR, _FURTHEST = 0.04, math.log(10.0)
 _VOLTAGE = quantities.PARAMETERS.index("V")
 _IMITATED = [quantities.PARAMETERS.index(name) for name in "KJB"]
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1
@@ -168,7 +167,8 @@ def beside(difference: Difference, step: float) -> FloatArray:
     No motor is quite the model's, and the further a fault takes it, the less it is.
     """
     parameters = difference.exponents[:, :_VOLTAGE]
-    covariance: FloatArray = difference.covariance + (_MODEL_ERROR * step**2) ** 2 * parameters @ parameters.T
+    sd = _MODEL_ERROR * min(abs(step), _FURTHEST) ** 2
+    covariance: FloatArray = difference.covariance + sd**2 * parameters @ parameters.T
     return covariance
 
 

@@ -98,6 +98,9 @@ class Identification:
         found = [self._start_json(recording, fit) for recording, fit in self.starts]
         return [*found, self._logs_json()] if self.logs else found
 
+    def __repr__(self) -> str:
+        return self.text()
+
     def text(self) -> str:
         """Tables, and what is not told."""
         return "\n".join(map(_text, self.to_json()))

@@ -64,6 +64,9 @@ class FleetDiagnosis:
             f" If all were healthy, about {chance:.1f} motors would stand out by chance (1 in {share:.0f})."
         )
 
+    def __repr__(self) -> str:
+        return self.text()
+
     def text(self) -> str:
         """A table, the oddest motor first."""
         width = max(len(sister.place.name) for sister in self.sisters)

@@ -140,6 +140,9 @@ class Trends:
             for trend in self.trends
         ]
 
+    def __repr__(self) -> str:
+        return self.text()
+
     def text(self) -> str:
         """A line a quantity."""
         width = max(len(trend.series.name) for trend in self.trends)

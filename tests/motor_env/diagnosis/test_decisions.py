@@ -87,6 +87,18 @@ def test_a_kind_is_told_from_a_probability_of_19_in_20_on() -> None:
     assert judged().kind is None
 
 
+@pytest.mark.parametrize(
+    ("factor", "said"), [(99.0, "B/J is up by 9800% ("), (101.0, "B/J is up more than 100-fold; ")]
+)
+def test_how_far_a_friction_moved_that_nothing_told_before(factor: float, said: str) -> None:
+    """Its percents would be of a friction that healthy starts had not told."""
+    found = moved(1.0, 0.0, 1.0, math.log(factor))
+    assert (found.verdict, found.severity) == (Verdict.OTHER, None)
+    (reason,) = (one for one in found.reasons if "B/J" in one)
+    assert said in reason
+    assert reason.endswith("; K down looks the same as J and B up in the current alone")
+
+
 def test_a_noise_is_called_from_its_limit_on() -> None:
     freedom, sd = 7.0, 0.12
     limit = stats.t.isf(RATE / 5.0, freedom) * sd
@@ -145,11 +157,16 @@ def test_the_ripple_is_compared_beside_the_verdict(monkeypatch: pytest.MonkeyPat
 
 
 def doubled(friction: float, resistance: float) -> Judgement:
-    """A healthy start whose errors show a doubling along these in 95 of 100 cases, times these factors."""
+    """A healthy start whose noise hides a doubling along these in 95 of 100 cases, times these factors.
+
+    The error of its model is larger, but healthy starts have the same.
+    """
     _, fit, reference = fitted()
     share = joint_share(0.8 * RATE, np.eye(4), EXPONENTS, 1e6)
     unit = math.log(2.0) / (stats.norm.isf(share) + 1.645)
-    wide = replace(fit, log_covariance=np.diag([resistance, 1e-3, 1e-3, friction]) ** 2 * unit**2)
+    white = np.diag([resistance, 1e-3, 1e-3, friction]) ** 2 * unit**2
+    white_share = fit.white_covariance[0, 0] / fit.series_covariance[0, 0]
+    wide = replace(fit, log_covariance=100.0 * np.eye(4), series_covariance=white / white_share)
     given = replace(
         reference, log_values=fit.log_values, log_covariance=1e-3 * np.eye(4), includes_fit_error=True,
         own_friction=1.0,
@@ -167,7 +184,7 @@ def test_what_is_identified_says_which_quantities_go_together() -> None:
     fit = replace(fit, log_covariance=correlation * np.outer(sd, sd))
     start = judged().recording
     found = Identification(((start, fit),), (), {start.path: judged().taken})
-    text = found.text()
+    text = repr(found)
     pairs = [line.removeprefix("  correlations: ") for line in text.splitlines() if "correlations" in line]
     said = [dict(re.findall(r"(\S+ with \S+) ([-+]\S+?)(?:,|$)", line)) for line in pairs]
     zeros = {("B/J", "R"): 0.0, ("B/J", "L"): 0.0}
@@ -200,7 +217,7 @@ def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is
             )
             assert found.confidence is not None
     for deviations, shown in (
-        (3.31, "only a rise of 892%"),
+        (3.31, "only a rise of 893%"),
         (3.33, "not even a tenfold one"),
     ):  # log 10 over log 2: 3.32
         (told,) = (one for one in doubled(deviations, 0.99).reasons if "is undecided" in one)

@@ -99,6 +99,15 @@ def test_explanations_of_a_difference_by_hand() -> None:
     ]  # of length 1.5; the others of 0.5, times 1e-3
 
 
+@pytest.mark.parametrize(("step", "beyond"), [(2.2, 2.2), (2.31, math.log(10.0)), (12.0, math.log(10.0))])
+def test_a_fault_may_move_no_more_beside_it_than_a_tenfold_one(step: float, beyond: float) -> None:
+    """A friction that healthy starts did not tell has any size, and would excuse a resistance twice as large."""
+    direction = visible_direction(FaultKind.BEARING, EXPONENTS)
+    (found,) = explain(difference(step * direction, spread(4)), (FaultKind.BEARING,))
+    expected = spread(4) + (0.04 * beyond**2) ** 2 * PARAMETERS_MOVED
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-12)
+
+
 def test_the_smallest_change_is_found_in_95_of_100_cases() -> None:
     """A step as far beyond the limit as 0.95 of the normal distribution."""
     given = difference(np.zeros(4), spread(4))

@@ -369,7 +369,7 @@ def test_words_of_a_commissioning() -> None:
     learned = learn_starts(given)
     motor = motor_files.to_motor(given, "m", healthy=learned)
     known = commission.Commissioned(motor, tuple(given), {"bearing": 0.25}, {"B/J": 2})
-    text = replace(known, false_alarm_rate=0.05).text()
+    text = repr(replace(known, false_alarm_rate=0.05))
     half = stats.t.isf(0.025, 6.0) * np.sqrt(np.diag(learned.log_covariance))
     assert "(95%, Student t, 6 degrees)" in text
     for name, value, h in zip(learned.quantities, learned.values, half, strict=True):

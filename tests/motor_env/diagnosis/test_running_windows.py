@@ -131,7 +131,7 @@ def test_one_bad_log_costs_no_other_its_verdict(
     assert [one.diagnosis is None for one in outcomes] == [True, True, False, True]
     assert [one.as_json()["verdict"] for one in outcomes] == ["unusable", "unusable", "healthy", "unusable"]
     assert outcomes[2].diagnosis is not None
-    assert "2 of 2 windows judged, of 3" in outcomes[2].diagnosis.text()
+    assert "2 of 2 windows judged, of 3" in repr(outcomes[2].diagnosis)
     assert [one.is_bug for one in outcomes] == [False, True, False, False]
     assert worst(one.status for one in outcomes) == 70
     assert "Traceback" in capsys.readouterr().err

@@ -93,7 +93,7 @@ def test_the_sick_motor_leads_the_table(found: FleetDiagnosis) -> None:
 
 
 def test_table_json_and_page_say_the_same(found: FleetDiagnosis) -> None:
-    first, second = found.text().splitlines()[:2]
+    first, second = repr(found).splitlines()[:2]
     expected = "If all were healthy, about 0.1 motors would stand out by chance (1 in 100)."
     assert first == f"1 of 8 motors stands out. {expected}"
     assert second.split()[:3] == ["3", "left", "bearing"]

@@ -353,6 +353,7 @@ def test_a_level_close_to_its_limit_is_told_without_a_trend() -> None:
     assert found.state == "close"
     assert "close to the limit at +25 %: above 80 % of the way to it with a probability of" in found.sentence
     shown = Trends((found,))
+    assert repr(shown).endswith(found.sentence)
     assert shown.to_json()[0]["limits"][0]["close"]
     assert "close to a limit</td><td>–" in shown.page()
     assert judge(history(values, error=0.02), (1.4,)).state == "steady"  # 55 % of the way
