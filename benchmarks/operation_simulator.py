@@ -235,6 +235,8 @@ def wanted(
     open_ = np.zeros(n)
     command, unit, length = rng.uniform(0.4, 1.0, blocks), motor.volts, hold
     match profile:
+        case "one way":
+            pass
         case "start":
             command, length = (np.arange(n) >= n // 10).astype(float), 1
         case "steps":

@@ -11,7 +11,7 @@ import pytest
 from recording_csv import write_recording
 from scipy import stats
 
-from motor_env import InputError, Motor, Recording, Verdict, diagnose, load_motor
+from motor_env import InputError, Motor, Recording, Verdict, commission, diagnose, load_motor
 from motor_env.cli import main
 from motor_env.console import worst
 from motor_env.diagnosis import files
@@ -46,6 +46,24 @@ WINDOWS = Windows(
 )
 HEALTHY = Healthy(12, 15.0, NAMES, np.array([2.0, 0.03, 4e-6, 1e-6]), np.eye(4) * 4e-4, windows=WINDOWS)
 MOTOR = replace(load_motor("paper"), healthy=HEALTHY)
+
+
+def test_friction_of_a_fan_that_never_turns_back_is_told() -> None:
+    """What a fit of its logs takes for a load balances a dry friction that is too large, and would hide this one."""
+    rng = np.random.default_rng([5, 4])
+    motor = draw_motor(rng)
+    dt_s, torque = motor.mechanical_s / 10.0, 0.05 * motor.constant * motor.stall_a
+
+    def log(factor: float, samples: int) -> Recording:
+        worn = replace(motor, viscous=factor * motor.viscous, coulomb=factor * motor.coulomb)
+        return simulate(
+            worn, "one way", rng, samples=samples, dt_s=dt_s, usual=motor, load="square", torque_n_m=torque
+        )
+
+    known = commission([log(1.0, 1500), log(1.0, 1500)], window_s=300 * dt_s).motor
+    assert diagnose(log(1.0, 600), known).verdict is Verdict.HEALTHY
+    found = diagnose(log(3.0, 600), known)
+    assert (found.verdict, found.severity) == (Verdict.BEARING, pytest.approx(2.0, abs=0.5))
 
 
 @pytest.mark.long
