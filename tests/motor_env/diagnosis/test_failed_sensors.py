@@ -149,6 +149,10 @@ def test_an_encoder_of_few_edges_is_not_clipped() -> None:
     held[fast[5:14]] = 0.8 * speed.max()
     assert failed_kind(Seen(DT_S, volts, current, clipped)) == "speed_clipped"
     assert failure_in(Seen(DT_S, volts, current, held), PHYSICAL) is None
+    # Nor where it stands at its largest value less than half of the time that the motor is faster.
+    seldom = np.minimum(speed, 0.8 * speed.max())
+    seldom[fast[np.arange(len(fast)) % 16 >= 7]] *= 0.99
+    assert failure_in(Seen(DT_S, volts, current, seldom), PHYSICAL) is None
 
 
 def test_what_a_controller_holds_is_not_clipped() -> None:

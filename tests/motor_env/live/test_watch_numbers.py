@@ -6,6 +6,7 @@ The judgement itself is put in its place by hand: that of real windows is tested
 import itertools
 import json
 import math
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -712,3 +713,7 @@ def test_a_terminal_shows_the_last_events_and_all_counts(
     assert "R +0.0%, B +25.0%" in said
     assert "11 window healthy, 2 gap" in said
     assert said.count("bearing odd") == 8
+    for count, kind in ((1, "window"), (2, "2 window")):
+        with showing(state.counts) as show:
+            show(Event(7.25, "window", "worn", {}, "", count=count))
+        assert f" 7.25 {kind} worn " in " ".join(re.split(r"[\s│]+", capsys.readouterr().out))

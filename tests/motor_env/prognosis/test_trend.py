@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from datetime import datetime
 from pathlib import Path
 
@@ -305,6 +306,20 @@ def test_estimates_that_never_move_have_no_trend_and_no_jump() -> None:
 def history(values: np.ndarray, name: str = "friction", error: float = 0.004) -> Series:
     noisy = values + error * np.random.default_rng(3).standard_normal(len(values))
     return Series(name, np.arange(float(len(values))), noisy, np.full(len(values), error))
+
+
+def test_the_picture_shows_levels_ahead_within_an_interval_that_widens() -> None:
+    """The band's upper edge goes ahead in time, its lower edge back."""
+    noise = 0.004 * np.random.default_rng(2).standard_normal(30)
+    page = Trends((judge(history(1.0 + 0.01 * np.arange(30.0) + noise), (1.5,)),)).page()
+    (points,) = re.findall(r'<polygon[^>]*points="([^"]+)"', page)
+    x, y = np.array([pair.split(",") for pair in points.split()], dtype=float).T
+    n = len(x) // 2
+    np.testing.assert_allclose(x[n:], x[n - 1 :: -1])
+    assert (np.diff(x[:n]) > 0.0).all()
+    width = (y[n:][::-1] - y[:n])[y[:n] > y.min()]  # downwards, and cut at the edge of the picture
+    assert len(width) > 20
+    assert (np.diff(width) > 0.0).all()
 
 
 def test_a_repair_is_told_and_the_trend_begins_there() -> None:

@@ -219,6 +219,19 @@ def test_arrays_of_the_most_frequent_length_are_the_recording(tmp_path: Path) ->
     assert "left out, for their lengths: spectrum" in read.columns
 
 
+def test_a_column_that_seldom_holds_a_number_is_none_of_the_table(tmp_path: Path) -> None:
+    """More than half of its cells have to."""
+    for each, is_read in ((10, False), (3, False), (1, True)):
+        rows = [
+            f"{t:.3f},{i:.4f},{n if n % each == 0 else 'ok'}"
+            for n, (t, i) in enumerate(zip(PLACES, WAVE, strict=True))
+        ]
+        (tmp_path / "a.csv").write_text("\n".join(["time_s,current_a,speed_rad_s", *rows]))
+        read = read_recording(tmp_path / "a.csv")
+        np.testing.assert_allclose(read.current_a, WAVE, atol=1e-4)
+        assert (read.speed_rad_s is not None) is is_read
+
+
 def test_uneven_times_are_evened_from_a_fiftieth_of_an_interval_on() -> None:
     columns = {"current": WAVE}
     for off, is_kept in ((0.0199, True), (0.0201, False)):
