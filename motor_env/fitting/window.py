@@ -16,6 +16,7 @@ import numpy as np
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.identify import without_lines
+from motor_env.fitting.kernel import BEGIN
 from motor_env.fitting.problem import STEP, Problem, Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import NOISES, terms
@@ -27,6 +28,7 @@ LOAD = ("load_constant", "load_walk")
 _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
+_DRAG, _DRAG_PLACES = ("coulomb", "B", "load_square"), [places.COULOMB, places.B, places.SQUARE]
 _LEAST_SHARE = 0.01  # of the friction, where a fit without a load begins
 _WILD = 6.0  # standard deviations beyond which an innovation counts no more
 _TOLD_APART = 1e-10  # least eigenvalue of an information matrix whose diagonal is 1
@@ -47,8 +49,12 @@ class WindowFit(NamedTuple):
 
 
 @on_one_thread
-def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> WindowFit:
+def fit_window(
+    record: Record, known: FloatArray, wanted: Sequence[str], *, one_way: bool = False
+) -> WindowFit:
     """Fit of one window, with those of the wanted terms that differ from window to window.
+
+    Of a motor that turns one way nothing tells friction from a load that walks: there the drag is all that brakes.
 
     The covariance is that of white residuals: by how much more windows scatter is seen on healthy ones.
     The error of f is that of a sum, so that of log f is taken over the way from 1 to f: the slope at f would count an
@@ -65,25 +71,52 @@ def fit_window(record: Record, known: FloatArray, wanted: Sequence[str]) -> Wind
     rows = [problem.names[n] for n in chosen]
     at = np.ix_(*2 * [[rows.index(name) for name in _MOTOR]])
     factor = best.theta[problem.names.index("drag")]
-    way = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
-    slope = np.diag([1.0, 1.0, 1.0, way])
+    slope = np.eye(len(_MOTOR))
+    slope[-1, -1] = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
+    if one_way and values[places.WALK] > 0.0:
+        moved = best.theta + STEP * np.eye(len(best.theta))[[problem.names.index(name) for name in _MOTOR]]
+        whole = _drags(problem, np.vstack([best.theta, moved]))
+        factor = max(float(whole[0]), _LEAST_SHARE)
+        slope[-1] = (whole[1:] - whole[0]) / (STEP * factor)
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
     whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
-    return WindowFit(logs, capped(slope @ spread[at] @ slope), values, whitened, best.misfit)
+    return WindowFit(logs, capped(slope @ spread[at] @ slope.T), values, whitened, best.misfit)
+
+
+def _drags(problem: Problem, each: FloatArray) -> FloatArray:
+    """All that brakes in a window, over the friction that is known, for several vectors of unknowns, shape (m,).
+
+    By the balance of energy: what the current gives and known loads do not take, less what the rotor gains.
+    """
+    values, known, record = problem.values_each(each), problem.known, problem.record
+    shown = record.predict_each(values)[0][:, :, 2:4] - values[:, None, [places.OFFSET_I, places.OFFSET_W]]
+    current, speed, size = shown[:, :, 0], shown[:, :, 1], np.abs(shown[:, :, 1])
+    loads = values[:, [places.LOAD]] + values[:, [places.SQUARE]] * speed * size
+    given = np.sum(speed * (values[:, [places.K]] * current - loads), axis=1)
+    gained = np.sum(np.diff(np.square(speed), axis=1) * (record.marks[1:] != BEGIN), axis=1)
+    friction = known[places.COULOMB] + size * known[places.B]
+    left = given - 0.5 * values[:, places.J] * gained / record.dt_s
+    whole: FloatArray = left / np.maximum(np.sum(size * friction, axis=1), 1e-300)
+    return whole
 
 
 def without_load(best: Solution, speed_rad_s: float) -> Solution:
-    """A fit in which all that brakes is friction: nothing told it from a load. Its mean speed tells the drag."""
-    values, theta = best.values, best.theta.copy()
+    """A fit in which all that brakes on the whole is friction: nothing told it from a load.
+
+    Its mean speed tells the drag. A load that walks does so about none, and friction, which it could balance, is held.
+    """
+    values, theta, known = best.values, best.theta.copy(), best.problem.known.copy()
     friction = values[places.COULOMB] + abs(speed_rad_s) * (
         values[places.B] + values[places.SQUARE] * abs(speed_rad_s)
     )
-    braking = math.copysign(1.0, speed_rad_s) * values[places.LOAD]
+    load = values[places.LOAD] + float(np.mean(best.problem.record.predict(values)[0][:, 4]))
+    braking = math.copysign(1.0, speed_rad_s) * load
     share = max(1.0 + braking / friction, _LEAST_SHARE) if friction > 0.0 else 1.0
-    theta[[best.names.index(name) for name in ("coulomb", "B", "load_square") if name in best.names]] *= share
-    kept = [n for n, term in enumerate(best.problem.free) if term.name not in LOAD]
-    known = best.problem.known.copy()
-    known[[places.LOAD, places.WALK]] = 0.0
+    theta[[best.names.index(name) for name in _DRAG if name in best.names]] *= share
+    known[_DRAG_PLACES] = share * values[_DRAG_PLACES]
+    known[places.LOAD] = 0.0
+    held = ("load_constant", *(_DRAG if "load_walk" in best.names else ()))
+    kept = [n for n, term in enumerate(best.problem.free) if term.name not in held]
     free = tuple(best.problem.free[n] for n in kept)
     return replace(best.problem, known=known, free=free).solve(theta[kept])
 

@@ -149,6 +149,7 @@ class Windows:
             windows that were not watched.
         most: how far the farthest healthy window is off along each of `running.scales.AXES`.
         replayed: how often these windows alarm, judged by what the others teach, at thresholds of 4, 16, 64, ...
+        one_way: whether the motor turns one way only: all that brakes is friction then.
     """
 
     window_s: Positive
@@ -165,6 +166,7 @@ class Windows:
     scales: tuple[Scale, ...] = ()
     most: tuple[Finite, ...] = ()
     replayed: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    one_way: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,9 +83,10 @@ def learn_windows(
     hold, speed, times = joint.record.hold, effective_speed(joint), 1.0 if _lacks(joint) else FAR
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
     known, wanted, fits = told_by(records, joint, steady=steady)
+    one_way = turns_one_way(joint)
     # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
     known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
-    fits = [fit_window(record, known, wanted) for record in records]
+    fits = [fit_window(record, known, wanted, one_way=one_way) for record in records]
     volts = [rms_volts(part) for part in parts]
     found = [over_speed(fit, known, speed) for fit in fits]
     centre, covariance, freedom = next_window(found, steady=steady)
@@ -104,6 +105,7 @@ def learn_windows(
         hold=hold,
         dt_s=parts[0].dt_s,
         speed_rad_s=speed,
+        one_way=one_way,
         rms_volts=(min(volts), max(volts)),
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
         window_excess=_squares(ratios, spreads) / _squares(ratios, [covariance] * len(fits)),
@@ -122,6 +124,12 @@ def _lacks(joint: Operation) -> bool:
     return bool(known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag)
 
 
+def turns_one_way(joint: Operation) -> bool:
+    """Whether the motor turns one way, but for a twentieth of its turns."""
+    speed = joint.expected[:, 1]
+    return bool(abs(np.mean(speed)) > _ONE_WAY * np.mean(np.abs(speed)))
+
+
 def told_by(
     records: Sequence[Record], joint: Operation, *, steady: bool = False
 ) -> tuple[FloatArray, tuple[str, ...], list[WindowFit]]:
@@ -130,12 +138,12 @@ def told_by(
     Where the motor turns one way, all that brakes is friction: near standstill a fit may seem to tell a load from it,
     by the shape that it gives the friction there. Elsewhere a load is a term where windows tell it.
     """
-    known, wanted, speed = known_of(joint.solution), joint.solution.names, joint.expected[:, 1]
-    own = tuple(name for name in wanted if name not in LOAD)
-    if abs(float(np.mean(speed))) > _ONE_WAY * float(np.mean(np.abs(speed))):
-        if own != wanted:
-            known, wanted = known_of(without_load(joint.solution, float(np.mean(speed)))), own
-    elif not steady:
+    known, wanted = known_of(joint.solution), joint.solution.names
+    one_way, own = turns_one_way(joint), tuple(name for name in wanted if name not in LOAD)
+    if one_way and own != wanted:
+        known = known_of(without_load(joint.solution, float(np.mean(joint.expected[:, 1]))))
+        wanted = tuple(name for name in wanted if name != "load_constant")
+    if not one_way and not steady:
         with_load = (*own, *LOAD)
         fits = [fit_window(record, known, with_load) for record in records]
         told_sd = math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits]))
@@ -145,7 +153,7 @@ def told_by(
         known[places.WALK] = 0.0
     if steady:
         wanted = tuple(name for name in wanted if not name.startswith(("offset", "load_constant")))
-    return known, wanted, [fit_window(record, known, wanted) for record in records]
+    return known, wanted, [fit_window(record, known, wanted, one_way=one_way) for record in records]
 
 
 def _drive(pieces: NDArray[np.intp], moved: FloatArray, found: Sequence[FittedWindow]) -> Drive:

@@ -10,7 +10,7 @@ import numpy as np
 
 from motor_env.diagnosis.healthy_motor import reference_of
 from motor_env.diagnosis.running.drives import NEEDED, needed_columns
-from motor_env.diagnosis.running.lessons import effective_speed, known_of, told_by
+from motor_env.diagnosis.running.lessons import effective_speed, known_of, told_by, turns_one_way
 from motor_env.diagnosis.running.windows import (
     MOST_SAMPLES,
     NAMES,
@@ -78,6 +78,7 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
         hold=joint.record.hold,
         dt_s=recording.dt_s,
         speed_rad_s=speed,
+        one_way=turns_one_way(joint),
     )
     return WindowJudge(windows, reference)
 

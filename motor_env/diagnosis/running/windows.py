@@ -128,8 +128,10 @@ class WindowJudge:
 
     def fitted(self, record: Record) -> FittedWindow:
         """The fit of a window."""
-        fit = fit_window(replace(record, hold=self.windows.hold), self.physical(), self.windows.terms)
-        return over_speed(fit, self.windows.physical, self.windows.speed_rad_s)
+        windows = self.windows
+        record = replace(record, hold=windows.hold)
+        fit = fit_window(record, self.physical(), windows.terms, one_way=windows.one_way)
+        return over_speed(fit, windows.physical, windows.speed_rad_s)
 
     def drive_of(self, recording: Recording) -> tuple[int, float]:
         """Which of the healthy drives the last window of a recording is like, and how far off: above 1 it is not."""

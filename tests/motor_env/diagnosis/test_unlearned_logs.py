@@ -146,7 +146,8 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
     if at_rest == 1600:
         assert "load_walk" in judge.windows.terms  # as in the joint fit
         return
-    assert judge.windows.terms == (*TERMS, "coulomb")
+    assert judge.windows.terms == (*TERMS, "coulomb", "load_walk")
+    assert judge.windows.one_way
     assert judge.windows.physical[places.COULOMB] == judge.windows.physical[places.LOAD] == 0.0
     assert said(whole, SHEET) == ["unusable" if at_rest else "healthy", "healthy", "bearing", "bearing"]
 

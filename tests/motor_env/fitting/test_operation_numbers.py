@@ -580,20 +580,30 @@ def at(record: Record, names: list[str], p: FloatArray) -> Solution:
         (1.0, 8e-9, 6e-3, 2.5),
     ],
 )
+@pytest.mark.parametrize("walks", [False, True])
 def test_a_fit_without_a_load_begins_with_its_drag_as_friction(
-    monkeypatch: pytest.MonkeyPatch, turns: float, square: float, load: float, share: float
+    monkeypatch: pytest.MonkeyPatch, turns: float, square: float, load: float, share: float, walks: bool
 ) -> None:
-    """At a mean speed of 500 rad/s: 2e-3 N m of dry and viscous friction, and as much again of a fan."""
-    p = values(COULOMB=5e-4, B=3e-6, SQUARE=square, LOAD=load)
-    names = ["R", "coulomb", "load_constant", "B", "load_square", "load_walk"]
+    """At a mean speed of 500 rad/s: 2e-3 N m of dry and viscous friction, and as much again of a fan.
+
+    A third of the load is the mean of one that walks. Friction is held where it could balance that.
+    """
+    p = values(COULOMB=5e-4, B=3e-6, SQUARE=square, LOAD=load / 3.0 if walks else load, WALK=1e-3 * walks)
+    drags = ["coulomb", "B", "load_square"]
+    names = ["R", *drags, "load_constant", *["load_walk"] * walks]
     begin = at(plain(50, np.full(50, 6.0)), names, p)
-    monkeypatch.setattr(Problem, "solve", lambda problem, theta: (problem.names, theta))
-    kept, theta = cast("Any", without_load(begin, 500.0 * turns))
-    assert kept == ("R", "coulomb", "B", "load_square")
+    walked = np.zeros((50, 6))
+    walked[:, 4] = np.linspace(0.0, 4.0 * load / 3.0, 50) * walks
+    monkeypatch.setattr(Record, "predict", lambda *_: (walked, 0.0))
+    monkeypatch.setattr(Problem, "solve", lambda problem, theta: (problem, theta))
+    problem, theta = cast("Any", without_load(begin, 500.0 * turns))
+    assert problem.names == (("R", "load_walk") if walks else ("R", *drags))
     known = dict(zip(names, begin.theta, strict=True))
-    for name, one in zip(kept, theta, strict=True):
-        factor = share if name in ("coulomb", "B", "load_square") else 1.0
-        assert one == pytest.approx(factor * known[name], rel=1e-6), name
+    for name, one in zip(problem.names, theta, strict=True):
+        assert one == pytest.approx((share if name in drags else 1.0) * known[name], rel=1e-6), name
+    at_drag = [places.COULOMB, places.B, places.SQUARE]
+    np.testing.assert_allclose(problem.known[at_drag], share * p[at_drag])
+    assert problem.known[places.LOAD] == 0.0
 
 
 def test_a_fit_without_a_load_finds_the_friction() -> None:
@@ -604,7 +614,28 @@ def test_a_fit_without_a_load_finds_the_friction() -> None:
     found = without_load(at(record, [*LOGS, "coulomb", "B", "load_constant"], wrong), 250.0)
     drag, expected = (p[places.COULOMB] + 250.0 * p[places.B] for p in (found.values, truth))
     assert drag == pytest.approx(expected, rel=0.05)
-    assert found.values[places.LOAD] == found.values[places.WALK] == 0.0
+    assert found.values[places.LOAD] == 0.0
+
+
+@pytest.mark.parametrize("turns", [1.0, -1.0])
+def test_all_that_brakes_is_the_drag_where_a_load_walks_and_the_motor_turns_one_way(turns: float) -> None:
+    """By the balance of energy, whatever load takes a part of it; where the motor reverses the factor is the fit's."""
+    truth = values(COULOMB=0.002 * 3.0, B=2e-6 * 3.0)
+    record = worked(truth, n=600, lowest=4.0)
+    record = replace(record, voltage_v=turns * record.voltage_v, readings=turns * record.readings)
+    known = values(COULOMB=0.002, B=2e-6, WALK=5e-3, DRAG=1.0)
+    fits = [fit_window(record, known, ("load_walk",), one_way=one_way) for one_way in (True, False)]
+    balanced, fitted = (math.exp(fit.logs[3]) for fit in fits)
+    sd, wide = (math.sqrt(fit.covariance[3, 3]) for fit in fits)
+    assert balanced == pytest.approx(3.0, rel=0.01)
+    assert sd < 0.2 * wide
+    assert abs(balanced - fitted) > 3.0 * sd
+    np.testing.assert_array_equal(fits[0].logs[:3], fits[1].logs[:3])
+    loaded = known.copy()
+    loaded[places.LOAD] = turns * 0.002
+    less = fit_window(record, loaded, ("load_walk",), one_way=True)
+    speed = float(np.mean(np.square(record.readings[:, 1]))) / float(np.mean(np.abs(record.readings[:, 1])))
+    assert balanced - math.exp(less.logs[3]) == pytest.approx(0.002 / (0.002 + 2e-6 * speed), rel=0.02)
 
 
 def test_scores_of_sections_are_linear_least_squares() -> None:
