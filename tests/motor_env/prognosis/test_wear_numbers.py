@@ -571,7 +571,9 @@ def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given
 
     def fit(start: Start, model: tuple[str, ...]) -> SimpleNamespace:
         fitted.append((model, start.level_v, start.voltage_known))
-        return SimpleNamespace(quantity_names=("R",), values=[2.0], standard_errors=[0.1])
+        # The model's error, which all starts have alike, is in the covariance, and in that of white noise it is not.
+        errors = {"log_covariance": np.array([[1.0]]), "white_covariance": np.array([[0.01]])}
+        return SimpleNamespace(quantity_names=("R",), values=np.array([2.0]), **errors)
 
     monkeypatch.setattr(files, "fit_healthy", choose)
     monkeypatch.setattr(files, "identify", fit)
@@ -581,4 +583,5 @@ def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given
     assert volts == 24.0
     assert fitted == [(("sensor_lag",), 24.0, True)] * 5
     assert found.trends[0].series.time.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert found.trends[0].series.standard_error == pytest.approx([0.2] * 5)
     assert found.notes == ("2026-03-01.csv: nothing flows",)
