@@ -228,15 +228,13 @@ def _run(
 def wanted(
     profile: str, motor: Motor, n: int, dt: float, rng: np.random.Generator
 ) -> tuple[Floats, int, Floats]:
-    """What is commanded at each sample, the mode of the drive, and where the circuit is open."""
+    """What is commanded at each sample, the mode of the drive, and where the circuit is open; "one way" are levels."""
     hold = max(int(motor.mechanical_s * rng.uniform(1.5, 4.0) / dt), 3)
     short, blocks, time = max(hold // 3, 2), n // hold + 1, np.arange(n) * dt
     mode = {"speed loop": 1, "current loop": 2}.get(profile, 0)
     open_ = np.zeros(n)
     command, unit, length = rng.uniform(0.4, 1.0, blocks), motor.volts, hold
     match profile:
-        case "one way":
-            pass
         case "start":
             command, length = (np.arange(n) >= n // 10).astype(float), 1
         case "steps":

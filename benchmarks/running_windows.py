@@ -5,17 +5,19 @@
     python benchmarks/running_windows.py --motors 30 --other-physics --window-s 20
     python benchmarks/running_windows.py --motors 30 --other-physics --every-drive
     python benchmarks/running_windows.py --motors 20 --other-physics --every-drive --window-s 20
+    python benchmarks/running_windows.py --motors 20 --other-physics --one-way
 
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
 With other physics the motors have all of its SWITCHES, and are judged in other profiles, under other controllers, too.
 Windows of a length in seconds are sampled at 100 Hz. Their faults, and severe ones, are judged in the own one alone.
 With --every-drive motors are commissioned by one record of 2 windows under each, and all but severe faults are judged
-under each.
+under each. With --one-way they never turn back, and are commissioned and judged with each of LOADED.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -31,6 +33,7 @@ from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import Recording
 
 WINDOW, LEARNED, JUDGED, RATE = 400, 10, 3, 0.01
 DT = 0.1  # of the mechanical time constant
@@ -45,6 +48,8 @@ UNDER: dict[str, dict[str, Any]] = {
 }
 """Drives in which motors of other physics are judged."""
 OWN: dict[str, dict[str, Any]] = {"the same": {}}
+LOADED = ("none", "dry", "constant", "square", "walk")
+LOAD = 0.05  # of the stall torque; of one that walks, the standard deviation after a window
 SEVERE = ("R × 2", "friction × 2", "friction × 4", "K −30 %", "J × 2")
 
 
@@ -99,6 +104,31 @@ def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None
     return said
 
 
+def judge_one_way(number: int, seed: int, *, other_physics: bool) -> Said:
+    """Verdicts on one motor that never turns back, with each load."""
+    rng = np.random.default_rng([seed, number])
+    motor = draw_motor(rng, SWITCHES if other_physics else ())
+    dt_s, said = DT * motor.mechanical_s, Said()
+
+    def log(worn: Motor, load: str, windows: int, warm_k: float = 0.0) -> Recording:
+        torque = LOAD * motor.constant * motor.stall_a * (math.sqrt(windows) if load == "walk" else 1.0)
+        known: dict[str, Any] = {"usual": motor, "dt_s": dt_s, "load": load, "torque_n_m": torque}
+        return simulate(worn, "one way", rng, samples=windows * WINDOW, warm_k=warm_k, **known)
+
+    for load in LOADED:
+        try:
+            healthy, _ = learn_windows([log(motor, load, LEARNED // 2) for _ in range(2)], WINDOW * dt_s)
+        except UnusableError as error:
+            said.append((("commissioning", load), str(error)))
+            continue
+        known = motor_of_windows(healthy, "this motor")
+        for name, (worn, _) in changed(motor).items():
+            record = log(worn, load, JUDGED, WARM_K if "K more" in name else 0.0)
+            found = diagnose(record, known, false_alarm_rate=RATE, regime="operation")
+            said.append(((name, load, load), found.verdict))
+    return said
+
+
 def rows(counts: Counts, unders: Iterable[str]) -> Iterator[list[str]]:
     """What was judged right, and what else was said."""
     for name, (_, right) in changed(draw_motor(np.random.default_rng(0))).items():
@@ -116,6 +146,7 @@ def main(
     other_physics: bool = False,
     window_s: float | None = None,
     every_drive: bool = False,
+    one_way: bool = False,
     how: How = HERE,
 ) -> None:
     """Judge motors and keep the table of docs/results/operation.md.
@@ -126,6 +157,7 @@ def main(
         other_physics: motors with all switches, also judged under other drives than they were commissioned in.
         window_s: length of a window; by default 40 mechanical time constants.
         every_drive: commissioned by a record under each drive, not in one profile.
+        one_way: never turning back, with each of several loads.
         how: options of every table.
     """
     of: dict[str, Any] = {"seed": seed} | ({"other_physics": True} if other_physics else {})
@@ -133,15 +165,22 @@ def main(
         of["window_s"] = window_s
     if every_drive:
         of["every_drive"] = True
-    judged = partial(
-        judge, seed=seed, other_physics=other_physics, window_s=window_s, every_drive=every_drive
-    )
+    if one_way:
+        of["one_way"] = True
+        judged = partial(judge_one_way, seed=seed, other_physics=other_physics)
+    else:
+        judged = partial(
+            judge, seed=seed, other_physics=other_physics, window_s=window_s, every_drive=every_drive
+        )
     counts = counted(judged, motors, how, of=of)
     print(*counts[("commissioning",)].elements(), sep="\n")
-    header = ("changed", "judged in", "right verdict", "said", "else")
+    header = ("changed", "load" if one_way else "judged in", "right verdict", "said", "else")
     name = "windows_other_physics" if other_physics else "windows"
-    name += ("" if window_s is None else "_longer") + ("_every_drive" if every_drive else "")
-    keep_table("operation", name, header, rows(counts, UNDER if other_physics else OWN))
+    name += "_one_way" if one_way else ("" if window_s is None else "_longer")
+    name += "_every_drive" if every_drive else ""
+    keep_table(
+        "operation", name, header, rows(counts, LOADED if one_way else UNDER if other_physics else OWN)
+    )
 
 
 if __name__ == "__main__":
