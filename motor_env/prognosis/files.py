@@ -96,7 +96,11 @@ def _fitted(
                 first = [entry for _, entry in recordings[number : number + 3]]
                 model = fit_healthy(first, voltage_v=voltage_v)[0].model
             fit = identify(prepare(recording, voltage_v), model)
-        except (ValueError, ArithmeticError, LookupError) as failure:  # UnusableError, or numerics that give up
+        except (
+            ValueError,
+            ArithmeticError,
+            LookupError,
+        ) as failure:  # UnusableError, or numerics that give up
             notes.append(f"{recording.path.name}: {failure}")
         else:
             # The model's error is the same in all starts of a motor; how much more they scatter is learned from them.
