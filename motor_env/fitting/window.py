@@ -30,6 +30,7 @@ _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
 _DRAG, _DRAG_PLACES = ("coulomb", "B", "load_square"), [places.COULOMB, places.B, places.SQUARE]
 _LEAST_SHARE = 0.01  # of the friction, where a fit without a load begins
+_NO_WORK = 1e-12  # W, over the sampling interval
 _WILD = 6.0  # standard deviations beyond which an innovation counts no more
 _TOLD_APART = 1e-10  # least eigenvalue of an information matrix whose diagonal is 1
 _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell nothing
@@ -71,22 +72,25 @@ def fit_window(
     rows = [problem.names[n] for n in chosen]
     at = np.ix_(*2 * [[rows.index(name) for name in _MOTOR]])
     factor = best.theta[problem.names.index("drag")]
-    slope = np.eye(len(_MOTOR))
+    slope, noise = np.eye(len(_MOTOR)), 0.0
     slope[-1, -1] = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
     if one_way and values[places.WALK] > 0.0:
         moved = best.theta + STEP * np.eye(len(best.theta))[[problem.names.index(name) for name in _MOTOR]]
-        whole = _drags(problem, np.vstack([best.theta, moved]))
+        whole, sd = _drags(problem, np.vstack([best.theta, moved]))
         factor = max(float(whole[0]), _LEAST_SHARE)
-        slope[-1] = (whole[1:] - whole[0]) / (STEP * factor)
+        slope[-1], noise = (whole[1:] - whole[0]) / (STEP * factor), sd / factor
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
+    covariance = slope @ spread[at] @ slope.T
+    covariance[-1, -1] += noise**2
     whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
-    return WindowFit(logs, capped(slope @ spread[at] @ slope.T), values, whitened, best.misfit)
+    return WindowFit(logs, capped(covariance), values, whitened, best.misfit)
 
 
-def _drags(problem: Problem, each: FloatArray) -> FloatArray:
+def _drags(problem: Problem, each: FloatArray) -> tuple[FloatArray, float]:
     """All that brakes in a window, over the friction that is known, for several vectors of unknowns, shape (m,).
 
-    By the balance of energy: what the current gives and known loads do not take, less what the rotor gains.
+    By the balance of energy: what the current gives and known loads do not take, less what the rotor gains. And the
+    standard deviation of the first by the sensors' noise: beyond all bounds where the motor stands.
     """
     values, known, record = problem.values_each(each), problem.known, problem.record
     shown = record.predict_each(values)[0][:, :, 2:4] - values[:, None, [places.OFFSET_I, places.OFFSET_W]]
@@ -94,10 +98,13 @@ def _drags(problem: Problem, each: FloatArray) -> FloatArray:
     loads = values[:, [places.LOAD]] + values[:, [places.SQUARE]] * speed * size
     given = np.sum(speed * (values[:, [places.K]] * current - loads), axis=1)
     gained = np.sum(np.diff(np.square(speed), axis=1) * (record.marks[1:] != BEGIN), axis=1)
-    friction = known[places.COULOMB] + size * known[places.B]
-    left = given - 0.5 * values[:, places.J] * gained / record.dt_s
-    whole: FloatArray = left / np.maximum(np.sum(size * friction, axis=1), 1e-300)
-    return whole
+    friction = np.maximum(np.sum(size * (known[places.COULOMB] + size * known[places.B]), axis=1), _NO_WORK)
+    whole: FloatArray = (given - 0.5 * values[:, places.J] * gained / record.dt_s) / friction
+    noise = values[0, places.K] * np.hypot(
+        values[0, places.NOISE_I] * np.linalg.norm(speed[0]),
+        values[0, places.NOISE_W] * np.linalg.norm(current[0]),
+    )
+    return whole, float(noise / friction[0])
 
 
 def without_load(best: Solution, speed_rad_s: float) -> Solution:

@@ -96,17 +96,13 @@ def _fitted(
                 first = [entry for _, entry in recordings[number : number + 3]]
                 model = fit_healthy(first, voltage_v=voltage_v)[0].model
             fit = identify(prepare(recording, voltage_v), model)
-        except (
-            ValueError,
-            ArithmeticError,
-            LookupError,
-        ) as failure:  # UnusableError, or numerics that give up
-            notes.append(f"{recording.path.name}: {failure}")
+        except (ValueError, ArithmeticError, LookupError) as error:  # UnusableError, or numerics that give up
+            notes.append(f"{recording.path.name}: {error}")
         else:
             # The model's error is the same in all starts of a motor; how much more they scatter is learned from them.
-            errors = fit.values * np.sqrt(np.diag(fit.white_covariance))
-            for name, value, error in zip(fit.quantity_names, fit.values, errors, strict=True):
-                estimates[name].append((day, float(value), float(error)))
+            spreads = fit.values * np.sqrt(np.diag(fit.white_covariance))
+            for name, value, spread in zip(fit.quantity_names, fit.values, spreads, strict=True):
+                estimates[name].append((day, float(value), float(spread)))
     if not estimates:
         raise InputError(f"no recording can be used; the first reason: {[*notes, 'there are none'][0]}")
     return build_series(estimates)

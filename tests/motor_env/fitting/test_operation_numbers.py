@@ -638,6 +638,18 @@ def test_all_that_brakes_is_the_drag_where_a_load_walks_and_the_motor_turns_one_
     assert balanced - math.exp(less.logs[3]) == pytest.approx(0.002 / (0.002 + 2e-6 * speed), rel=0.02)
 
 
+@pytest.mark.parametrize("noise_rad_s", [0.0, 0.1])
+def test_the_drag_of_a_motor_that_stands_is_not_told(noise_rad_s: float) -> None:
+    """It does no work that a balance could tell."""
+    known = values(COULOMB=0.002, B=2e-6, WALK=5e-3, DRAG=1.0)
+    volts, *noise = np.random.default_rng(4).standard_normal((3, 300))
+    record = plain(300, 0.001 * volts)
+    record = replace(record, readings=np.transpose(noise) * [1e-3, noise_rad_s])
+    found = fit_window(record, known, ("load_walk",), one_way=True)
+    assert np.isfinite(found.logs).all()
+    assert math.sqrt(found.covariance[3, 3]) > 3.0
+
+
 def test_scores_of_sections_are_linear_least_squares() -> None:
     """Each section by its own whitened innovations, with the loads believed beforehand."""
     known = values(DRAG=1.0, NOISE_V=0.03)
