@@ -76,7 +76,7 @@ def fit_window(
     slope[-1, -1] = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
     if one_way and values[places.WALK] > 0.0:
         moved = best.theta + STEP * np.eye(len(best.theta))[[problem.names.index(name) for name in _MOTOR]]
-        whole, sd = _drags(problem, np.vstack([best.theta, moved]))
+        whole, sd = _drags(problem, np.vstack([best.theta, moved]), values)
         factor = max(float(whole[0]), _LEAST_SHARE)
         slope[-1], noise = (whole[1:] - whole[0]) / (STEP * factor), sd / factor
     logs = np.log([values[places.R], values[places.K], values[places.J], factor])
@@ -86,11 +86,11 @@ def fit_window(
     return WindowFit(logs, capped(covariance), values, whitened, best.misfit)
 
 
-def _drags(problem: Problem, each: FloatArray) -> tuple[FloatArray, float]:
+def _drags(problem: Problem, each: FloatArray, fitted: FloatArray) -> tuple[FloatArray, float]:
     """All that brakes in a window, over the friction that is known, for several vectors of unknowns, shape (m,).
 
     By the balance of energy: what the current gives and known loads do not take, less what the rotor gains. And the
-    standard deviation of the first by the sensors' noise: beyond all bounds where the motor stands.
+    standard deviation of the first by the sensors' fitted noise: beyond all bounds where the motor stands.
     """
     values, known, record = problem.values_each(each), problem.known, problem.record
     shown = record.predict_each(values)[0][:, :, 2:4] - values[:, None, [places.OFFSET_I, places.OFFSET_W]]
@@ -100,9 +100,8 @@ def _drags(problem: Problem, each: FloatArray) -> tuple[FloatArray, float]:
     gained = np.sum(np.diff(np.square(speed), axis=1) * (record.marks[1:] != BEGIN), axis=1)
     friction = np.maximum(np.sum(size * (known[places.COULOMB] + size * known[places.B]), axis=1), _NO_WORK)
     whole: FloatArray = (given - 0.5 * values[:, places.J] * gained / record.dt_s) / friction
-    noise = values[0, places.K] * np.hypot(
-        values[0, places.NOISE_I] * np.linalg.norm(speed[0]),
-        values[0, places.NOISE_W] * np.linalg.norm(current[0]),
+    noise = fitted[places.K] * np.hypot(
+        fitted[places.NOISE_I] * np.linalg.norm(speed[0]), fitted[places.NOISE_W] * np.linalg.norm(current[0])
     )
     return whole, float(noise / friction[0])
 
