@@ -5,7 +5,7 @@
     python benchmarks/running_windows.py --motors 30 --other-physics --window-s 20
     python benchmarks/running_windows.py --motors 30 --other-physics --every-drive
     python benchmarks/running_windows.py --motors 20 --other-physics --every-drive --window-s 20
-    python benchmarks/running_windows.py --motors 20 --other-physics --one-way
+    python benchmarks/running_windows.py --motors 12 --other-physics --one-way
 
 Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
 is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
