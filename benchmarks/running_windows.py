@@ -166,6 +166,8 @@ def main(
     if every_drive:
         of["every_drive"] = True
     if one_way:
+        if every_drive or window_s is not None:
+            raise SystemExit("--one-way goes with neither --every-drive nor --window-s")
         of["one_way"] = True
         judged = partial(judge_one_way, seed=seed, other_physics=other_physics)
     else:

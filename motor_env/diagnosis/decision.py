@@ -48,6 +48,7 @@ from motor_env.motor.parameters import FloatArray
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _TELLING_WARMTH_K = 8.0
+# Sizes of changes; a ratio beyond the last is that of a quantity which the healthy pieces hardly told.
 _DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
 _LEFT_OVER = 0.01
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
