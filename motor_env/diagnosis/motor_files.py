@@ -11,7 +11,7 @@ import numpy as np
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.identify import Operation
-from motor_env.fitting.starts.belief import AMBIGUOUS
+from motor_env.fitting.starts.belief import hides_inductance
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.assumptions import assumptions
 from motor_env.motor.data_sheet import Motor
@@ -71,8 +71,8 @@ def not_told(fit: Identified) -> list[str]:
             fit.start.speed_rad_s is None
         ),
         "a step cannot tell a brush drop from a lower supply": not has_voltage,
-        "a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told": (
-            not has_voltage and not AMBIGUOUS.isdisjoint(fit.model)
+        "a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told": hides_inductance(
+            fit.model
         ),
     }
     return [sentence for sentence, holds in limits.items() if holds] + [

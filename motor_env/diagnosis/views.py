@@ -22,6 +22,7 @@ from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
 _HOTTEST_K = 100.0
+_LEAST_FACTOR = 0.5  # of a quantity when it gets warmer or colder; far from the model it follows no straight line
 
 
 class Fitted(Protocol):
@@ -97,7 +98,7 @@ def _straightened(
         return ratios
     slope = np.linalg.solve(spread, warmth)
     kelvin = float(slope @ ratios / (slope @ warmth + temperature_k**-2))
-    warm = warmth * min(max(kelvin, -_HOTTEST_K), _HOTTEST_K)
+    warm = np.maximum(warmth * min(max(kelvin, -_HOTTEST_K), _HOTTEST_K), _LEAST_FACTOR - 1.0)
     return np.asarray(ratios + warm - np.log1p(warm), dtype=np.float64)
 
 

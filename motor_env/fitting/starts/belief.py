@@ -20,8 +20,7 @@ from motor_env.recordings.start import Start, mean_tail
 
 FIT_SAMPLES = 40_000
 INDUCTANCE_PRIOR_SD = 0.3
-AMBIGUOUS = frozenset({"supply_ramp", "supply_curve", "sensor_lag"})
-"""Terms that a step response cannot separate from L/R: all are lags between the switch and the current."""
+_LAGS = frozenset({"supply_ramp", "supply_curve", "sensor_lag"})
 CURVE = tuple(f"curve_{n}" for n in range(1, CURVE_PARTS))
 _FIRST_SIZES = (math.exp(-2.0), 1.0)  # of the usual one: where the fit of one more term begins
 _FIRST_NOISE = 0.02  # of a channel's span, until a fit tells
@@ -107,7 +106,7 @@ class Belief:
 
     def has_inductance_prior(self, model: Sequence[str]) -> bool:
         """Whether L is held near the typical one."""
-        return "L" in self.typical and self.start.voltage_v is None and bool(AMBIGUOUS & set(model))
+        return "L" in self.typical and hides_inductance(model)
 
     def problem(self, model: Sequence[str]) -> Problem:
         """What is solved, with the terms of a model."""
@@ -157,6 +156,14 @@ class Belief:
     def inductance_off(self, theta: FloatArray) -> float:
         """How far L lies from the typical one, in standard deviations of its prior; 0 where none is known."""
         return (float(theta[1]) - self.typical["L"]) / INDUCTANCE_PRIOR_SD if "L" in self.typical else 0.0
+
+
+def hides_inductance(model: Sequence[str]) -> bool:
+    """Whether a term of a model is a lag between the voltage and the current, as L/R is: each may pass for the other.
+
+    A measured voltage has no ramp; the lag of the current's sensor and L/R can change places under any voltage.
+    """
+    return not _LAGS.isdisjoint(model)
 
 
 def parts_of(model: Sequence[str]) -> tuple[str, ...]:

@@ -440,6 +440,10 @@ def test_warmth_widens_what_is_healthy() -> None:
         least = slope @ np.log1p(kelvin * WARMTH) / (slope @ WARMTH + 1e-6)
         kept = min(float(least), 100.0) * WARMTH
         np.testing.assert_allclose(found, np.log1p(kelvin * WARMTH) + kept - np.log1p(kept), rtol=1e-9)
+    # And no quantity is taken for less than half: a load may answer to warmth by more than 1 % a kelvin.
+    steep = np.array([0.004, -0.012, 0.0, -0.003])
+    found = views._straightened(99.0 * steep, tight, steep, 1e3)
+    assert found[1] == pytest.approx(-99.0 * 0.012 - 0.5 - math.log(0.5), rel=1e-6)
 
 
 @pytest.mark.parametrize("warmer_k", [-20.0, 20.0])
