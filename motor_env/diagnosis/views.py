@@ -22,7 +22,8 @@ from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
 _HOTTEST_K = 100.0
-_LEAST_FACTOR = 0.5  # of a quantity when it gets warmer or colder; far from the model it follows no straight line
+# Of a quantity when it gets warmer or colder: far from the model it follows no straight line.
+_LEAST_FACTOR = 0.5
 
 
 class Fitted(Protocol):
