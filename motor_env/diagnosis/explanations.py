@@ -28,8 +28,8 @@ _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
 # Standard deviation of each parameter beside a fault, over the square of the fault's step; no wear goes further.
 _MODEL_ERROR, _FURTHEST = 0.04, math.log(10.0)
-_VOLTAGE = quantities.PARAMETERS.index("V")
-_IMITATED = [quantities.PARAMETERS.index(name) for name in "KJB"]
+_LAG_IN_L = 0.3  # of the step of R's logarithm, by which L may move as well
+_R, _L, _VOLTAGE, *_IMITATED = (quantities.PARAMETERS.index(name) for name in "RLVKJB")
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1
 _DIRECTIONS = 4096
 _ROUNDING = 1e6 * float(np.finfo(np.float64).eps)  # of the largest: a smaller variance is none
@@ -132,8 +132,7 @@ def alarm_share(rate: float, exponents: FloatArray) -> float:
 def _directions(dimensions: int) -> FloatArray:
     """Directions that are evenly spread, the same each time, shape (n, dimensions)."""
     drawn = np.random.default_rng(1958).standard_normal((_DIRECTIONS, dimensions))
-    out: FloatArray = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
-    return out
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True), dtype=np.float64)
 
 
 def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, freedom: float) -> float:
@@ -161,15 +160,16 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
     )
 
 
-def beside(difference: Difference, step: float) -> FloatArray:
+def beside(difference: Difference, kind: FaultKind, step: float) -> FloatArray:
     """Covariance of what a fault leaves: beside its step each parameter may move by a share of it.
 
-    No motor is quite the model's, and the further a fault takes it, the less it is.
+    No motor is quite the model's, and the further a fault takes it, the less it is. A lag of sensor or supply that
+    no term says is fitted as L, in proportion to R.
     """
     parameters = difference.exponents[:, :_VOLTAGE]
-    sd = _MODEL_ERROR * min(abs(step), _FURTHEST) ** 2
-    covariance: FloatArray = difference.covariance + sd**2 * parameters @ parameters.T
-    return covariance
+    variances = np.full(_VOLTAGE, _MODEL_ERROR * min(abs(step), _FURTHEST) ** 2) ** 2
+    variances[_L] += (_LAG_IN_L * step * quantities.fault_direction(kind)[_R]) ** 2
+    return np.asarray(difference.covariance + parameters * variances @ parameters.T, dtype=np.float64)
 
 
 def along(difference: Difference, direction: FloatArray) -> tuple[float, float, float]:
@@ -194,7 +194,7 @@ def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) 
         direction = quantities.visible_direction(kind, response)
         if np.linalg.norm(direction) >= _LEAST:
             z, step, step_sd = along(difference, direction)
-            covariance = beside(difference, step)
+            covariance = beside(difference, kind, step)
             rest = left_over(difference, step * direction, covariance)
             explanations.append(Explanation(kind, z, step, step_sd, rest, direction, covariance))
     return explanations

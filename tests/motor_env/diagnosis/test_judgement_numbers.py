@@ -30,6 +30,18 @@ from motor_env.motor.identifiable import matrix, nameable_kinds, visible_directi
 from motor_env.motor.parameters import FloatArray
 
 PARAMETERS_MOVED = EXPONENTS[:, :5] @ EXPONENTS[:, :5].T
+
+
+def beside_a_fault(kind: str, step: float) -> FloatArray:
+    """Covariance of what a fault moves beside it.
+
+    Each parameter by 0.04 of the step's square; L by 0.3 of what R moves, which contact and shorted turns do by 1.
+    """
+    lag = np.zeros((4, 4))
+    lag[1, 1] = 0.0 if kind == "bearing" else (0.3 * step) ** 2
+    return np.asarray((0.04 * step**2) ** 2 * PARAMETERS_MOVED + lag)
+
+
 """Covariance of the quantities where each parameter but the voltage has a variance of 1."""
 
 
@@ -82,7 +94,7 @@ def test_explanations_of_a_difference_by_hand() -> None:
             assert one.step == pytest.approx(g @ inverse @ off / information)
             assert one.step_sd == pytest.approx(information**-0.5)
             assert one.z == pytest.approx(one.step / one.step_sd)
-            beside = covariance + (0.04 * one.step**2) ** 2 * PARAMETERS_MOVED
+            beside = covariance + beside_a_fault(name, one.step)
             np.testing.assert_allclose(one.covariance, beside, rtol=1e-12)
             rest = off - one.step * g
             p_value = stats.f.sf(rest @ np.linalg.solve(beside, rest) / 3.0, 3, 9.0)
@@ -166,8 +178,8 @@ def test_a_quantity_is_undecided_where_its_doubling_might_not_show() -> None:
 def test_probabilities_by_integration(off: tuple[float, ...], told: tuple[str, ...]) -> None:
     """Healthy 0.8 beforehand; each fault and something else share the rest; a severity is half-Cauchy of 0.3.
 
-    Beside a fault each parameter may move by 0.04 of its best step's square. Faults that do not show at all are summed
-    coarsely, and left out here.
+    Beside a fault the parameters may move, see `beside_a_fault`, by its best step. Faults that do not show at all
+    are summed coarsely, and left out here.
     """
     covariance, at = 4.0 * spread(4), np.array(off)
     given = replace(difference(at, covariance), degrees_of_freedom=9.7)
@@ -176,7 +188,7 @@ def test_probabilities_by_integration(off: tuple[float, ...], told: tuple[str, .
     steps = {str(one.kind): one.step for one in explain(given)}
     for kind in told:
         g = visible_direction(FaultKind(kind), EXPONENTS)
-        beside = covariance + (0.04 * steps[kind] ** 2) ** 2 * PARAMETERS_MOVED
+        beside = covariance + beside_a_fault(kind, steps[kind])
         faulty = stats.multivariate_t(np.zeros(4), beside, df=9)
 
         def density(step: float, g: FloatArray = g, faulty: Any = faulty) -> float:
