@@ -27,6 +27,7 @@ from motor_env.diagnosis.verdict import Diagnosis
 from motor_env.diagnosis.views import views_of
 from motor_env.motor.identifiable import PARAMETERS
 from motor_env.recordings.recording import Recording
+from motor_env.recordings.start import prepare
 
 HEALTHY = "nothing changed"
 CHANGES = {
@@ -98,7 +99,7 @@ class Bench:
 def judge(number: int, seed: int) -> Said:
     """What one motor's starts are called, by load, channels, scatter, whether told, change, and whether it shows."""
     bench = Bench(seed, number)
-    fits = fit_healthy([bench.start(bench.healthy, 0.0) for _ in range(COMMISSIONED)])
+    fits = fit_healthy([prepare(bench.start(bench.healthy, 0.0)) for _ in range(COMMISSIONED)])
     learned = learn_starts(fits)
     if bench.told:
         learned = replace(learned, own_friction=bench.own)

@@ -17,6 +17,7 @@ from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.verdict import Diagnosis, Verdict
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
 from motor_env.recordings.recording import Recording
+from motor_env.recordings.start import prepare
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.nonlinear import Effects
 from motor_env.simulation.sensor import SensorChain
@@ -118,7 +119,7 @@ def said(found: Diagnosis) -> str:
 def judge(number: int, seed: int) -> Said:
     """Verdicts on the starts of one motor, by what has changed."""
     recordings = starts(np.random.default_rng([seed, number]))
-    fits = fit_healthy(recordings[:HEALTHY])
+    fits = fit_healthy([prepare(each) for each in recordings[:HEALTHY]])
     motor = to_motor(fits, "this motor", healthy=learn_starts(fits))
     return [((r.path.name,), said(diagnose(r, motor))) for r in recordings[HEALTHY:]]
 

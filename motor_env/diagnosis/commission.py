@@ -31,7 +31,7 @@ from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of, understood
 from motor_env.recordings.regime import Taken, taken_for
 from motor_env.recordings.splitting import chosen_starts
-from motor_env.recordings.start import Circuit
+from motor_env.recordings.start import Circuit, prepare
 
 FEWEST_STARTS = 3
 _NO_LOAD = 1.2  # of the current with the load: the same motor, within its friction's changes
@@ -238,7 +238,9 @@ def fit_starts(
     fewest: int = 1,
     *,
     start: int | None = None,
-    **options: Any,
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
+    constant: float | None = None,
 ) -> list[Identified]:
     """Fit the healthy starts of recordings as `fit_healthy` does; a recording may hold several.
 
@@ -249,8 +251,14 @@ def fit_starts(
     starts = [part for recording in recordings for part in chosen_starts(recording, start)]
     if len(starts) < fewest:
         raise InputError(f"commissioning needs at least {fewest} healthy starts, got {len(starts)}")
+    prepared = []
+    for part in starts:
+        try:
+            prepared.append(prepare(part, voltage_v, circuit))
+        except UnusableError as error:
+            raise InputError(f"{part.path}: a healthy {word} cannot be used: {error}") from None
     try:
-        fits = fit_healthy(starts, **options)
+        fits = fit_healthy(prepared, constant=constant)
     except UnusableError as error:
         raise InputError(f"a healthy {word} cannot be used: {error}") from None
     if len({fit.quantity_names for fit in fits}) > 1:

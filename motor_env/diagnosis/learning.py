@@ -19,8 +19,7 @@ from motor_env.fitting.starts.identify import identify
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.recording import Recording
-from motor_env.recordings.start import Circuit, prepare
+from motor_env.recordings.start import Start
 
 START_SPREAD = 0.02
 """Standard deviation of a logarithm from start to start, as believed before any is seen."""
@@ -33,22 +32,15 @@ _DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
 _SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm from start to start, and how many are odd
 
 
-def fit_healthy(
-    recordings: Sequence[Recording],
-    *,
-    voltage_v: float | None = None,
-    constant: float | None = None,
-    circuit: Circuit | None = None,
-) -> list[Identified]:
+def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> list[Identified]:
     """Fit healthy starts with one common model: the one that the evidence prefers in most of them.
 
     All are fitted twice, the second time from the median of the first fits, so that no start is left in an optimum
     of its own, and an ambiguous inductance is the same in all.
 
     Raises:
-        UnusableError: a recording cannot be judged.
+        UnusableError: the current of one flows against its voltage.
     """
-    starts = [prepare(recording, voltage_v, circuit) for recording in recordings]
     chosen = [identify_best(start, NUISANCES, constant=constant).model for start in starts[:3]]
     model = tuple(
         name for name in NUISANCES if sum(name in candidate for candidate in chosen) > 0.5 * len(chosen)

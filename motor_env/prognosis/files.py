@@ -93,8 +93,8 @@ def _fitted(
         progress(recording.path)
         try:
             if model is None:
-                first = [entry for _, entry in recordings[number : number + 3]]
-                model = fit_healthy(first, voltage_v=voltage_v)[0].model
+                first = [prepare(entry, voltage_v) for _, entry in recordings[number : number + 3]]
+                model = fit_healthy(first)[0].model
             fit = identify(prepare(recording, voltage_v), model)
         except (ValueError, ArithmeticError, LookupError) as error:  # UnusableError, or numerics that give up
             notes.append(f"{recording.path.name}: {error}")

@@ -19,6 +19,8 @@ _OFF, _ON = 0.1, 0.8
 _REVERSED_SHARE = 0.005
 _BETWEEN_SHARE = 0.1
 _FEWEST_CHANGES = 3
+# Of the top, from where it counts as a rise, and how many blocks it lasts: ripple of a rectifier is faster.
+_CLIMB, _FOOT, _BLOCK_S, _SLOW_BLOCKS = 0.2, 0.05, 0.01, 3
 _MOST_SWITCHES = 5
 _PAUSE_S, BOUNCE_S = 0.1, 0.02  # a motor does not stop in so short a pause; a contact has bounced and settled
 _INRUSH, _STILL_TURNS = 0.75, 0.1  # of the largest inrush, and of the top speed
@@ -79,7 +81,9 @@ def work_seen(recording: Recording) -> str | None:
     levels = np.digitize(size, (_OFF, _ON))
     pauses = gaps_s(levels == 0, recording.dt_s)
     reversed_share = min(float(np.mean(share > _OFF)), float(np.mean(share < -_OFF)))
-    has_levels = float(np.mean(levels == 1)) > _BETWEEN_SHARE and changes(size) >= _FEWEST_CHANGES
+    has_levels = float(np.mean(levels == 1)) > _BETWEEN_SHARE and (
+        changes(size) >= _FEWEST_CHANGES or slow_rises(size, recording.dt_s) >= _FEWEST_CHANGES
+    )
     is_pulsed = len(pauses) >= _MOST_SWITCHES and float(np.median(pauses)) < _PAUSE_S
     shown = {
         "the voltage reverses": reversed_share > _REVERSED_SHARE,
@@ -159,6 +163,26 @@ def changes(share: FloatArray) -> int:
     """How often a voltage goes to another level and stays there for three samples."""
     steps = np.flatnonzero(np.abs(np.diff(share)) > _OFF)
     return int(np.count_nonzero(np.diff(steps, prepend=-3) >= 3))
+
+
+def slow_rises(share: FloatArray, dt_s: float) -> int:
+    """How often a voltage climbs by a fifth of its top, and more slowly than any switch."""
+    block = max(round(_BLOCK_S / dt_s), 1)
+    means = share[: len(share) // block * block].reshape(-1, block).mean(axis=1)
+    count, climbs, extreme, since = 0, False, math.inf, 0
+    for at, value in enumerate(means.tolist()):
+        if climbs:
+            extreme = max(extreme, value)
+            if value < extreme - _CLIMB:
+                climbs, extreme, since = False, value, at
+            continue
+        extreme = min(extreme, value)
+        if value < extreme + _FOOT:
+            since = at
+        elif value > extreme + _CLIMB:
+            count += at - since >= _SLOW_BLOCKS
+            climbs, extreme = True, value
+    return count
 
 
 def gaps_s(is_off: NDArray[np.bool_], dt_s: float) -> FloatArray:

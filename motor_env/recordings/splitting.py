@@ -46,7 +46,7 @@ def split_starts(recording: Recording) -> list[Recording]:
 
 
 def chosen_starts(recording: Recording, number: int | None = None) -> list[Recording]:
-    """All starts, or the one with that number.
+    """All starts, or the one with that number; of several, none whose voltage was on before the recording began.
 
     Raises:
         InputError: there is no such start, or there are more than 200 of them and none is chosen.
@@ -59,7 +59,11 @@ def chosen_starts(recording: Recording, number: int | None = None) -> list[Recor
         )
     if number is not None and not 1 <= number <= len(parts):
         raise InputError(f"{recording.path}: --start must lie in 1 .. {len(parts)}, got {number}")
-    return parts if number is None else [parts[number - 1]]
+    if number is not None:
+        return [parts[number - 1]]
+    voltage = parts[0].voltage_v
+    is_begun = voltage is not None and abs(voltage[0]) > _HIGH * np.max(np.abs(voltage))
+    return parts[1:] if is_begun and len(parts) > 1 else parts
 
 
 def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:

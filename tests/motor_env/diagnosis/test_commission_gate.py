@@ -64,6 +64,11 @@ def test_a_start_that_no_motor_explains_is_named(
     assert main(["commission", *healthy, odd, "-o", str(tmp_path / "motor.toml")]) == 2
     said = capsys.readouterr().err
     assert "odd.csv: a healthy start cannot be used: no motor model explains the current" in said
+    begun = replace(start, voltage_v=np.full(len(start.time_s), 12.0), speed_rad_s=None)
+    begun = replace(begun, current_a=2.0 + 0.01 * start.current_a)
+    odd = write_recording(tmp_path / "odd.csv", begun)
+    assert main(["commission", *healthy, odd, "-o", str(tmp_path / "motor.toml")]) == 2
+    assert "odd.csv: a healthy start cannot be used: " in capsys.readouterr().err
     (other,) = captures(DEFECTS["none"], (), replace(PAPER_MOTOR, resistance_ohm=4.0), 6, 1)
     odd = write_recording(tmp_path / "odd.csv", other)
     assert main(["commission", *healthy, odd, "-o", str(tmp_path / "motor.toml")]) == 2

@@ -32,7 +32,7 @@ from motor_env.motor.healthy import Fleet
 from motor_env.motor.identifiable import names
 from motor_env.motor.model import steady_state
 from motor_env.recordings.noise import difference_noise
-from motor_env.recordings.start import Circuit
+from motor_env.recordings.start import Circuit, prepare
 
 
 def test_the_next_of_several_healthy_ones() -> None:
@@ -294,7 +294,7 @@ def test_healthy_starts_are_fitted_with_what_most_of_them_prefer(
 
     monkeypatch.setattr(learning, "identify_best", best)
     monkeypatch.setattr(learning, "identify", fit)
-    assert len(fit_healthy([judged().recording] * len(preferred))) == len(preferred)
+    assert len(fit_healthy([prepare(judged().recording)] * len(preferred))) == len(preferred)
     assert fitted_with == [model] * 2 * len(preferred)
 
 

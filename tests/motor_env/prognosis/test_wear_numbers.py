@@ -14,7 +14,7 @@ import pytest
 from scipy.linalg import expm, toeplitz
 from scipy.stats import gamma, invgauss, norm
 
-from motor_env import InputError, Recording
+from motor_env import InputError
 from motor_env.cli import main
 from motor_env.motor.parameters import FloatArray
 from motor_env.prognosis import files
@@ -25,7 +25,6 @@ from motor_env.prognosis.laws import at_one_temperature, last_jump, withheld
 from motor_env.prognosis.steps import Steps, fit_steps
 from motor_env.prognosis.trend import Forecast, describe, judge
 from motor_env.prognosis.wear import Degradation, RemainingLife, degradation
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.start import Start
 
 
@@ -560,13 +559,11 @@ def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given
     for day in range(1, 7):
         rows = (f"{1e-4 * k:.4f},{day * amps:.6f}" for k, amps in enumerate(shown * (day > 1)))
         (tmp_path / f"2026-03-{day:02d}.csv").write_text("time_s,current_a\n" + "\n".join(rows) + "\n")
-    chosen: list[tuple[list[float], float | None]] = []
+    chosen: list[list[tuple[float, float]]] = []
     fitted: list[tuple[tuple[str, ...], float, bool]] = []
 
-    def choose(recordings: list[Recording], *, voltage_v: float | None) -> list[SimpleNamespace]:
-        if not recordings[0].current_a.any():
-            raise UnusableError("nothing flows")
-        chosen.append(([float(one.current_a.max()) for one in recordings], voltage_v))
+    def choose(starts: list[Start]) -> list[SimpleNamespace]:
+        chosen.append([(float(one.current_a.max()), one.level_v) for one in starts])
         return [SimpleNamespace(model=("sensor_lag",))] * 3
 
     def fit(start: Start, model: tuple[str, ...]) -> SimpleNamespace:
@@ -578,10 +575,8 @@ def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given
     monkeypatch.setattr(files, "fit_healthy", choose)
     monkeypatch.setattr(files, "identify", fit)
     found = files.trend(sorted(tmp_path.iterdir(), reverse=True), voltage_v=24.0)
-    ((largest, volts),) = chosen
-    assert largest == pytest.approx([2.0, 3.0, 4.0])
-    assert volts == 24.0
+    np.testing.assert_allclose(chosen, [[(2.0, 24.0), (3.0, 24.0), (4.0, 24.0)]])
     assert fitted == [(("sensor_lag",), 24.0, True)] * 5
     assert found.trends[0].series.time.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert found.trends[0].series.standard_error == pytest.approx([0.2] * 5)
-    assert found.notes == ("2026-03-01.csv: nothing flows",)
+    assert found.notes == ("2026-03-01.csv: the current is constant at 0 A",)

@@ -23,7 +23,7 @@ from motor_env.recordings.noise import difference_noise, hidden_level, wild_samp
 from motor_env.recordings.periodic_lines import PeriodicLine, line_share, over_angle, periodic_lines
 from motor_env.recordings.profiles import Profile, load_profile, save_profile
 from motor_env.recordings.recording import evened
-from motor_env.recordings.regime import changes, gaps_s, refuse_aliased, work_seen
+from motor_env.recordings.regime import changes, gaps_s, refuse_aliased, slow_rises, work_seen
 from motor_env.recordings.splitting import chosen_starts, split_starts
 from motor_env.recordings.start import Circuit, mean_tail, prepare
 
@@ -511,6 +511,56 @@ def off_on(*lengths: int) -> FloatArray:
 )
 def test_starts_stay_starts(voltage: FloatArray) -> None:
     assert work_seen(driven(voltage)) is None
+
+
+def waves(period: float, low: float, high: float, *, n: int = 6000) -> FloatArray:
+    """A voltage that goes up and down between two shares of 12 V without a jump; the period in samples."""
+    phase = 2.0 * np.pi * np.arange(n) / period
+    return np.asarray(12.0 * (0.5 * (low + high) - 0.5 * (high - low) * np.cos(phase)))
+
+
+@pytest.mark.parametrize(
+    ("voltage", "dt_s", "rises"),
+    [
+        (waves(600.0, 0.0, 1.0), 1e-3, 10),
+        (waves(600.0, 0.5, 1.0), 1e-3, 10),
+        (waves(600.0, 0.79, 1.0), 1e-3, 10),  # by more than a fifth
+        (waves(600.0, 0.81, 1.0), 1e-3, 0),
+        (waves(100.0, 0.6, 1.0), 1e-4, 0),  # ripple of a rectifier, 100 Hz
+        (waves(200.0, 0.6, 1.0), 1e-4, 0),
+        (
+            np.tile(np.append(np.zeros(300), np.minimum(np.arange(300) / 15.0, 12.0)), 3),
+            1e-3,
+            3,
+        ),  # 180 ms to the top
+        (
+            np.tile(np.append(np.zeros(300), np.minimum(np.arange(300) / 8.0, 12.0)), 3),
+            1e-3,
+            0,
+        ),  # a supply of 96 ms
+    ],
+)
+def test_slow_rises_of_a_voltage(voltage: FloatArray, dt_s: float, rises: int) -> None:
+    """Reaches in: how many there are stands in no result."""
+    assert slow_rises(voltage / 12.0, dt_s) == rises
+
+
+@pytest.mark.parametrize(("n", "is_work"), [(1200, False), (1900, True)])
+def test_a_voltage_that_rises_slowly_again_and_again_is_of_a_motor_at_work(n: int, is_work: bool) -> None:
+    assert (work_seen(driven(waves(600.0, 0.0, 1.0, n=n))) == "the voltage takes several levels") is is_work
+
+
+def test_of_several_starts_one_that_had_begun_is_left_out() -> None:
+    volts = off_on(0, 300, 200, 300, 200, 300)
+    recording = driven(volts)
+    assert [part.path.name for part in chosen_starts(recording)] == ["x#2", "x#3"]
+    assert [part.path.name for part in chosen_starts(recording, 1)] == ["x#1"]
+    assert len(chosen_starts(driven(off_on(20, 280, 200, 300)))) == 2  # recorded from before it begins
+    assert len(chosen_starts(driven(off_on(0, 300)))) == 1  # the only one
+    for share, first in ((0.49, "x#1"), (0.51, "x#2")):  # beyond half it is on
+        before = np.full(200, 12.0 * share)
+        parts = chosen_starts(driven(np.append(before, off_on(100, 300, 200, 300))))
+        assert parts[0].path.name == first
 
 
 def test_borders_of_a_motor_at_work() -> None:
