@@ -16,6 +16,7 @@ from motor_env.recordings.regime import BOUNCE_S
 
 _HIGH, _LOW, _REST = 0.5, 0.25, 0.05
 _FEWEST = 3  # samples
+_MOVING = 2.0  # times the largest deviation at rest
 _WILD = 5  # samples of a long recording that may lie above all that counts
 MOST_STARTS = 200
 
@@ -36,9 +37,10 @@ def split_starts(recording: Recording) -> list[Recording]:
         begins = _rises(rising, recording.dt_s, rest=_LOW)
     if len(begins) < 2:
         return [recording]
-    cuts = [0, *(_switched_off(recording, a, b) for a, b in pairwise(begins)), len(recording.time_s)]
+    ends = [*(_switched_off(recording, a, b) for a, b in pairwise(begins)), len(recording.time_s)]
+    firsts = [0, *(_at_rest(recording, a, b) for a, b in zip(ends, begins[1:], strict=False))]
     parts = []
-    for number, (first, last) in enumerate(pairwise(cuts), 1):
+    for number, (first, last) in enumerate(zip(firsts, ends, strict=True), 1):
         notes = (*recording.columns, f"start {number} of {len(begins)} in the file")
         path = Path(f"{recording.path}#{number}")
         parts.append(replace(cut(recording, slice(first, last)), path=path, columns=notes))
@@ -86,6 +88,19 @@ def _switched_off(recording: Recording, begin: int, following: int) -> int:
         return begin + (int(np.argmax(off)) if off.any() else following - begin)
     stretch = recording.current_a[begin + (following - begin) // 3 : following - 3]
     return following - 3 - len(stretch) + _change_of_level(stretch)
+
+
+def _at_rest(recording: Recording, end: int, begin: int) -> int:
+    """From where the motor rests before a start: what brakes it is over, as the last quarter of the pause shows."""
+    first = end
+    for shown in (recording.current_a, recording.speed_rad_s):
+        if shown is not None:
+            pause = shown[end:begin]
+            rest = pause[-max(len(pause) // 4, 1) :]
+            off = np.abs(pause - np.median(rest))
+            moving = np.flatnonzero(off > _MOVING * np.max(off[-len(rest) :], initial=0.0))
+            first = max(first, end + int(moving[-1]) + 1 if len(moving) else end)
+    return first
 
 
 def _change_of_level(values: FloatArray) -> int:

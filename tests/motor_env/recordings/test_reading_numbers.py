@@ -563,6 +563,29 @@ def test_of_several_starts_one_that_had_begun_is_left_out() -> None:
         assert parts[0].path.name == first
 
 
+@pytest.mark.parametrize("has_speed", [False, True])
+@pytest.mark.parametrize("has_voltage", [False, True])
+def test_a_start_has_the_rest_before_it_and_no_braking(has_speed: bool, has_voltage: bool) -> None:
+    """The current of a motor that is braked decays, and so does its speed, which may end later."""
+    volts, noise = off_on(100, 300, 400, 300), np.random.default_rng(3).uniform(-0.01, 0.01, 1100)
+    current, speed = np.where(volts > 0.0, 2.0, 0.0) + noise, np.where(volts > 0.0, 50.0, 0.0)
+    current[400:500] -= np.linspace(1.5, 0.1, 100)
+    speed[400:550] += np.linspace(50.0, 1.0, 150)
+    recording = driven(volts, speed=speed if has_speed else None, current=current)
+    parts = chosen_starts(recording if has_voltage else replace(recording, voltage_v=None))
+    first = 550 if has_speed else 500
+    assert [round(1e3 * part.time_s[0]) for part in parts] == [0, first]
+    assert [len(part.time_s) for part in parts] == [400, 1100 - first]
+    for size, begin in (
+        (0.021, 501),
+        (0.009, 500),
+    ):  # beyond twice the noise of the last quarter it is no rest
+        noise[400:] = np.tile([0.0049, -0.0049], 350)
+        noise[500] = size
+        shown = driven(volts, current=np.where(volts > 0.0, 2.0, 0.0) + noise - 2.0 * (np.arange(1100) < 500))
+        assert round(1e3 * chosen_starts(shown)[1].time_s[0]) == begin
+
+
 def test_borders_of_a_motor_at_work() -> None:
     start = off_on(1000, 9000)
     for reversed_, is_work in ((50, False), (51, True)):
