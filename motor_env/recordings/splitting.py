@@ -16,6 +16,7 @@ from motor_env.recordings.regime import BOUNCE_S
 
 _HIGH, _LOW, _REST = 0.5, 0.25, 0.05
 _FEWEST = 3  # samples
+_CUT = 0.5  # of the median time under voltage
 _MOVING = 2.0  # times the largest deviation at rest
 _WILD = 5  # samples of a long recording that may lie above all that counts
 MOST_STARTS = 200
@@ -48,7 +49,7 @@ def split_starts(recording: Recording) -> list[Recording]:
 
 
 def chosen_starts(recording: Recording, number: int | None = None) -> list[Recording]:
-    """All starts, or the one with that number; of several, none whose voltage was on before the recording began.
+    """The starts that lie in a recording, or the one with that number.
 
     Raises:
         InputError: there is no such start, or there are more than 200 of them and none is chosen.
@@ -63,9 +64,19 @@ def chosen_starts(recording: Recording, number: int | None = None) -> list[Recor
         raise InputError(f"{recording.path}: --start must lie in 1 .. {len(parts)}, got {number}")
     if number is not None:
         return [parts[number - 1]]
-    voltage = parts[0].voltage_v
-    is_begun = voltage is not None and abs(voltage[0]) > _HIGH * np.max(np.abs(voltage))
-    return parts[1:] if is_begun and len(parts) > 1 else parts
+    return _whole(parts) if len(parts) > 1 else parts
+
+
+def _whole(parts: list[Recording]) -> list[Recording]:
+    """Of several starts those that lie in the recording: no first one that had begun, no last one that ends too soon."""
+    volts = [np.abs(part.voltage_v) for part in parts if part.voltage_v is not None]
+    if not volts:
+        return parts
+    is_on = [one > _HIGH * np.max(one) for one in volts]
+    begin = int(is_on[0][0])
+    lengths = [np.count_nonzero(one) for one in is_on[begin:]]
+    is_cut = len(lengths) > 2 and lengths[-1] < _CUT * np.median(lengths[:-1])
+    return parts[begin : len(parts) - is_cut]
 
 
 def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:

@@ -563,6 +563,15 @@ def test_of_several_starts_one_that_had_begun_is_left_out() -> None:
         assert parts[0].path.name == first
 
 
+@pytest.mark.parametrize(("last", "count"), [(149, 3), (150, 4)])
+def test_of_several_starts_the_last_is_left_out_where_it_ends_too_soon(last: int, count: int) -> None:
+    """Half as long under voltage as the others are in the median, 300 samples."""
+    volts = off_on(100, 300, 200, 250, 200, 900, 200, last)
+    assert len(chosen_starts(driven(volts))) == count
+    assert len(chosen_starts(driven(volts), 4)) == 1
+    assert len(chosen_starts(driven(off_on(100, 300, 200, last)))) == 2  # which of two is whole, nobody knows
+
+
 @pytest.mark.parametrize("has_speed", [False, True])
 @pytest.mark.parametrize("has_voltage", [False, True])
 def test_a_start_has_the_rest_before_it_and_no_braking(has_speed: bool, has_voltage: bool) -> None:
