@@ -1,24 +1,32 @@
-"""Several starts in one recording: cut it where the motor is switched on again."""
+"""Several starts in one recording: cut it where the motor is switched on again; and where it is switched off."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.alignment import Alignment
 from motor_env.recordings.noise import wild_samples, without_wild
 from motor_env.recordings.recording import Recording, cut
 from motor_env.recordings.regime import BOUNCE_S
 
-_HIGH, _LOW, _REST = 0.5, 0.25, 0.05
+_HIGH, _LOW = 0.5, 0.25
 _FEWEST = 3  # samples
 _CUT = 0.5  # of the median time under voltage
 _MOVING = 2.0  # times the largest deviation at rest
 _WILD = 5  # samples of a long recording that may lie above all that counts
+OFF = 0.05  # of the largest voltage
+_BLOCKS = 50  # of the running motor's samples
+_NOISE, _SPAN = 4.0, 0.002  # standard deviations, and of the largest current: so close to rest it rests
+_ABRUPT = 3.0  # times that: a current that is switched off comes from further away
+_BRAKED = 0.25  # of the largest current, against it: no undershoot goes so far
 MOST_STARTS = 200
 
 
@@ -30,7 +38,7 @@ def split_starts(recording: Recording) -> list[Recording]:
     """
     if recording.voltage_v is not None:
         voltage = without_wild(recording.voltage_v, wild_samples(recording.voltage_v))
-        begins = _rises(np.abs(voltage), recording.dt_s, rest=_REST)
+        begins = _rises(np.abs(voltage), recording.dt_s, rest=OFF)
     else:
         current = without_wild(recording.current_a, wild_samples(recording.current_a))
         current = current - np.median(current[: max(len(current) // 50, 5)])
@@ -68,7 +76,7 @@ def chosen_starts(recording: Recording, number: int | None = None) -> list[Recor
 
 
 def _whole(parts: list[Recording]) -> list[Recording]:
-    """Of several starts those that lie in the recording: no first one that had begun, no last one that ends too soon."""
+    """Of several starts those that lie in the recording: no first that had begun, no last that ends too soon."""
     volts = [np.abs(part.voltage_v) for part in parts if part.voltage_v is not None]
     if not volts:
         return parts
@@ -95,10 +103,11 @@ def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
 def _switched_off(recording: Recording, begin: int, following: int) -> int:
     """Where the motor is switched off between two starts: the voltage's fall, or a change of the current's level."""
     if recording.voltage_v is not None:
-        off = np.abs(recording.voltage_v[begin:following]) < _REST * np.abs(recording.voltage_v).max()
-        return begin + (int(np.argmax(off)) if off.any() else following - begin)
+        off = np.abs(recording.voltage_v[begin:following]) < OFF * np.abs(recording.voltage_v).max()
+        firsts, ends = stretches(off)  # a switch may bounce before
+        return begin + int(firsts[np.argmax(ends - firsts)]) if len(firsts) else following
     stretch = recording.current_a[begin + (following - begin) // 3 : following - 3]
-    return following - 3 - len(stretch) + _change_of_level(stretch)
+    return following - 3 - len(stretch) + change_of_level(stretch)
 
 
 def _at_rest(recording: Recording, end: int, begin: int) -> int:
@@ -114,7 +123,50 @@ def _at_rest(recording: Recording, end: int, begin: int) -> int:
     return first
 
 
-def _change_of_level(values: FloatArray) -> int:
+def stretches(flags: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First sample of each stretch in which a flag is set, and the first after it."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
+def end_of_supply(recording: Recording, alignment: Alignment) -> int:
+    """First sample after which the supply of a start is off for good; the number of samples where it stays on.
+
+    Where neither voltage nor duty were recorded, the current tells: it falls to that of the quiet part at once, or a
+    brake turns it round.
+    """
+    n, begin = len(recording.time_s), alignment.onset_index
+    supply = recording.voltage_v if recording.voltage_v is not None else recording.duty
+    if supply is not None:
+        is_on = np.abs(supply) >= OFF * np.max(np.abs(supply))
+        end = n - int(np.argmax(is_on[::-1]))
+        return end if begin < end <= n - _FEWEST else n
+    size = (n - begin) // _BLOCKS
+    if not alignment.n_quiet or size == 0:
+        return n
+    current = without_wild(recording.current_a, list(alignment.wild))
+    running = alignment.sign * (current[begin:] - alignment.offset_a)
+    against = np.flatnonzero(running < -_BRAKED * running.max())
+    if len(against):
+        return begin + _foot(running, int(against[0]), alignment.noise_a)
+    means = running[: len(running) // size * size].reshape(-1, size).mean(axis=1)
+    error = alignment.noise_a * math.sqrt(1.0 / size + 1.0 / alignment.n_quiet) + alignment.unseen_level_a
+    near = max(_NOISE * error, _SPAN * float(running.max()))
+    last = int(np.flatnonzero(np.abs(means) > near)[-1])
+    if not 0 < last < len(means) - _FEWEST or means[last - 1] < _ABRUPT * near:
+        return n  # it does not end, or has decayed
+    some = slice((last - 1) * size, (last + 2) * size)
+    return begin + _foot(running, some.start + change_of_level(running[some]), alignment.noise_a)
+
+
+def _foot(running: FloatArray, end: int, noise_a: float) -> int:
+    """Where a fall begins that has ended: L lets the current fall for a while."""
+    while end > 0 and running[end - 1] > running[end] + _NOISE * noise_a:
+        end -= 1
+    return end
+
+
+def change_of_level(values: FloatArray) -> int:
     """First sample of the second level: the least-squares split in two; 0 where there are no two samples."""
     if len(values) < 2:
         return 0

@@ -12,8 +12,8 @@ from motor_env.recordings.alignment import Alignment, align
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.recording import Recording, cut
+from motor_env.recordings.splitting import OFF, end_of_supply, stretches
 
-_REST_SHARE = 0.05
 _FEWEST_AFTER = 15
 
 
@@ -87,7 +87,7 @@ class Start:
 
 
 def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circuit | None = None) -> Start:
-    """Align a recording and decide what is known of its supply.
+    """Align a recording, leave out what follows the end of its supply, and decide what is known of that.
 
     Args:
         recording: as read.
@@ -100,6 +100,9 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
             current where it begins to.
     """
     alignment, missing = align(recording), recording.missing
+    end = end_of_supply(recording, alignment)
+    if end < len(recording.time_s) and end - alignment.onset_index >= _FEWEST_AFTER:
+        return prepare(cut(recording, slice(end)), voltage_v, circuit)
     sign, after = alignment.sign, len(recording.time_s) - alignment.onset_index
     if missing is not None:
         after -= int(missing[alignment.onset_index :, 1].sum())
@@ -117,7 +120,7 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
     speed = None
     if recording.speed_rad_s is not None and np.ptp(recording.speed_rad_s) > 0.0:
         speed = recording.speed_rad_s * (1.0 if mean_tail(recording.speed_rad_s) >= 0.0 else -1.0)
-    from_rest = measured is None or abs(float(measured[0])) < _REST_SHARE * float(np.max(np.abs(measured)))
+    from_rest = measured is None or abs(float(measured[0])) < OFF * float(np.max(np.abs(measured)))
     alignment = replace(alignment, sign=sign, offset_a=sign * alignment.offset_a)
     if measured is not None and not from_rest:
         _refuse_begun(sign * recording.current_a, measured)
@@ -156,7 +159,7 @@ def _supply(
     largest = float(np.max(np.abs(voltage)))
     if missing is not None and missing.any():
         _refuse_lost_rise(voltage, missing, largest)
-    return abs(tail) if abs(tail) > _REST_SHARE * largest else largest, voltage, 1.0
+    return abs(tail) if abs(tail) > OFF * largest else largest, voltage, 1.0
 
 
 def _refuse_begun(current: FloatArray, voltage: FloatArray) -> None:
@@ -167,17 +170,11 @@ def _refuse_begun(current: FloatArray, voltage: FloatArray) -> None:
     """
     peak = int(np.argmax(np.abs(current - current[0])))
     moved = np.sign(current[peak] - current[0]) * (voltage[: peak + 1] - voltage[0])
-    if moved.max() < _REST_SHARE * np.max(np.abs(voltage)):
+    if moved.max() < OFF * np.max(np.abs(voltage)):
         raise UnusableError(
             f"the voltage is {voltage[0]:.3g} V in the first sample already: record from at least 1 ms before the"
             " motor is switched on"
         )
-
-
-def _holes(missing: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First sample of each hole, and the first after it."""
-    edges = np.flatnonzero(np.diff(missing.astype(np.int8), prepend=0, append=0))
-    return edges[::2], edges[1::2]
 
 
 def _refuse_lost_onset(missing: NDArray[np.bool_], onset: int) -> None:
@@ -186,7 +183,7 @@ def _refuse_lost_onset(missing: NDArray[np.bool_], onset: int) -> None:
     Raises:
         UnusableError: it is one.
     """
-    for first, end in zip(*_holes(missing), strict=True):
+    for first, end in zip(*stretches(missing), strict=True):
         if first - 1 <= onset <= end and end - first > 1:
             raise UnusableError(
                 f"{end - first} samples of the current are missing where it begins to rise: when it did is not known"
@@ -199,10 +196,10 @@ def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: 
     Raises:
         UnusableError: it is one.
     """
-    firsts, ends = _holes(missing)
+    firsts, ends = stretches(missing)
     before, after = np.maximum(firsts - 1, 0), np.minimum(ends, len(voltage) - 1)
     change = np.abs(voltage[after] - voltage[before])
-    if change.max() > _REST_SHARE * largest:
+    if change.max() > OFF * largest:
         n = int(np.argmax(change))
         raise UnusableError(
             f"samples of the voltage are missing where it goes from {voltage[before[n]]:.3g} to"
