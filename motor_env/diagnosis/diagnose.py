@@ -26,7 +26,7 @@ from motor_env.fitting.starts.choice import EXTENSIONS, NUISANCES, identify_best
 from motor_env.fitting.starts.commutation import ripple_quantities
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
-from motor_env.fitting.starts.plausibility import NOT_TURNING, shows_turning
+from motor_env.fitting.starts.plausibility import NOT_TURNING, POOR_FIT, is_blocked, shows_turning
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.faults import FaultKind
@@ -40,7 +40,6 @@ from motor_env.recordings.regime import Taken, taken_for
 from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit, Start, prepare
 
-POOR_FIT = 0.75
 _ANOTHER_ORDER = math.log(1.5)
 _NOTHING = "there is nothing to compare with: give a motor file or healthy recordings"
 _PER_VOLT = (
@@ -199,9 +198,12 @@ def judge_start(
             fit = identify(start, reference.model, constant=constant, typical=typical)
     except UnusableError as error:
         return Judgement(Verdict.UNUSABLE, (str(error),))
-    trouble = unusable_reason(fit)
+    stands = reference is not None and is_blocked(fit, reference.time_constant_s)
+    trouble = NOT_TURNING if stands else unusable_reason(fit)
     if trouble:
-        return Judgement(Verdict.UNUSABLE, (trouble,), fit=fit)
+        return Judgement(
+            Verdict.OTHER if stands else Verdict.UNUSABLE, (trouble,), fit=fit, reference=reference
+        )
     reason = ""
     if reference is None:
         told = f"this recording tells {', '.join(fit.quantity_names)}, and the reference speaks of other quantities"

@@ -66,6 +66,14 @@ class Reference:
         """The quantities of a healthy motor by name."""
         return dict(zip(self.names, np.exp(self.log_values).tolist(), strict=True))
 
+    @property
+    def time_constant_s(self) -> float:
+        """Mechanical time constant R J / K^2 of a healthy motor; infinite where the quantities do not tell it."""
+        exponents = quantities.matrix(self.names)
+        wanted = np.array([{"R": 1.0, "J": 1.0, "K": -2.0}.get(name, 0.0) for name in quantities.PARAMETERS])
+        powers = wanted @ np.linalg.pinv(exponents)
+        return math.exp(powers @ self.log_values) if np.allclose(powers @ exponents, wanted) else math.inf
+
 
 def reference_of(
     motor: Motor,

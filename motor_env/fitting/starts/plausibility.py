@@ -8,6 +8,7 @@ import numpy as np
 
 from motor_env.fitting.identify import Operation
 from motor_env.fitting.starts.identified import Identified
+from motor_env.recordings.start import mean_tail
 
 _USUAL = {
     "R": (5e-3, 1e3, "ohm"),
@@ -20,8 +21,10 @@ _USUAL = {
 }
 """Least and largest value (of the current: its peak) of brushed DC motors from pagers to traction, with a margin."""
 
+POOR_FIT = 0.75  # R2 of a start that no motor explains
 _TOLD = 0.3  # standard error of a logarithm, above which a quantity is not told
 _UNTOLD = 1.0
+_RUN_UP, _STANDING = 2.0, 0.8  # time constants, after which a current has fallen to 14 %; share of its peak
 NOT_TURNING = (
     "the current does not show that a motor turns: the recording ends too early, the rotor is blocked, or this is no"
     " motor (a resistor, a coil)"
@@ -32,6 +35,19 @@ def shows_turning(fit: Identified) -> bool:
     """Whether the start tells K^2/J, or with the speed K, to a factor of e: a resistor and a coil have none."""
     pull = next(n for n, name in enumerate(fit.quantity_names) if name.startswith("K"))
     return float(fit.log_covariance[pull, pull]) < _UNTOLD**2
+
+
+def is_blocked(fit: Identified, time_constant_s: float) -> bool:
+    """Whether the current has hardly fallen when a healthy motor has run up, and shows no turning motor.
+
+    Args:
+        fit: of a start.
+        time_constant_s: mechanical time constant of the healthy motor.
+    """
+    if shows_turning(fit) or fit.start.alignment.saturation or fit.r2_current < POOR_FIT:
+        return False
+    lasts, current = float(fit.start.time_s[-1]) - fit.onset_s, fit.states[:, 0]
+    return lasts > _RUN_UP * time_constant_s and mean_tail(current) > _STANDING * float(current.max())
 
 
 def implausible(fit: Identified | Operation) -> list[str]:

@@ -95,6 +95,9 @@ def test_the_data_sheet_as_a_reference() -> None:
         p.viscous_friction_n_m_s_per_rad / p.inertia_kg_m2,
     ]
     assert list(found.values.values()) == pytest.approx(values)
+    constant_s = p.resistance_ohm * p.inertia_kg_m2 / k2
+    assert found.time_constant_s == pytest.approx(constant_s)
+    assert replace(found, names=found.names[:2]).time_constant_s == math.inf  # R and L
     assert (found.temperature_k, found.warmer_k, found.own_friction) == (0.0, 0.0, 1.0)
     noisy = reference_of(replace(SHEET, current_noise_a=0.05), names(has_voltage=True, has_speed=True))
     assert noisy is not None

@@ -27,12 +27,13 @@ from motor_env.fitting.starts.commutation import (
 )
 from motor_env.fitting.starts.identified import Identified, record_of
 from motor_env.fitting.starts.identify import _wild_against, identify
-from motor_env.fitting.starts.plausibility import NOT_TURNING, implausible, shows_turning
+from motor_env.fitting.starts.plausibility import NOT_TURNING, implausible, is_blocked, shows_turning
 from motor_env.fitting.uncertainty import capped, model_error, normalised, sandwich, states_of
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.alignment import Alignment
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
-from motor_env.recordings.alignment import Alignment
+from motor_env.recordings.defects import Defect, DefectKind
 from motor_env.recordings.noise import difference_noise, floor_noise
 from motor_env.recordings.start import Circuit, Start
 
@@ -644,6 +645,33 @@ def test_a_start_that_tells_no_pull_shows_no_turning_motor() -> None:
             odd = replace(fit, log_covariance=spread)
             assert shows_turning(odd) == turns
             assert implausible(odd) == ([] if turns else [NOT_TURNING])
+
+
+def test_a_current_that_hardly_falls_is_of_a_blocked_rotor() -> None:
+    """Two time constants of a healthy motor after it is switched on: in the last tenth, by less than a fifth."""
+    fit = identify(start(speed=False))
+    untold = replace(fit, log_covariance=1.01 * np.eye(len(fit.quantity_names)))
+    lasts, after = fit.start.time_s[-1] - fit.onset_s, fit.start.time_s >= fit.onset_s
+
+    def held(share: float, *, of: Identified = untold) -> Identified:
+        current = np.where(after, 3.0, 0.0)
+        current[-len(current) // 10 :] *= share
+        shown = fit.expected.copy()
+        shown[:, 0] = current + fit.offset_a
+        seen = replace(of.start, current_a=shown[:, 0])
+        return replace(of, start=seen, expected=shown)
+
+    for share, stands in ((0.81, True), (0.79, False)):
+        assert is_blocked(held(share), 0.1 * lasts) is stands
+    for constant_s, stands in ((lasts / 2.01, True), (lasts / 1.99, False), (np.inf, False)):
+        assert is_blocked(held(1.0), constant_s) is stands
+    assert not is_blocked(held(1.0, of=fit), 0.1 * lasts)  # which tells K^2/J
+    clipped = replace(fit.start.alignment, defects=(Defect(DefectKind.SATURATION, "at 3 A"),))
+    whole = held(1.0)
+    assert not is_blocked(replace(whole, start=replace(whole.start, alignment=clipped)), 0.1 * lasts)
+    noise = 1.5 * np.random.default_rng(1).standard_normal(len(after))  # R2 far below 0.75
+    noisy = replace(whole.start, current_a=whole.start.current_a + noise)
+    assert not is_blocked(replace(whole, start=noisy), 0.1 * lasts)
 
 
 def rippled(per_turn: float, amplitude_a: float) -> Start:
