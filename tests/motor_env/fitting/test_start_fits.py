@@ -651,7 +651,7 @@ def test_a_current_that_hardly_falls_is_of_a_blocked_rotor() -> None:
     """Two time constants of a healthy motor after it is switched on: in the last tenth, by less than a fifth."""
     fit = identify(start(speed=False))
     untold = replace(fit, log_covariance=1.01 * np.eye(len(fit.quantity_names)))
-    lasts, after = fit.start.time_s[-1] - fit.onset_s, fit.start.time_s >= fit.onset_s
+    lasts, after = float(fit.start.time_s[-1]) - fit.onset_s, fit.start.time_s >= fit.onset_s
 
     def held(share: float, *, of: Identified = untold) -> Identified:
         current = np.where(after, 3.0, 0.0)
