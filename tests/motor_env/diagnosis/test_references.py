@@ -331,6 +331,9 @@ def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
     assert [one for one in motor_files.not_told(wide) if "is not told" in one] == [
         "L is not told by this recording (its standard error is 51 %)"
     ]
+    for model, alike in (((), False), (("speed_lag", "coulomb"), False), (("coulomb", "sensor_lag"), True)):
+        said = motor_files.not_told(replace(fit, model=model))
+        assert any("a lag of the sensor and L look alike" in one for one in said) is alike
 
 
 def test_the_friction_of_its_own_is_the_share_of_the_currents() -> None:

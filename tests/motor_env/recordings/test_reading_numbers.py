@@ -579,10 +579,10 @@ def test_a_start_has_the_rest_before_it_and_no_braking(has_speed: bool, has_volt
     volts, noise = off_on(100, 300, 400, 300), np.random.default_rng(3).uniform(-0.01, 0.01, 1100)
     current, speed = np.where(volts > 0.0, 2.0, 0.0) + noise, np.where(volts > 0.0, 50.0, 0.0)
     current[400:500] -= np.linspace(1.5, 0.1, 100)
-    speed[400:550] += np.linspace(50.0, 1.0, 150)
+    speed[400:650] += np.linspace(50.0, 1.0, 250)
     recording = driven(volts, speed=speed if has_speed else None, current=current)
     parts = chosen_starts(recording if has_voltage else replace(recording, voltage_v=None))
-    first = 550 if has_speed else 500
+    first = 650 if has_speed else 500
     assert [round(1e3 * part.time_s[0]) for part in parts] == [0, first]
     assert [len(part.time_s) for part in parts] == [400, 1100 - first]
     for size, begin in (
