@@ -201,9 +201,7 @@ def judge_start(
     stands = reference is not None and is_blocked(fit, reference.time_constant_s)
     trouble = NOT_TURNING if stands else unusable_reason(fit)
     if trouble:
-        return Judgement(
-            Verdict.OTHER if stands else Verdict.UNUSABLE, (trouble,), fit=fit, reference=reference
-        )
+        return Judgement(Verdict.OTHER if stands else Verdict.UNUSABLE, (trouble,), fit=fit)
     reason = ""
     if reference is None:
         told = f"this recording tells {', '.join(fit.quantity_names)}, and the reference speaks of other quantities"

@@ -152,7 +152,7 @@ def end_of_supply(recording: Recording, alignment: Alignment) -> int:
     means = running[: len(running) // size * size].reshape(-1, size).mean(axis=1)
     error = alignment.noise_a * math.sqrt(1.0 / size + 1.0 / alignment.n_quiet) + alignment.unseen_level_a
     near = max(_NOISE * error, _SPAN * float(running.max()))
-    last = int(np.flatnonzero(np.abs(means) > near)[-1])
+    last = max(np.flatnonzero(np.abs(means) > near).tolist(), default=0)
     if not 0 < last < len(means) - _FEWEST or means[last - 1] < _ABRUPT * near:
         return n  # it does not end, or has decayed
     some = slice((last - 1) * size, (last + 2) * size)

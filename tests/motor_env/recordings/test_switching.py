@@ -78,6 +78,14 @@ def test_what_is_no_end() -> None:
     assert end_of(without_quiet) == ON + OFF
 
 
+def test_a_current_that_is_hardly_one_has_no_end() -> None:
+    """A short pulse in noise: the mean of no stretch stands out."""
+    pulse = shown(np.zeros(OFF), noise_a=0.05)
+    quiet = replace(pulse, current_a=pulse.current_a - shown(np.zeros(OFF), noise_a=0.0).current_a)
+    quiet.current_a[QUIET : QUIET + 2] += 1.0
+    assert end_of(quiet) == END + OFF
+
+
 def test_a_voltage_that_goes_off_for_good_ends_the_start() -> None:
     recording = shown(np.full(OFF, 1.0))
     on = np.arange(END + OFF) >= QUIET
