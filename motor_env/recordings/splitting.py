@@ -107,7 +107,7 @@ def _switched_off(recording: Recording, begin: int, following: int) -> int:
         firsts, ends = stretches(off)  # a switch may bounce before
         return begin + int(firsts[np.argmax(ends - firsts)]) if len(firsts) else following
     stretch = recording.current_a[begin + (following - begin) // 3 : following - 3]
-    return following - 3 - len(stretch) + change_of_level(stretch)
+    return following - 3 - len(stretch) + _change_of_level(stretch)
 
 
 def _at_rest(recording: Recording, end: int, begin: int) -> int:
@@ -144,7 +144,7 @@ def end_of_supply(recording: Recording, alignment: Alignment) -> int:
     size = (n - begin) // _BLOCKS
     if not alignment.n_quiet or size == 0:
         return n
-    current = without_wild(recording.current_a, list(alignment.wild))
+    current = without_wild(recording.current_a, alignment.wild)
     running = alignment.sign * (current[begin:] - alignment.offset_a)
     against = np.flatnonzero(running < -_BRAKED * running.max())
     if len(against):
@@ -156,7 +156,7 @@ def end_of_supply(recording: Recording, alignment: Alignment) -> int:
     if not 0 < last < len(means) - _FEWEST or means[last - 1] < _ABRUPT * near:
         return n  # it does not end, or has decayed
     some = slice((last - 1) * size, (last + 2) * size)
-    return begin + _foot(running, some.start + change_of_level(running[some]), alignment.noise_a)
+    return begin + _foot(running, some.start + _change_of_level(running[some]), alignment.noise_a)
 
 
 def _foot(running: FloatArray, end: int, noise_a: float) -> int:
@@ -166,7 +166,7 @@ def _foot(running: FloatArray, end: int, noise_a: float) -> int:
     return end
 
 
-def change_of_level(values: FloatArray) -> int:
+def _change_of_level(values: FloatArray) -> int:
     """First sample of the second level: the least-squares split in two; 0 where there are no two samples."""
     if len(values) < 2:
         return 0

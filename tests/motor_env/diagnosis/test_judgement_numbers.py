@@ -30,6 +30,7 @@ from motor_env.motor.identifiable import matrix, nameable_kinds, visible_directi
 from motor_env.motor.parameters import FloatArray
 
 PARAMETERS_MOVED = EXPONENTS[:, :5] @ EXPONENTS[:, :5].T
+"""Covariance of the quantities where each parameter but the voltage has a variance of 1."""
 
 
 def beside_a_fault(kind: str, step: float) -> FloatArray:
@@ -40,9 +41,6 @@ def beside_a_fault(kind: str, step: float) -> FloatArray:
     lag = np.zeros((4, 4))
     lag[1, 1] = 0.0 if kind == "bearing" else (0.3 * step) ** 2
     return np.asarray((0.04 * step**2) ** 2 * PARAMETERS_MOVED + lag)
-
-
-"""Covariance of the quantities where each parameter but the voltage has a variance of 1."""
 
 
 def test_tests_share_the_rate_of_false_alarms() -> None:

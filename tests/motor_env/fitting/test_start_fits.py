@@ -30,9 +30,9 @@ from motor_env.fitting.starts.identify import _wild_against, identify
 from motor_env.fitting.starts.plausibility import NOT_TURNING, implausible, is_blocked, shows_turning
 from motor_env.fitting.uncertainty import capped, model_error, normalised, sandwich, states_of
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.alignment import Alignment
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
+from motor_env.recordings.alignment import Alignment
 from motor_env.recordings.defects import Defect, DefectKind
 from motor_env.recordings.noise import difference_noise, floor_noise
 from motor_env.recordings.start import Circuit, Start

@@ -528,16 +528,9 @@ def waves(period: float, low: float, high: float, *, n: int = 6000) -> FloatArra
         (waves(600.0, 0.81, 1.0), 1e-3, 0),
         (waves(100.0, 0.6, 1.0), 1e-4, 0),  # ripple of a rectifier, 100 Hz
         (waves(200.0, 0.6, 1.0), 1e-4, 0),
-        (
-            np.tile(np.append(np.zeros(300), np.minimum(np.arange(300) / 15.0, 12.0)), 3),
-            1e-3,
-            3,
-        ),  # 180 ms to the top
-        (
-            np.tile(np.append(np.zeros(300), np.minimum(np.arange(300) / 8.0, 12.0)), 3),
-            1e-3,
-            0,
-        ),  # a supply of 96 ms
+        # Supplies that take 180 and 96 ms to the top.
+        (np.tile(np.append(np.zeros(300), np.minimum(np.arange(300) / 15.0, 12.0)), 3), 1e-3, 3),
+        (np.tile(np.append(np.zeros(300), np.minimum(np.arange(300) / 8.0, 12.0)), 3), 1e-3, 0),
     ],
 )
 def test_slow_rises_of_a_voltage(voltage: FloatArray, dt_s: float, rises: int) -> None:
@@ -585,10 +578,7 @@ def test_a_start_has_the_rest_before_it_and_no_braking(has_speed: bool, has_volt
     first = 650 if has_speed else 500
     assert [round(1e3 * part.time_s[0]) for part in parts] == [0, first]
     assert [len(part.time_s) for part in parts] == [400, 1100 - first]
-    for size, begin in (
-        (0.021, 501),
-        (0.009, 500),
-    ):  # beyond twice the noise of the last quarter it is no rest
+    for size, begin in ((0.021, 501), (0.009, 500)):  # what is beyond twice the noise is no rest
         noise[400:] = np.tile([0.0049, -0.0049], 350)
         noise[500] = size
         shown = driven(volts, current=np.where(volts > 0.0, 2.0, 0.0) + noise - 2.0 * (np.arange(1100) < 500))
