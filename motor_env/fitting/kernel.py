@@ -7,6 +7,8 @@ the errors of the model that runs freely.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -109,16 +111,16 @@ def _read(
     is_known: bool,
     row: FloatArray,
 ) -> tuple[float, float]:
-    """Weigh in one reading: whitened innovation, and the logarithm of its variance; none LOST or FOUND.
+    """Weigh in one reading: whitened innovation and its variance; 0 and 1 where LOST or FOUND.
 
     There it tells where the motor is, and nothing of what it is. The model that runs freely begins again as shown.
     """
-    white, log = update(x, cov, n, place, shown, noise, learn and not is_known, row)
+    white, variance = update(x, cov, n, place, shown, noise, learn and not is_known, row)
     if mark != LOST and mark != FOUND:
-        return white, log
+        return white, variance
     if not learn:
         x[channel] = x[3 + channel] = shown
-    return 0.0, 0.0
+    return 0.0, 1.0
 
 
 @inlined
@@ -172,14 +174,16 @@ def _run(
                 # Whatever the voltage was, it was one that the motor knows.
                 spread(cov, n, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, slow, work)
         out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
+        variances = 1.0
         for c in range(2):
             out[k, c] = 0.0
             shown_c, place, noise = (
                 (shown_i, place_i, p[NOISE_I]) if c == 0 else (shown_w, place_w, p[NOISE_W])
             )
             if seen[c] > 0.0 and shown_c == shown_c:
-                out[k, c], log = _read(x, cov, n, c, place, shown_c, noise, mark, learn, is_known, row)
-                logs += log
+                out[k, c], variance = _read(x, cov, n, c, place, shown_c, noise, mark, learn, is_known, row)
+                variances *= variance
+        logs += math.log(variances)  # one logarithm for both
         if learn:
             out[k, 4] = x[2]
         out[k, 5] = warm_k

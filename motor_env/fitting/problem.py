@@ -23,6 +23,8 @@ _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
 _LEAST_NOISE = 1e-7  # of what was believed before
 _LARGEST = 1e100  # of an innovation: its square is a number
 STEP = 1e-4
+_ENOUGH = 0.01
+"""Of -2 log likelihood: a fit ends with a step that gains less. One standard error of a parameter costs 1."""
 
 
 @dataclass(frozen=True)
@@ -117,27 +119,32 @@ class Problem:
         low = np.array([term.low for term in self.free])
         high = np.array([term.high for term in self.free])
         begin = np.clip(theta, low + 1e-9, high - 1e-9)
+        # The first region of trust is as large as the unknowns are, whose zero means nothing: each begins at 1.
+        zero = begin - 1.0
+
+        def unknowns(point: FloatArray) -> FloatArray:
+            return np.clip(zero + point, low, high)
 
         @lru_cache(maxsize=1)  # where the residuals were just asked for, their derivatives are
         def at(point: bytes) -> FloatArray:
-            return self.residuals(np.frombuffer(point))
+            return self.residuals(unknowns(np.frombuffer(point)))
 
         def residuals(point: FloatArray) -> FloatArray:
             return at(point.tobytes())
 
         def jacobian(point: FloatArray) -> FloatArray:
-            return self.jacobian(point, residuals(point))
+            return self.jacobian(unknowns(point), residuals(point))
 
         found = least_squares(
             residuals,
-            begin,
+            begin - zero,
             jac=jacobian,
-            bounds=(low, high),
+            bounds=(low - zero, high - zero),
             x_scale="jac",
             max_nfev=most,
-            ftol=1e-7,
+            ftol=_ENOUGH / self.count,
         )
-        return Solution(self, np.asarray(found.x, dtype=np.float64), self.misfit(2.0 * found.cost))
+        return Solution(self, unknowns(found.x), self.misfit(2.0 * found.cost))
 
     def misfit(self, squares: float) -> float:
         """-2 log likelihood, noise level concentrated out."""

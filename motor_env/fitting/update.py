@@ -100,19 +100,22 @@ def update(
     learn: bool,
     row: FloatArray,
 ) -> tuple[float, float]:
-    """Weigh one reading into `n` states; whitened innovation and the logarithm of its variance."""
+    """Weigh one reading into `n` states; whitened innovation and its variance."""
     error, variance = shown - x[place], cov[place, place] + noise * noise
-    white = error / math.sqrt(variance)
+    inverse = 1.0 / variance
+    white = error * math.sqrt(inverse)
     if learn:
-        weight = min(1.0, _WILD / max(abs(white), 1e-12)) * error / variance
+        weight = error * inverse
+        if abs(white) > _WILD:
+            weight *= _WILD / abs(white)
         for r in range(n):
             row[r] = cov[min(r, place), max(r, place)]
         for r in range(n):
             x[r] += weight * row[r]
-            share = row[r] / variance
+            share = row[r] * inverse
             for c in range(r, n):
                 cov[r, c] -= share * row[c]
-    return white, math.log(variance)
+    return white, variance
 
 
 @compiled_part

@@ -1,6 +1,7 @@
 """Starts of another world are refused, and what is off in them is named."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,6 +23,11 @@ _FIELD = load_recipe("field")
 FIELD = replace(
     _FIELD, timing=replace(_FIELD.timing, sampling_rate_hz=1_000.0), starts_per_motor=1, healthy_starts=0
 )
+
+
+@cache
+def fitted(recipe: Recipe) -> OutsideDetector:
+    return OutsideDetector(recipe).fit()
 
 
 def test_a_cloud_is_a_normal_distribution_of_whole_starts() -> None:
@@ -49,7 +55,7 @@ def test_a_cloud_is_a_normal_distribution_of_whole_starts() -> None:
 
 @pytest.mark.parametrize("recipe", [BENCH, FIELD], ids=lambda recipe: recipe.name)
 def test_one_in_a_hundred_of_its_own_starts_is_refused(recipe: Recipe) -> None:
-    detector = OutsideDetector(recipe).fit()
+    detector = fitted(recipe)
     refused = detector.predict(generate_arrays(recipe, 91, 4_000).X) < 0
     # Threshold and count both scatter: four standard deviations of both.
     assert abs(refused.mean() - 0.01) < 4.0 * np.sqrt(0.01 * 0.99 * (1 / 4_000 + 1 / 10_000))
@@ -71,7 +77,7 @@ def test_what_is_off_is_named(off: str, recipe: Recipe, moved: Recipe | None) ->
         X = foreign_starts(recipe, ForeignFault("heavy", inertia=1.25), 6, np.arange(200))
     else:
         X = generate_arrays(moved, 6, 200).X
-    named = OutsideDetector(recipe).fit().what_is_off(X)
+    named = fitted(recipe).what_is_off(X)
     assert (named == off).mean() > 0.7
     assert set(named.tolist()) <= {"", *ADVICE}
 
@@ -81,10 +87,10 @@ def test_half_of_the_hot_motors_are_refused() -> None:
     hot = BENCH.motor.scaled(
         resistance_ohm=1.0786, back_emf_constant_v_s_per_rad=0.98, torque_constant_n_m_per_a=0.98
     )
-    detector = OutsideDetector(BENCH).fit()
+    detector = fitted(BENCH)
     assert (detector.predict(generate_arrays(replace(BENCH, motor=hot), 6, 1_000).X) < 0).mean() > 0.45
     hotter = FIELD.shifted("loaded")
-    assert (OutsideDetector(FIELD).fit().predict(generate_arrays(hotter, 6, 1_000).X) < 0).mean() > 0.7
+    assert (fitted(FIELD).predict(generate_arrays(hotter, 6, 1_000).X) < 0).mean() > 0.7
 
 
 def test_a_noise_that_is_read_off_is_not_refused_within_its_range() -> None:

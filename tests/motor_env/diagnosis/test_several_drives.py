@@ -85,8 +85,7 @@ def test_each_drive_teaches_its_own_values(learned: tuple[Healthy, list[FittedWi
         np.testing.assert_allclose(np.log(drive.values), centre)
         np.testing.assert_allclose(drive.log_covariance, covariance + np.diag(np.square(RECORD_SPREAD)))
         assert drive.degrees_of_freedom == freedom == 6.0
-    off = np.log(drives[0].values / drives[1].values)
-    assert np.abs(off[3]) > 0.05  # friction is another one
+    assert not np.allclose(drives[0].values, drives[1].values, rtol=1e-3)
 
 
 def test_a_window_is_compared_with_those_that_are_driven_alike(
@@ -200,7 +199,7 @@ def test_pieces_of_a_window_are_compared_with_their_own_drive(
     larger = replace(second, values=second.values * np.array([2.0, 1.0, 1.0, 1.0]))
     taught = replace(healthy, windows=replace(healthy.windows, drives=(first, larger)))
     judge = judge_of(taught)
-    watch = Vigil(judge, taught, false_alarms_per_year=YEAR_S / (1000.0 * judge.windows.window_s))
+    watch = Vigil(judge, taught, false_alarms_per_year=YEAR_S / (20.0 * judge.windows.window_s))
     one, other, _ = windows_of(log_of(simulated, PROFILES[1], 8, usual=simulated), judge.windows.window_s)
     watch.begin()
     assert not watch.is_strange(one)
