@@ -88,6 +88,7 @@ def work_seen(recording: Recording) -> str | None:
     shown = {
         "the voltage reverses": reversed_share > _REVERSED_SHARE,
         "the voltage takes several levels": has_levels,
+        "the motor starts under one voltage, and another follows": _starts_below(recording, size),
         "the voltage is switched faster than a motor stops": is_pulsed,
         "the voltage comes back before the motor stands": _restarted(recording, size, levels == 0),
         # Without its voltage no log can be judged: what was recorded with a duty is taken for a start.
@@ -111,6 +112,16 @@ def _restarted(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_
     begins = np.append(on[0], restarts)
     inrush = np.maximum.reduceat(without_wild, begins) / np.maximum.reduceat(share, begins)
     return bool(np.median(inrush[1:]) < _INRUSH * inrush.max())
+
+
+def _starts_below(recording: Recording, share: FloatArray) -> bool:
+    """Whether a recording begins under a voltage that another one follows, and with a motor that is not settled."""
+    steps = np.flatnonzero(np.abs(np.diff(share)) > _OFF)
+    if not _OFF < share[0] < _ON or len(steps) == 0 or steps[0] < _BETWEEN_SHARE * len(share):
+        return False
+    shown = recording.current_a if recording.speed_rad_s is None else recording.speed_rad_s
+    moved = np.median(shown[max(steps[0] - _FIRST, 0) : steps[0] + 1]) - np.median(shown[:_FIRST])
+    return bool(abs(moved) > _STILL_TURNS * np.quantile(np.abs(shown), 0.999))
 
 
 def _turns(recording: Recording, samples: NDArray[np.intp]) -> bool:

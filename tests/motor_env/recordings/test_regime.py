@@ -80,3 +80,38 @@ def test_a_current_that_never_moves_with_the_voltage_is_refused() -> None:
     for current in (1e-3 * np.arange(2000.0), np.where(np.arange(2000) < 1990, 1.0, 2.0)):
         with pytest.raises(UnusableError, match="does not follow the voltage"):
             refuse_aliased(voltage, current)
+
+
+def stepped(
+    first_v: float, *, first_s: float = 0.2, rest_s: float = 0.0, has_speed: bool = True
+) -> Recording:
+    """1 s of a motor of 50 ms that a first voltage drives from rest, and 10 V after it; recorded from a moment on."""
+    time_s: FloatArray = 1e-3 * np.arange(1_000.0)
+    voltage = np.where(time_s + rest_s < first_s, first_v, 10.0)
+    speed, shown = 0.0, []
+    for volts in np.append(np.full(round(1e3 * rest_s), first_v), voltage).tolist():
+        speed += 1e-3 * (volts - speed) / 0.05
+        shown.append(speed)
+    turned = np.array(shown)[-len(time_s) :]
+    noisy = turned + 0.01 * np.random.default_rng(1).standard_normal(len(time_s))
+    return Recording(Path("x"), time_s, voltage - noisy, voltage, noisy if has_speed else None)
+
+
+@pytest.mark.parametrize("has_speed", [True, False])
+def test_a_motor_that_starts_under_one_voltage_and_goes_on_under_another_is_at_work(has_speed: bool) -> None:
+    """A start from a motor that runs steadily, or stands, under the first one is a start all the same."""
+    words = "the motor starts under one voltage, and another follows"
+    assert work_seen(stepped(3.0, has_speed=has_speed)) == words
+    assert work_seen(stepped(1.2, has_speed=has_speed)) == words
+    assert work_seen(stepped(3.0, first_s=0.11, has_speed=has_speed)) == words
+    # One of another kind: 1 V is off, 9 V is on, 90 ms are no level, and a motor of 50 ms is steady after 0.3 s.
+    for other in (
+        stepped(1.0, has_speed=has_speed),
+        stepped(9.0, has_speed=has_speed),
+        stepped(3.0, first_s=0.09, has_speed=has_speed),
+        stepped(3.0, first_s=0.5, rest_s=0.3, has_speed=False),
+    ):
+        assert work_seen(other) is None
+    # The current still falls by 8 or by 12 % of the largest one.
+    assert work_seen(stepped(3.0, first_s=0.5, rest_s=0.084, has_speed=False)) is None
+    assert work_seen(stepped(3.0, first_s=0.5, rest_s=0.064, has_speed=False)) == words
