@@ -61,7 +61,7 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
     if work is not None:
         return Taken("operation", work)
     unknown = recording.voltage_v is None and recording.duty is None
-    return Taken("start", "no voltage was recorded" if unknown else "the voltage goes on and stays")
+    return Taken("start", "no voltage was recorded" if unknown else "the voltage is switched on")
 
 
 def work_seen(recording: Recording) -> str | None:

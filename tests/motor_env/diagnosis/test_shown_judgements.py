@@ -65,7 +65,7 @@ def test_text_and_json_say_the_same() -> None:
     assert "R            " in text
     assert "+20.0% from the reference (95 %: +10.0% to +31.0%)\n" in text
     assert "-5.0% from the reference (95 %: -10.0% to +0.0%), undecided\n" in text
-    assert "\n  taken for a start (the voltage goes on and stays)\n" in text
+    assert "\n  taken for a start (the voltage is switched on)\n" in text
     assert "bearing 12%, winding_contact 4% (bearing: of the motor's own friction)" in text
     assert f"judged by the filter's innovations; sensor noise {fit.noise_a:.3g} A\n" in text
     assert f"(NIS) {check.mean_square:.2f}\n" in text
@@ -76,7 +76,7 @@ def test_text_and_json_say_the_same() -> None:
         "model": ["textbook", *fit.model], "reference": found.reference and found.reference.source,
         "smallest_changes": {"bearing": 0.123, "winding_contact": 0.045}, "residual_autocorrelation": fit.lag_one,
         "consistent": True, "columns": ["read so"], "pieces_of_recording": 1,
-        "taken_for": {"regime": "start", "why": "the voltage goes on and stays"},
+        "taken_for": {"regime": "start", "why": "the voltage is switched on"},
     }  # fmt: skip
     assert {name: told[name] for name in expected} == expected
     assert told["changes"] == {

@@ -49,7 +49,7 @@ def test_pulses_are_no_starts(pwm_hz: float, duty: float, has_speed: bool) -> No
 def test_a_motor_that_brakes_to_rest_starts_again() -> None:
     recording = pulsed(1.0, 0.5, 10, coasts=False)
     assert work_seen(recording) is None
-    assert taken_for(recording) == Taken("start", "the voltage goes on and stays")
+    assert taken_for(recording) == Taken("start", "the voltage is switched on")
     assert len(chosen_starts(recording)) == 4
 
 
