@@ -1,4 +1,4 @@
-"""Verdicts on motors of all sizes, each commissioned on five healthy starts (docs/results/recordings.md).
+"""Verdicts on motors of all sizes, each known by five healthy starts, or by a data sheet (docs/results/recordings.md).
 
 python benchmarks/random_motors.py --motors 60
 """
@@ -15,6 +15,7 @@ from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
 from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.verdict import Diagnosis, Verdict
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import prepare
@@ -23,6 +24,7 @@ from motor_env.simulation.nonlinear import Effects
 from motor_env.simulation.sensor import SensorChain
 from motor_env.simulation.simulate import Scenario, Timing
 
+BY_STARTS, BY_SHEET = "by five healthy starts", "by its data sheet"
 FRICTION = 1.5
 CHANGES: dict[str, dict[str, float]] = {
     "healthy": {},
@@ -46,8 +48,8 @@ def scattered(rng: np.random.Generator, spread: float, name: str) -> FloatArray:
     return factors
 
 
-def starts(rng: np.random.Generator) -> list[Recording]:
-    """The healthy starts of one motor and then one with each change, recorded by one sensor."""
+def starts(rng: np.random.Generator) -> tuple[list[Recording], Motor]:
+    """The healthy starts of one motor and then one with each change, recorded by one sensor; and its data sheet."""
     voltage = float(rng.choice([3.0, 6.0, 12.0, 24.0, 48.0]))
     stall_a = 10.0 ** rng.uniform(-0.5, 1.7)
     speed = 10.0 ** rng.uniform(2.0, 3.0)
@@ -76,9 +78,18 @@ def starts(rng: np.random.Generator) -> list[Recording]:
     rate_hz = float(rng.choice([400, 1_000, 2_500, 10_000])) / duration_s
     timing = Timing(rate_hz, duration_s, duration_s * rng.uniform(0.05, 0.4))
     delay_s = rng.uniform(0.0, 1.0, COUNT) / rate_hz
+    drop_v = float(rng.choice([0.0, 0.0, 0.03])) * voltage
+    sheet = Motor(
+        "this motor",
+        "data_sheet",
+        motor,
+        nominal_voltage_v=voltage,
+        coulomb_friction_n_m=float(dry * torque),
+        brush_drop_v=drop_v,
+    )
     effects = Effects(
         coulomb_friction_n_m=dry * torque * friction,
-        brush_drop_v=float(rng.choice([0.0, 0.0, 0.03])) * voltage,
+        brush_drop_v=drop_v,
         ramp_s=float(rng.choice([0.0, 0.0, rng.uniform(0.2, 2.0)])) * electrical_s,
         commutation_ripple=float(rng.choice([0.0, 0.01, 0.03])),
         commutation_per_turn=float(rng.choice([6.0, 10.0, 14.0, 26.0])),
@@ -103,10 +114,11 @@ def starts(rng: np.random.Generator) -> list[Recording]:
     on = timing.time_s > (delay_s + float(rng.choice([0.0, 1.0])) / rate_hz)[:, None]
     volts = supply[:, None] * on + 0.002 * voltage * rng.standard_normal(on.shape)
     names = [f"healthy {n}" for n in range(HEALTHY)] + list(CHANGES)
-    return [
+    recordings = [
         Recording(Path(name), timing.time_s, row.astype(np.float64), volts[n] if measured else None)
         for n, (name, row) in enumerate(zip(names, current, strict=True))
     ]
+    return recordings, sheet
 
 
 def said(found: Diagnosis) -> str:
@@ -118,10 +130,14 @@ def said(found: Diagnosis) -> str:
 
 def judge(number: int, seed: int) -> Said:
     """Verdicts on the starts of one motor, by what has changed."""
-    recordings = starts(np.random.default_rng([seed, number]))
+    recordings, sheet = starts(np.random.default_rng([seed, number]))
     fits = fit_healthy([prepare(each) for each in recordings[:HEALTHY]])
-    motor = to_motor(fits, "this motor", healthy=learn_starts(fits))
-    return [((r.path.name,), said(diagnose(r, motor))) for r in recordings[HEALTHY:]]
+    known = {BY_STARTS: to_motor(fits, "this motor", healthy=learn_starts(fits)), BY_SHEET: sheet}
+    return [
+        ((r.path.name, by), said(diagnose(r, motor)))
+        for r in recordings[HEALTHY:]
+        for by, motor in known.items()
+    ]
 
 
 def main(*, motors: int = 60, seed: int = 0, how: How = HERE) -> None:
@@ -133,8 +149,8 @@ def main(*, motors: int = 60, seed: int = 0, how: How = HERE) -> None:
         how: options of every table.
     """
     counts = counted(partial(judge, seed=seed), motors, how, of={"seed": seed})
-    rows = ([name, words_of(counts[(name,)])] for name in CHANGES)
-    keep_table("recordings", "random motors", ("one start with", "verdicts"), rows)
+    rows = ([name, *(words_of(counts[(name, by)]) for by in (BY_STARTS, BY_SHEET))] for name in CHANGES)
+    keep_table("recordings", "random motors", ("one start with", BY_STARTS, BY_SHEET), rows)
 
 
 if __name__ == "__main__":

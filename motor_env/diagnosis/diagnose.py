@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 from motor_env.diagnosis import verdict
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.explanations import alarm_share, compare
-from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.healthy_motor import Moved, Reference, reference_of
 from motor_env.diagnosis.misreading import SWAPPED, is_strange
 from motor_env.diagnosis.sensors.checks import Failure
 from motor_env.diagnosis.sensors.failed import failed_sensor, judgement_of
@@ -41,6 +41,7 @@ from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit, Start, prepare
 
 _ANOTHER_ORDER = math.log(1.5)
+_LEAST = 0.05  # of the voltage behind the brushes, and of the speed: a motor file may leave none
 _NOTHING = "there is nothing to compare with: give a motor file or healthy recordings"
 _PER_VOLT = (
     "the motor file was commissioned without a voltage, and this recording has one: leave it out"
@@ -246,21 +247,33 @@ def _reference(start: Start, motor: Motor | None, temperature_c: float | None) -
     if motor is None:
         return None
     names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
-    return reference_of(motor, names, temperature_c=temperature_c, friction=_friction(start, motor))
+    return reference_of(motor, names, temperature_c=temperature_c, moved=_moved(start, motor))
 
 
-def _friction(start: Start, motor: Motor) -> float:
-    """Drag over the speed that a start ends at, over that of healthy windows at theirs, for the same healthy motor.
+def _moved(start: Start, motor: Motor) -> Moved:
+    """How a start, which is fitted as one of a linear motor, differs from its file: healthy starts have taught that.
 
-    Dry friction and fans are not in proportion to the speed. Where no voltage tells the speed, it is taken for theirs.
+    Dry friction and fans are not in proportion to the speed. Where a sheet does not say how much of its friction is
+    dry, any share is as likely as any other.
     """
     windows = None if motor.healthy is None else motor.healthy.windows
-    if windows is None or not start.voltage_known:
-        return 1.0
+    if not start.voltage_known or (motor.healthy is not None and windows is None):
+        return Moved()
     from motor_env.diagnosis.running.windows import viscous
 
-    speed = float(steady_state(motor.parameters, start.level_v)[1])
-    return viscous(windows.physical, speed) / viscous(windows.physical, windows.speed_rad_s)
+    driving = max(1.0 - motor.brush_drop_v / start.level_v, _LEAST)
+    p, volts = motor.parameters, driving * start.level_v
+    if windows is not None:
+        speed = float(steady_state(p, volts)[1])
+        return Moved(
+            driving, viscous(windows.physical, speed) / viscous(windows.physical, windows.speed_rad_s)
+        )
+    if motor.coulomb_friction_n_m > 0.0:
+        speed = float(steady_state(p, volts, motor.coulomb_friction_n_m)[1])
+        return Moved(driving, 1.0 + motor.dry_share(max(speed, _LEAST * float(steady_state(p, volts)[1]))))
+    nominal = volts if motor.nominal_voltage_v is None else motor.nominal_voltage_v - motor.brush_drop_v
+    all_dry = max(nominal, _LEAST * volts) / volts
+    return Moved(driving, math.sqrt(all_dry), abs(math.log(all_dry)) / math.sqrt(12.0))
 
 
 def unusable_reason(fit: Identified) -> str | None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,13 +76,37 @@ class Reference:
         return math.exp(powers @ self.log_values) if np.allclose(powers @ exponents, wanted) else math.inf
 
 
+class Moved(NamedTuple):
+    """How the motor of a piece differs from what a motor file says, for the same healthy motor.
+
+    Attributes:
+        driving: share s of the voltage that a brush drop leaves, where the piece's fit has no such term.
+            s V = R i + L di/dt + K w is V = (R/s) i + (L/s) di/dt + (K/s) w: a linear motor with R, L, K, J and B over
+            s draws the same current, and turns as fast.
+        friction: drag over the piece's speed, over that of the speed that the file's friction belongs to.
+        friction_log_sd: standard deviation of its logarithm.
+    """
+
+    driving: float = 1.0
+    friction: float = 1.0
+    friction_log_sd: float = 0.0
+
+    @property
+    def logs(self) -> FloatArray:
+        """Logarithms of R, L, K, J, B and V over those of the file."""
+        logs = np.full(len(quantities.PARAMETERS), -math.log(self.driving))
+        logs[_VOLTAGE] = 0.0
+        logs[_FRICTION] += math.log(self.friction)
+        return logs
+
+
 def reference_of(
     motor: Motor,
     names: tuple[str, ...],
     *,
     are_starts: bool = True,
     temperature_c: float | None = None,
-    friction: float = 1.0,
+    moved: Moved | None = None,
 ) -> Reference | None:
     """What a motor file says of the quantities of a piece; None where it speaks of none of them.
 
@@ -90,7 +115,7 @@ def reference_of(
         names: quantities that the piece tells; the reference may have fewer of them.
         are_starts: the piece is a start, no window of a motor at work.
         temperature_c: of the motor, where measured; it counts where that of the healthy pieces is known too.
-        friction: drag over speed of this piece's speed, over that of the speed that the file's friction belongs to.
+        moved: how the piece's motor differs from what the file says.
     """
     if motor.healthy is not None:
         return reference_of_pieces(
@@ -99,7 +124,7 @@ def reference_of(
             motor.name,
             are_starts=are_starts,
             temperature_c=temperature_c,
-            friction=friction,
+            moved=moved,
         )
     exponents = quantities.matrix(names)
     if exponents[:, _VOLTAGE].any():
@@ -107,13 +132,15 @@ def reference_of(
     # V is held at what the recording says; its tolerance scales the current, so it acts on all but ratios like B/J.
     scale = exponents.sum(axis=1)
     logs = quantities.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
-    logs[_FRICTION] += math.log(friction)
+    moved = moved or Moved()
+    logs += moved.logs
     return Reference(
         source=f"{'data sheet' if motor.kind == 'data_sheet' else f'{motor.kind} motor'} {motor.name}",
         names=names,
         log_values=exponents @ logs,
         log_covariance=exponents @ quantities.tolerance_covariance(motor.tolerance) @ exponents.T
-        + motor.tolerance.supply**2 * np.outer(scale, scale),
+        + motor.tolerance.supply**2 * np.outer(scale, scale)
+        + moved.friction_log_sd**2 * np.outer(exponents[:, _FRICTION], exponents[:, _FRICTION]),
         log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
         own_friction=1.0,
     )
@@ -126,7 +153,7 @@ def reference_of_pieces(
     *,
     are_starts: bool = True,
     temperature_c: float | None = None,
-    friction: float = 1.0,
+    moved: Moved | None = None,
 ) -> Reference | None:
     """What healthy pieces say of a piece, see `reference_of`.
 
@@ -148,7 +175,7 @@ def reference_of_pieces(
     return Reference(
         source=_source(healthy, motor),
         names=tuple(name for name, is_known in zip(names, follow.tolist(), strict=True) if is_known),
-        log_values=powers @ np.log(healthy.values) + wanted[follow, _FRICTION] * math.log(friction),
+        log_values=powers @ np.log(healthy.values) + wanted[follow] @ (moved or Moved()).logs,
         log_covariance=powers @ healthy.log_covariance @ powers.T,
         degrees_of_freedom=healthy.degrees_of_freedom,
         log_noise=None if starts is None else starts.log_noise,

@@ -46,6 +46,8 @@ _SCALES = {
     "speed": "pulses a turn, gear and unit",
     "time": "the sampling rate",
 }
+_BRUSHES = ", and at the brushes, whose drop may act alike"
+_MOST_OF_BRUSHES = 1.5  # factor of the voltage: they take a third of it
 _ROUND = (2.0, 10.0, 100.0, 1e3)
 _NEAR, _SURE = 0.05, 3.0  # of a factor, and its standard errors, within which it is a unit's
 _FAR, _NOT_NEAR = math.log(3.0), math.log(1.5)
@@ -122,7 +124,8 @@ def _factor(column: str, step: float, near: float, *, only_known: bool) -> str:
         if only_known:
             return ""
         size = math.exp(abs(step))
-    return f"{size:.3g} times too {'large' if step > 0.0 else 'small'} (look at {_SCALES[column]})"
+    brushes = _BRUSHES if column == "voltage" and 0.0 < step < math.log(_MOST_OF_BRUSHES) else ""
+    return f"{size:.3g} times too {'large' if step > 0.0 else 'small'} (look at {_SCALES[column]}{brushes})"
 
 
 def is_far(judgement: Judgement) -> bool:

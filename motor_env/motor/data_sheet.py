@@ -25,6 +25,8 @@ from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
 
+import numpy as np
+
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.motor.healthy import Healthy
@@ -130,6 +132,11 @@ class Motor:
     healthy: Healthy | None = None
     notes: tuple[str, ...] = ()
     assumed: Mapping[str, str] = field(default_factory=dict)
+
+    def dry_share(self, speed_rad_s: float) -> float:
+        """Coulomb friction over viscous friction at a speed, Tc / (B w); no viscous friction counts as 1e-300."""
+        viscous = max(float(np.mean(self.parameters.viscous_friction_n_m_s_per_rad)), 1e-300)
+        return self.coulomb_friction_n_m / speed_rad_s / viscous
 
 
 @dataclass(frozen=True)
@@ -250,7 +257,7 @@ def _friction(si: Mapping[str, float]) -> float:
     current, speed = si["no_load_current_a"], si.get("no_load_speed_rad_s")
     if speed is None:
         require("nominal_voltage_v" in si, "motor.no_load_speed_rpm (or motor.nominal_voltage_v) is missing")
-        induced_v = si["nominal_voltage_v"] - si["resistance_ohm"] * current
+        induced_v = si["nominal_voltage_v"] - si.get("brush_drop_v", 0.0) - si["resistance_ohm"] * current
         speed = induced_v / si["back_emf_constant_v_s_per_rad"]
     torque = si["torque_constant_n_m_per_a"] * current - si.get("coulomb_friction_n_m", 0.0)
     friction = torque / speed if speed > 0.0 else math.nan

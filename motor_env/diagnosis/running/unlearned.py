@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.healthy_motor import reference_of
+from motor_env.diagnosis.healthy_motor import Moved, reference_of
 from motor_env.diagnosis.running.drives import NEEDED, needed_columns
 from motor_env.diagnosis.running.lessons import effective_speed, known_of, told_by, turns_one_way
 from motor_env.diagnosis.running.windows import (
@@ -65,7 +65,7 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
         NAMES,
         are_starts=False,
         temperature_c=temperature_c,
-        friction=_friction(motor, physical, speed),
+        moved=Moved(friction=_friction(motor, physical, speed)),
     )
     if reference is None or reference.names != NAMES:
         raise UnusableError(
@@ -103,9 +103,7 @@ def _friction(motor: Motor, physical: FloatArray, speed_rad_s: float) -> float:
     if motor.nominal_voltage_v is None:
         return 1.0
     no_load = float(steady_state(p, motor.nominal_voltage_v)[1])
-    # No viscous friction counts as 1e-300, as in `identifiable.logarithms`.
-    dry = motor.coulomb_friction_n_m / no_load / max(float(np.mean(p.viscous_friction_n_m_s_per_rad)), 1e-300)
-    return (1.0 + dry) * viscous(physical, speed_rad_s) / viscous(physical, no_load)
+    return (1.0 + motor.dry_share(no_load)) * viscous(physical, speed_rad_s) / viscous(physical, no_load)
 
 
 def _window_s(recording: Recording, settles_s: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from started_motor import step_start
 
 from motor_env import (
     PAPER_MOTOR,
+    Diagnosis,
     Fault,
     FaultKind,
     Motor,
@@ -23,7 +25,7 @@ from motor_env import (
 )
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Difference, joint_share
-from motor_env.diagnosis.healthy_motor import Reference, reference_of
+from motor_env.diagnosis.healthy_motor import Moved, Reference, reference_of
 from motor_env.diagnosis.misreading import wrong_scales
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running.windows import FittedWindow
@@ -34,6 +36,7 @@ from motor_env.fitting import places
 from motor_env.motor.faults import apply_fault
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
+from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
 
 RKJB = ("R", "K", "J", "B")
@@ -50,11 +53,12 @@ TRUE = np.array(
 )
 
 
-def of_windows(dry_n_m: float = 0.0) -> Motor:
+def of_windows(dry_n_m: float = 0.0, drop_v: float = 0.0) -> Motor:
     """The motor known by twelve windows, whose effective speed is far below that of a start."""
     physical = np.zeros(places.N_VALUES)
     physical[[places.R, places.K, places.J, places.B]] = TRUE
     physical[[places.L, places.COULOMB, places.DRAG]] = [float(PAPER_MOTOR.inductance_h), dry_n_m, 1.0]
+    physical[places.DROP] = drop_v
     values = TRUE + np.array([0.0, 0.0, 0.0, dry_n_m / SPEED])
     covariance = np.diag([0.02, 0.01, 0.02, 0.05]) ** 2
     windows = Windows(0.5, (), physical, "held", 1e-3, SPEED, window_excess=0.7)
@@ -72,8 +76,10 @@ def of_starts(names: tuple[str, ...], covariance: FloatArray) -> Motor:
     return Motor("started", "commissioned", PAPER_MOTOR, healthy=healthy)
 
 
-def start(motor: MotorParameters, dry_n_m: float, *, has_speed: bool) -> Recording:
-    states = step_start(motor, TIME_S, 3e-5, 12.0, COULOMB=dry_n_m)
+def start(
+    motor: MotorParameters, dry_n_m: float, *, has_speed: bool, drop_v: float = 0.0, volts: float = 12.0
+) -> Recording:
+    states = step_start(motor, TIME_S, 3e-5, volts, COULOMB=dry_n_m, DROP=drop_v)
     noisy: FloatArray = states + np.random.default_rng(4).standard_normal(states.shape) * [0.003, 0.2]
     return Recording(Path("start"), TIME_S, noisy[:, 0], None, noisy[:, 1] if has_speed else None)
 
@@ -101,6 +107,49 @@ def test_windows_judge_a_start_without_its_inductance(
     np.testing.assert_allclose(expected, fit.states[:, 0], atol=0.05)
 
 
+@pytest.mark.parametrize("has_speed", [False, True])
+@pytest.mark.parametrize("by_windows", [False, True])
+def test_a_start_counts_brush_drop_and_dry_friction_in(has_speed: bool, by_windows: bool) -> None:
+    """In R and K, and in B: a file that tells them apart is put together as the start's fit does."""
+    drop_v, dry_n_m, volts = 1.5, 8e-4, 9.0
+    sheet = Motor("sheet", "data_sheet", PAPER_MOTOR, coulomb_friction_n_m=dry_n_m, brush_drop_v=drop_v)
+    motor = of_windows(dry_n_m, drop_v) if by_windows else sheet
+    more = {"has_speed": has_speed, "drop_v": drop_v, "volts": volts}
+    found = diagnose(start(PAPER_MOTOR, dry_n_m, **more), motor, voltage_v=volts)
+    assert found.verdict is Verdict.HEALTHY
+    ratios = {change.name: change.ratio for change in found.changes}
+    assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=0.03)
+    worn = diagnose(start(PAPER_MOTOR.scaled(resistance_ohm=1.25), dry_n_m, **more), motor, voltage_v=volts)
+    assert (worn.verdict, worn.kind) == (Verdict.WINDING, FaultKind.WINDING_CONTACT)
+    assert worn.severity == pytest.approx(0.25, abs=0.03)
+    bare = replace(motor, brush_drop_v=0.0)
+    assert diagnose(start(PAPER_MOTOR, dry_n_m, **more), bare, voltage_v=volts).verdict is not Verdict.HEALTHY
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_a_sheet_does_not_say_how_much_of_its_friction_is_dry(share: float) -> None:
+    """At half the voltage of its no-load point dry friction is twice as much over the speed, viscous as much."""
+    nominal_v = 12.0
+    sheet = Motor("sheet", "data_sheet", PAPER_MOTOR, nominal_voltage_v=nominal_v)
+    friction = float(PAPER_MOTOR.viscous_friction_n_m_s_per_rad)
+    speed = float(steady_state(PAPER_MOTOR, nominal_v)[1])
+
+    def made(times: float, volts: float) -> Recording:
+        motor = PAPER_MOTOR.scaled(viscous_friction_n_m_s_per_rad=times * (1.0 - share))
+        return start(motor, times * share * friction * speed, has_speed=False, volts=volts)
+
+    def judged(times: float, volts: float = 0.5 * nominal_v) -> Diagnosis:
+        return diagnose(made(times, volts), sheet, voltage_v=volts)
+
+    assert judged(1.0).verdict is Verdict.HEALTHY
+    assert judged(4.0).verdict is Verdict.BEARING
+    # At the sheet's voltage friction is known, and a quarter more of it is told.
+    assert judged(1.0, nominal_v).verdict is Verdict.HEALTHY
+    assert judged(1.25, nominal_v).verdict is Verdict.BEARING
+    (half,) = (change for change in judged(1.0).changes if change.name == "B/J")
+    assert half.ratio == pytest.approx(2.0**share / math.sqrt(2.0), rel=0.05)
+
+
 def test_windows_see_a_bad_contact_in_a_start() -> None:
     worn = start(PAPER_MOTOR.scaled(resistance_ohm=1.3), 0.0, has_speed=True)
     found = diagnose(worn, of_windows(), voltage_v=12.0)
@@ -109,7 +158,7 @@ def test_windows_see_a_bad_contact_in_a_start() -> None:
 
 
 def reference(motor: Motor, names: tuple[str, ...], friction: float = 1.0) -> Reference:
-    found = reference_of(motor, names, are_starts=False, friction=friction)
+    found = reference_of(motor, names, are_starts=False, moved=Moved(friction=friction))
     assert found is not None
     return found
 

@@ -62,6 +62,14 @@ def told(names: tuple[str, ...], column: str, factor: float, sd: float = 0.01, o
         ("current", 1.03 * 10.0, "10 times too large (look at the scale of its probe or shunt)"),
         ("current", 1.07 * 10.0, "10.7 times too large (look at the scale of its probe or shunt)"),
         ("voltage", 0.01, "100 times too small (look at the scale of its probe or divider)"),
+        ("voltage", 0.8, "1.25 times too small (look at the scale of its probe or divider)"),
+        ("voltage", 1.6, "1.6 times too large (look at the scale of its probe or divider)"),
+        (
+            "voltage",
+            1.4,
+            "1.4 times too large (look at the scale of its probe or divider, and at the brushes, whose drop may act"
+            " alike)",
+        ),
         ("voltage", 1000.0, "in mV, and was read in V"),
         ("voltage", 1e-3, "in kV, and was read in V"),
         ("time", 0.5, "2 times too small (look at the sampling rate)"),

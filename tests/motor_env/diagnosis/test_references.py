@@ -21,7 +21,7 @@ from motor_env.diagnosis.explanations import (
     joint_share,
     smallest_changes,
 )
-from motor_env.diagnosis.healthy_motor import reference_of, reference_of_pieces, with_normal
+from motor_env.diagnosis.healthy_motor import Moved, reference_of, reference_of_pieces, with_normal
 from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, the_next
 from motor_env.diagnosis.shown import page, report
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
@@ -104,8 +104,14 @@ def test_the_data_sheet_as_a_reference() -> None:
     assert noisy.log_noise == pytest.approx(math.log(0.05))
     assert noisy.log_noise_sd == 0.10
     assert reference_of(SHEET, names(has_voltage=False, has_speed=False)) is None
+    # Brushes that leave 0.8 of the voltage; a drag that is half as much again over the speed, to within 20 %.
+    moved = reference_of(replace(SHEET, tolerance=tolerance), CURRENT, moved=Moved(0.8, 1.5, 0.2))
+    assert moved is not None
+    np.testing.assert_allclose(np.exp(moved.log_values - found.log_values), [1.25, 1.25, 1.25, 1.5])
+    more = moved.log_covariance - found.log_covariance
+    np.testing.assert_allclose(more, np.diag([0.0, 0.0, 0.0, 0.2**2]), atol=1e-12)
     # Of a drag that is half over the speed, only B is half.
-    other = reference_of(SHEET, ("R", "B"), friction=0.5)
+    other = reference_of(SHEET, ("R", "B"), moved=Moved(friction=0.5))
     assert other is not None
     assert other.values == pytest.approx({"R": p.resistance_ohm, "B": 0.5 * p.viscous_friction_n_m_s_per_rad})
 
