@@ -114,16 +114,19 @@ def test_a_start_counts_brush_drop_and_dry_friction_in(has_speed: bool, by_windo
     drop_v, dry_n_m, volts = 1.5, 8e-4, 9.0
     sheet = Motor("sheet", "data_sheet", PAPER_MOTOR, coulomb_friction_n_m=dry_n_m, brush_drop_v=drop_v)
     motor = of_windows(dry_n_m, drop_v) if by_windows else sheet
-    more = {"has_speed": has_speed, "drop_v": drop_v, "volts": volts}
-    found = diagnose(start(PAPER_MOTOR, dry_n_m, **more), motor, voltage_v=volts)
+
+    def judged(real: MotorParameters, known: Motor) -> Diagnosis:
+        recording = start(real, dry_n_m, has_speed=has_speed, drop_v=drop_v, volts=volts)
+        return diagnose(recording, known, voltage_v=volts)
+
+    found = judged(PAPER_MOTOR, motor)
     assert found.verdict is Verdict.HEALTHY
     ratios = {change.name: change.ratio for change in found.changes}
     assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=0.03)
-    worn = diagnose(start(PAPER_MOTOR.scaled(resistance_ohm=1.25), dry_n_m, **more), motor, voltage_v=volts)
+    worn = judged(PAPER_MOTOR.scaled(resistance_ohm=1.25), motor)
     assert (worn.verdict, worn.kind) == (Verdict.WINDING, FaultKind.WINDING_CONTACT)
     assert worn.severity == pytest.approx(0.25, abs=0.03)
-    bare = replace(motor, brush_drop_v=0.0)
-    assert diagnose(start(PAPER_MOTOR, dry_n_m, **more), bare, voltage_v=volts).verdict is not Verdict.HEALTHY
+    assert judged(PAPER_MOTOR, replace(motor, brush_drop_v=0.0)).verdict is not Verdict.HEALTHY
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

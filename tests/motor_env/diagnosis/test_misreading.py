@@ -39,6 +39,9 @@ EXPONENTS = {
 }
 
 
+BRUSHES = ", and at the brushes, whose drop may act alike"
+
+
 def told(names: tuple[str, ...], column: str, factor: float, sd: float = 0.01, off: float = 0.0) -> str:
     exponents = EXPONENTS[names]
     moved = exponents @ [*POWERS[column], 0.0] * math.log(factor)
@@ -67,8 +70,7 @@ def told(names: tuple[str, ...], column: str, factor: float, sd: float = 0.01, o
         (
             "voltage",
             1.4,
-            "1.4 times too large (look at the scale of its probe or divider, and at the brushes, whose drop may act"
-            " alike)",
+            f"1.4 times too large (look at the scale of its probe or divider{BRUSHES})",
         ),
         ("voltage", 1000.0, "in mV, and was read in V"),
         ("voltage", 1e-3, "in kV, and was read in V"),
