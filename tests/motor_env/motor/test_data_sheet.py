@@ -102,7 +102,7 @@ def test_every_unit_becomes_si(tmp_path: Path, line: str, field: str, si: float)
 
 
 def test_dry_friction_is_no_part_of_the_viscous_one(tmp_path: Path) -> None:
-    """Kt i0 = Tc + B w0; without a no-load speed, w0 is what the nominal voltage less R i0 induces."""
+    """Kt i0 = Tc + B w0; without a no-load speed, w0 is what the nominal voltage less brush drop and R i0 induces."""
     sheet = f"{SHEET}coulomb_friction_n_m = 0.0001\n"
     friction = load(tmp_path, sheet).parameters.viscous_friction_n_m_s_per_rad
     assert friction == pytest.approx((0.0235 * 0.0263 - 1e-4) / (4860.0 * np.pi / 30.0))
@@ -110,6 +110,8 @@ def test_dry_friction_is_no_part_of_the_viscous_one(tmp_path: Path) -> None:
     speed = (12.0 - 2.18 * 0.0263) * 406.0 * np.pi / 30.0
     friction = load(tmp_path, sheet).parameters.viscous_friction_n_m_s_per_rad
     assert friction == pytest.approx(0.0235 * 0.0263 / speed)
+    friction = load(tmp_path, f"{sheet}brush_drop_v = 1.8\n").parameters.viscous_friction_n_m_s_per_rad
+    assert friction == pytest.approx(0.0235 * 0.0263 / (speed - 1.8 * 406.0 * np.pi / 30.0))
     with pytest.raises(InputError, match="no-load point leaves no viscous friction, got -"):
         load(tmp_path, f"{SHEET}coulomb_friction_n_m = 0.001\n")
 
