@@ -110,6 +110,9 @@ def test_the_data_sheet_as_a_reference() -> None:
     np.testing.assert_allclose(np.exp(moved.log_values - found.log_values), [1.25, 1.25, 1.25, 1.5])
     more = moved.log_covariance - found.log_covariance
     np.testing.assert_allclose(more, np.diag([0.0, 0.0, 0.0, 0.2**2]), atol=1e-12)
+    np.testing.assert_allclose(
+        np.exp(Moved(0.5, 3.0).logs), [2.0, 2.0, 2.0, 2.0, 6.0, 1.0]
+    )  # the voltage stays
     # Of a drag that is half over the speed, only B is half.
     other = reference_of(SHEET, ("R", "B"), moved=Moved(friction=0.5))
     assert other is not None

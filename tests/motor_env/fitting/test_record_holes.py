@@ -117,7 +117,11 @@ def test_the_free_model_begins_again_behind_a_hole() -> None:
     marked = replace(
         record, voltage_v=guessed, readings=readings, marks=with_holes(record.marks, hole, readings, BOTH)
     )
-    free = marked.predict(VALUES, learn=False)[0][:, 2:4]
+    table, logs = marked.predict(VALUES, learn=False)
+    free = table[:, 2:4]
+    # What is lost tells nothing of the noise: of the others each variance counts, with that of the first reading.
+    counted = (marked.told & (marked.marks != BEGIN)[:, None]).sum(axis=0)
+    assert logs == pytest.approx(counted @ np.log(2.0 * np.square([0.02, 0.5])))
     assert np.nanmax(np.abs((free - record.readings)[262:] / [0.02, 0.5])) < 5.0
     changes = np.square(np.diff(guessed))
     seen = changes[marked.marks[1:] != LOST].sum() / changes.sum()
