@@ -70,7 +70,7 @@ def not_told(fit: Identified) -> list[str]:
         "the current alone tells K^2/J and B/J, not K, J and B (K down looks like J and B up): K is assumed": (
             fit.start.speed_rad_s is None
         ),
-        "a brush drop acts like a lower supply: one of 5 % of the supply makes R, L and K 5 % larger": (
+        "R, L and K count a brush drop in: brushes that take 5 % of the supply make them 5 % larger": (
             "brush_drop" not in fit.model
         ),
         "a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told": hides_inductance(
