@@ -251,7 +251,7 @@ def _reference(start: Start, motor: Motor | None, temperature_c: float | None) -
 
 
 def _moved(start: Start, motor: Motor) -> Moved:
-    """How a start, which is fitted as one of a linear motor, differs from its file: healthy starts have taught that.
+    """How a start, which is fitted as one of a linear motor, differs from the motor's file. Healthy starts know it.
 
     Dry friction and fans are not in proportion to the speed. Where a sheet does not say how much of its friction is
     dry, any share is as likely as any other.
