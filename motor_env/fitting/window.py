@@ -28,6 +28,7 @@ LOAD = ("load_constant", "load_walk")
 _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
+_FAR = 0.4  # logarithm of R, K or J over the healthy one's, from where a fit goes on
 _DRAG, _DRAG_PLACES = ("coulomb", "B", "load_square"), [places.COULOMB, places.B, places.SQUARE]
 _LEAST_SHARE = 0.01  # of the friction, where a fit without a load begins
 _NO_WORK = 1e-12  # W, summed over the samples
@@ -63,6 +64,8 @@ def fit_window(
     """
     problem, begin = _problem(record, known, wanted)
     best = problem.solve(begin, _MOST_ROUNDS)
+    if np.abs(best.theta[[problem.names.index(name) for name in _MOTOR[:3]]]).max() > _FAR:
+        best = problem.solve(best.theta)
     record, lines = without_lines(best, record)
     if lines:
         problem = replace(problem, record=record)

@@ -102,3 +102,17 @@ def test_a_line_over_the_angle_is_the_commutators() -> None:
     assert line.frequency_hz == pytest.approx(210.0, abs=0.05)
     assert line.amplitude_a == pytest.approx(1.0, abs=0.01)
     assert constant_lines(noise, time_s, speed) == ()
+
+
+@pytest.mark.parametrize("factors", [(3.0, 1.0, 1.0), (1.0, 3.0, 1.0), (1.0, 1.0, 4.0)])
+def test_the_fit_of_a_window_arrives_however_far_it_is_from_the_healthy_motor(
+    factors: tuple[float, float, float],
+) -> None:
+    """Of R, K and J; eight rounds from the healthy motor would leave J off by 2 to 7 %."""
+    clean, plain = fitted()
+    known, motor = plain.values, [places.R, places.K, places.J]
+    known[places.DRAG] = 1.0
+    true = np.log(known[motor])
+    known[motor] /= factors
+    found = fit_window(from_recordings([clean]), known, plain.names)
+    np.testing.assert_allclose(found.logs[:3], true, atol=0.003)
