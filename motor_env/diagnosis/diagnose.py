@@ -259,11 +259,11 @@ def _moved(start: Start, motor: Motor) -> Moved:
     windows = None if motor.healthy is None else motor.healthy.windows
     if not start.voltage_known or (motor.healthy is not None and windows is None):
         return Moved()
-    from motor_env.diagnosis.running.windows import viscous
-
     driving = max(1.0 - motor.brush_drop_v / start.level_v, _LEAST)
     p, volts = motor.parameters, driving * start.level_v
     if windows is not None:
+        from motor_env.diagnosis.running.windows import viscous
+
         speed = float(steady_state(p, volts)[1])
         return Moved(
             driving, viscous(windows.physical, speed) / viscous(windows.physical, windows.speed_rad_s)
