@@ -20,7 +20,7 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 
 STRONG_EVIDENCE = 6.0
-CHOSEN_ON = 4_000
+CHOSEN_ON = 2_000
 """Samples on which the model of a record twice as long is chosen."""
 _FIRST_NOISE_V = 0.02
 _FIRST_SHAPE = 0.1  # of what is believed

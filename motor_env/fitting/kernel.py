@@ -77,7 +77,7 @@ def _advance(
         dry += p[GEAR] * abs(p[J] * (free_w - w) / dt_s + p[B] * w)
     parts = smooth_step(m, x, u, p, dry, f) if mark != OPEN or before != OPEN else 0
     if parts > 0:
-        at(of, 1 if parts == FINE else 2, warm_k, p, m)
+        at(of, 1 if parts == FINE else (2 if parts > 1 else 0), warm_k, p, m)
         braked_step(m, x, u, p, dry, f, parts)
     if mark == OPEN:
         if before == OPEN or x[0] * i < 0.0:  # a diode lets no current turn

@@ -67,13 +67,16 @@ class Problem:
     def residuals_each(self, thetas: FloatArray) -> FloatArray:
         """Residuals for several vectors of unknowns, shape (m, n_unknowns)."""
         out, logs = self.record.predict_each(self.values_each(thetas))
-        white = out[:, :, :2][:, :, self.record.seen > 0.0].reshape(len(thetas), -1)
-        white[~(np.abs(white) < _LARGEST)] = 1e6
+        first, last = np.flatnonzero(self.record.seen > 0.0)[[0, -1]]
+        white = out[:, :, first : last + 1].reshape(len(thetas), -1)
+        if not -_LARGEST < white.min() <= white.max() < _LARGEST:
+            white[~(np.abs(white) < _LARGEST)] = 1e6
         size = 0.5 * logs / self.count
         scale = np.exp(np.where(size < 100.0, size, 100.0))  # of a number that is none, too
         means, sds = np.array([(term.prior_mean, term.prior_sd) for term in self.free]).T
         prior = (thetas - means) / sds
-        residuals: FloatArray = scale[:, None] * np.concatenate([white, prior], axis=1)
+        residuals: FloatArray = np.concatenate([white, prior], axis=1)
+        residuals *= scale[:, None]
         return residuals
 
     @cached_property

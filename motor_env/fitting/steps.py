@@ -33,6 +33,7 @@ TEMPERATURES = 22
 """At how many the discrete models are made, where the winding warms."""
 _COLDEST_K, _GRID_K = -20.0, 10.0
 _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
+_SLIGHT = 0.25  # knees: an input hardly changes over such a change, and one part will do
 _KNEE_TOLERANCE = 1e-7
 _FAST = 40.0  # square of a speed over that of Stribeck's curve: beyond it the curve is flat
 _SERIES_NORM, _SERIES_ORDER = 0.5, 12
@@ -40,7 +41,7 @@ _SHORTEST_LAG = 1e-6  # of an interval: with a shorter one the squarings of the 
 
 
 @compiled_part
-def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     """Matrix product of small matrices."""
     for r in range(a.shape[0]):
         for c in range(b.shape[1]):
@@ -63,12 +64,12 @@ def _exponential(a: FloatArray, out: FloatArray, work: FloatArray) -> None:
     while norm > _SERIES_NORM:
         norm, doublings = 0.5 * norm, doublings + 1
     for k in range(_SERIES_ORDER, 0, -1):
-        product(a, out, work)
+        _product(a, out, work)
         for r in range(n):
             for c in range(n):
                 out[r, c] = work[r, c] / k / 2.0**doublings + (1.0 if r == c else 0.0)
     for _ in range(doublings):
-        product(out, out, work)
+        _product(out, out, work)
         for r in range(n):
             for c in range(n):
                 out[r, c] = work[r, c]
@@ -152,6 +153,16 @@ def _mean_square(before: float, after: float) -> float:
 
 
 @inlined
+def _parts(least: float, change: float, knee: float) -> int:
+    """In how many parts an interval is taken in which a value comes so near to zero; 0 where its knee is far away."""
+    if least > _SATURATED * knee:
+        return 0
+    if change <= _SLIGHT * knee:
+        return 1
+    return FINE if change > knee and least <= knee else COARSE
+
+
+@inlined
 def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray) -> int:
     """One interval in which drop and friction stay as they are; 0 if so, else in how many parts it is to be taken.
 
@@ -179,12 +190,11 @@ def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry:
     new_i += m[0, 4] * torque
     new_w += m[1, 4] * torque
     slowest, least = min(new_w * turning, abs(w)), min(new_i * carrying, abs(i))
-    if (dry > 0.0 and slowest <= p[SLIDING]) or (p[DROP] > 0.0 and least <= p[KNEE]):
-        return FINE
-    if (dry > 0.0 and slowest <= _SATURATED * p[SLIDING]) or (
-        p[DROP] > 0.0 and least <= _SATURATED * p[KNEE]
-    ):
-        return COARSE
+    parts = _parts(slowest, abs(new_w - w), p[SLIDING]) if dry > 0.0 else 0
+    if p[DROP] > 0.0:
+        parts = max(parts, _parts(least, abs(new_i - i), p[KNEE]))
+    if parts > 0:
+        return parts
     for r in range(2):
         f[r, 0], f[r, 1] = m[r, 0], m[r, 1] + m[r, 4] * 2.0 * p[SQUARE] * abs(w)
         f[r, 2], f[r, 3] = m[r, 4], m[r, 2]

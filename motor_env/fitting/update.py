@@ -19,7 +19,6 @@ from motor_env.fitting.places import (
     L,
     R,
 )
-from motor_env.fitting.steps import product
 from motor_env.motor.compiled import compiled_part, inlined
 from motor_env.motor.parameters import FloatArray
 
@@ -69,23 +68,26 @@ def spread(
         cov[1, 1] = d * ap_wi + e * ap_ww + h * ap_wl + noise_w * noise_w + pull_w * pull_w
         cov[0, 2], cov[1, 2], cov[2, 2] = ap_il, ap_wl, ll + p[WALK] ** 2 * dt_s
         return
-    whole, half, by_volt, by_load = work[0], work[1], work[2, 0], work[2, 1]
-    for c in range(3):
-        whole[0, c], whole[1, c], whole[3, c], whole[4, c] = f[0, c], f[1, c], f[2, c], lag[2] * f[1, c]
-    whole[4, 1] += lag[1]
-    whole[2, 2], whole[3, 3], whole[4, 4] = 1.0, f[2, 4], lag[0]
-    by_volt[0], by_volt[1], by_volt[3], by_volt[4] = f[0, 3], f[1, 3], f[2, 3], lag[2] * f[1, 3]
-    by_load[0], by_load[1], by_load[3], by_load[4] = pull_i, pull_w, p[NOISE_T] * f[2, 2], lag[2] * pull_w
     for r in range(5):
         for k in range(r):
             cov[r, k] = cov[k, r]
-    product(whole, cov, half)
+    half, by_volt, by_load = work[0], work[1, 0], work[1, 1]
+    for q in range(5):  # of the new states with the old ones; the load stays as it is
+        half[0, q] = a * cov[0, q] + b * cov[1, q] + c * cov[2, q]
+        half[1, q] = d * cov[0, q] + e * cov[1, q] + h * cov[2, q]
+        half[2, q] = cov[2, q]
+        half[3, q] = f[2, 0] * cov[0, q] + f[2, 1] * cov[1, q] + f[2, 2] * cov[2, q] + f[2, 4] * cov[3, q]
+        half[4, q] = lag[0] * cov[4, q] + lag[1] * cov[1, q] + lag[2] * half[1, q]
+    by_volt[0], by_volt[1], by_volt[3], by_volt[4] = noise_i, noise_w, noise_v * f[2, 3], lag[2] * noise_w
+    by_load[0], by_load[1], by_load[3], by_load[4] = pull_i, pull_w, p[NOISE_T] * f[2, 2], lag[2] * pull_w
     for r in range(5):
-        for k in range(r, 5):
-            total = noise_v**2 * by_volt[r] * by_volt[k] + by_load[r] * by_load[k]
-            for q in range(5):
-                total += half[r, q] * whole[k, q]
-            cov[r, k] = total
+        now_i, now_w, now_l = half[r, 0], half[r, 1], half[r, 2]
+        new_w = d * now_i + e * now_w + h * now_l
+        cov[r, 0], cov[r, 1], cov[r, 2] = a * now_i + b * now_w + c * now_l, new_w, now_l
+        cov[r, 3] = f[2, 0] * now_i + f[2, 1] * now_w + f[2, 2] * now_l + f[2, 4] * half[r, 3]
+        cov[r, 4] = lag[0] * half[r, 4] + lag[1] * now_w + lag[2] * new_w
+        for k in range(5):
+            cov[r, k] += by_volt[r] * by_volt[k] + by_load[r] * by_load[k]
     cov[2, 2] += p[WALK] ** 2 * dt_s
 
 
