@@ -229,7 +229,7 @@ class Watch:
         if isinstance(vigil, Lesson):
             return self._taught(recording, vigil)
         try:
-            is_alarm = None if vigil.is_strange(recording) else vigil.ended
+            is_alarm = None if vigil.sets_aside(recording) else vigil.ended
             return self._judged(vigil.judge.judge(recording, self.rate, is_alarm)[0][0])
         except UnusableError as error:
             vigil.cut()

@@ -82,7 +82,7 @@ class Vigil:
         most = np.array(windows.most) if windows.most else np.full(len(AXES), math.inf)
         self._counting = Counting(self._healthy, most, np.zeros(len(AXES)))
         self._at: FloatArray = np.zeros(len(NAMES))
-        self._toward, self._quiet, self._drive, self._is_strange = -1, 0.0, 0, False
+        self._toward, self._quiet, self._drive, self._is_aside = -1, 0.0, 0, False
         self.begin()
         self._holds = tails_hold(windows.replayed, self._healthy * self._pieces)
         self._can_count = bool(windows.most)
@@ -209,28 +209,28 @@ class Vigil:
     def begin(self) -> None:
         """A window begins."""
         self._sections: list[Sections] = []
-        self._known = deepcopy(self._detector)  # what was known before it
+        self._known = deepcopy(self._detector), self._quiet  # before it
 
     def cut(self) -> None:
         """The window breaks off, or tells nothing."""
         self._learned.skip()
 
-    def is_strange(self, window: Recording) -> bool:
+    def sets_aside(self, window: Recording) -> bool:
         """Whether a window is driven otherwise than healthy ones; then it is no evidence, and teaches nothing.
 
         If it is driven as in another of several drives, it is heard anew, beside those.
         """
         drive, off = self.judge.drive_of(window)
-        self._is_strange = off > 1.0
-        if not self._is_strange and drive == self._drive:
+        self._is_aside = off > 1.0
+        if not self._is_aside and drive == self._drive:
             return False
-        self._detector, self._toward = self._known, -1
+        (self._detector, self._quiet), self._toward = self._known, -1
         self._learned.skip()
-        if not self._is_strange:
+        if not self._is_aside:
             self._at, self._drive = np.zeros(len(NAMES)), drive
             self.begin()
             self.heard(window, float(window.time_s[0]))
-        return self._is_strange
+        return self._is_aside
 
     def alarm(self, recording: Recording, rate: float) -> Judgement | None:
         """The judgement on what an alarm is about; None where it tells nothing. The evidence begins anew.
@@ -246,7 +246,7 @@ class Vigil:
         recording = averaged(recording, self.judge.windows.window_s)
         failed = self.judge.failed_sensor(recording)
         drive, off = self.judge.drive_of(recording)
-        if failed is None and (self._is_strange or off > 1.0 or drive != self._drive):
+        if failed is None and (self._is_aside or off > 1.0 or drive != self._drive):
             self._toward = -1
             return None
         self._detector.forget()

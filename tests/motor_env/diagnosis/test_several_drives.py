@@ -169,7 +169,7 @@ def test_a_watch_goes_on_from_one_drive_to_another(
         for part in windows_of(log, judge.windows.window_s):
             watch.begin()
             watch.heard(part, float(part.time_s[0]))
-            if not watch.is_strange(part):
+            if not watch.sets_aside(part):
                 assert len(watch._sections) == watch._pieces  # all of the window, under the drive that it has
                 told.append(watch.ended(judge.fitted(from_recordings([part]))))
         return told
@@ -183,7 +183,9 @@ def test_a_watch_goes_on_from_one_drive_to_another(
         last = judge.fitted(from_recordings([windows_of(changed, judge.windows.window_s)[-1]]))
         own = judge.under(PROFILES.index(second)).reference.log_values
         np.testing.assert_allclose(watch.memory["at"], last.log_values - own)
-        assert watch.memory["counted"][-1] == float(PROFILES.index(second))
+        pieces, drive = watch.memory["counted"][2:]
+        assert pieces == 6 * watch._pieces  # a window that is heard anew counts once
+        assert drive == PROFILES.index(second)
         later = Vigil(judge, healthy, false_alarms_per_year=per_year, memory=watch.memory)
         worn = replace(simulated, ohm=1.25 * simulated.ohm)
         assert heard(later, log_of(worn, second, 10, usual=simulated))[-1]
@@ -202,7 +204,7 @@ def test_pieces_of_a_window_are_compared_with_their_own_drive(
     watch = Vigil(judge, taught, false_alarms_per_year=YEAR_S / (20.0 * judge.windows.window_s))
     one, other, _ = windows_of(log_of(simulated, PROFILES[1], 8, usual=simulated), judge.windows.window_s)
     watch.begin()
-    assert not watch.is_strange(one)
+    assert not watch.sets_aside(one)
     watch.begin()
     assert watch.heard(other, float(other.time_s[0]))
     told = watch.alarm(other, 0.01)

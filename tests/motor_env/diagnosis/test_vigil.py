@@ -470,10 +470,10 @@ def test_a_window_under_another_drive_is_no_evidence_and_teaches_nothing() -> No
         watch.begin()
         watch.ended(fit(np.random.default_rng(5), np.zeros(4)))
         watch.begin()
-    assert not one.is_strange(driven_by(1.1))
+    assert not one.sets_aside(driven_by(1.1))
     one._detector.add(0, np.full(len(one._along.weights), 4.0), 1)
-    one._toward = 1
-    assert one.is_strange(driven_by(2.0))
+    one._toward, one._quiet = 1, 3.0
+    assert one.sets_aside(driven_by(2.0))
     assert not one.goes_on
     np.testing.assert_array_equal(one._detector.sums, other._detector.sums)
     # What is behind it is not compared with what was before.
@@ -510,7 +510,7 @@ def test_an_alarm_waits_where_the_drive_has_become_another_known_one(
     monkeypatch.setattr("motor_env.diagnosis.running.windows.WindowJudge.failed_sensor", lambda *_: None)
     watch = vigil(with_drives({1.0: np.zeros(4), 2.0: np.full(4, 0.1)}))
     monkeypatch.setattr(Vigil, "heard", lambda *_: False)
-    assert not watch.is_strange(driven_by(known))
+    assert not watch.sets_aside(driven_by(known))
     for size in (1.0, 2.0):
         watch._detector.sums[0, 0] = 1e9
         assert (watch.alarm(driven_by(size), 0.01) is not None) is (size == known)
@@ -522,12 +522,12 @@ def test_behind_a_window_under_another_drive_alarms_wait_until_one_is_driven_as_
     watch = vigil(knows_its_drive())
     monkeypatch.setattr(Vigil, "_fitted", lambda *_: Judgement(Verdict.WINDING, ("because",)))
     monkeypatch.setattr("motor_env.diagnosis.running.windows.WindowJudge.failed_sensor", lambda *_: None)
-    for size, is_strange in ((2.0, True), (1.0, False)):
+    for size, is_aside in ((2.0, True), (1.0, False)):
         watch.begin()
-        assert watch.is_strange(driven_by(size)) is is_strange
+        assert watch.sets_aside(driven_by(size)) is is_aside
         watch.begin()
         watch._detector.sums[0, 0] = 1e9
-        assert (watch.alarm(driven_by(1.0), 0.01) is None) is is_strange
+        assert (watch.alarm(driven_by(1.0), 0.01) is None) is is_aside
 
 
 def test_an_alarm_is_named_by_its_evidence_where_its_samples_fit_no_fault(

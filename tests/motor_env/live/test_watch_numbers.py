@@ -138,7 +138,7 @@ class FakeVigil:
     def begin(self) -> None:
         self.begun += 1
 
-    def is_strange(self, window: Recording) -> bool:
+    def sets_aside(self, window: Recording) -> bool:
         self.seen.append(window)
         return len(self.seen) - 1 in self.strange
 
