@@ -40,19 +40,23 @@ _CLEARLY = math.log(2.0)
 
 
 def fit(record: Record) -> Solution:
-    """The smallest model of a record that the evidence supports, fitted.
+    """The smallest model of a record that the evidence supports, fitted; with rivals, which widen its intervals.
 
     Raises:
         UnusableError: no regression finds a motor in the record.
     """
+    return _doubted(_timed(_smallest(record)))
+
+
+def _smallest(record: Record) -> Solution:
     if len(record.voltage_v) > 2 * CHOSEN_ON:
-        return _doubted(_timed(_refined(fit(record.sample(CHOSEN_ON)), record)))
+        return _refined(_smallest(record.sample(CHOSEN_ON)), record)
     rivals = [_chosen(first) for first in _first(record)]
     best = min(rivals, key=lambda one: one.penalised())
     others = sorted(_behaviours(best, record), key=lambda one: one.penalised())
     if others and (other := _solved(others[0], [])).penalised() < best.penalised():
         best = _chosen(other)
-    return _doubted(_timed(_grown(_shaped(_timely(best)))))
+    return _grown(_shaped(_timely(best)))
 
 
 def _timely(best: Solution) -> Solution:
