@@ -33,7 +33,7 @@ TEMPERATURES = 22
 """At how many the discrete models are made, where the winding warms."""
 _COLDEST_K, _GRID_K = -20.0, 10.0
 _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
-_SLIGHT = 0.25  # knees: an input hardly changes over such a change, and one part will do
+_SLIGHT = 0.1  # knees: an input hardly changes over such a change, and one part will do
 _KNEE_TOLERANCE = 1e-7
 _FAST = 40.0  # square of a speed over that of Stribeck's curve: beyond it the curve is flat
 _SERIES_NORM, _SERIES_ORDER = 0.5, 12

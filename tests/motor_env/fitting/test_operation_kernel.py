@@ -69,6 +69,35 @@ def test_free_model_follows_a_stiff_solver(given: dict[str, float]) -> None:
     assert np.all(np.abs(got - expected).max(axis=0) < 0.02 * np.abs(expected).max(axis=0))
 
 
+def test_where_current_and_speed_hardly_move_beside_their_knees_one_part_is_enough() -> None:
+    p = values(COULOMB=0.004, SLIDING=60.0, DROP=0.4, KNEE=0.3)
+    voltage = 3.0 * np.sin(2.0 * np.pi * np.arange(700) / 700.0)
+    expected, got = solved(p, voltage), free_run(p, voltage)
+    for column, knee in zip(expected.T, (0.3, 60.0), strict=True):
+        assert np.abs(np.diff(column)).max() < 0.1 * knee < np.abs(column).max()
+    assert np.all(np.abs(got - expected).max(axis=0) < 0.01 * np.abs(expected).max(axis=0))
+
+
+@pytest.mark.parametrize(
+    ("least", "change", "parts"),
+    [
+        (5.1, 9.0, 0),
+        (5.0, 0.1, 1),
+        (4.0, 0.11, steps.COARSE),
+        (-1.0, 1.0, steps.COARSE),
+        (1.0, 1.1, steps.FINE),
+        (1.1, 9.0, steps.COARSE),
+    ],
+)
+def test_an_interval_is_taken_in_as_many_parts_as_its_knee_asks_for(
+    least: float, change: float, parts: int
+) -> None:
+    for knee in (0.5, 1.0):
+        assert steps._parts.py_func(least * knee, change * knee, knee) == parts
+    assert steps._parts.py_func(0.0, 1e-9, 0.0) == steps.FINE  # without a knee it turns at once
+    assert steps._parts.py_func(1e-9, 1.0, 0.0) == 0
+
+
 @pytest.mark.parametrize("sliding", [0.0, 5.0])
 def test_a_coasting_motor_that_its_load_turns_back_follows_a_stiff_solver(sliding: float) -> None:
     p = values(COULOMB=0.001, SLIDING=sliding, LOAD=0.003, SQUARE=2e-7)

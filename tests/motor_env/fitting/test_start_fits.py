@@ -305,9 +305,12 @@ def test_a_fit_is_given_finite_numbers() -> None:
     measured = start()
     problem = problem_of(measured)
     unknowns = truth(problem, measured)
-    problem.record.readings[:3, 0] = [np.inf, -np.inf, np.nan]
-    got, scale = left_of(problem, unknowns)[0][:, 0], problem.known[places.NOISE_I]
-    assert got[:3] == pytest.approx([1e6 * scale, 1e6 * scale, 0.0], rel=0.01)  # two of 500 count otherwise
+    for wild in (np.inf, -np.inf):
+        problem.record.readings[:3, 0] = [wild, wild, np.nan]
+        got, scale = left_of(problem, unknowns)[0][:, 0], problem.known[places.NOISE_I]
+        assert got[:3] == pytest.approx(
+            [1e6 * scale, 1e6 * scale, 0.0], rel=0.01
+        )  # two of 500 count otherwise
     assert problem.count == 497
     unknowns[place(problem, "R")] = np.nan
     np.testing.assert_allclose(left_of(problem, unknowns)[0][QUIET + 1 :, 0], 1e6 * scale, rtol=0.01)
