@@ -28,7 +28,7 @@ from motor_env.motor.model import exponential_and_phis, load_in_kernel
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
 FINE, COARSE = 16, 4
-"""Parts of an interval in which drop or friction turn, and in which they are only about to."""
+"""Parts of an interval in which drop or friction turn, and in which they turn slowly, at a knee, or are about to."""
 TEMPERATURES = 22
 """At how many the discrete models are made, where the winding warms."""
 _COLDEST_K, _GRID_K = -20.0, 10.0
