@@ -93,7 +93,7 @@ def test_a_window_is_compared_with_those_that_are_driven_alike(
 ) -> None:
     healthy, _ = learned
     judge = judge_of(healthy)
-    worn = replace(simulated, viscous=2.0 * simulated.viscous, coulomb=2.0 * simulated.coulomb)
+    worn = replace(simulated, viscous=3.0 * simulated.viscous, coulomb=3.0 * simulated.coulomb)
     for place, profile in enumerate(PROFILES):
         fresh = log_of(simulated, profile, 6, usual=simulated)
         assert judge.drive_of(fresh)[0] == place
