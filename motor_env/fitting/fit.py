@@ -49,6 +49,7 @@ def fit(record: Record) -> Solution:
 
 
 def _smallest(record: Record) -> Solution:
+    """The fit without rivals; of a long record from a part of it."""
     if len(record.voltage_v) > 2 * CHOSEN_ON:
         return _refined(_smallest(record.sample(CHOSEN_ON)), record)
     rivals = [_chosen(first) for first in _first(record)]

@@ -209,7 +209,7 @@ class Vigil:
     def begin(self) -> None:
         """A window begins."""
         self._sections: list[Sections] = []
-        self._known = deepcopy(self._detector), self._quiet  # before it
+        self._known = deepcopy(self._detector), self._quiet  # what was known before it
 
     def cut(self) -> None:
         """The window breaks off, or tells nothing."""

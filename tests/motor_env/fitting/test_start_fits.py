@@ -308,9 +308,8 @@ def test_a_fit_is_given_finite_numbers() -> None:
     for wild in (np.inf, -np.inf):
         problem.record.readings[:3, 0] = [wild, wild, np.nan]
         got, scale = left_of(problem, unknowns)[0][:, 0], problem.known[places.NOISE_I]
-        assert got[:3] == pytest.approx(
-            [1e6 * scale, 1e6 * scale, 0.0], rel=0.01
-        )  # two of 500 count otherwise
+        # Two of 500 count otherwise.
+        assert got[:3] == pytest.approx([1e6 * scale, 1e6 * scale, 0.0], rel=0.01)
     assert problem.count == 497
     unknowns[place(problem, "R")] = np.nan
     np.testing.assert_allclose(left_of(problem, unknowns)[0][QUIET + 1 :, 0], 1e6 * scale, rtol=0.01)
