@@ -93,14 +93,16 @@ def test_a_window_is_compared_with_those_that_are_driven_alike(
 ) -> None:
     healthy, _ = learned
     judge = judge_of(healthy)
-    worn = replace(simulated, viscous=3.0 * simulated.viscous, coulomb=3.0 * simulated.coulomb)
+    worn = replace(simulated, viscous=2.0 * simulated.viscous, coulomb=2.0 * simulated.coulomb)
     for place, profile in enumerate(PROFILES):
         fresh = log_of(simulated, profile, 6, usual=simulated)
         assert judge.drive_of(fresh)[0] == place
         assert judge.drive_of(fresh)[1] <= 1.0
         assert [one.verdict for one in judge.judge(fresh, 0.01)[0]] == ["healthy"] * 3
-        for one in judge.judge(log_of(worn, profile, 6, usual=simulated), 0.01)[0]:
-            assert one.verdict == "bearing"
+        judged = judge.judge(log_of(worn, profile, 6, usual=simulated), 0.01)[0]
+        told = [one for one in judged if one.verdict == "bearing"]
+        assert len(told) >= 2  # of three: of windows with twice the friction one in 36 is missed
+        for one in told:
             assert (
                 one.reasons[-1] == "compared with 3 of 6 healthy windows of this motor that are driven alike"
             )
