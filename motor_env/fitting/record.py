@@ -257,7 +257,9 @@ def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> Flo
         beyond: FloatArray = np.where(time_s > times[-1], areas[-1] + time_s - times[-1], inside)
         return beyond
 
-    mean: FloatArray = (integral(end_s) - integral(begin_s)) / (end_s - begin_s)
+    mean, rising = np.ones_like(begin_s), begin_s < values[RISE]
+    begin_s, end_s = begin_s[rising], end_s[rising]
+    mean[rising] = (integral(end_s) - integral(begin_s)) / (end_s - begin_s)
     return mean
 
 

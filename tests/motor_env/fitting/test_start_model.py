@@ -297,3 +297,38 @@ def test_many_motors_at_once_are_each_alone(noise_v: float) -> None:
         np.testing.assert_array_equal(tables, [table for table, _ in alone])
         np.testing.assert_array_equal(logs, [one for _, one in alone])
         assert len({table.tobytes() for table in tables}) >= 6
+
+
+@pytest.mark.parametrize("from_rest", [True, False])
+@pytest.mark.parametrize("speed_lag_s", [0.0, 3.0 * DT_S])
+@pytest.mark.parametrize(
+    "beyond",
+    [
+        {},
+        {"LAG_I": 0.7 * DT_S},
+        {"COULOMB": 2e-3, "DROP": 1.0, "LAG_I": 0.7 * DT_S},
+        {"COULOMB": 2e-3, "LOAD": 1e-3},
+        {"DROP": 1.0, "LOAD": -5e-3},
+    ],
+)
+def test_a_simple_start_is_run_as_any_other(
+    from_rest: bool, speed_lag_s: float, beyond: dict[str, float]
+) -> None:
+    """Friction that hardly grows towards standstill takes the filter of any record, whose numbers are the same."""
+    rng = np.random.default_rng(0)
+    volts = np.repeat([0.0, 9.0, 0.0, -12.0, 0.4, 0.0], 40) if from_rest else np.repeat([6.0, 9.0, -3.0], 80)
+    readings = rng.normal(0.0, 1.0, (len(volts), 2)) * [3.0, 300.0]
+    readings[[50, 70], [0, 1]] = np.nan
+    readings[90] = np.nan
+    record = replace(driven_record(volts, DT_S, from_rest=from_rest), readings=readings)
+    sensors = {"NOISE_I": 0.3, "NOISE_W": 2.0, "OFFSET_I": 0.02, "OFFSET_W": -1.5, "LAG_W": speed_lag_s}
+    for seen in ([1.0, 1.0], [1.0, 0.0], [0.0, 1.0]):
+        for switched in (
+            record,
+            replace(step_record(TIME_S, ONSET_S, 12.0), readings=readings[: len(TIME_S)]),
+        ):
+            one = replace(switched, seen=np.array(seen))
+            simple = one.predict(values_of(PAPER_MOTOR, **sensors, **beyond))
+            any_other = one.predict(values_of(PAPER_MOTOR, STRIBECK=1e-200, **sensors, **beyond))
+            np.testing.assert_allclose(simple[0], any_other[0], rtol=1e-9, atol=1e-12)
+            assert simple[1] == pytest.approx(any_other[1], rel=1e-12)
