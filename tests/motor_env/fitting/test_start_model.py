@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from started_motor import driven, driven_record, step_record, step_start, values_of
 
 from motor_env import PAPER_MOTOR, discretize
-from motor_env.fitting import places
+from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record, mean_rise
 from motor_env.motor.model import continuous_model, steady_state
 from motor_env.motor.parameters import FloatArray
@@ -306,7 +306,7 @@ def test_many_motors_at_once_are_each_alone(noise_v: float) -> None:
     [
         {},
         {"LAG_I": 0.7 * DT_S},
-        {"COULOMB": 2e-3, "DROP": 1.0, "LAG_I": 0.7 * DT_S},
+        {"COULOMB": 2e-2, "DROP": 1.0, "LAG_I": 3.0 * DT_S},
         {"COULOMB": 2e-3, "LOAD": 1e-3},
         {"DROP": 1.0, "LOAD": -5e-3},
     ],
@@ -316,7 +316,7 @@ def test_a_simple_start_is_run_as_any_other(
 ) -> None:
     """Friction that hardly grows towards standstill takes the filter of any record, whose numbers are the same."""
     rng = np.random.default_rng(0)
-    volts = np.repeat([0.0, 9.0, 0.0, -12.0, 0.4, 0.0], 40) if from_rest else np.repeat([6.0, 9.0, -3.0], 80)
+    volts = np.repeat([0.0, 9.0, 0.0, -12.0, 0.4, 0.0], 150) if from_rest else np.repeat([6.0, 9.0, -3.0], 80)
     readings = rng.normal(0.0, 1.0, (len(volts), 2)) * [3.0, 300.0]
     readings[[50, 70], [0, 1]] = np.nan
     readings[90] = np.nan
@@ -332,3 +332,24 @@ def test_a_simple_start_is_run_as_any_other(
             any_other = one.predict(values_of(PAPER_MOTOR, STRIBECK=1e-200, **sensors, **beyond))
             np.testing.assert_allclose(simple[0], any_other[0], rtol=1e-9, atol=1e-12)
             assert simple[1] == pytest.approx(any_other[1], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("KNEE", 0.1), ("SLIDING", 5.0), ("STRIBECK", 0.3), ("GEAR", 0.1), ("HEATING", 5.0)]
+)
+def test_what_bends_a_start_is_not_left_out(name: str, value: float) -> None:
+    volts = np.repeat([0.0, 9.0, -9.0, 0.0], 100)
+    usual, bent, as_any = (
+        driven(PAPER_MOTOR, volts, DT_S, from_rest=True, COULOMB=2e-3, DROP=1.0, **beyond)
+        for beyond in ({}, {name: value}, {"STRIBECK": 1e-200, name: value})
+    )
+    assert np.abs(bent - usual)[:, 1].max() > 0.01
+    np.testing.assert_array_equal(bent, as_any)
+
+
+def test_an_open_circuit_carries_no_current_in_a_start_either() -> None:
+    record = driven_record(np.full(100, 9.0), DT_S, from_rest=True)
+    record.marks[60:] = kernel.OPEN
+    current = record.predict(values_of(PAPER_MOTOR), learn=False)[0][:, 2]
+    assert current[50] > 0.1
+    assert not current[62:].any()
