@@ -94,14 +94,19 @@ class Problem:
         return self.columns(theta, range(len(theta)), base)
 
     def columns(self, theta: FloatArray, chosen: Sequence[int], base: FloatArray) -> FloatArray:
-        """Some columns of it; the steps go away from the nearer bounds."""
+        """Some columns of it."""
+        moved, steps = self.steps(theta, chosen)
+        slopes: FloatArray = ((self.residuals_each(moved) - base) / steps[:, None]).T
+        return slopes
+
+    def steps(self, theta: FloatArray, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Unknowns of which one has moved, shape (m, n_unknowns), and by how much, (m,): away from the nearer bound."""
         moved, steps = np.tile(theta, (len(chosen), 1)), np.empty(len(chosen))
         for row, n in enumerate(chosen):
             step = STEP * max(1.0, abs(theta[n]))
             steps[row] = -step if theta[n] + step > self.free[n].high else step
             moved[row, n] += steps[row]
-        slopes: FloatArray = ((self.residuals_each(moved) - base) / steps[:, None]).T
-        return slopes
+        return moved, steps
 
     def secant(self, theta: FloatArray, n: int, step: float) -> FloatArray:
         """One column of it over a wide step in both directions, as far as the bounds allow.

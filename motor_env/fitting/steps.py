@@ -24,6 +24,7 @@ from motor_env.fitting.places import (
     R,
 )
 from motor_env.motor.compiled import compiled_part, inlined
+from motor_env.motor.exponentials import exponential_in_kernel
 from motor_env.motor.model import exponential_and_phis, load_in_kernel
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
 
@@ -36,43 +37,7 @@ _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
 _SLIGHT = 0.1  # knees: an input hardly changes over such a change, and one part will do
 _KNEE_TOLERANCE = 1e-7
 _FAST = 40.0  # square of a speed over that of Stribeck's curve: beyond it the curve is flat
-_SERIES_NORM, _SERIES_ORDER = 0.5, 12
 _SHORTEST_LAG = 1e-6  # of an interval: with a shorter one the squarings of the exponential lose digits
-
-
-@compiled_part
-def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
-    """Matrix product of small matrices."""
-    for r in range(a.shape[0]):
-        for c in range(b.shape[1]):
-            total = 0.0
-            for n in range(a.shape[1]):
-                total += a[r, n] * b[n, c]
-            out[r, c] = total
-
-
-@compiled_part
-def _exponential(a: FloatArray, out: FloatArray, work: FloatArray) -> None:
-    """exp(A) by scaling, its series, and squaring (Moler & Van Loan 2003, method 3); A is scaled in place."""
-    n, norm, doublings = len(a), 0.0, 0
-    for r in range(n):
-        total = 0.0
-        for c in range(n):
-            out[r, c] = 1.0 if r == c else 0.0
-            total += abs(a[r, c])
-        norm = max(norm, total)
-    while norm > _SERIES_NORM:
-        norm, doublings = 0.5 * norm, doublings + 1
-    for k in range(_SERIES_ORDER, 0, -1):
-        _product(a, out, work)
-        for r in range(n):
-            for c in range(n):
-                out[r, c] = work[r, c] / k / 2.0**doublings + (1.0 if r == c else 0.0)
-    for _ in range(doublings):
-        _product(out, out, work)
-        for r in range(n):
-            for c in range(n):
-                out[r, c] = work[r, c]
 
 
 @compiled_part
@@ -102,7 +67,7 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray, work
         for r in range(6):
             for c in range(6):
                 motor[r, c] *= dt_s
-        _exponential(motor, whole_system, work[2])
+        exponential_in_kernel(motor, whole_system, work[2])
         for c in range(6):
             out[2, c] = whole_system[5, c]
 

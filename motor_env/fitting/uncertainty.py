@@ -20,6 +20,11 @@ _ANYTHING_LOG_SD = 3.0
 _STEPS = (1e-3, 0.1)
 _PARTS = 20  # of a record, whose scores are compared
 _HARDLY = 1e-3  # of what tells an unknown, beside the one part that tells it
+_DUST = 1e-6  # of the largest reading
+_BY_CHANCE = 4.0  # over the root of the number of samples: of the variance of white noise, by its differences
+_FOLLOWS = 0.15
+"""Share of the free model's error that may look like the unknowns: records of one motor agree with it within their
+intervals, also where its physics is not the model's, see `benchmarks/repeatability.py`."""
 
 
 def information_covariance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
@@ -53,12 +58,12 @@ def covariance(best: Solution) -> FloatArray:
     A term that was left out counts with its posterior probability (Hoeting et al. 1999), its size believed to be as
     usual: it would have moved the others by so much, and would have left them so much less certain. Other optima
     count with theirs. So does what no term says but real motors have, see `lacking`, what rounding hides, see
-    `rounded`, and the model's error.
+    `rounded`, and the model's error, in parts of the record and throughout.
     """
     problem, chosen = best.problem, motor_places(best.problem)
     white, rows = normalised(problem, best.theta, secants(problem, best.theta), chosen)
     total, _ = sandwich(white, rows)
-    total += model_error(white, rows, total, states=states_of(best))
+    total += model_error(white, rows, total, states=states_of(best)) + _following(best, chosen)
     for name, test in score_tests(best, problem.every, candidates(best)).items():
         occam = test.sd / math.hypot(test.sd, problem.every[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
@@ -77,6 +82,29 @@ def covariance(best: Solution) -> FloatArray:
         moved = (theta - best.theta)[chosen]
         total += share * np.outer(moved, moved)
     return total
+
+
+def _following(best: Solution, chosen: Sequence[int]) -> FloatArray:
+    """Covariance by the error of the model that runs freely, of which no number of samples averages a share away.
+
+    What no term says, as cogging, comes back whenever the motor moves alike, and looks like a part of what the terms
+    say. The filter's innovations hide how large it is: a torque that disturbs the motor stands for it. White noise,
+    which averages away, does not count.
+    """
+    problem, record = best.problem, best.problem.record
+    moved, steps = problem.steps(best.theta, chosen)
+    values = problem.values_each(np.vstack([best.theta, moved]))
+    shown, *others = record.predict_each(values, learn=False, load=best.free[0][:, 4])[0][:, :, 2:4]
+    information = np.diag([1.0 / min(problem.free[n].prior_sd, _WIDEST) ** 2 for n in chosen])
+    for channel, told in enumerate(record.told.T):
+        if record.seen[channel] > 0.0:
+            left = (record.readings - shown)[told, channel]
+            slopes = (np.array(others) - shown)[:, told, channel] / steps[:, None]
+            whole = float(np.mean(left**2)) + (_DUST * record.peaks[1 + channel]) ** 2
+            white = difference_noise(left) ** 2 * (1.0 + _BY_CHANCE / math.sqrt(len(left)))
+            size = max(whole - white, _HARDLY * whole)
+            information += slopes @ slopes.T / (len(left) * size * _FOLLOWS**2)
+    return _inverse(information)
 
 
 def normalised(

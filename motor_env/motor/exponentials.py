@@ -1,10 +1,10 @@
-"""Exponentials of many motors side by side: the series of `motor_env.motor.model`, a step of it for all of them."""
+"""Exponentials by the series of `motor_env.motor.model`: of many motors side by side, and of motors with sensors."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from motor_env.motor.compiled import inlined
+from motor_env.motor.compiled import compiled_part, inlined
 from motor_env.motor.model import SERIES_NORM, SERIES_ORDER, doubled, longer_series, of_series
 from motor_env.motor.parameters import FloatArray
 
@@ -77,3 +77,38 @@ def exponentials_and_phis(
         exponential[2, n] /= scale[n]
         phi[1, n] *= scale[n]
         phi[2, n] /= scale[n]
+
+
+@compiled_part
+def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """Matrix product of small matrices."""
+    for r in range(a.shape[0]):
+        for c in range(b.shape[1]):
+            total = 0.0
+            for n in range(a.shape[1]):
+                total += a[r, n] * b[n, c]
+            out[r, c] = total
+
+
+@compiled_part
+def exponential_in_kernel(a: FloatArray, out: FloatArray, work: FloatArray) -> None:
+    """exp(A) by scaling, its series, and squaring (Moler & Van Loan 2003, method 3); A is scaled in place."""
+    n, norm, doublings = len(a), 0.0, 0
+    for r in range(n):
+        total = 0.0
+        for c in range(n):
+            out[r, c] = 1.0 if r == c else 0.0
+            total += abs(a[r, c])
+        norm = max(norm, total)
+    while norm > SERIES_NORM:
+        norm, doublings = 0.5 * norm, doublings + 1
+    for k in range(SERIES_ORDER, 0, -1):
+        _product(a, out, work)
+        for r in range(n):
+            for c in range(n):
+                out[r, c] = work[r, c] / k / 2.0**doublings + (1.0 if r == c else 0.0)
+    for _ in range(doublings):
+        _product(out, out, work)
+        for r in range(n):
+            for c in range(n):
+                out[r, c] = work[r, c]

@@ -17,6 +17,9 @@ from motor_env.fitting.score import lacking
 from motor_env.fitting.uncertainty import beyond, covariance, model_error, motor_places, normalised, sandwich
 from motor_env.motor.parameters import FloatArray
 
+# Reaches in: of a residual, white noise alone averages away.
+from motor_env.recordings.noise import difference_noise
+
 
 def line(seed: int = 0, n: int = 400) -> Line:
     """Straight lines; the first twentieth tells most of the first unknown."""
@@ -135,6 +138,31 @@ def test_what_real_motors_have_widens_the_errors_by_what_it_moves() -> None:
     assert np.sqrt(np.diag(covariance(right)))[0] < 0.2 * spread[0]
 
 
+def test_a_share_of_what_no_term_says_never_averages_away() -> None:
+    """Of a record twice as long the same; of one unknown, a share of the error over its slope, the noise left out."""
+    p = values()
+    once = lossy(brushes=0.16, noise=0.01)
+    twice = Record(
+        once.dt_s,
+        np.tile(once.voltage_v, 2),
+        np.tile(once.readings, (2, 1)),
+        once.seen,
+        np.tile(once.marks, 2),
+        once.hold,
+    )
+    one, two = (np.diag(uncertainty._following(solution(each, LOGS, p), [0, 1])) for each in (once, twice))
+    np.testing.assert_allclose(two, one, rtol=0.02)
+    best = solution(once.only(current=True, speed=False), ["R"], p)
+    shown = best.free[1][:, 2]
+    moved = best.problem.record.predict(best.problem.values(best.theta + 1e-4), learn=False)[0][:, 2]
+    left = once.readings[:, 0] - shown
+    size = np.sqrt(np.mean(left**2) - difference_noise(left) ** 2 * (1.0 + 4.0 / np.sqrt(len(left))))
+    sd = 0.15 * size / np.sqrt(np.mean(np.square((moved - shown) / 1e-4)))
+    assert np.sqrt(uncertainty._following(best, [0])[0, 0]) == pytest.approx(sd, rel=1e-3)
+    right = solution(lossy(), ["R"], p)
+    assert uncertainty._following(right, [0])[0, 0] < 0.1 * covariance(right)[0, 0]
+
+
 def test_the_speed_alone_says_nothing_of_brushes_and_gears() -> None:
     p = values()
     record = worked(p).only(current=False, speed=True)
@@ -202,6 +230,7 @@ def test_errors_allow_for_what_the_steps_of_a_reading_hide(
     at = wrong.names.index(told)
     allowed = abs(wrong.theta[at]) / math.sqrt(covariance(wrong)[at, at])
     monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
+    monkeypatch.setattr(uncertainty, "_FOLLOWS", 1e-6)
     assert 1.0 < allowed < 1.5
     assert abs(wrong.theta[at]) > 3.0 * math.sqrt(covariance(wrong)[at, at])
 

@@ -491,6 +491,7 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     tests = {"delay": ScoreTest(4.0, 0.5, 0.2, np.array([0.1, -0.3, 9.0]))}
     line.every["delay"] = cast("Any", SimpleNamespace(usual=0.6))
     best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0, free=(None, np.zeros((600, 4))))
+    monkeypatch.setattr(uncertainty, "_following", lambda *_: np.zeros((2, 2)))
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
     monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
     monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
@@ -513,11 +514,13 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     settled = 1.0 / (1.0 + 0.2**2)
     size = (settled * 0.5) ** 2 + settled * 0.2**2
     np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
-    # What rounding moves counts in full.
+    # What rounding moves counts in full, and what follows the unknowns throughout.
     monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
     monkeypatch.setattr(uncertainty, "rounded", lambda _: [tests["delay"]])
+    monkeypatch.setattr(uncertainty, "_following", lambda *_: np.diag([0.02, 0.03]))
     added = uncertainty.covariance(cast("Any", best)) - without
-    np.testing.assert_allclose(added, np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
+    moved = np.outer([0.1, -0.3], [0.1, -0.3]) + np.diag([0.02, 0.03])
+    np.testing.assert_allclose(added, moved, rtol=1e-7, atol=1e-12)
 
 
 def test_a_direction_of_which_nothing_is_known_has_a_hopeless_variance() -> None:
