@@ -70,9 +70,10 @@ def not_told(fit: Identified) -> list[str]:
         "the current alone tells K^2/J and B/J, not K, J and B (K down looks like J and B up): K is assumed": (
             fit.start.speed_rad_s is None
         ),
-        "R, L and K count a brush drop in: brushes that take 5 % of the supply make them 5 % larger": (
+        "all but B/J count a brush drop in: brushes that take 5 % of the supply make them 5 % larger": (
             "brush_drop" not in fit.model
         ),
+        "J counts the loss of a gear in: one that takes 10 % of the torque makes it 11 % larger, K^2/J smaller": True,
         "a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told": hides_inductance(
             fit.model
         ),

@@ -750,3 +750,16 @@ def test_a_line_is_no_noise_whether_it_is_taken_off_or_not(share: float) -> None
         subtracted.append(bool(fit.start.lines))
     assert np.all(np.abs(np.array(noises) - 1.0) < 0.12)
     assert subtracted == [share > 1.0] * 5
+
+
+@pytest.mark.parametrize(
+    ("beyond", "larger"),
+    [({"DROP": 0.6}, dict.fromkeys(("R", "L", "K", "J"), 1.0 / 0.95)), ({"GEAR": 0.1}, {"J": 1.0 / 0.9})],
+)
+def test_what_a_start_counts_in_is_as_large_as_the_note_says(
+    beyond: dict[str, Beyond], larger: dict[str, float]
+) -> None:
+    found = identify(start(noise_a=1e-3, speed=True, **beyond))
+    for name, value in zip(found.quantity_names, np.exp(found.log_values), strict=True):
+        if name in "RLKJ":
+            assert value / QUANTITIES[name] == pytest.approx(larger.get(name, 1.0), rel=0.01), name
