@@ -137,9 +137,10 @@ class Record:
         if first == len(since):
             return np.stack([mean, mean], axis=1), marks, 0.0
         marks[first] = SWITCH
-        ends = np.maximum(since[first:], _SHORTEST * self.dt_s)
-        begins = np.append(0.0, ends[:-1])
-        mean[first:] = self.voltage_v[first:] * mean_rise(values, begins, ends)
+        risen = max(int(np.searchsorted(since, values[RISE])), first) + 1
+        ends = np.maximum(since[first:risen], _SHORTEST * self.dt_s)
+        mean[first:] = self.voltage_v[first:]
+        mean[first:risen] *= mean_rise(values, np.append(0.0, ends[:-1]), ends)
         return np.stack([mean, mean], axis=1), marks, float(ends[0])
 
     def predict(
@@ -257,9 +258,7 @@ def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> Flo
         beyond: FloatArray = np.where(time_s > times[-1], areas[-1] + time_s - times[-1], inside)
         return beyond
 
-    mean, rising = np.ones_like(begin_s), begin_s < values[RISE]
-    begin_s, end_s = begin_s[rising], end_s[rising]
-    mean[rising] = (integral(end_s) - integral(begin_s)) / (end_s - begin_s)
+    mean: FloatArray = (integral(end_s) - integral(begin_s)) / (end_s - begin_s)
     return mean
 
 
