@@ -123,7 +123,7 @@ def _advance_simply(
 ) -> None:
     """State after an interval of a simple model, without its slopes: as `_advance`, in a tenth of the time."""
     i, w, m = x[0], x[1], of[0, 0]
-    if i == w == x[3] == u[0] == u[1] == 0.0 and abs(u[2]) <= p[COULOMB]:
+    if i == w == x[3] == x[4] == u[0] == u[1] == 0.0 and abs(u[2]) <= p[COULOMB]:
         return
     turning, carrying = math.copysign(1.0, w), math.copysign(1.0, i)
     before, rise, torque = u[0] - carrying * p[DROP], u[1] - u[0], p[COULOMB] * turning + u[2]
