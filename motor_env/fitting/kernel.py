@@ -48,7 +48,7 @@ from motor_env.fitting.steps import (
     smooth_step,
 )
 from motor_env.fitting.update import begin, lag_of, spread, steady, update
-from motor_env.motor.compiled import compiled, inlined
+from motor_env.motor.compiled import compiled, compiled_part, inlined
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
 BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
@@ -102,7 +102,7 @@ def _advance(
     x[4] = lag[0] * x[4] + lag[1] * w + lag[2] * x[1]
 
 
-@inlined
+@compiled_part
 def _is_simple(p: FloatArray, marks: FloatArray) -> bool:
     """Whether nothing but dry friction and a brush drop bends the model, and no circuit opens."""
     is_simple: bool = p[KNEE] == 0.0 and p[SLIDING] == 0.0 and p[STRIBECK] == 0.0 and p[GEAR] == 0.0
@@ -112,7 +112,7 @@ def _is_simple(p: FloatArray, marks: FloatArray) -> bool:
     return is_simple
 
 
-@inlined
+@compiled_part
 def _advance_simply(
     of: FloatArray,
     lag: tuple[float, float, float],
