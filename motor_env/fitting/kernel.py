@@ -16,10 +16,8 @@ from motor_env.fitting.places import (
     AFTER,
     COOLING,
     COULOMB,
-    DROP,
     GEAR,
     HEATING,
-    KNEE,
     LAG_I,
     LAG_W,
     LOAD,
@@ -29,9 +27,6 @@ from motor_env.fitting.places import (
     NOISE_W,
     OFFSET_I,
     OFFSET_W,
-    SLIDING,
-    SQUARE,
-    STRIBECK,
     WALK,
     B,
     J,
@@ -48,7 +43,7 @@ from motor_env.fitting.steps import (
     smooth_step,
 )
 from motor_env.fitting.update import begin, lag_of, spread, steady, update
-from motor_env.motor.compiled import compiled, compiled_part, inlined
+from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
 BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
@@ -102,46 +97,6 @@ def _advance(
     x[4] = lag[0] * x[4] + lag[1] * w + lag[2] * x[1]
 
 
-@compiled_part
-def _is_simple(p: FloatArray, marks: FloatArray) -> bool:
-    """Whether nothing but dry friction and a brush drop bends the model, and no circuit opens."""
-    is_simple: bool = p[KNEE] == 0.0 and p[SLIDING] == 0.0 and p[STRIBECK] == 0.0 and p[GEAR] == 0.0
-    is_simple = is_simple and p[SQUARE] == 0.0 and p[HEATING] == 0.0
-    for mark in marks:
-        is_simple = is_simple and (mark == 0.0 or mark >= REST)
-    return is_simple
-
-
-@compiled_part
-def _advance_simply(
-    of: FloatArray,
-    lag: tuple[float, float, float],
-    x: FloatArray,
-    u: FloatArray,
-    p: FloatArray,
-    f: FloatArray,
-) -> None:
-    """State after an interval of a simple model, without its slopes: as `_advance`, in a tenth of the time."""
-    i, w, m = x[0], x[1], of[0, 0]
-    if i == w == x[3] == x[4] == u[0] == u[1] == 0.0 and abs(u[2]) <= p[COULOMB]:
-        return
-    turning, carrying = math.copysign(1.0, w), math.copysign(1.0, i)
-    before, rise, torque = u[0] - carrying * p[DROP], u[1] - u[0], p[COULOMB] * turning + u[2]
-    new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * rise + m[0, 4] * torque
-    new_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
-    slowest, least = min(new_w * turning, abs(w)), min(new_i * carrying, abs(i))
-    if (p[COULOMB] > 0.0 and slowest <= 0.0) or (p[DROP] > 0.0 and least <= 0.0):
-        braked_step(of[1, 0], x, u, p, p[COULOMB], f, FINE)
-    else:
-        if p[LAG_I] > 0.0:
-            shown = m[2, 0] * i + m[2, 1] * w + m[2, 2] * before + m[2, 3] * rise + m[2, 4] * torque
-            x[3] = shown + m[2, 5] * x[3]
-        x[0], x[1] = new_i, new_w
-    if p[LAG_I] <= 0.0:
-        x[3] = x[0]
-    x[4] = lag[0] * x[4] + lag[1] * w + lag[2] * x[1]
-
-
 @inlined
 def _read(
     x: FloatArray,
@@ -190,7 +145,6 @@ def _run(
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
     u[3] = _SLOW * reach / p[K]
     is_known = marks[0] >= REST and p[NOISE_V] == 0.0 and p[NOISE_T] == 0.0 and p[WALK] == 0.0
-    is_simple = is_known and _is_simple(p, marks)
     for k in range(voltage.shape[0]):
         mark = marks[k]
         shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]
@@ -215,10 +169,7 @@ def _run(
                 warm_k += dt_s * (p[HEATING] * power - p[COOLING] * warm_k)
             dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k)
             of, slow = (switched, lag_of(p, p[AFTER])) if mark == SWITCH else (usual, lag)
-            if is_simple:
-                _advance_simply(of, slow, x, u, p, f)
-            else:
-                _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
+            _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
             if learn and not is_known:
                 # Whatever the voltage was, it was one that the motor knows.
                 spread(cov, n, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, slow, work)

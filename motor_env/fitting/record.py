@@ -12,6 +12,7 @@ from scipy.special import ndtr
 
 from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each, room_to_work
 from motor_env.fitting.places import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
+from motor_env.fitting.starts import simple
 from motor_env.motor.parameters import FloatArray
 
 Hold = Literal["held", "straight", "late"]
@@ -166,11 +167,12 @@ class Record:
             one[AFTER] = supplies[key][2]
         voltage, marks = (np.stack([each[n] for each in supplies.values()]) for n in (0, 1))
         which = np.array([list(supplies).index(key) for key in keys])
-        reach = 1e-9 + np.abs(voltage).max((1, 2))
-        logs, to_work = np.zeros(len(p)), room_to_work()
-        predict_each(
-            p, self.dt_s, voltage, marks, reach, which, self.readings, self.seen, learn, out, logs, to_work
-        )
+        logs, read = np.zeros(len(p)), (self.readings, self.seen)
+        if simple.are_simple(p, marks):
+            simple.run_each(p, self.dt_s, voltage, marks, which, *read, out, logs, simple.room())
+        else:
+            reach = 1e-9 + np.abs(voltage).max((1, 2))
+            predict_each(p, self.dt_s, voltage, marks, reach, which, *read, learn, out, logs, room_to_work())
         for one, table in zip(p, out, strict=True):
             if one[ZONE] > 0.0 or self.rectified_a is not None:
                 self._hide(one, table)
