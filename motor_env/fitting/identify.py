@@ -14,9 +14,9 @@ from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.terms import NOISES, SHAPES
-from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import covariance, motor_places
 from motor_env.motor.parameters import FloatArray
+from motor_env.motor.threads import on_one_thread
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import explainable
 from motor_env.recordings.periodic_lines import PeriodicLine, constant_lines, periodic_lines

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from motor_env.fitting import simple
 from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each, room_to_work
 from motor_env.fitting.places import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
-from motor_env.fitting.starts import simple
 from motor_env.motor.parameters import FloatArray
 
 Hold = Literal["held", "straight", "late"]

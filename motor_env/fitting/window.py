@@ -20,9 +20,9 @@ from motor_env.fitting.kernel import BEGIN
 from motor_env.fitting.problem import STEP, Problem, Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import NOISES, terms
-from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import capped, information_covariance, motor_places, secants
 from motor_env.motor.parameters import FloatArray
+from motor_env.motor.threads import on_one_thread
 
 LOAD = ("load_constant", "load_walk")
 _MOTOR = ("R", "K", "J", "drag")

@@ -12,7 +12,7 @@ from motor_env.fitting.score import score_tests
 from motor_env.fitting.starts.belief import believed
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
-from motor_env.fitting.threads import on_one_thread
+from motor_env.motor.threads import on_one_thread
 from motor_env.recordings.start import Start
 
 NUISANCES = ("supply_ramp", "supply_curve", "sensor_lag", "speed_lag", "dead_zone")

@@ -14,10 +14,10 @@ from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.score import unmeasured
 from motor_env.fitting.starts.belief import CURVE, Belief, believed
 from motor_env.fitting.starts.identified import Identified, record_of
-from motor_env.fitting.threads import on_one_thread
 from motor_env.fitting.uncertainty import capped, model_error, normalised, sandwich, states_of
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
+from motor_env.motor.threads import on_one_thread
 from motor_env.recordings.periodic_lines import constant_lines
 from motor_env.recordings.start import Start
 
