@@ -348,6 +348,15 @@ def test_what_bends_a_start_is_not_left_out(name: str, value: float) -> None:
     np.testing.assert_array_equal(bent, as_any)
 
 
+@pytest.mark.parametrize(("name", "value"), [("NOISE_V", 0.5), ("NOISE_T", 1e-3), ("WALK", 0.01)])
+def test_a_start_that_something_disturbs_is_filtered(name: str, value: float) -> None:
+    record = driven_record(np.full(200, 9.0), DT_S, from_rest=True)
+    readings = np.random.default_rng(0).normal(0.0, 1.0, (200, 2)) * [3.0, 300.0]
+    record = replace(record, readings=readings)
+    free, filtered = (record.predict(values_of(PAPER_MOTOR, **beyond))[0] for beyond in ({}, {name: value}))
+    assert np.abs(filtered - free)[:, 3].max() > 1.0
+
+
 def test_an_open_circuit_carries_no_current_in_a_start_either() -> None:
     record = driven_record(np.full(100, 9.0), DT_S, from_rest=True)
     record.marks[60:] = kernel.OPEN
