@@ -28,9 +28,7 @@ from motor_env.errors import InputError
 from motor_env.recordings.recording import Recording
 
 QUANTITIES = ("R", "L", "K", "J", "drag")
-HEADER = (
-    "records", "pairs", "quantities", "intervals that hold", "95 % hold at", "beyond 4 sd", "width over scatter",
-)  # fmt: skip
+HEADER = ("records", "pairs", "quantities", "hold", "95 % hold at", "beyond 4 sd", "width over scatter")
 NAMES = {
     "R/V": "R", "L/V": "L", "K/V": "K", "J V": "J", "J/K^2": "J", "K^2/J": "J", "K^2/(J V)": "J",
 }  # fmt: skip
