@@ -1,4 +1,4 @@
-"""Starts of a simple motor, compiled: nothing disturbs it, it does not warm, and it has no gear.
+"""Starts of a simple motor, compiled: nothing disturbs it, it does not warm, and neither gear nor Stribeck's curve count.
 
 The numbers are those of `motor_env.fitting.kernel`, whose filter has nothing to learn here. Starts are fitted so in a
 third of the time, and need no more than this to be compiled.
@@ -59,6 +59,7 @@ def _advance(
 ) -> None:
     """State after an interval: current, speed, load, shown current, shown speed; `f` is room for its slopes."""
     w = x[1]
+    # It stands before the switch. There, dry friction would have each interval cut into parts.
     if x[0] == w == x[3] == x[4] == u[0] == u[1] == 0.0 and abs(u[2]) <= p[COULOMB]:
         return
     parts = smooth_step(of[0, 0], x, u, p, p[COULOMB], f)
