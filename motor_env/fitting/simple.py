@@ -1,4 +1,4 @@
-"""Starts of a simple motor, compiled: nothing disturbs it, it does not warm, and neither gear nor Stribeck's curve count.
+"""Starts of a simple motor, compiled: nothing disturbs it, it stays cool, and has no gear and no Stribeck curve.
 
 The numbers are those of `motor_env.fitting.kernel`, whose filter has nothing to learn here. Starts are fitted so in a
 third of the time, and need no more than this to be compiled.
