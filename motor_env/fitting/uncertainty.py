@@ -21,6 +21,7 @@ _STEPS = (1e-3, 0.1)
 _PARTS = 20  # of a record, whose scores are compared
 _HARDLY = 1e-3  # of what tells an unknown, beside the one part that tells it
 _DUST = 1e-6  # of the largest reading
+_NO_LESS = 1e-3  # of the squared error of a free model: the part that is not white is never none
 _BY_CHANCE = 4.0  # over the root of the number of samples: of the variance of white noise, by its differences
 _FOLLOWS = 0.15
 """Share of the free model's error that may look like the unknowns: records of one motor agree with it within their
@@ -102,7 +103,7 @@ def _following(best: Solution, chosen: Sequence[int]) -> FloatArray:
             slopes = (np.array(others) - shown)[:, told, channel] / steps[:, None]
             whole = float(np.mean(left**2)) + (_DUST * record.peaks[1 + channel]) ** 2
             white = difference_noise(left) ** 2 * (1.0 + _BY_CHANCE / math.sqrt(len(left)))
-            size = max(whole - white, _HARDLY * whole)
+            size = max(whole - white, _NO_LESS * whole)
             information += slopes @ slopes.T / (len(left) * size * _FOLLOWS**2)
     return _inverse(information)
 

@@ -310,6 +310,7 @@ def test_many_motors_at_once_are_each_alone(noise_v: float) -> None:
         {"COULOMB": 2e-2, "DROP": 1.0, "LAG_I": 3.0 * DT_S},
         {"COULOMB": 2e-3, "LOAD": 1e-3},
         {"DROP": 1.0, "LOAD": -5e-3},
+        {"SQUARE": 3e-8},
     ],
 )
 def test_a_simple_start_is_run_as_any_other(
