@@ -11,17 +11,50 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from motor_env.inference.fit import Prior, inverse_information
+from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.posterior import class_probabilities
+from motor_env.inference.sensitivities import jacobian
 from motor_env.inference.severity import SeverityPrior, severity_posterior
 from motor_env.motor.faults import Fault
-from motor_env.motor.parameters import FloatArray, require
+from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
 from motor_env.simulation.drawing import draw
 from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.recipes import FaultClass, Recipe
-from motor_env.simulation.simulate import simulate
+from motor_env.simulation.simulate import Timing, simulate
 
 _CHUNK = 2000
+
+
+def cramer_rao_bound(
+    motor: MotorParameters,
+    sensor: SensorParameters,
+    timing: Timing,
+    free: tuple[str, ...] = ("resistance", "friction"),
+    prior_std: ArrayLike = np.inf,
+) -> FloatArray:
+    """Smallest covariance of unbiased estimates of relative values from a start at 12 V (Rao 1945; Cramer 1946).
+
+    Args:
+        motor: the motor.
+        sensor: what is read.
+        timing: time axis.
+        free: quantities that are not known, of `QUANTITIES`; all others are.
+        prior_std: relative standard deviation known beforehand of each, infinite for none; with one it is the Bayesian
+            bound of van Trees (1968), linearised at the motor.
+
+    Returns:
+        Shape (n_free, n_free): sqrt of its diagonal is 0.01 for 1 %.
+
+    Raises:
+        ValueError: the samples leave a direction open.
+    """
+    _, slopes = jacobian(Coordinates.from_names(motor, free), timing.step(12.0), sensor, timing.dt_s)
+    white = (slopes / sensor.noise_std[:, None, None]).reshape(-1, len(free))
+    precision = Prior.from_std(np.broadcast_to(prior_std, len(free))).precision
+    return inverse_information(white.T @ white + precision, free)
 
 
 class Limit(NamedTuple):

@@ -7,11 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from accuracy_limits import chunks, class_limits, severity_limit
+from accuracy_limits import chunks, class_limits, cramer_rao_bound, severity_limit
 from cyclopts import run
 from tables import keep_table
 
-from motor_env.inference.identifiability import Experiment, cramer_rao_bound
 from motor_env.inference.severity import SeverityPrior
 from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.faults import Fault, FaultKind
@@ -114,8 +113,7 @@ def power(n_cases: int) -> Iterable[Iterable[str]]:
 def bounds() -> Iterable[Iterable[str]]:
     """Cramer-Rao bounds, other parameters known."""
     for noise_a in (0.0034, 0.02, 0.04):
-        start = Experiment.start(Timing(), SensorParameters(current_noise_a=noise_a))
-        covariance = cramer_rao_bound(PAPER_MOTOR, start)
+        covariance = cramer_rao_bound(PAPER_MOTOR, SensorParameters(current_noise_a=noise_a), Timing())
         yield f"{1e3 * noise_a:g} mA", *(f"{100.0 * np.sqrt(v):.3f} %" for v in np.diag(covariance))
 
 

@@ -60,11 +60,6 @@ from .fleet.judging import (
 from .fleet.learning import (
     learn_fleet as learn_fleet,
 )
-from .inference.identifiability import (
-    Experiment as Experiment,
-    cramer_rao_bound as cramer_rao_bound,
-    identifiability as identifiability,
-)
 from .inference.posterior import (
     class_probabilities as class_probabilities,
     excess_over_limit as excess_over_limit,

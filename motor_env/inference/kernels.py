@@ -20,34 +20,27 @@ def fill_sensitivities(
     transition_slope: FloatArray,
     gain_slope: FloatArray,
     voltage: FloatArray,
-    load: FloatArray,
     states: FloatArray,
     slopes: FloatArray,
 ) -> None:
     """One motor's states, (2, n_samples), and their derivatives, (size, 2, n_samples), by the exact recursion.
 
-    s[k+1] = A s[k] + A' x[k] + B' u[k], from rest.
+    s[k+1] = A s[k] + A' x[k] + B' u[k], from rest and without a load.
     """
     a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
-    b00, b01, b10, b11 = gain[0, 0], gain[0, 1], gain[1, 0], gain[1, 1]
+    b0, b1 = gain[0, 0], gain[1, 0]
     x0, x1 = 0.0, 0.0
     for k in range(states.shape[1]):
-        v, t = voltage[k], load[k]
-        x0, x1 = (
-            a00 * x0 + a01 * x1 + b00 * v + b01 * t,
-            a10 * x0 + a11 * x1 + b10 * v + b11 * t,
-        )
+        x0, x1 = a00 * x0 + a01 * x1 + b0 * voltage[k], a10 * x0 + a11 * x1 + b1 * voltage[k]
         states[0, k], states[1, k] = x0, x1
     for j in range(slopes.shape[0]):
         d00, d01 = transition_slope[j, 0, 0], transition_slope[j, 0, 1]
         d10, d11 = transition_slope[j, 1, 0], transition_slope[j, 1, 1]
-        e00, e01 = gain_slope[j, 0, 0], gain_slope[j, 0, 1]
-        e10, e11 = gain_slope[j, 1, 0], gain_slope[j, 1, 1]
+        e0, e1 = gain_slope[j, 0, 0], gain_slope[j, 1, 0]
         x0, x1, s0, s1 = 0.0, 0.0, 0.0, 0.0
         for k in range(states.shape[1]):
-            v, t = voltage[k], load[k]
-            f0 = d00 * x0 + d01 * x1 + e00 * v + e01 * t
-            f1 = d10 * x0 + d11 * x1 + e10 * v + e11 * t
+            f0 = d00 * x0 + d01 * x1 + e0 * voltage[k]
+            f1 = d10 * x0 + d11 * x1 + e1 * voltage[k]
             s0, s1 = a00 * s0 + a01 * s1 + f0, a10 * s0 + a11 * s1 + f1
             slopes[j, 0, k], slopes[j, 1, k] = s0, s1
             x0, x1 = states[0, k], states[1, k]
@@ -69,21 +62,13 @@ def fill_normal_equations(
 ) -> None:
     """Weighted squares, J'r and J'J of each row; `observation` is C divided by the noise, as `measurements` are."""
     n_channels, n_samples, size = measurements.shape[1], measurements.shape[2], gradient.shape[1]
-    no_load, states = np.zeros(n_samples), np.empty((N_STATES, n_samples))
-    slopes = np.empty((size, N_STATES, n_samples))
+    states, slopes = np.empty((N_STATES, n_samples)), np.empty((size, N_STATES, n_samples))
     residual = np.empty(n_samples)
     jacobian = np.empty((size, n_samples))
     for n in range(rows.shape[0]):
         row = rows[n]
         fill_sensitivities(
-            transition[n],
-            gain[n],
-            transition_slope[n],
-            gain_slope[n],
-            voltage,
-            no_load,
-            states,
-            slopes,
+            transition[n], gain[n], transition_slope[n], gain_slope[n], voltage, states, slopes
         )
         chi2[n] = 0.0
         gradient[n] = 0.0

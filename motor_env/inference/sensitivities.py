@@ -138,7 +138,7 @@ def normal_equations(
 def common_equations(observed: Observed, coordinates: Coordinates, value: FloatArray) -> NormalEquations:
     """`normal_equations` at one point, shape (size,), for all cases: one motor's slopes serve them all."""
     n, size, voltage = observed.n_cases, coordinates.size, observed.voltage_v
-    states, slopes = _state_slopes(coordinates, value, observed.dt_s, voltage, np.zeros_like(voltage))
+    states, slopes = _state_slopes(coordinates, value, observed.dt_s, voltage)
     moved = (observed.observation @ slopes).reshape(size, -1)
     residual = (observed.whitened - observed.observation @ states).reshape(n, -1)
     return NormalEquations(
@@ -156,12 +156,7 @@ def fitted_residuals(observed: Observed, coordinates: Coordinates, values: Float
 
 
 def jacobian(
-    coordinates: Coordinates,
-    voltage_v: ArrayLike,
-    sensor: SensorParameters,
-    dt_s: float,
-    *,
-    load_torque_n_m: ArrayLike = 0.0,
+    coordinates: Coordinates, voltage_v: ArrayLike, sensor: SensorParameters, dt_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Response of the nominal motor from rest, (n_channels, n_samples), and its derivative, with `size` behind that.
 
@@ -170,27 +165,20 @@ def jacobian(
         voltage_v: nominal voltage, shape (n_samples,).
         sensor: channels.
         dt_s: sampling interval.
-        load_torque_n_m: known load, scalar or shape (n_samples,).
     """
     voltage = np.ascontiguousarray(voltage_v, dtype=np.float64)
-    # An array of its own: for one that cannot be written to, kernels are compiled again.
-    load = np.array(np.broadcast_to(load_torque_n_m, voltage.shape), dtype=np.float64, order="C")
-    states, slopes = _state_slopes(coordinates, np.zeros(coordinates.size), dt_s, voltage, load)
+    states, slopes = _state_slopes(coordinates, np.zeros(coordinates.size), dt_s, voltage)
     response: FloatArray = sensor.observation @ states
     return response, np.einsum("cs,jsk->ckj", sensor.observation, slopes)
 
 
 def _state_slopes(
-    coordinates: Coordinates,
-    value: FloatArray,
-    dt_s: float,
-    voltage_v: FloatArray,
-    load_torque_n_m: FloatArray,
+    coordinates: Coordinates, value: FloatArray, dt_s: float, voltage_v: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """States of one motor, (2, n_samples), and their slopes, (size, 2, n_samples)."""
     centre, slope = model_slopes(coordinates, value[None], dt_s)
     n_samples = len(voltage_v)
     states, slopes = np.empty((N_STATES, n_samples)), np.empty((coordinates.size, N_STATES, n_samples))
     motor = (part[0] for part in (*centre, *slope))
-    fill_sensitivities(*motor, voltage_v, load_torque_n_m, states, slopes)
+    fill_sensitivities(*motor, voltage_v, states, slopes)
     return states, slopes

@@ -4,19 +4,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from accuracy_limits import cramer_rao_bound
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
 from motor_env import (
     PAPER_MOTOR,
     Channel,
-    Experiment,
     MotorParameters,
     Scenario,
     SensorParameters,
     SupplyParameters,
     Timing,
-    cramer_rao_bound,
     draw,
     load_recipe,
     simulate,
@@ -38,7 +37,6 @@ TIMING = Timing(10_000.0, 0.1)
 SENSOR = SensorParameters()
 BOTH = SensorParameters((Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=2.0)
 VOLTAGE = TIMING.step(12.0)
-START = Experiment.start(TIMING, SENSOR)
 
 
 def healthy(
@@ -52,13 +50,12 @@ def healthy(
 def test_jacobian_is_the_slope_of_the_simulated_response(logarithmic: bool) -> None:
     motor = PAPER_MOTOR.scaled(inductance_h=10.0, viscous_friction_n_m_s_per_rad=10.0)  # so that both show
     coordinates = Coordinates(motor, QUANTITIES, (0.5, 0.01, 0.02, 1.0, 0.1, 0.3), logarithmic)
-    load = np.where(np.arange(1000) >= 400, 0.02, 0.0)
 
     def response(values: FloatArray) -> FloatArray:
         motor, supply = coordinates.motors(values)
-        return simulate_states(motor, VOLTAGE * supply, TIMING.dt_s, load_torque_n_m=load).T
+        return simulate_states(motor, VOLTAGE * supply, TIMING.dt_s).T
 
-    got_response, got = jacobian(coordinates, VOLTAGE, BOTH, TIMING.dt_s, load_torque_n_m=load)
+    got_response, got = jacobian(coordinates, VOLTAGE, BOTH, TIMING.dt_s)
     np.testing.assert_allclose(got_response, response(np.zeros(6)), rtol=1e-10, atol=1e-12)
     for j in range(len(QUANTITIES)):
         # Richardson's extrapolation of two central differences: an error of the fourth order.
@@ -118,12 +115,12 @@ def test_normal_equations_are_squares_and_their_derivatives() -> None:
 
 
 def test_cramer_rao_bound_of_the_paper_motor() -> None:
-    std = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, START)))
+    std = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, SENSOR, TIMING)))
     np.testing.assert_allclose(std, [0.0011, 0.026], rtol=0.03)
-    quieter = Experiment.start(TIMING, SensorParameters(current_noise_a=0.0034))
-    quiet = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, quieter)))
+    quieter = SensorParameters(current_noise_a=0.0034)
+    quiet = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, quieter, TIMING)))
     np.testing.assert_allclose(quiet, 0.17 * std, rtol=1e-9)
-    covariance = cramer_rao_bound(PAPER_MOTOR, START, free=("inertia", "friction"))
+    covariance = cramer_rao_bound(PAPER_MOTOR, SENSOR, TIMING, free=("inertia", "friction"))
     deviations = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(deviations, [0.0012, 0.027], rtol=0.06)
     assert covariance[0, 1] / deviations.prod() == pytest.approx(-0.22, abs=0.01)
@@ -134,7 +131,7 @@ def test_maximum_likelihood_reaches_the_bound_and_its_intervals_cover() -> None:
     observed = Observed.from_measurements(healthy(n), VOLTAGE, SENSOR, TIMING.dt_s)
     fitted = fit(observed, Coordinates.from_names(PAPER_MOTOR, ("resistance", "friction")))
     assert fitted.converged.all()
-    bound = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, START)))
+    bound = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, SENSOR, TIMING)))
     np.testing.assert_allclose(fitted.values.std(axis=0), bound, rtol=0.05)
     coverage = (np.abs(fitted.values) < 1.6449 * fitted.std).mean(axis=0)
     assert ((coverage > 0.88) & (coverage < 0.92)).all()
@@ -188,13 +185,15 @@ def test_far_starts_converge() -> None:
 def test_the_null_direction_of_current_alone_is_refused_and_speed_opens_it() -> None:
     free = ("resistance", "constants", "inertia", "friction")
     with pytest.raises(ValueError, match="cannot all be told"):
-        cramer_rao_bound(PAPER_MOTOR, START, free=free)
+        cramer_rao_bound(PAPER_MOTOR, SENSOR, TIMING, free=free)
     observed = Observed.from_measurements(healthy(2), VOLTAGE, SENSOR, TIMING.dt_s)
     with pytest.raises(ValueError, match="cannot all be told"):
         fit(observed, Coordinates.from_names(PAPER_MOTOR, free))
-    assert np.isfinite(cramer_rao_bound(PAPER_MOTOR, Experiment.start(TIMING, BOTH), free=free)).all()
+    assert np.isfinite(cramer_rao_bound(PAPER_MOTOR, BOTH, TIMING, free)).all()
     # A prior on K of 1 % goes to J and B doubled: both scale with its square.
-    std = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, START, free, [np.inf, 0.01, np.inf, np.inf])))
+    std = np.sqrt(
+        np.diag(cramer_rao_bound(PAPER_MOTOR, SENSOR, TIMING, free, [np.inf, 0.01, np.inf, np.inf]))
+    )
     np.testing.assert_allclose(std[2:], np.hypot(0.02, [0.00114, 0.0267]), rtol=0.02)
 
 

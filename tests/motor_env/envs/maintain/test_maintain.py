@@ -5,12 +5,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from accuracy_limits import cramer_rao_bound
 from gymnasium.vector import AutoresetMode
 from maintain_bounds import clairvoyant_value, maintenance_bound
 from scipy.stats import norm
 from single_lanes import assert_lanes_are_single
 
-from motor_env import Experiment, cramer_rao_bound, load_recipe
+from motor_env import load_recipe
 from motor_env.envs import (
     MaintainEnv,
     MaintainOptions,
@@ -103,10 +104,9 @@ def test_wear_follows_its_law_and_failures_come_where_they_must() -> None:
 
 def test_an_estimate_errs_as_a_start_of_the_bench_does() -> None:
     recipe = load_recipe("bench")
-    start = Experiment.start(recipe.timing, recipe.sensor, float(recipe.supply.voltage_v))
     names, spread = ("friction", "supply", "resistance", "constants", "inertia"), recipe.spread
     prior = [np.inf, *(getattr(spread, name) for name in names[1:])]
-    bound = cramer_rao_bound(recipe.motor, start, names, prior)
+    bound = cramer_rao_bound(recipe.motor, recipe.sensor, recipe.timing, names, prior)
     assert MaintainOptions().estimate_std == pytest.approx(bound[0, 0] ** 0.5, abs=5e-4)
     envs = MaintainVectorEnv(20_000)
     envs.reset(seed=3)
