@@ -48,9 +48,6 @@ from .filters.joint import (
 from .filters.kalman import (
     KalmanFilter as KalmanFilter,
 )
-from .filters.smoothing import (
-    smooth as smooth,
-)
 from .filters.stream import (
     FilterStream as FilterStream,
 )
