@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from class_by_class import refined_probabilities
 from cyclopts import run
 from networks import network_of
 from ranks import class_ranks, confidence_ranks, rank_check, severity_ranks, severity_shares
@@ -31,7 +32,6 @@ from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.inference.refined import refined_probabilities
 from motor_env.inference.work_features import work_fit
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from class_by_class import refined_probabilities
 from cyclopts import run
 from field_limit import SEED, Z_95, chunks, mean_and_error, sample_missing, single, stored
 from networks import network_of
@@ -17,7 +18,6 @@ from tables import keep_table
 
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_datasets.generate import generate_arrays
-from motor_env.inference.refined import refined_probabilities
 from motor_env.inference.work_features import work_probabilities
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe

@@ -13,25 +13,40 @@ from functools import lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
+from box_mass import mirrored
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import brentq, least_squares
-from scipy.special import logsumexp, ndtri_exp, softmax
+from scipy.special import logsumexp, ndtr, ndtri_exp, softmax
 
-from motor_env.inference.box_mass import mirrored
 from motor_env.inference.class_model import ClassModel
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.recipes import FACTORS, Recipe
 
 _DRAWS, _MOST_ROUNDS = 128, 16
 _ENOUGH = 100.0  # effective draws with which sampling ends
 _LOG_2PI = float(np.log(2.0 * np.pi))
+_SMALLEST = 1e-300
 _FEW = 20.0  # effective draws below which an evidence is not believed
 _HOPELESS = 16.0  # log ratio of two best fits beyond which a class is not sampled
 _NEGLIGIBLE = 8.0  # the same of evidences, beyond which it is not sampled again
 _INSIDE = 0.02  # distance from the box at which a fit begins
 _PACE = 0.01  # of differences, relative to the box
 _DAMPING = 0.02  # of the regression, relative to the scatter of the draws
+
+
+def log_joint(
+    model: ClassModel, measured: FloatArray, readings: FloatArray, values: FloatArray
+) -> FloatArray:
+    """Log density of what was measured and of the coordinates in their box, shape (n,); nan: not measured."""
+    noise, half = model.noise, 0.5 * model.steps
+    error = (measured - readings) / noise
+    normal = -0.5 * (np.square(error) + _LOG_2PI) - np.log(noise)
+    shares = ndtr(error + half / noise) - ndtr(error - half / noise)
+    logs = np.where(half > 0.0, np.log(np.maximum(shares, _SMALLEST)), normal)
+    prior = -0.5 * (np.square(values[:, : len(FACTORS)]) + _LOG_2PI).sum(axis=1)
+    joint: FloatArray = np.nansum(logs, axis=1) + prior
+    return joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +232,7 @@ def sampled_evidence(
         read = model.readings(fresh)
         values = np.vstack([values, fresh])
         left = np.vstack([left, np.nan_to_num((measured - read) / noise)])
-        joint = np.concatenate([joint, model.log_joint(measured, read, fresh)])
+        joint = np.concatenate([joint, log_joint(model, measured, read, fresh)])
         densities = [proposal.log_density(values) for proposal in proposals]
         log_weights = joint - logsumexp(densities, axis=0) + np.log(len(proposals))
         found = Evidence(float(logsumexp(log_weights) - np.log(len(values))), _effective(log_weights))

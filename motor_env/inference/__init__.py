@@ -1,4 +1,4 @@
-"""What can be inferred from a transient: fits, bounds, posterior probabilities of faults and their severity.
+"""What can be inferred from a transient: fits, posterior probabilities of faults and their severity.
 
 Example:
     The probability of each class, given the start-up current and the recipe from which motors are drawn.

@@ -1,11 +1,10 @@
-"""One class of a recipe as a function: what is read of a motor at given nuisances, and how probable that is."""
+"""One class of a recipe as a function: what is read of a motor at given nuisances."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
 
 from motor_env.inference.posterior import variance_factor
 from motor_env.motor.faults import Fault
@@ -16,8 +15,6 @@ from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 from motor_env.simulation.simulate import Scenario
 
 _LARGEST_NORMAL = 6.77  # of the streams of random numbers
-_SMALLEST = 1e-300
-_LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,14 +113,3 @@ class ClassModel:
             scenario, 0, np.arange(n), effects=effects, chain=chain, nominal=recipe.motor, driving=driving
         )
         return exact[:, : len(recipe.sensor.channels)].reshape(n, -1).astype(np.float64)
-
-    def log_joint(self, measured: FloatArray, readings: FloatArray, values: FloatArray) -> FloatArray:
-        """Log density of what was measured and of the coordinates in their box, shape (n,); nan: not measured."""
-        noise, half = self.noise, 0.5 * self.steps
-        error = (measured - readings) / noise
-        normal = -0.5 * (np.square(error) + _LOG_2PI) - np.log(noise)
-        shares = ndtr(error + half / noise) - ndtr(error - half / noise)
-        logs = np.where(half > 0.0, np.log(np.maximum(shares, _SMALLEST)), normal)
-        prior = -0.5 * (np.square(values[:, : len(FACTORS)]) + _LOG_2PI).sum(axis=1)
-        joint: FloatArray = np.nansum(logs, axis=1) + prior
-        return joint

@@ -14,14 +14,12 @@ import numpy as np
 from scipy.special import log_softmax, softmax
 
 from motor_env.inference.class_model import ClassModel
-from motor_env.inference.first_guess import StartGrid
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
 _MOST_STEPS = 16
 _ARRIVED = 3.0  # gain of a step, in the objective, below which a fit ends
-_NEAR = 5e3  # gain that is left to the fits of each class, where a guess comes first
 _FIRST_DAMPING = 1.0  # relative to the information
 _LEAST_DAMPING = 0.1  # after a step that failed
 _PACE = 0.01  # of differences, relative to a range or a standard deviation
@@ -126,17 +124,7 @@ def read_of(recipe: Recipe, cases: FloatArray) -> tuple[FloatArray, FloatArray |
     return measured, None if recipe.duty is None else cases[:, -1]
 
 
-def start_grid(recipe: Recipe) -> StartGrid | None:
-    """Where fits of a recipe's starts begin; None for motors at work, whose fits begin at the priors' centres."""
-    if recipe.duty is not None:
-        return None
-    model = ClassModel(recipe, any_fault(recipe))
-    positions, _ = class_positions(recipe)
-    centre, precision = _prior(recipe, model)
-    return StartGrid(model, centre=centre, precision=precision, severities=positions)
-
-
-def _prior(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, FloatArray]:
+def prior_of_any(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, FloatArray]:
     """Means and precisions of the coordinates of `any_fault`, both of shape (size,)."""
     kinds = slice(-len(_kinds(recipe)), None)
     centre = model.prior[0].copy()
@@ -145,28 +133,26 @@ def _prior(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, FloatArray]:
     return centre, precision
 
 
-def work_fit(recipe: Recipe, cases: FloatArray, grid: StartGrid | None = None) -> WorkFit:
+def work_fit(
+    recipe: Recipe, cases: FloatArray, begin: FloatArray | None = None, enough: float = 0.0
+) -> WorkFit:
     """Fit cases, all side by side.
-
-    A start begins near its goal. The motor is made linear there, and again only where the guess was bad.
 
     Args:
         recipe: as of `work_features`, or one of starts with a table `field`.
         cases: as of `work_features`.
-        grid: `start_grid` of the recipe, where it is known already.
+        begin: first coordinates, shape (n_cases, size); the middle of the prior by default.
+        enough: gain of the objective with which a fit ends, see `most_probable`.
     """
-    fault, n = any_fault(recipe), len(cases)
+    fault = any_fault(recipe)
     model = ClassModel(recipe, fault)
-    centre, precision = _prior(recipe, model)
+    centre, precision = prior_of_any(recipe, model)
     measured, voltage = read_of(recipe, cases)
-    begin, enough = np.tile(centre, (n, 1)), 0.0
-    if grid := grid or start_grid(recipe):
-        begin, enough = grid.guess(measured), _NEAR
     at, information, pull, left = most_probable(
         model,
         measured,
         voltage,
-        begin=begin,
+        begin=np.tile(centre, (len(cases), 1)) if begin is None else begin,
         centre=centre,
         precision=precision,
         box=model.box,

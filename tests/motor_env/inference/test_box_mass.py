@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
+from box_mass import log_box_masses
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-
-from motor_env.inference.box_mass import log_box_masses
 
 
 def test_masses_of_several_distributions_are_those_of_scipy() -> None:

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from first_guess import StartGrid, begun_fit, bounded, start_grid
 from scipy.optimize import lsq_linear
 
 from motor_datasets import generate_arrays
 from motor_env import load_recipe
-from motor_env.inference.first_guess import StartGrid, bounded
-from motor_env.inference.work_features import work_feature_names, work_fit
+from motor_env.inference.work_features import work_feature_names
 
 
 def test_bounded_mostly_finds_the_best_point_of_the_box_and_never_leaves_it() -> None:
@@ -56,7 +56,7 @@ def test_the_guess_of_a_linear_motor_is_the_posterior_mean() -> None:
 def test_a_fit_begins_near_the_ramp_of_a_start_and_explains_it_nearly() -> None:
     recipe = replace(load_recipe("field"), starts_per_motor=1, healthy_starts=0, shifts=())
     starts = generate_arrays(recipe, 5, 40)
-    fit = work_fit(recipe, starts.X.astype(np.float64))
+    fit = begun_fit(recipe, starts.X.astype(np.float64), start_grid(recipe))
     _, longest = recipe.priors["ramp_s"]
     column = work_feature_names(recipe).index("ramp_s")
     error = fit.simulated[:, column] - starts.parameters["ramp_s"] / longest

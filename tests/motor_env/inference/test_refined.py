@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from class_by_class import refined_probabilities
+from first_guess import begun_fit, start_grid
 from sampled_posterior import sampled_probabilities
 
 from motor_datasets import generate_arrays
 from motor_env import load_recipe
-from motor_env.inference.refined import refined_probabilities
-from motor_env.inference.work_features import work_fit, work_probabilities
+from motor_env.inference.work_features import work_probabilities
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Recipe
 
@@ -20,7 +21,7 @@ FIELD = replace(load_recipe("field"), starts_per_motor=1, healthy_starts=0, shif
 def by_doubt(recipe: Recipe) -> tuple[FloatArray, FloatArray]:
     """Cases, those first of which the fit is least sure, and by how much it is."""
     cases = generate_arrays(recipe, 7, 30).X.astype(np.float64)
-    logs = np.sort(work_fit(recipe, cases).log_probability, axis=1)
+    logs = np.sort(begun_fit(recipe, cases, start_grid(recipe)).log_probability, axis=1)
     lead = logs[:, -1] - logs[:, -2]
     return cases[np.argsort(lead)], np.sort(lead)
 
@@ -51,7 +52,7 @@ def test_a_sure_case_is_left_to_the_fit() -> None:
 def test_a_class_out_of_the_question_keeps_what_the_fit_says_of_it() -> None:
     cases = by_doubt(FIELD)[0][:6]
     got, effective = refined_probabilities(FIELD, cases, np.random.default_rng(1))
-    logs = work_fit(FIELD, cases).log_probability
+    logs = begun_fit(FIELD, cases, start_grid(FIELD)).log_probability
     assert ((effective > 0.0) == (logs > logs.max(axis=1, keepdims=True) - 3.5)).all()
     far = np.where(effective > 0.0, 0.0, got).sum(axis=1)
     of_fit = np.where(effective > 0.0, 0.0, np.exp(logs)).sum(axis=1)

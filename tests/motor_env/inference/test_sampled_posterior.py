@@ -10,6 +10,7 @@ from sampled_posterior import (
     _regressed,
     _tempered,
     best_fit,
+    log_joint,
     sampled_evidence,
     sampled_probabilities,
 )
@@ -106,7 +107,7 @@ def test_joint_density_value_by_value() -> None:
             density = np.log(norm.cdf((off + step / 2.0) / sigma) - norm.cdf((off - step / 2.0) / sigma))
         at = np.hstack([values, np.full((2, model.n_uniform), 0.4)])
         np.testing.assert_allclose(
-            model.log_joint(measured, read, at), density.sum(axis=1) + prior, rtol=1e-9
+            log_joint(model, measured, read, at), density.sum(axis=1) + prior, rtol=1e-9
         )
 
 
@@ -237,10 +238,10 @@ def test_shares_of_the_converter_sum_to_one() -> None:
     lowest = np.round(read / step) * step
     # Every reading moves by so many codes at once; the sum over one reading's codes is 1.
     logs = [
-        model.log_joint(lowest[0] + np.where(np.arange(read.size) == 0, code, np.nan), read, values)
+        log_joint(model, lowest[0] + np.where(np.arange(read.size) == 0, code, np.nan), read, values)
         for code in codes
     ]
-    prior = model.log_joint(np.full(read.size, np.nan), read, values)
+    prior = log_joint(model, np.full(read.size, np.nan), read, values)
     assert np.exp(np.concatenate(logs) - prior).sum() == pytest.approx(1.0, abs=1e-6)
 
 

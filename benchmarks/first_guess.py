@@ -13,11 +13,21 @@ from itertools import product
 import numpy as np
 
 from motor_env.inference.class_model import ClassModel
+from motor_env.inference.work_features import (
+    WorkFit,
+    any_fault,
+    class_positions,
+    prior_of_any,
+    read_of,
+    work_fit,
+)
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import Recipe
 
 _POINTS = {"ramp_s": 6, "trigger_jitter": 2}  # of the grid
 _PACE = 0.01  # of differences, relative to a range or a standard deviation
 _PASSES = 4
+_NEAR = 5e3  # gain that is left to the fits of each class
 
 
 def bounded(
@@ -94,3 +104,27 @@ class StartGrid:
             better = misfit < best
             best[better], chosen[better], force[better] = misfit[better], index, pull[better]
         return bounded(self.at[chosen], self.precision[chosen], force, *self.box)
+
+
+def start_grid(recipe: Recipe) -> StartGrid | None:
+    """Where fits of a recipe's starts begin; None for motors at work, whose fits begin at the priors' centres."""
+    if recipe.duty is not None:
+        return None
+    model = ClassModel(recipe, any_fault(recipe))
+    positions, _ = class_positions(recipe)
+    centre, precision = prior_of_any(recipe, model)
+    return StartGrid(model, centre=centre, precision=precision, severities=positions)
+
+
+def begun_fit(recipe: Recipe, cases: FloatArray, grid: StartGrid | None) -> WorkFit:
+    """`work_fit`; a start begins near its goal, and is made linear again only where the guess was bad.
+
+    Args:
+        recipe: one with a table `field` or `duty`.
+        cases: shape (n_cases, n_channels, n_samples), of motors at work the applied voltage last.
+        grid: `start_grid` of the recipe.
+    """
+    if grid is None:
+        return work_fit(recipe, cases)
+    measured, _ = read_of(recipe, cases)
+    return work_fit(recipe, cases, grid.guess(measured), _NEAR)

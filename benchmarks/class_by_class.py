@@ -8,13 +8,13 @@ normal density over the box of the recipe's priors, by separation of variables (
 from __future__ import annotations
 
 import numpy as np
+from box_mass import log_box_masses
+from first_guess import StartGrid, begun_fit, bounded, start_grid
 from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
-from motor_env.inference.box_mass import log_box_masses
 from motor_env.inference.class_model import ClassModel
-from motor_env.inference.first_guess import StartGrid, bounded
-from motor_env.inference.work_features import AT_ONCE, WorkFit, most_probable, read_of, start_grid, work_fit
+from motor_env.inference.work_features import AT_ONCE, WorkFit, most_probable, read_of
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
@@ -53,7 +53,7 @@ def refined_probabilities(
 def _refined(
     recipe: Recipe, cases: FloatArray, shares: FloatArray, grid: StartGrid | None
 ) -> tuple[FloatArray, FloatArray]:
-    fitted = work_fit(recipe, cases, grid)
+    fitted = begun_fit(recipe, cases, grid)
     logs, effective = fitted.log_probability.copy(), np.zeros_like(fitted.log_probability)
     likely = logs > logs.max(axis=1, keepdims=True) - _HOPELESS
     likely &= likely.sum(axis=1, keepdims=True) > 1
