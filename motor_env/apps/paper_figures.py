@@ -50,6 +50,11 @@ class PaperFigure(NamedTuple):
     caption: str
     draw: Callable[[], Figure]
 
+    @property
+    def image(self) -> str:
+        """Place of its picture beside the page."""
+        return f"images/{self.name}.svg"
+
 
 def _start(case: int, *faults: Fault, **options: Any) -> Transients:
     """A start-up of the motor with these faults, seen by the sensor."""

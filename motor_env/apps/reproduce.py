@@ -22,13 +22,11 @@ from motor_env.apps.paper_figures import (
     PaperFigure,
     paper_figures,
 )
-from motor_env.errors import InputError
 from motor_env.files import require_ours, write_text
 from motor_env.pages.html import render
 from motor_env.plotting import drawing, save
 
 MADE_BY = "motor-env reproduce"
-IMAGE_FORMATS = ("svg", "png")
 NOT_PRINTED = "not printed"
 _RECORD = "reproduce.json"
 
@@ -55,7 +53,7 @@ def _choices() -> str:
     )
 
 
-def page(image_format: str) -> list[Block]:
+def page() -> list[Block]:
     """The whole page, its numbers computed now."""
     return [
         Block("heading", "The paper, reproduced"),
@@ -77,10 +75,7 @@ def page(image_format: str) -> list[Block]:
         ),
         Block("table", rows=_number_rows()),
         Block("heading 2", "Figures"),
-        *(
-            Block("image", figure.caption, image=f"images/{figure.name}.{image_format}")
-            for figure in paper_figures()
-        ),
+        *(Block("image", figure.caption, image=figure.image) for figure in paper_figures()),
     ]
 
 
@@ -114,7 +109,7 @@ def markdown(blocks: Sequence[Block]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def record(image_format: str) -> dict[str, Any]:
+def record() -> dict[str, Any]:
     """The figures' numbers for machines; `paper` is null where the paper prints no number."""
     return {
         "made_by": MADE_BY,
@@ -132,41 +127,33 @@ def record(image_format: str) -> dict[str, Any]:
             "noise_fault_growth_s": NOISE_FAULT.growth_s,
             "seed": SEED,
         },
-        "figures": [
-            {"image": f"images/{figure.name}.{image_format}", "caption": figure.caption}
-            for figure in paper_figures()
-        ],
+        "figures": [{"image": figure.image, "caption": figure.caption} for figure in paper_figures()],
     }
 
 
-def reproduce(
-    out: Path, *, image_format: str = "svg", progress: Callable[[PaperFigure], None] = lambda _: None
-) -> dict[str, Any]:
+def reproduce(out: Path, *, progress: Callable[[PaperFigure], None] = lambda _: None) -> dict[str, Any]:
     """Write the page, its figures and its record into a folder.
 
     Args:
         out: the folder; new, empty, or one that this command wrote before.
-        image_format: svg or png.
         progress: called before each figure.
 
     Returns:
         What stands in `reproduce.json`.
 
     Raises:
-        InputError: an unknown format, a folder that cannot be written, or files of others in it.
+        InputError: a folder that cannot be written, or files of others in it.
     """
-    if image_format not in IMAGE_FORMATS:
-        raise InputError(f"image format must be one of {', '.join(IMAGE_FORMATS)}, got {image_format!r}")
     require_ours(out, _RECORD, f'"made_by": "{MADE_BY}"', command="reproduce")
-    result = record(image_format)
+    result = record()
     # The record comes first: a folder left by an interrupted run is still known as ours.
     write_text(out / _RECORD, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
     (out / "images").mkdir(exist_ok=True)
     with drawing():
         for figure in paper_figures():
             progress(figure)
-            save(figure.draw(), out / "images" / f"{figure.name}.{image_format}")
-    blocks = page(image_format)
+            save(figure.draw(), out / figure.image)
+    blocks = page()
     write_text(out / "paper.md", markdown(blocks))
     html = render("motor_env.apps", "paper.html.j2", title=blocks[0].text, blocks=blocks)
     write_text(out / "index.html", html)

@@ -10,27 +10,19 @@ from motor_env.cli.options import show
 from motor_env.errors import require_extra
 
 
-def reproduce(
-    *,
-    out: Path,
-    image_format: str = "svg",
-    json_: bool = False,
-) -> int:
+def reproduce(*, out: Path, json_: bool = False) -> int:
     """Write the source paper's figures, its numbers beside ours, and where it is wrong.
 
     Example: motor-env reproduce --out out/paper
 
     Args:
         out: Folder for index.html, paper.md, reproduce.json and images/. One with files of others is refused.
-        image_format: svg or png.
         json_: Print what stands in reproduce.json.
     """
     from motor_env.apps import reproduce as paper
 
     with console.working("computing the paper's numbers") as say:
-        result = paper.reproduce(
-            out, image_format=image_format, progress=lambda figure: say(f"drawing {figure.name}")
-        )
+        result = paper.reproduce(out, progress=lambda figure: say(f"drawing {figure.name}"))
     counts = f"{len(result['figures'])} figures and {len(result['numbers'])} numbers"
     show(json_, lambda: result, lambda: f"{counts}: {out / 'index.html'}")
     return 0

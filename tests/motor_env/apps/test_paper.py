@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from output_schema import follows
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind, InputError, MotorParameters, cli, discretize
+from motor_env import PAPER_MOTOR, Fault, FaultKind, MotorParameters, cli, discretize
 from motor_env.apps import paper, reproduce as reproduction
 from motor_env.motor.model import continuous_model, steady_state
 from motor_env.motor.parameters import PAPER_MATRICES_DT_S, PAPER_MATRICES_MOTOR
@@ -149,9 +149,3 @@ def test_command_leaves_foreign_files_alone(tmp_path: Path, capsys: pytest.Captu
     assert "reproduce did not make it" in capsys.readouterr().err
     assert cli.main(["reproduce", "--out", str(tmp_path / "paper.md" / "below")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_unknown_image_format_writes_nothing(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="image format must be one of svg, png, got 'gif'"):
-        reproduction.reproduce(tmp_path / "out", image_format="gif")
-    assert not (tmp_path / "out").exists()
