@@ -15,6 +15,9 @@ from scipy import special
 
 from motor_env.motor.parameters import require
 
+_LAGS = 20  # of the whiteness test
+_LEVEL = 0.01 / 3.0  # of each test
+
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
@@ -26,7 +29,6 @@ class Consistency:
         nis_p: that their mean square is 1.
         whiteness_p: that they are uncorrelated over the lags (Ljung & Box 1978).
         mean_square: mean square of the innovations.
-        level: false-alarm rate of all three together.
     """
 
     n_values: int
@@ -34,12 +36,11 @@ class Consistency:
     nis_p: float
     whiteness_p: float
     mean_square: float
-    level: float = 0.01
 
     @property
     def holds(self) -> bool:
-        """Whether none of the three tests rejects at a third of the level (Bonferroni 1936)."""
-        return min(self.mean_p, self.nis_p, self.whiteness_p) >= self.level / 3.0
+        """Whether none of the three tests rejects: at 1 % for all together (Bonferroni 1936)."""
+        return min(self.mean_p, self.nis_p, self.whiteness_p) >= _LEVEL
 
     @property
     def warning(self) -> str:
@@ -51,7 +52,7 @@ class Consistency:
             (self.nis_p, f"their mean square is {self.mean_square:.3g} instead of 1"),
             (self.whiteness_p, "they are correlated in time"),
         )
-        defects = [defect for p_value, defect in tests if p_value < self.level / 3.0]
+        defects = [defect for p_value, defect in tests if p_value < _LEVEL]
         return (
             f"the recording is not consistent with the model: of {self.n_values} whitened innovations "
             + ", ".join(defects)
@@ -59,21 +60,19 @@ class Consistency:
         )
 
 
-def check_consistency(whitened: ArrayLike, *, lags: int = 20, level: float = 0.01) -> Consistency:
+def check_consistency(whitened: ArrayLike) -> Consistency:
     """Test whitened innovations of one or many transients (Bar-Shalom, Li & Kirubarajan 2001; Ljung & Box 1978).
 
     Args:
         whitened: shape (..., n_samples, n_channels), as in `FilterResult.whitened`; NaN is missing.
-        lags: lags of the whiteness test.
-        level: false-alarm rate of the three tests together.
 
     Raises:
         ValueError: not more samples than lags, or none measured.
     """
     values = np.asarray(whitened, dtype=np.float64)
     require(
-        values.ndim >= 2 and values.shape[-2] > lags,
-        f"whitened must have shape (..., n_samples > {lags}, n_channels), got {values.shape}",
+        values.ndim >= 2 and values.shape[-2] > _LAGS,
+        f"whitened must have shape (..., n_samples > {_LAGS}, n_channels), got {values.shape}",
     )
     measured = ~np.isnan(values)
     count = int(measured.sum())
@@ -82,7 +81,7 @@ def check_consistency(whitened: ArrayLike, *, lags: int = 20, level: float = 0.0
     squares = float(np.square(known).sum())
     tail = float(special.chdtr(count, squares))
     statistic = 0.0
-    for lag in range(1, lags + 1):
+    for lag in range(1, _LAGS + 1):
         pairs = float((measured[..., lag:, :] & measured[..., :-lag, :]).sum())
         # With the variance 1 that the belief claims each lag's sum has variance `pairs`.
         if pairs:
@@ -91,7 +90,6 @@ def check_consistency(whitened: ArrayLike, *, lags: int = 20, level: float = 0.0
         n_values=count,
         mean_p=float(2.0 * special.ndtr(-abs(known.sum()) / np.sqrt(count))),
         nis_p=2.0 * min(tail, float(special.chdtrc(count, squares))),
-        whiteness_p=float(special.chdtrc(lags, statistic)),
+        whiteness_p=float(special.chdtrc(_LAGS, statistic)),
         mean_square=squares / count,
-        level=level,
     )
