@@ -115,9 +115,9 @@ class ExactRule(Rule):
         """Average samples to the alarm, from the start, for samples of mean `shift`: 0 gives ARL0."""
         return self.run_law(threshold, shift).average_run_length()
 
-    def alarm_probability(self, threshold: float, n_samples: int, shift: float = 0.0) -> float:
-        """Probability of an alarm within n samples, for samples of mean `shift`."""
-        return self.run_law(threshold, shift).alarm_probability(n_samples)
+    def alarm_probability(self, threshold: float, n_samples: int) -> float:
+        """Probability of an alarm within n samples, while healthy."""
+        return self.run_law(threshold).alarm_probability(n_samples)
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
         """Exact threshold."""

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from motor_env.detection.rules import glr_kernels, kernels
 from motor_env.detection.rules.base import Rule
 from motor_env.detection.rules.cusum import first_channel
-from motor_env.detection.rules.thresholds import Threshold
 from motor_env.motor.parameters import FloatArray, require
 
 _AGE_RATIO = 1.15
@@ -22,8 +20,8 @@ _LEAST_BUFFER = 512  # samples that the GLR holds beside the longest age, so tha
 class WindowedNis(Rule):
     """Sum of the NIS over the last w samples (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4).
 
-    One look at it after w samples or more has the chi-square law with w degrees of freedom a channel (`one_look`);
-    watching it all along does not, and its threshold is simulated.
+    One look at it after w samples or more has the chi-square law with w degrees of freedom a channel; watching it all
+    along does not, and its threshold is simulated.
 
     Attributes:
         window: w.
@@ -42,11 +40,6 @@ class WindowedNis(Rule):
         """Sum of the last w squares."""
         total: FloatArray = kernels.windowed_sum(kernels.square(whitened), state)
         return total
-
-    def one_look(self, false_alarm_probability: float, n_channels: int = 1) -> Threshold:
-        """Exact threshold for one look at a full window."""
-        value = float(chdtri(self.window * n_channels, false_alarm_probability))
-        return Threshold(value, 0.0, "exact: chi-square, one look")
 
 
 @dataclass(frozen=True, slots=True)

@@ -346,10 +346,6 @@ def test_glr_scans_every_onset_of_its_grid(signature: tuple[float, ...] | None, 
         assert found[k] == pytest.approx(expected, rel=1e-9)
 
 
-def test_one_look_at_a_summed_nis_is_chi_square() -> None:
-    assert WindowedNis(10).one_look(0.01, 2).value == pytest.approx(chi2.isf(0.01, 20))
-
-
 def test_bank_posterior_is_bayes_rule_over_all_onsets() -> None:
     hazard, shifts = 0.02, (0.7, -1.2)
     values = np.random.default_rng(2).standard_normal(15) + 0.4
