@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from motor_env.motor.compiled import njit
 from motor_env.motor.model import load_in_kernel
-from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.simulation.nonlinear import LANES, Effects, Sampling, groups_of, step_lanes
+from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.nonlinear import LANES, Sampling, step_lanes
 
 LOOP_GAIN, LOOP_INTEGRAL = 0.5, 0.05
 """Gains of the speed loop on a back-EMF in volts, and of its sum over the samples."""
@@ -37,10 +37,19 @@ class Driving(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _integrate_driven(
+def integrate_driven(
     groups: NDArray[np.void], sampling: Sampling, driving: Driving, noise: FloatArray
 ) -> None:
-    """Voltage and load are held over each sample, the voltage is the last channel."""
+    """True current and speed at the end of each sampling interval, and the voltage that was applied in it.
+
+    Voltage and load are held over each sample, the voltage is the last channel.
+
+    Args:
+        groups: the cases (`groups_of`); of their supply the resistance and the ripple count alone.
+        sampling: what is filled.
+        driving: voltage and load.
+        noise: of the current that a speed loop sees, shape (n_cases, n_samples); no rows without a loop.
+    """
     dt_s, steps, is_current, out = sampling
     wanted, limit = driving.voltage_v, driving.limit_v
     n_cases, last, n_samples = out.shape[0], out.shape[1] - 1, out.shape[2]
@@ -69,22 +78,3 @@ def _integrate_driven(
             for lane in range(lanes):
                 for c in range(last):
                     out[first + lane, c, k] = p.current[lane] if is_current[c] else p.speed[lane]
-
-
-def integrate_driven(
-    parameters: MotorParameters,
-    effects: Effects,
-    driving: Driving,
-    sampling: Sampling,
-    noise_a: FloatArray,
-) -> None:
-    """True current and speed at the end of each sampling interval, and the voltage that was applied in it.
-
-    Args:
-        parameters: the motor with its faults, one or a batch.
-        effects: the departures from the textbook motor; of the supply its resistance and ripple alone.
-        driving: voltage and load.
-        sampling: what is filled.
-        noise_a: noise of the current that a speed loop sees, shape (n_cases, n_samples); no rows without a loop.
-    """
-    _integrate_driven(groups_of(parameters, effects, 0.0, len(sampling.out)), sampling, driving, noise_a)

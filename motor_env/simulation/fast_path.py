@@ -15,7 +15,7 @@ from motor_env.motor.model import State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, require
 from motor_env.simulation.driven import Driving, integrate_driven
 from motor_env.simulation.failed_sensors import VOLTAGE, fail_after_noise, fail_before_noise
-from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
+from motor_env.simulation.nonlinear import Effects, Sampling, groups_of, integrate, substeps
 from motor_env.simulation.random_streams import Stream, normals, uniforms, whole_blocks
 from motor_env.simulation.sensor import SensorChain, read_sensors
 from motor_env.simulation.simulate import Scenario, scenario_states
@@ -110,7 +110,7 @@ def measure(
             integrate(faulty, effects, scenario.supply.voltage_v, sampling, timing.n_quiet)
         else:
             noise_a = _noise_of_loop(scenario, driving, seed, numbers)
-            integrate_driven(faulty, effects, driving, sampling, noise_a)
+            integrate_driven(groups_of(faulty, effects, 0.0, n_cases), sampling, driving, noise_a)
     elif constant:
         transition = discretize(faulty, timing.dt_s).transition.reshape(-1, 2, 2)
         rest = steady_state(faulty, scenario.supply.voltage_v, scenario.load_torque_n_m)
