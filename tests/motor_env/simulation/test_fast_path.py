@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import lsim
 
 from motor_env import (
     PAPER_MOTOR,
@@ -18,9 +17,7 @@ from motor_env import (
     Timing,
     draw,
     simulate,
-    simulate_states,
 )
-from motor_env.motor.model import continuous_model, steady_state
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.fast_path import measure
@@ -60,19 +57,6 @@ def test_measure_is_simulate_in_float32(quiet_s: float, changes: dict[str, objec
     got = measure(scenario, 3, drawn.cases)
     scale = np.abs(expected).max(axis=(0, 2), keepdims=True)
     assert np.abs((got - expected) / scale).max() < 3e-7
-
-
-def test_the_linear_motor_agrees_with_scipy() -> None:
-    timing = Timing(duration_s=0.1)
-    states = simulate_states(PAPER_MOTOR, np.full(timing.n_samples, 12.0), timing.dt_s)
-    model = continuous_model(PAPER_MOTOR)
-    time = np.concatenate([[0.0], timing.time_s])
-    system = (model.transition, model.gain[:, :1], np.eye(2), np.zeros((2, 1)))
-    expected = lsim(system, np.full(len(time), 12.0), time)[1][1:]
-    np.testing.assert_allclose(states, expected, rtol=1e-9, atol=1e-12)
-    settled = steady_state(PAPER_MOTOR, 12.0, 1e-4)
-    residual = model.transition @ settled + model.gain @ np.array([12.0, 1e-4])
-    assert np.abs(residual / (np.abs(model.transition) @ np.abs(settled))).max() < 1e-12
 
 
 def test_effects_that_are_not_told() -> None:
@@ -184,18 +168,6 @@ def test_steps_of_the_integration_follow_from_the_fastest_process(count: int) ->
     assert substeps(PAPER_MOTOR, 9_999.5 * constant / 4.3) == 10_000
     with pytest.raises(ValueError, match="must hold at most 10000 integration steps, got 10001"):
         substeps(PAPER_MOTOR, 10_000.5 * constant / 4.3)
-
-
-def test_the_integration_converges_with_the_fourth_order() -> None:
-    errors = []
-    flag = np.array([True])
-    fine = np.empty((1, 1, 50), dtype=np.float32)
-    integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, Sampling(2e-4, 400, flag, fine), 0)
-    for steps in (4, 8):
-        out = np.empty_like(fine)
-        integrate(PAPER_MOTOR, FIELD_LIKE, 12.0, Sampling(2e-4, steps, flag, out), 0)
-        errors.append(float(np.abs(out - fine).max()))
-    assert errors[0] / errors[1] > 6.0
 
 
 def test_a_field_case_does_not_depend_on_its_batch() -> None:
