@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from motor_env import PAPER_MOTOR, MotorParameters, discretize, simulate_states
@@ -96,49 +95,12 @@ def test_exponential_of_what_is_infinite_comes_to_an_end() -> None:
     assert not np.isfinite(all_three(-np.inf, 0.0, 0.0, -1.0)).all()
 
 
-@given(motor=motors(), shift=st.floats(-5.0, 0.0))
-def test_two_halves_make_a_whole_step(motor: MotorParameters, shift: float) -> None:
-    dt_s = 10.0**shift / float(np.abs(np.linalg.eigvals(continuous_model(motor).transition)).max())
-    half, whole = discretize(motor, 0.5 * dt_s), discretize(motor, dt_s)
-    np.testing.assert_allclose(half.transition @ half.transition, whole.transition, rtol=1e-9, atol=1e-13)
-    np.testing.assert_allclose(half.transition @ half.gain + half.gain, whole.gain, rtol=1e-9)
-
-
-@pytest.mark.parametrize("dt_s", [1e-6, 1e-4, 1e-2])
-def test_against_a_stiff_solver(dt_s: float) -> None:
-    model, start, inputs = continuous_model(PAPER_MOTOR), np.array([1.5, 80.0]), np.array([9.0, 3e-3])
-    solution = solve_ivp(
-        lambda _, x: model.transition @ x + model.gain @ inputs,
-        (0.0, dt_s),
-        start,
-        method="Radau",
-        rtol=1e-11,
-        atol=1e-13,
-    )
-    discrete = discretize(PAPER_MOTOR, dt_s)
-    np.testing.assert_allclose(
-        discrete.transition @ start + discrete.gain @ inputs, solution.y[:, -1], rtol=1e-8
-    )
-
-
 def test_signs_of_the_equations() -> None:
     model = continuous_model(PAPER_MOTOR)
     current, speed, voltage, load = 2.0, 300.0, 12.0, 1e-3
     derivative = model.transition @ [current, speed] + model.gain @ [voltage, load]
     assert derivative[State.CURRENT] == pytest.approx((12.0 - 2.18 * 2.0 - 0.02352 * 300.0) / 0.238e-3)
     assert derivative[State.SPEED] == pytest.approx((0.0235 * 2.0 - 1.2e-6 * 300.0 - 1e-3) / 1.07e-6)
-
-
-def test_balance_of_energy() -> None:
-    # With Kt = Kb no energy is lost between the two equations: supply = copper + friction + load + stored.
-    motor = PAPER_MOTOR.scaled(back_emf_constant_v_s_per_rad=0.0235 / 0.02352)
-    dt_s, load, n = 1e-6, 2e-3, 20_000
-    states = np.vstack([np.zeros(2), simulate_states(motor, np.full(n, 12.0), dt_s, load_torque_n_m=load)])
-    current, speed = states.T
-    b = float(motor.viscous_friction_n_m_s_per_rad)
-    power = 12.0 * current - 2.18 * current**2 - b * speed**2 - load * speed
-    stored = 0.5 * 0.238e-3 * current[-1] ** 2 + 0.5 * 1.07e-6 * speed[-1] ** 2
-    assert np.trapezoid(power, dx=dt_s) == pytest.approx(stored, rel=1e-6)
 
 
 def test_steady_state_is_where_the_simulation_ends() -> None:
