@@ -129,14 +129,6 @@ def end_label(axes: Axes, x: float, y: float, text: str, color: str, *, offset_p
     note(axes, (x, y), text, beside, color=color, va="center", fontweight="bold", annotation_clip=False)
 
 
-def mark_point(
-    axes: Axes, x: float, y: float, text: str, *, color: str, offset_pt: tuple[float, float]
-) -> None:
-    """Mark a point of a curve and name it."""
-    axes.plot([x], [y], "o", color=color, markersize=6, markeredgecolor="white", zorder=5)
-    note(axes, (x, y), text, offset_pt, color=color)
-
-
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG or SVG, by the ending of its name; the same figure gives the same bytes.
 

@@ -19,7 +19,7 @@ from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, RAD_S_PER_RPM, FloatArray, SensorParameters
-from motor_env.plotting import COLOUR, INK, QUIET, end_label, mark_point, note, subplots
+from motor_env.plotting import COLOUR, INK, QUIET, end_label, note, subplots
 from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate, simulate_states
 
 SEED = 1
@@ -96,14 +96,9 @@ def healthy_start() -> Figure:
     figure, (top, middle, bottom) = subplots(3, height_in=8.0)
     top.plot(time_ms, current, color=COLOUR["healthy"])
     peak_ms = _MS * figures.peak_time_s
-    mark_point(
-        top,
-        peak_ms,
-        figures.peak_a,
-        f"{figures.peak_a:.3f} A at {peak_ms:.2f} ms",
-        color=INK,
-        offset_pt=(10.0, -3.0),
-    )
+    top.plot([peak_ms], [figures.peak_a], "o", color=INK, markersize=6, markeredgecolor="white", zorder=5)
+    peak = f"{figures.peak_a:.3f} A at {peak_ms:.2f} ms"
+    note(top, (peak_ms, figures.peak_a), peak, (10.0, -3.0), color=INK)
     final = (38.0, figures.final_current_a)
     note(top, final, f"final {_MA * figures.final_current_a:.2f} mA", (0, 9), ha="right")
     top.set(title="Current", ylabel="current (A)", ylim=(0.0, 5.6))

@@ -8,60 +8,12 @@ import numpy as np
 import pytest
 from output_schema import follows
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind, MotorParameters, cli, discretize
+from motor_env import Fault, MotorParameters, cli
 from motor_env.apps import paper, reproduce as reproduction
 from motor_env.motor.model import continuous_model, steady_state
-from motor_env.motor.parameters import PAPER_MATRICES_DT_S, PAPER_MATRICES_MOTOR
 
 ROOT = Path(__file__).parents[3]
 NUMBER = re.compile(r"-?\d+(\.\d+)?")
-
-
-def test_printed_matrices_to_every_digit() -> None:
-    model = discretize(PAPER_MATRICES_MOTOR, PAPER_MATRICES_DT_S)
-    assert model.transition.round(4).tolist() == [[-0.0344, -0.0007], [1.6343, 0.0300]]
-    assert model.gain[:, 0].round(4).tolist() == [0.0334, 41.0557]
-    assert (PAPER_MATRICES_DT_S, PAPER_MATRICES_MOTOR.resistance_ohm) == pytest.approx((10e-3, 2.06))
-    assert PAPER_MATRICES_MOTOR.inductance_h == pytest.approx(2.38e-3)
-
-
-def test_same_digits_from_the_other_source() -> None:
-    model = discretize(paper.OTHER_MATRICES_MOTOR, paper.OTHER_MATRICES_DT_S)
-    assert model.transition.round(4).tolist() == [[-0.0344, -0.0007], [1.6343, 0.0300]]
-    assert model.gain[:, 0].round(4).tolist() == [0.0334, 41.0557]
-
-
-def test_the_table_at_the_stated_sampling_time_gives_other_matrices() -> None:
-    model = discretize(PAPER_MOTOR, 10e-6)
-    assert model.transition.round(5).tolist() == [[0.91237, -0.00094], [0.20986, 0.99988]]
-    assert model.gain[:, 0].round(5).tolist() == [0.04015, 0.00448]
-
-
-@pytest.mark.parametrize(
-    ("fault", "peak_a", "peak_ms", "settling_ms", "final_ma"),
-    [
-        (None, 5.111, 0.42, 16.50, 25.93),
-        (Fault(FaultKind.WINDING_CONTACT, 0.10), 4.690, 0.39, 18.14, 25.92),
-        (Fault(FaultKind.WINDING_CONTACT, 0.25), 4.173, 0.37, 20.60, 25.90),
-        (Fault(FaultKind.BEARING, 0.10), 5.111, 0.42, 16.49, 28.51),
-        (Fault(FaultKind.BEARING, 0.25), 5.111, 0.42, 16.48, 32.37),
-    ],
-)
-def test_start_up_figures(
-    fault: Fault | None, peak_a: float, peak_ms: float, settling_ms: float, final_ma: float
-) -> None:
-    figures = paper.start_up(paper.faulty(fault))
-    shown = (
-        round(figures.peak_a, 3),
-        round(1e3 * figures.peak_time_s, 2),
-        round(1e3 * figures.settling_time_s, 2),
-        round(1e3 * figures.final_current_a, 2),
-    )
-    assert shown == (peak_a, peak_ms, settling_ms, final_ma)
-
-
-def test_final_speed() -> None:
-    assert round(paper.start_up(PAPER_MOTOR).final_speed_rpm, 1) == 4849.1
 
 
 def _closed_form_peak(motor: MotorParameters) -> tuple[float, float]:
