@@ -114,18 +114,6 @@ def test_normal_equations_are_squares_and_their_derivatives() -> None:
     assert wider.log_normaliser == pytest.approx(each.log_normaliser - 50.0 * np.log(2.0))
 
 
-def test_cramer_rao_bound_of_the_paper_motor() -> None:
-    std = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, SENSOR, TIMING)))
-    np.testing.assert_allclose(std, [0.0011, 0.026], rtol=0.03)
-    quieter = SensorParameters(current_noise_a=0.0034)
-    quiet = np.sqrt(np.diag(cramer_rao_bound(PAPER_MOTOR, quieter, TIMING)))
-    np.testing.assert_allclose(quiet, 0.17 * std, rtol=1e-9)
-    covariance = cramer_rao_bound(PAPER_MOTOR, SENSOR, TIMING, free=("inertia", "friction"))
-    deviations = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(deviations, [0.0012, 0.027], rtol=0.06)
-    assert covariance[0, 1] / deviations.prod() == pytest.approx(-0.22, abs=0.01)
-
-
 def test_maximum_likelihood_reaches_the_bound_and_its_intervals_cover() -> None:
     n = 4000
     observed = Observed.from_measurements(healthy(n), VOLTAGE, SENSOR, TIMING.dt_s)

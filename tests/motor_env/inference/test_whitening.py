@@ -113,15 +113,6 @@ def test_computed_power_on_the_bench_recipe(fault: Fault, power: float) -> None:
     assert MatchedTest.from_recipe(BENCH, fault).power(0.01) == pytest.approx(power, abs=0.002)
 
 
-def test_known_parameters_thresholds_fail_under_tolerances() -> None:
-    """The same signature without the nuisances' share alarms in most healthy starts."""
-    measured = motors_of(BENCH, None, 1000)
-    for fault, rate in ((BEARING_10, 0.69), (CONTACT_5, 0.84)):
-        test = MatchedTest.from_recipe(PAPER, fault)
-        alarms = (np.abs(test.statistic(measured)) > test.threshold_for(0.01, two_sided=True)).mean()
-        assert alarms == pytest.approx(rate, abs=0.05)
-
-
 def test_a_law_is_a_mixture_of_normals() -> None:
     law = StatisticLaw(np.array([-1.0, 2.0]), np.array([0.3, 0.7]), 0.5)
     above = 0.3 * norm.sf(1.5, -1.0, 0.5) + 0.7 * norm.sf(1.5, 2.0, 0.5)

@@ -1,10 +1,9 @@
-"""What a record of a motor at work tells: against the truth, and against the sampled posterior."""
+"""What a record of a motor at work tells: against the truth, and of a motor that is linear."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from sampled_posterior import sampled_probabilities
 from scipy.special import log_softmax
 
 from motor_env import FaultKind, draw, load_recipe
@@ -96,15 +95,7 @@ def test_of_a_linear_motor_features_are_exact(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_allclose(features[:, 19], np.log1p(left), rtol=1e-3)
 
 
-def test_the_linear_posterior_is_near_the_sampled_one_of_which_two_runs_agree() -> None:
+def test_the_linear_posterior_is_right_about_most_motors() -> None:
     linear = work_probabilities(OPERATION, CASES)
     np.testing.assert_allclose(linear.sum(axis=1), 1.0)
     assert (linear.argmax(axis=1) == DRAWN.class_index).mean() > 0.65
-    runs = np.array(
-        [
-            [sampled_probabilities(OPERATION, case, np.random.default_rng(seed))[0] for case in CASES[:4]]
-            for seed in (1, 2)
-        ]
-    )
-    assert np.abs(runs[0] - runs[1]).mean() < 0.03
-    assert np.abs(linear[:4] - runs[0]).mean() < 0.1
