@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.special import log_softmax
+from scipy.special import log_softmax, softmax
 
 from motor_env import FaultKind, draw, load_recipe
 from motor_env.inference.class_model import ClassModel
@@ -20,7 +20,7 @@ DRAWN = draw(OPERATION, 5, np.arange(150))
 CASES = measure_draw(DRAWN, OPERATION, 5).astype(np.float64)
 
 
-def test_the_severity_of_a_winding_and_the_fit() -> None:
+def test_the_severity_of_a_winding_the_fit_and_the_classes() -> None:
     features = work_features(OPERATION, CASES)
     names = work_feature_names(OPERATION)
     assert features.shape == (150, len(names))
@@ -33,6 +33,9 @@ def test_the_severity_of_a_winding_and_the_fit() -> None:
     left = np.expm1(features[:, -1])
     assert abs(np.median(left) - 1.0) < 0.03
     assert left.max() < 1.3
+    logs = features[:, -1 - len(OPERATION.classes) : -1]
+    assert (logs.argmax(axis=1) == DRAWN.class_index).mean() > 0.65
+    np.testing.assert_allclose(work_probabilities(OPERATION, CASES[:3]), softmax(logs[:3], axis=1))
 
 
 def test_of_a_linear_motor_features_are_exact(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,9 +96,3 @@ def test_of_a_linear_motor_features_are_exact(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_allclose(features[:, 15:19], np.maximum(expected, -12.0), rtol=1e-5)
     left = np.square((read - voltage - mean @ slopes) / sigma).mean(axis=1)
     np.testing.assert_allclose(features[:, 19], np.log1p(left), rtol=1e-3)
-
-
-def test_the_linear_posterior_is_right_about_most_motors() -> None:
-    linear = work_probabilities(OPERATION, CASES)
-    np.testing.assert_allclose(linear.sum(axis=1), 1.0)
-    assert (linear.argmax(axis=1) == DRAWN.class_index).mean() > 0.65
