@@ -24,7 +24,6 @@ from ranks import class_ranks, confidence_ranks, rank_check, severity_ranks, sev
 from tables import keep_table
 
 from motor_classifiers.contest.tasks import load_task
-from motor_classifiers.estimators.networks.joint_posterior import JointPosterior
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.severity_density import severity_recipe
 from motor_classifiers.estimators.reference_starts import referenced_starts
@@ -53,7 +52,7 @@ class Posterior(NamedTuple):
 
     Attributes:
         name: network and quantity.
-        ranks: of the truth, shape (n_cases,), or (n_cases, n_values) of each value.
+        ranks: of the truth, shape (n_cases,).
         covered: share of the cases in which the 90 % set or interval holds the truth, by part of the truth.
         truth: shape (n_cases, n_values), for `sbi`.
         draws: from the posterior, shape (n_draws, n_cases, n_values).
@@ -174,24 +173,6 @@ def of_severities(n_cases: int, n_draws: int) -> Iterator[Posterior]:
         yield Posterior(f"shipped: {kind}", ranks, covered, position[:, None], draws[..., None], seen)
 
 
-def of_parameters(n_cases: int, n_draws: int) -> Posterior:
-    """Severity and parameters together, by the shipped network and what is learned around it."""
-    model, recipe = network(SHIPPED)
-    joint = JointPosterior.around(model)
-    cases = generate_arrays(recipe, SEED + 9, n_cases)
-    generator = np.random.default_rng(SEED)
-    drawn = joint.sample(cases.X, n_draws, generator)
-    truth = np.column_stack([cases.severity, *(cases.parameters[name] for name in drawn.parameters)])
-    draws = np.stack([drawn.severity, *drawn.parameters.values()], axis=2)
-    # Equal severities, those of healthy motors, are ordered by chance.
-    chance = generator.uniform(size=(n_cases, 1))
-    ranks = (draws < truth).mean(axis=0) + chance * (draws == truth).mean(axis=0)
-    scale = truth.std(axis=0)
-    seen = seen_by(model.posterior_.space, cases.X)
-    name = f"{SHIPPED}: severity and {len(drawn.parameters)} parameters"
-    return Posterior(name, ranks, {}, truth / scale, draws / scale, seen)
-
-
 def by_sbi(posteriors: list[Posterior]) -> dict[str, dict[str, float]]:
     """TARP and LC2ST of each posterior; none where the environment is not there."""
     if not PYTHON.exists():
@@ -217,19 +198,16 @@ def main(*, networks: tuple[str, ...] = NETWORKS, cases: int = 2_000, draws: int
     """Check the severities of the shipped network and the classes of these: `shipped`, `operation`, or other tasks."""
     posteriors = [
         *of_severities(cases, draws),
-        of_parameters(cases, draws),
         *(one for name in networks for one in of_classes(name, cases, draws)),
     ]
-    columns = {one.name: np.atleast_2d(one.ranks.T) for one in posteriors}
-    error = ERROR / sum(map(len, columns.values()))
-    checks = {name: [rank_check(rank, error) for rank in ranks] for name, ranks in columns.items()}
+    checks = {one.name: rank_check(one.ranks, ERROR / len(posteriors)) for one in posteriors}
     sbi = by_sbi(posteriors)
     rows = (
         (
             one.name,
             str(len(one.ranks)),
-            f"{max(check.largest for check in checks[one.name]):.4f}",
-            "yes" if all(check.inside for check in checks[one.name]) else "no",
+            f"{checks[one.name].largest:.4f}",
+            "yes" if checks[one.name].inside else "no",
             *(f"{sbi[one.name][key]:.3f}" if one.name in sbi else "" for key in ("atc", "tarp_p", "lc2st")),
         )
         for one in posteriors

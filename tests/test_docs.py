@@ -14,14 +14,12 @@ import runpy
 import shlex
 import subprocess
 import sys
-from copy import copy
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
 import words
 
-from motor_classifiers import JointPosterior, PosteriorNetwork
 from motor_classifiers.cli.main import main as classifiers
 from motor_datasets.cli import main as datasets
 from motor_env.cli import main as env
@@ -100,20 +98,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def clone_fitted(network: PosteriorNetwork, **changes: int) -> PosteriorNetwork:
-    """The trained network with other settings for what is trained later."""
-    changed: PosteriorNetwork = copy(network).set_params(**changes)
-    return changed
-
-
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", parameters([page for page in PAGES if commands(page) or script(page)]))
 def test_page_runs(
     page: Path, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Half a minute of training, which tests/motor_classifiers/estimators/test_joint_posterior.py looks at.
-    learned = JointPosterior.around
-    monkeypatch.setattr(JointPosterior, "around", lambda network: learned(clone_fitted(network, steps=20)))
     printed_so_far = ""
     for command in commands(page):
         program, *arguments = shlex.split(command)

@@ -20,9 +20,6 @@ from .estimators.methods import (
 from .estimators.networks.epoch_classifier import (
     PerceptronClassifier as PerceptronClassifier,
 )
-from .estimators.networks.joint_posterior import (
-    JointPosterior as JointPosterior,
-)
 from .estimators.networks.posterior_network import (
     PosteriorNetwork as PosteriorNetwork,
 )

@@ -26,17 +26,12 @@ _AVERAGE_BEGINS = 20
 
 
 class Posterior(nn.Module):
-    """Coordinates of a transient and a perceptron on them: from flattened cases to the numbers of a posterior.
+    """Coordinates of a transient and a perceptron on them: from flattened cases to the numbers of a posterior."""
 
-    A perceptron that is told `n_told` numbers beside the coordinates has to be called by itself.
-    """
-
-    def __init__(
-        self, space: SignalSpace, *, n_hidden: int, n_layers: int, n_out: int, n_told: int = 0
-    ) -> None:
+    def __init__(self, space: SignalSpace, *, n_hidden: int, n_layers: int, n_out: int) -> None:
         super().__init__()
         self.space = space
-        self.network = perceptron(space.n_coordinates + n_told, n_hidden, n_layers, n_out)
+        self.network = perceptron(space.n_coordinates, n_hidden, n_layers, n_out)
 
     def forward(self, X: torch.Tensor) -> torch.Tensor:
         """Outputs of the network, shape (n_cases, n_out)."""
