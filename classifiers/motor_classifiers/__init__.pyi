@@ -47,7 +47,6 @@ from .scoring.evaluation import (
 )
 from .wrappers.conformal import (
     ConformalClassifier as ConformalClassifier,
-    ConformalIntervals as ConformalIntervals,
     ConformalSets as ConformalSets,
 )
 from .wrappers.early import (

@@ -1,4 +1,4 @@
-"""Sets of classes, and intervals of severity, that hold the truth as often as they say: split conformal prediction.
+"""Sets of classes that hold the truth as often as they say: split conformal prediction.
 
 Whatever the model, cases that it was not trained on tell how badly it errs; a new case like them errs no worse in the
 wanted share of the cases (Vovk, Gammerman & Shafer 2005). The promise holds for cases drawn as the calibration cases
@@ -124,76 +124,6 @@ def measured_coverage(sets: BoolArray, truth: ArrayLike) -> Coverage:
     size = sets.sum(axis=1)
     by_class = [covered[labels == n].mean() if (labels == n).any() else np.nan for n in range(sets.shape[1])]
     return Coverage(float(covered.mean()), np.array(by_class), float(size.mean()), float((size == 0).mean()))
-
-
-@dataclass(frozen=True, slots=True)
-class ConformalIntervals:
-    """Intervals of severity, widened or narrowed until they cover (Romano, Patterson & Candes 2019, CQR).
-
-    Attributes:
-        margin: added at both ends, for each group; negative where the given intervals are too wide.
-        coverage: wanted.
-    """
-
-    margin: dict[str, float]
-    coverage: float
-
-    @classmethod
-    def calibrate(
-        cls,
-        intervals: FloatArray,
-        severity: ArrayLike,
-        *,
-        coverage: float = 0.90,
-        groups: ArrayLike | None = None,
-    ) -> ConformalIntervals:
-        """From cases that the model was not trained on.
-
-        Args:
-            intervals: lower and upper bounds of the model, shape (n_cases, 2).
-            severity: the truth, shape (n_cases,).
-            coverage: share of the cases to be covered.
-            groups: label of each case, such as its kind: the coverage then holds in each; all together by default.
-
-        Raises:
-            ValueError: a group has too few cases for that coverage.
-        """
-        require(0.0 < coverage < 1.0, f"coverage must lie between 0 and 1, got {coverage:g}")
-        truth = np.asarray(severity, dtype=np.float64)
-        outside = np.maximum(intervals[:, 0] - truth, truth - intervals[:, 1])
-        margin = {}
-        names = _group_names(groups, len(truth))
-        for name in np.unique(names):
-            sorted_outside = np.sort(outside[names == name])
-            rank = int(np.ceil(coverage * (len(sorted_outside) + 1)))
-            require(
-                rank <= len(sorted_outside),
-                f"group {str(name)!r} has {len(sorted_outside)} cases, too few for a coverage of {coverage:g}",
-            )
-            margin[str(name)] = float(sorted_outside[rank - 1])
-        return cls(margin, coverage)
-
-    def widen(self, intervals: FloatArray, groups: ArrayLike | None = None) -> FloatArray:
-        """Intervals that cover, shape (n_cases, 2); bounds are not below 0.
-
-        An interval narrowed to nothing becomes its own middle.
-
-        Raises:
-            ValueError: a group that was not calibrated.
-        """
-        names = _group_names(groups, len(intervals))
-        unknown = sorted({str(name) for name in np.unique(names)} - set(self.margin))
-        require(not unknown, f"group must be one of {', '.join(self.margin)}, got {unknown[:1]}")
-        margin = np.array([self.margin[str(name)] for name in names])
-        middle = intervals.mean(axis=1)
-        low = np.minimum(intervals[:, 0] - margin, middle)
-        high = np.maximum(intervals[:, 1] + margin, middle)
-        widened: FloatArray = np.maximum(np.column_stack([low, high]), 0.0)
-        return widened
-
-
-def _group_names(groups: ArrayLike | None, n_cases: int) -> NDArray[np.str_]:
-    return np.full(n_cases, "all") if groups is None else np.asarray(groups).astype(np.str_)
 
 
 @dataclass(eq=False, repr=False)

@@ -6,7 +6,7 @@ from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LogisticRegression
 from sklearn.neighbors import KNeighborsClassifier
 
-from motor_classifiers import ConformalClassifier, ConformalIntervals, ConformalSets
+from motor_classifiers import ConformalClassifier, ConformalSets
 from motor_classifiers.wrappers.conformal import measured_coverage
 
 N_CLASSES = 4
@@ -42,31 +42,6 @@ def test_clear_cases_are_not_all_alike() -> None:
     sets = ConformalSets.calibrate(probabilities, np.zeros(3, dtype=int))
     p = sets.p_values(probabilities)[:, 0]
     assert len(set(p.tolist())) == 3
-
-
-def test_intervals_cover_in_each_group_whatever_the_model_believes() -> None:
-    rng = np.random.default_rng(6)
-
-    def drawn(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        group = rng.choice(["bearing", "winding"], size=n)
-        spread = np.where(group == "bearing", 0.05, 0.01)
-        severity = rng.uniform(0.0, 0.3, size=n)
-        guess = severity + spread * rng.normal(size=n)
-        return np.column_stack([guess - 0.02, guess + 0.02]), severity, group
-
-    intervals, severity, group = drawn(20_000)
-    conformal = ConformalIntervals.calibrate(intervals, severity, groups=group)
-    assert conformal.margin["bearing"] > 0.0 > conformal.margin["winding"]
-    new, truth, kinds = drawn(20_000)
-    low, high = conformal.widen(new, kinds).T
-    held = (low <= truth) & (truth <= high)
-    assert 0.88 < held.mean() < 0.92
-    for kind in ("bearing", "winding"):
-        assert 0.88 < held[kinds == kind].mean() < 0.92
-    with pytest.raises(ValueError, match="group must be one of"):
-        conformal.widen(new, np.full(len(new), "noise"))
-    with pytest.raises(ValueError, match="too few"):
-        ConformalIntervals.calibrate(intervals[:5], severity[:5])
 
 
 def test_classifier_calibrates_on_cases_it_did_not_train_on() -> None:

@@ -1,4 +1,4 @@
-"""What wrappers compute, on a handful of cases by hand: p-values, margins, thresholds, stops, severities along rays."""
+"""What wrappers compute, on a handful of cases by hand: p-values, thresholds, stops, severities along rays."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,7 +12,6 @@ from sklearn.linear_model import LogisticRegression
 
 from motor_classifiers import (
     ConformalClassifier,
-    ConformalIntervals,
     ConformalSets,
     EarlyClassifier,
     OpenSetClassifier,
@@ -63,22 +62,6 @@ def test_coverage_is_counted() -> None:
     got = measured_coverage(sets, [0, 1, 0, 0, 0])
     assert (got.overall, got.mean_size, got.empty) == (0.6, 1.2, 0.2)
     np.testing.assert_array_equal(got.by_class, [0.5, 1.0, np.nan])
-
-
-def test_margins_of_four_calibration_cases() -> None:
-    """The ceil(0.6 (4 + 1)) = third smallest distance outside; negative where the truth lies inside."""
-    intervals = np.array([[1.0, 2.0], [1.0, 2.0], [1.0, 2.0], [1.0, 2.0]])
-    truth = [1.5, 0.75, 2.125, 3.0]  # outside by -0.5, 0.25, 0.125 and 1
-    got = ConformalIntervals.calibrate(intervals, truth, coverage=0.6)
-    assert got.margin == {"all": 0.25}
-    np.testing.assert_array_equal(
-        got.widen(np.array([[1.0, 2.0], [0.125, 0.5]])), [[0.75, 2.25], [0.0, 0.75]]
-    )
-    with pytest.raises(ValueError, match=r"4 cases, too few for a coverage of 0\.81"):
-        ConformalIntervals.calibrate(intervals, truth, coverage=0.81)
-    assert ConformalIntervals.calibrate(intervals, truth, coverage=0.8).margin == {"all": 1.0}
-    narrow = ConformalIntervals({"a": -0.25, "b": -0.75}, 0.9)
-    np.testing.assert_array_equal(narrow.widen(intervals[:2], ["a", "b"]), [[1.25, 1.75], [1.5, 1.5]])
 
 
 @pytest.mark.parametrize(("per_class", "kept"), [(10, 3), (15, 4), (2, 1), (3, 1)])
