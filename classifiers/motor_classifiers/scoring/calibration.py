@@ -5,8 +5,7 @@ All are measured on the same cases and in the same bins for a method and for the
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +15,6 @@ from motor_env.motor.parameters import FloatArray, require
 BIN_EDGES: FloatArray = np.linspace(0.0, 1.0, 16)
 """Edges of the bins of confidence, for every method and for the limit: fifteen of equal width (Guo et al. 2017)."""
 
-_FEW = 20  # cases of a bin that is drawn
 _SMALLEST = 1e-15  # a probability of 0 for what happened costs this much, not infinity
 
 
@@ -94,37 +92,3 @@ def calibration_scores(probabilities: FloatArray, truth: ArrayLike) -> Calibrati
         log_loss=float(-np.log(np.maximum(probabilities[rows, labels], _SMALLEST)).mean()),
         reliability=binned,
     )
-
-
-def plot_reliability(curves: dict[str, CalibrationScores], path: Path) -> None:
-    """Draw reliability curves and the share of cases in each bin; SVG or PNG by the ending of the name.
-
-    Args:
-        curves: scores by name; `limit` is drawn in the ink of the axes.
-        path: file to write.
-    """
-    from motor_env.plotting import INK, QUIET, drawing, save, subplots
-
-    colours = ("#0b6fa4", "#d98300", "#c8442b", "#12805c", "#6b4fa0", "#8c2d5f")
-    with drawing():
-        figure, (top, bottom) = subplots(2, width_in=6.5, height_in=7.5, height_ratios=(3.0, 1.0))
-        lowest = 1.0
-        top.plot([0.0, 1.0], [0.0, 1.0], color=QUIET, linewidth=1.0, linestyle="--")
-        for n, (name, scores) in enumerate(curves.items()):
-            counts = scores.reliability.n_cases
-            seen = counts >= _FEW
-            confidence, accuracy = scores.reliability.confidence[seen], scores.reliability.accuracy[seen]
-            lowest = min(lowest, confidence.min(initial=1.0))
-            # One standard error says whether a bin's distance from the diagonal is chance.
-            error = np.sqrt(accuracy * (1.0 - accuracy) / counts[seen])
-            label = f"{name}: ECE {scores.ece:.4f}, log-loss {scores.log_loss:.4f}"
-            style: dict[str, Any] = {"linewidth": 1.6}
-            style["color"] = INK if name == "limit" else colours[n % len(colours)]
-            top.errorbar(confidence, accuracy, error, marker="o", markersize=4, label=label, **style)
-            bottom.stairs(counts / counts.sum(), BIN_EDGES, baseline=None, **style)
-        top.set(ylabel="share of right decisions", title="Do the probabilities mean what they say?")
-        top.set_xlim(max(0.0, lowest - 0.05), 1.0)
-        top.set_ylim(max(0.0, lowest - 0.15), 1.02)
-        top.legend(loc="upper left")
-        bottom.set(xlabel="largest probability", ylabel="share of cases")
-        save(figure, path)

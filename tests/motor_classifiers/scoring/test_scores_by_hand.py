@@ -14,7 +14,7 @@ from scipy.stats import binom
 from sklearn.metrics import brier_score_loss, confusion_matrix, log_loss
 
 from motor_classifiers.scoring import progress, trust as trust_module, unknown_faults, verdict_times
-from motor_classifiers.scoring.calibration import BIN_EDGES, calibration_scores, plot_reliability, reliability
+from motor_classifiers.scoring.calibration import BIN_EDGES, calibration_scores, reliability
 from motor_classifiers.scoring.evaluation import evaluation_lines
 from motor_classifiers.scoring.judging import LIMIT, expected_severity, in_recipe_order
 from motor_classifiers.scoring.metrics import (
@@ -136,22 +136,6 @@ def test_calibration_against_scikit_learn_and_on_the_edges() -> None:
     lost = calibration_scores(np.array([[1.0, 0.0]]), [1])
     assert lost.log_loss == pytest.approx(15.0 * np.log(10.0))
     assert (lost.accuracy, lost.ece, lost.brier) == (0.0, 1.0, 2.0)
-
-
-def test_bars_of_reliability_are_one_standard_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from matplotlib.axes import Axes
-
-    drawn: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(Axes, "errorbar", lambda self, *given, **_: drawn.append(given))
-    sure = np.repeat([0.8, 0.9, 0.5], [25, 100, 19])  # a bin of 19 cases is too few to be drawn
-    right = np.concatenate([np.arange(25) < 20, np.arange(100) < 50, np.arange(19) < 9])
-    made = calibration_scores(np.column_stack([sure, 1.0 - sure]), np.where(right, 0, 1))
-    monkeypatch.setattr(Axes, "legend", lambda *_, **__: None)
-    plot_reliability({"limit": made}, tmp_path / "a.svg")
-    (confidence, accuracy, error), = drawn  # fmt: skip
-    np.testing.assert_allclose(confidence, [0.8, 0.9])
-    np.testing.assert_allclose(accuracy, [0.8, 0.5])
-    np.testing.assert_allclose(error, [0.08, 0.05])
 
 
 def test_severities_are_scored() -> None:
