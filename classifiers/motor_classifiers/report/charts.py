@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from motor_classifiers.scoring.calibration import Reliability
 from motor_classifiers.scoring.metrics import Score
-from motor_env.motor.parameters import FloatArray
 from motor_env.pages.svg import Axis, Chart, percent, round_ticks
-
-_POINTS = 700  # of a drawn curve
 
 
 def interval_chart(
@@ -82,40 +79,6 @@ def _rows(
     )
     chart.x_numbers(grid=True)
     return chart
-
-
-def trace_chart(
-    time_ms: FloatArray,
-    curves: Mapping[str, FloatArray],
-    unit: str,
-    *,
-    span: tuple[float, float],
-    levels: Sequence[float] = (),
-    mark_ms: float | None = None,
-    with_time: bool = False,
-) -> str:
-    """Curves by style class over time, horizontal thresholds as dashed lines, and a moment as a vertical mark."""
-    begin, end = float(time_ms[0]), float(time_ms[-1])
-    chart = Chart(
-        Axis("ms", begin, end, round_ticks(begin, end, 6)),
-        Axis(unit, *span, round_ticks(*span, 4)),
-        size=(480, 150),
-        margins=(52, 10, 8, 32 if with_time else 12),
-        label=f"{unit} over time",
-    )
-    chart.y_numbers()
-    if with_time:
-        chart.x_numbers()
-        chart.text((chart.right, 148), "ms", anchor="end")
-    chart.text((2, 12), unit)
-    step = max(1, len(time_ms) // _POINTS)
-    for style, values in curves.items():
-        chart.curve(style, time_ms[::step], values[::step])
-    for level in levels:
-        chart.across("threshold", level)
-    if mark_ms is not None:
-        chart.upright("mark", mark_ms)
-    return chart.svg()
 
 
 def reliability_chart(binned: Reliability, low: float) -> str:

@@ -12,7 +12,6 @@ import numpy as np
 
 from motor_classifiers.estimators.own_methods import find_method
 from motor_classifiers.report.charts import interval_chart, reliability_chart, severity_chart
-from motor_classifiers.report.examples import ALARM_RATE, examples
 from motor_classifiers.report.names import readable, short
 from motor_classifiers.report.sweep_page import sweep_section
 from motor_classifiers.report.trust_page import trust_section
@@ -68,8 +67,6 @@ def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
         reliability=_reliability((result.limit, *ranked)),
         severity_chart=_severity_chart(result, _severity_methods(ranked)),
         severity_methods=[method.name for method in _severity_methods(ranked)],
-        examples=examples(result, ours[0]),
-        alarm_rate=ALARM_RATE,
         trust=trust_section(result),
         sweep=sweep_section(plan, results) if len(results) > 1 else None,
         against=[

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from made_results import RECIPE, TASK, answer, decisions, made_results
-from scipy.stats import norm
 
 # Reaches in: the page is drawn from results made by hand, in the types that the other rooms give it.
-from motor_classifiers.estimators.features import whitened_residual
-from motor_classifiers.report import examples as examples_module, page, sweep_page, trust_page
+from motor_classifiers.report import page, sweep_page, trust_page
 from motor_classifiers.report.charts import (
     Line,
     interval_chart,
@@ -19,17 +17,13 @@ from motor_classifiers.report.charts import (
     reliability_chart,
     severity_chart,
     share_axis,
-    trace_chart,
 )
-from motor_classifiers.report.examples import examples, running_mean
 from motor_classifiers.report.names import readable, short
 from motor_classifiers.scoring.calibration import Reliability
 from motor_classifiers.scoring.metrics import Score
 from motor_classifiers.scoring.score import Results
 from motor_classifiers.scoring.task import class_task
 from motor_classifiers.scoring.unknown_faults import FALSE_ALARM_RATES
-from motor_datasets import generate_arrays
-from motor_env import simulate_states
 from motor_env.pages.svg import Axis
 
 
@@ -93,28 +87,6 @@ def test_boxes_of_severities_hold_their_quantiles() -> None:
     assert whiskers[0] == close([x(0.0), 22.5, x(0.05), 22.5], abs=0.06)
     assert "m: median 2.0 points" in chart
     assert shapes(chart, "text", "name") == [[158.0, 33.0], [158.0, 71.0]]
-
-
-def test_traces_are_drawn_over_their_time() -> None:
-    time_ms = np.array([0.0, 1.0, 2.0, 4.0])
-    chart = trace_chart(
-        time_ms,
-        {"measured": np.array([0.0, 1.0, 2.0, 1.0])},
-        "A",
-        span=(0.0, 2.0),
-        levels=(0.5,),
-        mark_ms=1.0,
-        with_time=True,
-    )
-    assert 'points="52.0,118.0 156.5,63.0 261.0,8.0 470.0,63.0"' in chart
-    assert shapes(chart, "line", "threshold") == [[52.0, 90.5, 470.0, 90.5]]
-    assert shapes(chart, "line", "mark") == [[156.5, 8.0, 156.5, 118.0]]
-    bare = trace_chart(time_ms, {"measured": np.array([0.0, 1.0, 2.0, 1.0])}, "A", span=(0.0, 2.0))
-    assert 'points="52.0,138.0 156.5,73.0' in bare
-    many = trace_chart(np.arange(2100.0), {"c": np.zeros(2100)}, "A", span=(0.0, 1.0))
-    points = re.findall(r'points="([^"]*)"', many)[0].split()
-    assert len(points) == 700  # every third
-    assert points[1].split(",")[0] == f"{52 + 418 * 3 / 2099:.1f}"
 
 
 def test_reliability_has_bars_of_one_error_and_dots_by_their_cases() -> None:
@@ -193,13 +165,6 @@ def test_names_for_people() -> None:
     ]
 
 
-def test_a_running_mean_is_that_of_the_last_samples() -> None:
-    values = np.random.default_rng(0).normal(size=(2, 30))
-    expected = [[row[max(0, n - 6) : n + 1].mean() for n in range(30)] for row in values]
-    np.testing.assert_allclose(running_mean(values, 7), expected)
-    np.testing.assert_allclose(running_mean(values, 1), values)
-
-
 @pytest.fixture(scope="module")
 def made() -> tuple[Any, Results]:
     """Two methods, one of which only decides; the limit errs on the first ten starts."""
@@ -209,71 +174,6 @@ def made() -> tuple[Any, Results]:
     )  # fmt: skip
 
 
-def test_examples_are_the_first_starts_of_each_class(
-    made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[tuple[Any, ...]] = []
-
-    def noted(*given: Any, **options: Any) -> str:
-        drawn.append((*given, options))
-        return f"chart {len(drawn)}"
-
-    monkeypatch.setattr(examples_module, "trace_chart", noted)
-    result = made[1]
-    told = examples(result, result.methods[0])
-    first = [int(np.flatnonzero(result.truth == n)[0]) for n in range(5)]
-    X = generate_arrays(RECIPE, 0, 10**9 + np.array(first)).X.astype(np.float64)
-    white = whitened_residual(RECIPE, X)
-    nominal = simulate_states(RECIPE.motor, RECIPE.nominal_voltage_v, 1e-3)[:, 0]
-    # A mean of the last n = 5 samples of white noise, in its own standard deviations: a twentieth of 100 samples.
-    smooth = np.array(
-        [[row[max(0, n - 4) : n + 1].sum() / np.sqrt(min(n + 1, 5)) for n in range(100)] for row in white]
-    )
-    threshold = norm.isf(0.5 * 0.01 / 20)
-    reach = min(max(1.1 * np.abs(smooth).max(), 2.0 * threshold), 16.0)
-    assert len(told) == 5
-    assert len(drawn) == 15
-    for n, one in enumerate(told):
-        row = first[n]
-        assert one["truth"] == readable(RECIPE.class_names[n])
-        assert one["decided"] == readable(RECIPE.class_names[result.methods[0].answer.decided[row]])
-        assert one["right"] == (result.methods[0].answer.decided[row] == n)
-        assert (one["probability"], one["smooth_ms"]) == (0.75, pytest.approx(5.0))
-        assert one["limit_probability"] == result.limit.answer.probabilities[row, n]
-        beyond = np.flatnonzero(np.abs(smooth[n]) > threshold)
-        current, level, residual = drawn[3 * n : 3 * n + 3]
-        np.testing.assert_allclose(current[0], np.arange(1.0, 101.0))
-        np.testing.assert_allclose(current[1]["measured"], X[n, 0])
-        np.testing.assert_allclose(current[1]["nominal"], nominal, rtol=1e-6)
-        assert current[-1]["span"] == pytest.approx((min(-0.1, X.min()), 1.06 * max(nominal.max(), X.max())))
-        np.testing.assert_allclose(level[1]["measured"], 1e3 * running_mean(X[n, 0], 5))
-        assert level[-1]["span"] == (0.0, 80.0)
-        np.testing.assert_allclose(residual[1]["residual"], smooth[n], atol=1e-9)
-        assert residual[-1]["span"] == pytest.approx((-reach, reach))
-        assert residual[-1]["levels"] == pytest.approx((-threshold, threshold))
-        assert residual[-1]["mark_ms"] == (pytest.approx(1.0 + beyond[0]) if len(beyond) else None)
-    assert any(residual[-1]["mark_ms"] is not None for residual in drawn[2::3])
-
-
-@pytest.mark.parametrize(("noise_a", "reach"), [(0.5, None), (0.02, 16.0)])
-def test_residuals_are_shown_up_to_sixteen_deviations(
-    made: tuple[Any, Results], noise_a: float, reach: float | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """At 20 mA a winding fault is far beyond; in half an ampere of noise nothing is beyond twice the threshold."""
-    spans = []
-
-    def noted(*given: Any, span: tuple[float, float], **options: Any) -> str:
-        spans.append((span, options.get("levels", ())))
-        return ""
-
-    monkeypatch.setattr(examples_module, "trace_chart", noted)
-    loud = replace(RECIPE, sensor=replace(RECIPE.sensor, current_noise_a=noise_a))
-    result = replace(made[1], task=replace(TASK, recipe=loud))
-    examples(result, result.methods[0])
-    span, levels = spans[2]
-    assert span[1] == pytest.approx(2.0 * levels[1] if reach is None else reach)
-
-
 def test_the_page_is_given_what_was_scored(
     made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -281,16 +181,14 @@ def test_the_page_is_given_what_was_scored(
         "interval": [],
         "reliability": [],
         "severity": [],
-        "examples": [],
     }
     for name, calls in given.items():
-        target = "examples" if name == "examples" else f"{name}_chart"
 
         def noted(*arguments: Any, calls: Any = calls, **options: Any) -> Any:
             calls.append((*arguments, options))
             return []
 
-        monkeypatch.setattr(page, target, noted)
+        monkeypatch.setattr(page, f"{name}_chart", noted)
     words: dict[str, Any] = {}
 
     def rendered(*_: Any, **context: Any) -> str:
