@@ -20,7 +20,14 @@ def interval_chart(
     low = min([*(score.low for _, _, score in bars), limit]) - 0.01
     high = min(1.0, max([*(score.high for _, _, score in bars), limit]) + 0.01)
     shares = Axis("", low, high, round_ticks(low, high, 6 if width > 500 else 3), percent)
-    chart = _rows(shares, len(bars), 28, size=(width, 64), margins=(left, 54, 34), label=title or limit_label)
+    chart = Chart(
+        shares,
+        Axis("", 0.0, len(bars), is_reversed=True),
+        size=(width, 64 + 28 * len(bars)),
+        margins=(left, 54, 34, 30),
+        label=title or limit_label,
+    )
+    chart.x_numbers(grid=True)
     x = chart.x(limit)
     chart.line("limit", (x, chart.top - 6), (x, chart.bottom))
     chart.text((x + 4, chart.top - 13), limit_label, "limit-label", "end" if x > 0.6 * width else "middle")
@@ -31,54 +38,6 @@ def interval_chart(
         chart.dot(f"dot {family}", (chart.x(score.value), y), 5.5)
         chart.text((chart.x(score.high) + 8, y + 4), f"{100 * score.value:.1f}", "value")
     return chart.svg()
-
-
-Boxes = tuple[str, str, list[list[float]]]
-"""Estimates of one method: label, style class, and of each class the quantiles 5, 25, 50, 75, 95 %."""
-
-
-def severity_chart(names: Sequence[str], truth: Sequence[float], methods: Sequence[Boxes]) -> str:
-    """Estimated severities of each true class, a bar a method; the true severity as a mark."""
-    every = [quantile for _, _, rows in methods for row in rows for quantile in row]
-    low, high = min(0.0, *every), max(*truth, *every) * 1.03
-    points = Axis("points", low, high, round_ticks(low, high, 8), lambda value: f"{100 * value:g}")
-    thick, label = 13, "Estimated severity of each class"
-    chart = _rows(
-        points, len(names), thick * len(methods) + 12, size=(760, 50), margins=(170, 20, 10), label=label
-    )
-    chart.text(((chart.left + 760) / 2, chart.bottom + 34), points.title, anchor="middle")
-    for row, (name, true) in enumerate(zip(names, truth, strict=True)):
-        begin, end = chart.y(row) + 6, chart.y(row + 1.0) - 6
-        chart.text((chart.left - 12, (begin + end) / 2 + 4), name, "name", "end")
-        for number, (method, style, quantiles) in enumerate(methods):
-            y, ends = begin + thick * (number + 0.5), [chart.x(value) for value in quantiles[row]]
-            with chart.group(f"boxes {style}", f"{method}: median {100 * quantiles[row][2]:.1f} points"):
-                chart.line("", (ends[0], y), (ends[4], y))
-                chart.shape("rect", x=ends[1], y=y - 4, width=max(ends[3] - ends[1], 1.5), height=8, rx=2)
-        chart.line("truth", (chart.x(true), begin - 2), (chart.x(true), end + 2))
-    return chart.svg()
-
-
-def _rows(
-    x_axis: Axis,
-    count: int,
-    height: int,
-    *,
-    size: tuple[int, int],
-    margins: tuple[int, int, int],
-    label: str,
-) -> Chart:
-    """A chart of so many rows, counted downwards, with a grid along x; `size` holds the height without the rows."""
-    left, right, top = margins
-    chart = Chart(
-        x_axis,
-        Axis("", 0.0, count, is_reversed=True),
-        size=(size[0], size[1] + height * count),
-        margins=(left, right, top, size[1] - top),
-        label=label,
-    )
-    chart.x_numbers(grid=True)
-    return chart
 
 
 def reliability_chart(binned: Reliability, low: float) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from motor_classifiers.estimators.own_methods import find_method
-from motor_classifiers.report.charts import interval_chart, reliability_chart, severity_chart
+from motor_classifiers.report.charts import interval_chart, reliability_chart
 from motor_classifiers.report.names import readable, short
 from motor_classifiers.report.sweep_page import sweep_section
 from motor_classifiers.report.trust_page import trust_section
@@ -23,8 +23,6 @@ from motor_classifiers.scoring.score import SIGNIFICANCE, ClassResult, Results
 from motor_env.files import write_text
 from motor_env.pages.html import render
 from motor_env.simulation.recipe_files import recipe_to_dict
-
-_QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
 
 
 def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
@@ -65,8 +63,6 @@ def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
         sub_charts=_sub_charts(result, ranked),
         confusions=[_confusion(one) for one in (result.limit, *ranked)],
         reliability=_reliability((result.limit, *ranked)),
-        severity_chart=_severity_chart(result, _severity_methods(ranked)),
-        severity_methods=[method.name for method in _severity_methods(ranked)],
         trust=trust_section(result),
         sweep=sweep_section(plan, results) if len(results) > 1 else None,
         against=[
@@ -129,31 +125,6 @@ def _reliability(shown: Sequence[ClassResult]) -> list[dict[str, Any]]:
         {"name": name, "chart": reliability_chart(scores.reliability, low), "scores": scores}
         for name, scores in graded
     ]
-
-
-def _severity_methods(ranked: Sequence[ClassResult]) -> list[ClassResult]:
-    """The most exact of ours, and of the peers that grade."""
-    graded = sorted(
-        (method for method in ranked if method.calibration is not None),
-        key=lambda method: method.severity_rmse.value,
-    )
-    ours = [method for method in graded if not method.answer.origin][:1]
-    return ours + [method for method in graded if method.answer.origin][:1]
-
-
-def _severity_chart(result: Results, chosen: Sequence[ClassResult]) -> str:
-    recipe = result.task.recipe
-    present = [n for n in range(len(recipe.classes)) if (result.truth == n).any()]
-    boxes = [
-        (
-            one.name,
-            style,
-            [np.quantile(one.severity[result.truth == n], _QUANTILES).tolist() for n in present],
-        )
-        for one, style in zip((result.limit, *chosen), ("limit", "s1", "s4"), strict=False)
-    ]
-    truth = [float(result.severity[result.truth == n].mean()) for n in present]
-    return severity_chart([readable(recipe.class_names[n]) for n in present], truth, boxes)
 
 
 def write_results(plan: Plan, results: Sequence[Results], folder: Path) -> Path:

@@ -12,7 +12,6 @@ from motor_classifiers.scoring.calibration import CalibrationScores, calibration
 from motor_classifiers.scoring.judging import LIMIT, Answer, expected_severity
 from motor_classifiers.scoring.metrics import (
     Comparison,
-    IntArray,
     Score,
     Scores,
     compare,
@@ -54,15 +53,14 @@ class ClassResult(Result):
         answer: what was said of each case.
         scores: of the decisions, with intervals.
         calibration: of the probabilities; None for a method that only decides.
-        severity: mean severity over the classes by their probabilities, 0.01 for a point, shape (n_test,).
-        severity_rmse: root mean square of its error.
+        severity_rmse: root mean square error of the mean severity over the classes by their probabilities, 0.01 for a
+            point.
     """
 
     against_limit: Comparison
     answer: Answer
     scores: Scores
     calibration: CalibrationScores | None
-    severity: FloatArray
     severity_rmse: Score
 
 
@@ -72,8 +70,6 @@ class Results:
 
     Attributes:
         task: the task.
-        truth: index of the true class of each case.
-        severity: true severity of each.
         limit: the Bayes-optimal posterior, or its estimate where the likelihood has no closed form.
         methods: in the order given.
         weights: of the bootstrap, shape (1 + n_resamples, n_test).
@@ -82,8 +78,6 @@ class Results:
     """
 
     task: ClassTask
-    truth: IntArray
-    severity: FloatArray
     limit: ClassResult
     methods: tuple[ClassResult, ...]
     weights: FloatArray
@@ -154,19 +148,17 @@ def score_classes(
         n_comparisons: methods and settings that share the check against the limit.
     """
     starts, recipe, every = task.starts(), task.recipe, {**answers, LIMIT: limit}
-    truth, true_severity = starts.class_index, starts.severity
     weights = resampling_weights(len(starts), task.seed, groups=starts.motor_id)
     said = {name: answer.probabilities for name, answer in every.items()}
     made = {}
-    for name, result in score(task, truth, said, weights, LIMIT).items():
-        severity = expected_severity(recipe, said[name])
+    for name, result in score(task, starts.class_index, said, weights, LIMIT).items():
+        error = expected_severity(recipe, said[name]) - starts.severity
         made[name] = ClassResult(
             **vars(result),
             answer=every[name],
-            scores=scores(recipe, truth, every[name].decided, weights),
-            calibration=calibration_scores(said[name], truth) if every[name].is_graded else None,
-            severity=severity,
-            severity_rmse=root_mean_square(severity - true_severity, weights),
+            scores=scores(recipe, starts.class_index, every[name].decided, weights),
+            calibration=calibration_scores(said[name], starts.class_index) if every[name].is_graded else None,
+            severity_rmse=root_mean_square(error, weights),
         )
     best = made.pop(LIMIT)
-    return Results(task, truth, true_severity, best, tuple(made.values()), weights, n_comparisons)
+    return Results(task, best, tuple(made.values()), weights, n_comparisons)

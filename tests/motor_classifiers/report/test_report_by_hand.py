@@ -15,7 +15,6 @@ from motor_classifiers.report.charts import (
     interval_chart,
     line_chart,
     reliability_chart,
-    severity_chart,
     share_axis,
 )
 from motor_classifiers.report.names import readable, short
@@ -63,30 +62,6 @@ def test_intervals_stand_where_their_scores_say() -> None:
     top = interval_chart([("a", "own", Score(0.999, 0.99, 1.0))], 0.995, "limit")
     (point,) = shapes(top, "circle")  # the axis ends at 1
     assert point[0] == pytest.approx(170 + 536 * (0.999 - 0.98) / 0.02, abs=0.06)
-
-
-def test_boxes_of_severities_hold_their_quantiles() -> None:
-    rows = [[0.0, 0.01, 0.02, 0.03, 0.05], [0.2, 0.24, 0.25, 0.26, 0.30]]
-    chart = severity_chart(["a", "b"], [0.0, 0.25], [("m", "s1", rows), ("n", "s4", [[0.1] * 5, [0.1] * 5])])
-
-    def x(value: float) -> float:
-        return 170 + (740 - 170) * value / (0.30 * 1.03)
-
-    close = pytest.approx
-    assert 'viewBox="0 0 760 126"' in chart
-    first, second, third, fourth = shapes(chart, "rect")
-    assert first == close([x(0.01), 18.5, x(0.03) - x(0.01), 8.0], abs=0.06)
-    assert second == close([x(0.1), 31.5, 1.5, 8.0], abs=0.06)  # never thinner than can be seen
-    assert third == close([x(0.24), 56.5, x(0.26) - x(0.24), 8.0], abs=0.06)
-    assert fourth[1] == close(69.5)
-    assert shapes(chart, "line", "truth") == [
-        close([x(0.0), 14, x(0.0), 44], abs=0.06),
-        close([x(0.25), 52, x(0.25), 82], abs=0.06),
-    ]
-    whiskers = shapes(re.sub(r'<line class="[a-z]+"[^>]*>', "", chart), "line")
-    assert whiskers[0] == close([x(0.0), 22.5, x(0.05), 22.5], abs=0.06)
-    assert "m: median 2.0 points" in chart
-    assert shapes(chart, "text", "name") == [[158.0, 33.0], [158.0, 71.0]]
 
 
 def test_reliability_has_bars_of_one_error_and_dots_by_their_cases() -> None:
@@ -177,11 +152,7 @@ def made() -> tuple[Any, Results]:
 def test_the_page_is_given_what_was_scored(
     made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: dict[str, list[tuple[Any, ...]]] = {
-        "interval": [],
-        "reliability": [],
-        "severity": [],
-    }
+    given: dict[str, list[tuple[Any, ...]]] = {"interval": [], "reliability": []}
     for name, calls in given.items():
 
         def noted(*arguments: Any, calls: Any = calls, **options: Any) -> Any:
@@ -197,28 +168,19 @@ def test_the_page_is_given_what_was_scored(
 
     monkeypatch.setattr(page, "render", rendered)
     plan, plain = made
-    spread = np.random.default_rng(0).uniform(0.0, 0.3, 60)
     peers = tuple(
         replace(plain.methods[n], name=name, answer=plain.methods[n].answer._replace(origin="elsewhere"))
         for n, name in ((0, "quant"), (2, "peer"))
     )
-    alone = replace(plain, limit=replace(plain.limit, severity=spread))
-    result = replace(alone, methods=plain.methods + peers)
-    assert page.render_report(plan, [result], "a machine") == "page"
+    assert page.render_report(plan, [replace(plain, methods=plain.methods + peers)], "a machine") == "page"
     assert not words["sweep"]
     assert (words["best_peer"].name, words["origins"]) == ("peer", ["elsewhere"])
-    both = given["severity"][-1][2]
-    assert len(both) == 3
-    assert len(words["severity_methods"]) == 2
-    assert (both[1][:2], both[2][1]) == ((words["severity_methods"][0], "s1"), "s4")
-    assert both[2][0] in ("quant", "peer")
-    assert page.render_report(plan, [alone, alone], "a machine") == "page"
+    assert page.render_report(plan, [plain, plain], "a machine") == "page"
     sweep: Any = words["sweep"]
     assert sweep["settings"][0][0] == TASK
     for calls in given.values():
         calls.clear()
-    result = alone
-    assert page.render_report(plan, [result], "a machine") == "page"
+    assert page.render_report(plan, [plain], "a machine") == "page"
     assert [one.name for one in words["methods"]] == ["residual-qda", "network", "threshold"]
     assert words["best"].name == "residual-qda"
     assert words["best_peer"] is None
@@ -233,23 +195,15 @@ def test_the_page_is_given_what_was_scored(
     assert [name for name, *_ in bars] == ["residual-qda", "network", "threshold"]
     assert (limit, label) == (pytest.approx(50 / 60), "Bayes limit on these motors: 83.3 %")
     assert [call[-1]["title"] for call in given["interval"][1:]] == ["Winding", "Bearing", "Severity"]
-    assert given["interval"][2][1] == result.limit.scores.bearing.value
+    assert given["interval"][2][1] == plain.limit.scores.bearing.value
     assert [one["name"] for one in words["confusions"]] == ["limit", "residual-qda", "network", "threshold"]
     shares = np.array(words["confusions"][0]["shares"])
     np.testing.assert_allclose(shares.sum(axis=1), 100.0)
-    counts = result.limit.scores.confusion
+    counts = plain.limit.scores.confusion
     np.testing.assert_allclose(shares, 100.0 * counts / counts.sum(axis=1, keepdims=True))
     # Confidences are 0.8125, 0.5625 and 0.75; what only decides has no curve.
     assert [one["name"] for one in words["reliability"]] == ["limit", "network", "threshold"]
     assert [call[1] for call in given["reliability"]] == pytest.approx([0.5] * 3)
-    (boxes,) = given["severity"]
-    assert boxes[0] == [readable(name) for name in RECIPE.class_names]
-    assert boxes[1] == pytest.approx([0.0, 0.1, 0.25, 0.1, 0.25])
-    (limit_name, _, limit_rows), (best_name, style, _) = boxes[2]
-    rmse = {one.name: one.severity_rmse.value for one in result.methods if one.name != "residual-qda"}
-    assert (limit_name, best_name, style) == ("limit", min(rmse, key=lambda name: rmse[name]), "s1")
-    own = result.limit.severity[result.truth == 2]
-    np.testing.assert_allclose(limit_rows[2], np.quantile(own, [0.05, 0.25, 0.5, 0.75, 0.95]))
 
 
 def test_numbers_on_the_page() -> None:

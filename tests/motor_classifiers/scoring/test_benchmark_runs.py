@@ -72,8 +72,8 @@ def test_benchmark_writes_a_page_that_needs_nothing_else(tmp_path: Path) -> None
     assert [float(row["accuracy"]) for row in flat] == [row["accuracy"] for row in rows]
     page = (tmp_path / "report.html").read_text()
     assert not re.search(r"src\s*=|href\s*=\s*\"?[^#\"]|@import|url\(|https?://", page)
-    # accuracy, three sub-scores, four curves of confidence, severities, and three of trust
-    assert page.count("<svg") == 1 + 3 + 4 + 1 + 3
+    # accuracy, three sub-scores, four curves of confidence, and three of trust
+    assert page.count("<svg") == 1 + 3 + 4 + 3
     assert not (tmp_path / "answers").exists()
     trust = json.loads((tmp_path / "trust.json").read_text())
     assert [row["method"] for row in trust["sets"]["methods"]] == [
