@@ -191,8 +191,7 @@ def load_answer(path: Path, task: ClassTask) -> Answer | None:
     except InputError:
         return None
     wanted = {"probabilities": (task.n_test, len(task.recipe.classes)), "costs": (4,)}
-    # Files of older versions hold the severity, too, which follows from the probabilities.
-    if {name: values.shape for name, values in found.items() if name != "severity"} != wanted:
+    if {name: values.shape for name, values in found.items()} != wanted:
         return None
     train, inference = (
         Cost(s, None if np.isnan(mb) else mb) for s, mb in found["costs"].reshape(2, 2).tolist()

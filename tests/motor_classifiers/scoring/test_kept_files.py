@@ -62,8 +62,7 @@ def test_an_archive_that_unpacks_to_too_much_is_not_read(
 )
 def test_an_answer_of_another_shape_is_had_again(changed: dict[str, Any], tmp_path: Path) -> None:
     whole: dict[str, Any] = {"probabilities": np.full((50, 5), 0.2), "costs": np.ones(4)}
-    for older in ({}, {"severity": np.zeros(50)}):  # which earlier versions kept beside the probabilities
-        np.savez(tmp_path / "a.npz", allow_pickle=False, **whole, **older)
-        assert load_answer(tmp_path / "a.npz", TASK) is not None
+    np.savez(tmp_path / "a.npz", allow_pickle=False, **whole)
+    assert load_answer(tmp_path / "a.npz", TASK) is not None
     np.savez(tmp_path / "a.npz", allow_pickle=False, **whole | changed)
     assert load_answer(tmp_path / "a.npz", TASK) is None

@@ -33,11 +33,6 @@ MOST_LAYERS = 1000
 class LogitClassifier(cases.ProbabilityClassifier):
     """What classifiers share whose `_logits` are logarithms of probabilities up to a constant of each case."""
 
-    def decision_function(self, X: Any) -> FloatArray:
-        """Logits, shape (n_cases, n_classes); for two classes the second's over the first's, shape (n_cases,)."""
-        logits = self._logits(X)
-        return logits[:, 1] - logits[:, 0] if len(self.classes_) == 2 else logits
-
     def predict_proba(self, X: Any) -> FloatArray:
         """Probability of each class, shape (n_cases, n_classes)."""
         probabilities: FloatArray = softmax(self._logits(X), axis=1)
