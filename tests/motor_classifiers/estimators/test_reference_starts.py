@@ -136,7 +136,7 @@ def test_recentred_starts_are_those_of_the_nominal_motor() -> None:
 
 def test_a_network_learns_from_the_stream_of_referenced_starts() -> None:
     model = PosteriorNetwork(
-        BENCH, n_components=12, steps=150, batch_size=256, n_references=1, random_state=0
+        BENCH, n_components=12, steps=150, batch_size=128, n_references=1, random_state=0
     ).fit_stream()
     test = referenced_starts(BENCH, 7, np.arange(600), 1)
     limit = referenced_probabilities(BENCH, test.X)

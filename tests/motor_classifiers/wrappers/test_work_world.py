@@ -20,7 +20,7 @@ OPERATION = replace(load_recipe("operation"), starts_per_motor=1, healthy_starts
 assert OPERATION.field is not None
 FIELD = OPERATION.field
 WORLD = WorkWorld.from_recipe(OPERATION)
-KNOWN = generate_arrays(OPERATION, 31, 400)
+KNOWN = generate_arrays(OPERATION, 31, 200)
 
 
 def flat(recipe: Recipe, seed: int, count: int) -> FloatArray:
@@ -128,9 +128,9 @@ def test_offsets_that_a_recipe_has_are_no_departure_of_it() -> None:
 
 
 def test_one_in_a_hundred_of_its_own_records_is_refused(detector: OutsideDetector) -> None:
-    refused = detector.predict(generate_arrays(OPERATION, 91, 400).X) < 0
+    refused = detector.predict(generate_arrays(OPERATION, 91, 200).X) < 0
     # Threshold and count both scatter: four standard deviations of both.
-    assert abs(refused.mean() - 0.01) < 4.0 * np.sqrt(0.01 * 0.99 * 2.0 / 400)
+    assert abs(refused.mean() - 0.01) < 4.0 * np.sqrt(0.01 * 0.99 * 2.0 / 200)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_one_in_a_hundred_of_its_own_records_is_refused(detector: OutsideDetecto
 def test_what_is_off_is_named(
     detector: OutsideDetector, off: str, changes: dict[str, Any], refused: float, right: float
 ) -> None:
-    named = detector.what_is_off(generate_arrays(replace(OPERATION, **changes), 6, 80).X)
+    named = detector.what_is_off(generate_arrays(replace(OPERATION, **changes), 6, 40).X)
     assert (named != "").mean() >= refused
     assert (named == off).mean() >= right
     assert set(named.tolist()) <= {"", *ADVICE}
@@ -155,7 +155,7 @@ def test_what_is_off_is_named(
 
 def test_a_third_of_the_hot_motors_are_refused_and_called_warm(detector: OutsideDetector) -> None:
     """A test trained for this very shift refuses seven tenths (docs/trust.md)."""
-    named = detector.what_is_off(generate_arrays(OPERATION.shifted("hotter"), 6, 200).X)
+    named = detector.what_is_off(generate_arrays(OPERATION.shifted("hotter"), 6, 100).X)
     assert (named != "").mean() > 0.25
     assert (named[named != ""] == "warmth").mean() > 0.6
 
