@@ -58,13 +58,6 @@ def test_croissant_has_what_version_1_asks_for(folder: Path) -> None:
     assert len(set(identifiers)) == len(identifiers)
 
 
-def test_card_tells_license_size_and_columns(folder: Path) -> None:
-    card = (folder / "README.md").read_text(encoding="utf-8")
-    assert "license: mit\nsize_categories:\n- n<1K\n" in card
-    assert "| `ramp_s` | number | s | rise time of the supply |" in card
-    assert "150 cases in " in " ".join(card.split())  # 100, and 10 for each of five shifts
-
-
 def test_cases_add_up_where_there_are_shifts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["generate", "field", "--cases", "100", "--seed", "1", "--sampling-rate-hz", "1000"]
     assert main([*command, "--out", str(tmp_path / "dry"), "--dry-run"]) == 0

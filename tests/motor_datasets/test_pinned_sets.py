@@ -310,7 +310,7 @@ def test_the_card_counts_and_names_its_size() -> None:
         (10**6, "1M<n<10M"), (10**7 - 1, "1M<n<10M"), (10**7, "n>10M"),
     ):  # fmt: skip
         plain = data_card(Manifest(BENCH, 0, 1, (entry(rows=rows),)))
-        assert f"size_categories:\n- {category}\n" in plain
+        assert f"license: mit\nsize_categories:\n- {category}\n" in plain
         assert "where measured, `speed_rad_s`. No motor" in plain
 
 

@@ -1,5 +1,6 @@
 """Data sets behind URLs: the same bytes, the same refusals, one sentence where a URL cannot be used."""
 
+import json
 import subprocess
 import sys
 import uuid
@@ -109,6 +110,8 @@ def test_every_command_takes_a_url(tmp_path: Path, url: str, capsys: pytest.Capt
     assert main(["verify", url]) == 1
     found = capsys.readouterr().out.splitlines()
     assert len(found) == 3
+    assert main(["verify", url, "--json"]) == 1
+    assert json.loads(capsys.readouterr().out) == found
     for name, what in (("train-000000", "damaged"), ("test-000000", "missing"), ("extra", "foreign")):
         assert any(name in sentence and what in sentence for sentence in found)
 

@@ -1,7 +1,6 @@
 """Interrupted, damaged, shared among workers: the bytes stay the same, or it is said what is wrong."""
 
 import contextlib
-import json
 import os
 import shutil
 import signal
@@ -17,7 +16,6 @@ import pytest
 from small_sets import SHARD_BYTES, SHORT, SMALL_SHARDS, assert_goes_on, files_of, interrupted
 
 from motor_datasets import generate_dataset, layout, load
-from motor_datasets.cli import main
 from motor_env import InputError
 
 
@@ -85,25 +83,6 @@ def test_killed_at_ten_moments_and_whatever_the_workers(tmp_path: Path) -> None:
         assert files_of(out) == whole
         shutil.rmtree(out)
     assert killed >= 8
-
-
-@pytest.mark.usefixtures("small_shards")
-def test_verify_names_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    generate_dataset(SHORT, 200, 1, tmp_path / "set")
-    assert main(["verify", str(tmp_path / "set")]) == 0
-    data = tmp_path / "set/data"
-    content = bytearray((data / "train-000001.parquet").read_bytes())
-    content[500] ^= 1
-    (data / "train-000001.parquet").write_bytes(content)
-    (data / "test-000000.parquet").unlink()
-    (data / "extra.parquet").write_bytes(b"")
-    capsys.readouterr()
-    assert main(["verify", str(tmp_path / "set"), "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert len(found) == 3
-    for name, what in (("train-000001", "damaged"), ("test-000000", "missing"), ("extra", "foreign")):
-        assert any(name in sentence and what in sentence for sentence in found)
-    assert main(["verify", str(tmp_path)]) == 2
 
 
 def test_other_tools_read_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -225,24 +225,6 @@ def test_a_sealed_seed_has_64_bits(
     assert seeds[-1] is None
 
 
-def test_recordings_are_scored_in_per_cent(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    row = {
-        "method": "m",
-        "n_recordings": 8,
-        "n_motors": 3,
-        "wrong": 0.125,
-        "low": 0.02,
-        "high": 0.26,
-        "silent": 0.375,
-    }
-    monkeypatch.setattr("motor_classifiers.contest.recordings.score_recordings", lambda *_: [row])
-    assert main(["score-recordings", "a", "b"]) == 0
-    expected = "m, 8 recordings of 3 motors: wrong 12.5 % (2.0 to 26.0), no verdict 37.5 %\n"
-    assert capsys.readouterr().out == expected
-
-
 def test_options_with_several_numbers(tmp_path: Path) -> None:
     assert numbers("x", None) == ()
     assert numbers("x", "1,2.5") == (1.0, 2.5)

@@ -23,15 +23,10 @@ from motor_classifiers.contest.submissions import unpacked_costs
 from motor_classifiers.contest.tasks import TASKS, frozen_digests
 
 # Reaches in: the intervals by hand need the very weights that cases are drawn again with.
-from motor_classifiers.scoring.metrics import compare, interval, resampling_weights
+from motor_classifiers.scoring.metrics import compare, resampling_weights
 from motor_classifiers.scoring.task import SEED, VERSION
 from motor_env import InputError
 from motor_env.console import json_text
-
-
-def test_an_interval_leaves_the_first_figure_out() -> None:
-    """Of 41 resamples 0 .. 40 the quantiles 2.5 and 97.5 % are 1 and 39."""
-    assert interval(np.array([77.0, *range(41)])) == pytest.approx((77.0, 1.0, 39.0))
 
 
 def test_costs_of_the_linearised_area_by_hand() -> None:

@@ -35,7 +35,9 @@ def test_wrong_and_silent_shares(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert (method["low"], method["high"]) == (0.0, 1.0)  # motors 1 and 2 are not always drawn
     assert (model_based["method"], model_based["wrong"], model_based["high"]) == ("model_based", 0.0, 0.0)
     assert main(["score-recordings", *map(str, paths)]) == 0
-    assert "method, 4 recordings of 3 motors: wrong 50.0 %" in capsys.readouterr().out
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == "method, 4 recordings of 3 motors: wrong 50.0 % (0.0 to 100.0), no verdict 25.0 %"
+    assert second.startswith("model_based, 4 recordings of 3 motors: wrong 0.0 % (0.0 to 0.0)")
 
 
 def test_verdicts_of_the_shipped_network_on_the_example(

@@ -90,14 +90,6 @@ def test_a_sealed_split_is_other_cases_and_what_is_learned_from_stays(name: str)
     assert known.isdisjoint(case.tobytes() for case in sealed.test().X)
 
 
-def test_onsets_of_a_stream() -> None:
-    learned = load_task("stream").learned()
-    onset, X = learned["onset_s"], learned["X"]
-    assert X.shape == (120, 1, 700)
-    assert 0.3 < np.isnan(onset).mean() < 0.7  # half of the motors stay healthy
-    assert set(np.round(onset[~np.isnan(onset)], 9)) <= set(np.round(np.linspace(0.15, 0.45, 31), 9))
-
-
 def _with(table: pa.Table, name: str, values: Any) -> pa.Table:
     return table.set_column(table.column_names.index(name), name, pa.array(values))
 

@@ -52,15 +52,6 @@ def test_windings_are_told_and_alarms_carry_a_time(tuned: Tuned) -> None:
     np.testing.assert_allclose(result.probabilities.sum(axis=1), 1.0)
 
 
-def test_a_case_is_decided_alike_alone_and_in_company(tuned: Tuned) -> None:
-    recipe, rule = tuned
-    measurements, _ = cases(recipe, 4, 20)
-    together = rule.decide(measurements)
-    alone = rule.decide(measurements[7:8])
-    assert alone.class_index[0] == together.class_index[7]
-    np.testing.assert_allclose(alone.probabilities[0], together.probabilities[7], rtol=1e-9)
-
-
 def test_a_rise_of_the_noise_is_told_from_a_bearing() -> None:
     classes = (FaultClass(), FaultClass(FaultKind.BEARING, 0.25), FaultClass(FaultKind.NOISE, 0.5))
     recipe = load_recipe("paper", classes=classes)

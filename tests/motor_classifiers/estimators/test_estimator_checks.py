@@ -33,7 +33,7 @@ ESTIMATORS = [
     EarlyClassifier(),
     OpenSetClassifier(),
     OutsideDetector(),
-    PerceptronClassifier(epochs=15),
+    PerceptronClassifier(epochs=10),
     ResNetClassifier(epochs=6, stem=4, width=8),
     TorchClassifier(epochs=20),
     PosteriorNetwork(steps=40, batch_size=32, n_hidden=32),

@@ -5,14 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from limit_cells import limit_cell
 
-from motor_classifiers import PosteriorNetwork, load_model
+from motor_classifiers import PosteriorNetwork, evaluate_model, load_model
 from motor_classifiers.cli.main import main
 
 # Reaches in: pins the recipe that `train --motor` makes of a data sheet; training on it takes minutes.
 from motor_classifiers.cli.training import network_recipe
 from motor_classifiers.model_files.persistence import PRETRAINED
+from motor_classifiers.scoring.trust import severity_figures
+from motor_datasets import generate_arrays
 from motor_env import load_motor, load_recipe
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -25,11 +26,13 @@ def test_the_shipped_network_is_small_and_near_the_limit() -> None:
     model, recipe, method = load_model(PRETRAINED)
     assert isinstance(model, PosteriorNetwork)
     assert (recipe, method) == (load_recipe("bench"), "posterior-network")
-    cell = limit_cell(model, recipe, 1000, 100)
-    assert abs(cell["excess"]) < 0.003 + 2.0 * cell["excess_standard_error"]
-    assert cell["log_loss"] < 1.02 * cell["limit_log_loss"]
-    for severity in cell["severities"].values():
-        assert severity["rmse"] < 1.05 * severity["limit_rmse"]
+    scored = evaluate_model(model, recipe, generate_arrays(recipe, 4, 1000), 0)
+    assert scored["below_bayes_low"] < 0.003
+    assert scored["p_above_bayes"] > 0.001
+    assert scored["log_loss"] < 1.02 * scored["bayes_log_loss"]
+    for prior in model.severity_priors_:
+        told = severity_figures(model, recipe, prior, 4, 100)
+        assert told["network"]["rmse"] < 1.05 * told["limit"]["rmse"]
 
 
 def test_predict_needs_no_model_and_tells_both_verdicts(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from shifts import shift_scores, textbook_shifts
-from sklearn.metrics import roc_auc_score
 
 from motor_classifiers import ConformalSets, OutsideDetector
 from motor_classifiers.scoring import trust as trust_module
@@ -25,9 +24,7 @@ from motor_classifiers.scoring.trust import (
 )
 from motor_classifiers.scoring.unknown_faults import (
     DISTANCE,
-    FALSE_ALARM_RATES,
     UNKNOWN_FAULTS,
-    foreign_scores,
     foreign_starts,
 )
 from motor_datasets import generate_arrays
@@ -93,28 +90,6 @@ def test_a_field_needs_a_reference() -> None:
     assert estimated.limit == estimated.accuracy
     with pytest.raises(ValueError, match="has a field"):
         foreign_starts(still, UNKNOWN_FAULTS[0], 0, np.arange(2))
-
-
-def test_distance_tells_foreign_faults_and_confidence_does_not() -> None:
-    got = foreign_scores(
-        BENCH, {"limit": Posterior(BENCH).predict_proba}, seed=5, first_case=0,
-        n_threshold=600, n_known=600, n_foreign=100,
-    )  # fmt: skip
-    assert 0.0 <= got["false_alarms"] < 0.03
-    heavy, magnets, weak = got["faults"]
-    assert heavy["auroc"][DISTANCE] > 0.99
-    assert magnets["auroc"][DISTANCE] > 0.99
-    assert heavy["called_other"] > 0.99
-    assert weak["auroc"][DISTANCE] > 0.92
-    assert weak["auroc"]["limit"] < 0.5
-    # The area by scikit-learn on the same starts, and the drawn curve's own area.
-    known = class_probabilities(BENCH, generate_arrays(BENCH, 5, 600).X).max(axis=1)
-    trust = class_probabilities(BENCH, foreign_starts(BENCH, UNKNOWN_FAULTS[2], 5, np.arange(100))).max(
-        axis=1
-    )
-    area = roc_auc_score(np.repeat([0, 1], [600, 100]), -np.concatenate([known, trust]))
-    assert weak["auroc"]["limit"] == pytest.approx(area)
-    assert np.trapezoid(weak["roc"]["limit"], FALSE_ALARM_RATES) == pytest.approx(area, abs=0.01)
 
 
 def test_each_half_of_the_motors_calibrates_the_other() -> None:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from scipy.special import expit
-from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
+from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
 from sklearn.pipeline import make_pipeline
 
 from motor_classifiers import EarlyClassifier, ResidualProjection
-from motor_classifiers.wrappers.early import limit_by_samples, shortened, stop_when_sure, stopping_score
+from motor_classifiers.wrappers.early import limit_by_samples, stop_when_sure, stopping_score
 from motor_datasets import generate_arrays
 from motor_env import Timing, class_probabilities, load_recipe
 
@@ -48,13 +48,6 @@ def test_stops_by_hand() -> None:
     np.testing.assert_array_equal(stopped.sure, [True, False])
     score = stopping_score(stopped, [1, 1], np.array([1.0, 2.0, 4.0]))
     assert (score.error, score.stopped, score.accuracy, score.mean_time_s) == (1.0, 0.5, 0.5, 3.0)
-
-
-def test_recipes_are_cut_wherever_they_are() -> None:
-    pipeline = make_pipeline(ResidualProjection(BENCH, 6), LinearDiscriminantAnalysis())
-    cut = shortened(pipeline, 30)
-    assert cut.get_params()["residualprojection__recipe"].timing.n_samples == 30
-    assert pipeline.get_params()["residualprojection__recipe"].timing.n_samples == 100
 
 
 @pytest.fixture(scope="module")

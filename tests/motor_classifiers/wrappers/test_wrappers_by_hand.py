@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import binomtest, norm
 from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LogisticRegression
+from sklearn.pipeline import make_pipeline
 
 from motor_classifiers import (
     ConformalClassifier,
@@ -126,7 +127,9 @@ def test_lengths_of_what_is_seen() -> None:
 
 def test_a_recipe_is_cut_after_its_quiet_part() -> None:
     recipe = replace(BENCH, timing=Timing(1_000.0, 0.1, quiet_s=0.02))
-    cut = shortened(OutsideDetector(recipe), 50).recipe
+    whole = make_pipeline(OutsideDetector(recipe))  # wherever in it the recipe is
+    cut = shortened(whole, 50)[0].recipe
+    assert whole[0].recipe.timing.n_samples == 120
     assert (cut.timing.n_samples, cut.timing.n_quiet) == (50, 20)
     assert cut.timing.duration_s == pytest.approx(0.03)
 
