@@ -2,10 +2,12 @@
 
 import hashlib
 import json
+import shutil
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -242,9 +244,32 @@ def test_a_file_unpacks_to_twice_its_cases_and_an_overhead(
                 load(tmp_path / "set", "test")
 
 
+def test_the_disk_must_hold_three_tenths_of_the_samples(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The named recipes' files have 39 to 82 % of the uncompressed size: less than 30 % free would surely not do."""
+    size = make_plan(SHORT, 60, 1).bytes_uncompressed
+    for share, fits in ((0.2995, False), (0.3005, True)):
+        monkeypatch.setattr(shutil, "disk_usage", lambda _, free=share * size: SimpleNamespace(free=free))
+        if fits:
+            generate_dataset(SHORT, 60, 1, tmp_path / "set")
+        else:
+            with pytest.raises(InputError, match=r"0\.0 GB of data do not fit onto its disk"):
+                generate_dataset(SHORT, 60, 1, tmp_path / "set")
+            assert list(tmp_path.iterdir()) == []  # it was not begun
+    (tmp_path / "set/data/test-000000.parquet").unlink()
+    # Of three files one is missing: only that needs room.
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0.0995 * size))
+    with pytest.raises(InputError, match="do not fit"):
+        generate_dataset(SHORT, 60, 1, tmp_path / "set", resume=True)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0.1005 * size))
+    generate_dataset(SHORT, 60, 1, tmp_path / "set", resume=True)
+
+
 def test_the_note_lags_by_a_thirty_second_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An interrupted generation loses no more than that; a storage writes the note whole each time, hence the lag."""
     monkeypatch.setattr(layout, "_SHARD_BYTES", 2 * bytes_of_case(SHORT))
+    monkeypatch.setattr(folder_module, "_check_space", lambda *_: None)
 
     def written(files: list[PlannedFile], *_: Any) -> Iterator[Entry]:
         return (entry(path=file.path, split=file.split) for file in files)
