@@ -37,12 +37,14 @@ def test_missing_extra_is_named(
 
 
 def test_missing_torch_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    from motor_datasets import generate_arrays, to_torch
+    from motor_datasets import generate_arrays, to_torch, to_torch_iterable
 
     starts = generate_arrays(load_recipe("bench"), 1, range(2))
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(InputError, match="pip install"):
         to_torch(starts)
+    with pytest.raises(InputError, match="pip install"):
+        to_torch_iterable(load_recipe("bench"), 1)
 
 
 def test_examples_are_copied_and_nothing_is_overwritten(

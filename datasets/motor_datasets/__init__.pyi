@@ -11,8 +11,12 @@ from .loaders import (
     load as load,
     to_pandas as to_pandas,
     to_torch as to_torch,
+    to_torch_iterable as to_torch_iterable,
 )
 from .splits import (
     Split as Split,
     split_of as split_of,
+)
+from .streaming import (
+    stream as stream,
 )

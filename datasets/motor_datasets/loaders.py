@@ -8,6 +8,7 @@ from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset
 from motor_datasets.manifest import read_manifest
 from motor_datasets.remote import Folder, folder_of
 from motor_env.errors import require_extra
+from motor_env.simulation.recipes import Recipe
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,12 +33,19 @@ def load(folder: str | Folder, split: str | None = None) -> Dataset:
 def to_torch(dataset: Dataset) -> Any:
     """The data set as `torch.utils.data.TensorDataset` of (X, class_index, severity)."""
     require_extra("torch", "classifiers")
-    import torch
+    from torch.utils.data import TensorDataset
 
-    severity = torch.tensor(dataset.severity, dtype=torch.float32)
-    return torch.utils.data.TensorDataset(
-        torch.from_numpy(dataset.X), torch.tensor(dataset.class_index), severity
-    )
+    from motor_datasets.torch_batches import tensors
+
+    return TensorDataset(*tensors(dataset))
+
+
+def to_torch_iterable(recipe: Recipe, seed: int, batch_size: int = 256, **options: Any) -> Any:
+    """`torch.utils.data.IterableDataset` of (X, class_index, severity) batches; workers of a loader share them."""
+    require_extra("torch", "classifiers")
+    from motor_datasets.torch_batches import TorchBatches
+
+    return TorchBatches(recipe, seed, batch_size=batch_size, **options)
 
 
 def to_pandas(dataset: Dataset) -> pd.DataFrame:

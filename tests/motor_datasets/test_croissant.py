@@ -7,8 +7,9 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+import torch
 
-from motor_datasets import generate_arrays, generate_dataset
+from motor_datasets import generate_arrays, generate_dataset, to_torch, to_torch_iterable
 from motor_datasets.arrays import columns
 from motor_datasets.cli import main
 from motor_env import load_recipe
@@ -67,6 +68,13 @@ def test_cases_add_up_where_there_are_shifts(tmp_path: Path, capsys: pytest.Capt
     assert (summary["cases"], summary["cases_of_shifts"]) == (100, 50)
     assert main(["describe", str(tmp_path / "data")]) == 0
     assert "  current_a [A]: measured current, " in capsys.readouterr().out
+
+
+def test_severity_is_single_precision_in_torch() -> None:
+    starts = generate_arrays(FIELD, 1, range(4))
+    assert to_torch(starts).tensors[2].dtype is torch.float32
+    batch = next(iter(to_torch_iterable(FIELD, 1, batch_size=4)))
+    assert batch[2].dtype is torch.float32
 
 
 def test_a_data_set_is_one_line_in_the_shell() -> None:

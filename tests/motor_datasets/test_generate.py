@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from motor_datasets import (
     load,
     to_pandas,
     to_torch,
+    to_torch_iterable,
 )
 from motor_datasets.cli import main
 from motor_datasets.export import export
@@ -144,7 +146,38 @@ def test_severities_of_a_range_are_those_of_each_case_in_torch() -> None:
     recipe = replace(SHORT, classes=(FaultClass(FaultKind.BEARING, 0.1, severity_to=0.3),))
     data = generate_arrays(recipe, 1, 20)
     assert np.ptp(data.severity) > 0.1
-    np.testing.assert_array_equal(to_torch(data).tensors[2].numpy(), data.severity.astype(np.float32))
+    (_, _, streamed), *_ = to_torch_iterable(recipe, 1, 20, batches=1)
+    for severity in (to_torch(data).tensors[2], streamed):
+        np.testing.assert_array_equal(severity.numpy(), data.severity.astype(np.float32))
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.long)])  # each imports torch
+def test_the_workers_of_a_loader_give_each_case_once(workers: int) -> None:
+    torch = pytest.importorskip("torch", reason="the extra classifiers is not installed")
+    source = to_torch_iterable(SHORT, 1, 16, batches=5)
+    # Spawned, not forked: a fork beside threads is a warning from Python 3.12 on.
+    loader = torch.utils.data.DataLoader(
+        source, batch_size=None, num_workers=workers, multiprocessing_context="spawn"
+    )
+    shared = [tuple(part.numpy().copy() for part in batch) for batch in loader]
+    alone = [tuple(part.numpy() for part in batch) for batch in source]
+    expected = generate_arrays(SHORT, 1, 80)
+    assert np.array_equal(np.concatenate([X for X, _, _ in alone]), expected.X)
+    for here, there in zip(alone, shared, strict=True):
+        for ours, theirs in zip(here, there, strict=True):
+            assert np.array_equal(ours, theirs)
+    assert len(np.unique(expected.X[:, 0], axis=0)) == 80  # so a repeated case would have been seen
+
+
+def test_a_worker_of_a_loader_takes_its_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch = pytest.importorskip("torch", reason="the extra classifiers is not installed")
+    whole = list(to_torch_iterable(SHORT, 1, 16, batches=5))
+    for number in range(2):
+        told = SimpleNamespace(id=number, num_workers=2)
+        monkeypatch.setattr(torch.utils.data, "get_worker_info", lambda told=told: told)
+        share = list(to_torch_iterable(SHORT, 1, 16, batches=5))
+        for ours, theirs in zip(whole[number::2], share, strict=True):
+            assert all(map(torch.equal, ours, theirs))
 
 
 def test_exports_hold_the_same_numbers(tmp_path: Path) -> None:

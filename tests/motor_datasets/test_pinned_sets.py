@@ -1,4 +1,4 @@
-"""What must never move: splits and files; and what a data set says of itself."""
+"""What must never move: splits, files, batches of a stream; and what a data set says of itself."""
 
 import hashlib
 import json
@@ -6,6 +6,7 @@ import shutil
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +24,7 @@ from motor_datasets import (
     load,
     parquet,
     split_of,
+    stream,
 )
 from motor_datasets.arrays import columns
 from motor_datasets.card import croissant, data_card
@@ -122,6 +124,25 @@ def test_numbers_at_their_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
         generate_arrays(SHORT, 7, 0)
     with pytest.raises(ValueError, match="at least one case"):
         generate_arrays(SHORT, 7, [])
+
+
+@pytest.mark.parametrize(
+    ("split", "size"), [(None, 16), (None, 20), ("test", 3), ("train", 14), ("train", 45)]
+)
+def test_a_stream_is_the_cases_of_its_split_in_their_order(split: str | None, size: int) -> None:
+    tiny = replace(SHORT, timing=Timing(duration_s=0.0005), starts_per_motor=2)
+    cases = np.arange(4000)
+    mine = cases if split is None else cases[split_of(6, cases // 2) == split]
+    got = list(islice(stream(tiny, 6, size, split=split), 4))
+    assert [len(batch) for batch in got] == [size] * 4
+    assert np.concatenate([batch.case_id for batch in got]).tolist() == mine[: 4 * size].tolist()
+    shared = [list(stream(tiny, 6, size, split=split, batches=4, share=(n, 3))) for n in range(3)]
+    assert [[batch.case_id[0] for batch in part] for part in shared] == [
+        [got[n].case_id[0] for n in whose] for whose in ((0, 3), (1,), (2,))
+    ]
+    with pytest.raises(ValueError, match="batch_size must be >= 1"):
+        next(stream(tiny, 6, 0))
+    assert len(next(stream(tiny, 6, 1))) == 1
 
 
 @pytest.mark.parametrize("name", ["field", "operation"])
