@@ -67,7 +67,7 @@ STYLE = {
     "s",
     "zorder",
 }
-DRAWN = {"plotting.py", "pictures.py", "rendering.py", "paper_figures.py"}
+DRAWN = {"plotting.py", "pictures.py", "plots.py", "rendering.py", "paper_figures.py"}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,8 @@
 # What a user imports from `motor_env`: listed here and nowhere else; loaded when first used.
+from .detection.plots import (
+    plot_bank as plot_bank,
+    plot_rules as plot_rules,
+)
 from .detection.rules import (
     Cusum as Cusum,
     Glr as Glr,

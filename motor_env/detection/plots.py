@@ -1,0 +1,69 @@
+"""Pictures of rules: residual and statistic with threshold and alarm, and the posterior of a bank."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from motor_env.detection.rules.base import Rule, first_above
+from motor_env.detection.rules.thresholds import Threshold
+from motor_env.motor.parameters import FloatArray
+
+
+def plot_rules(
+    time_s: ArrayLike,
+    whitened: ArrayLike,
+    rules: Mapping[str, tuple[Rule, Threshold]],
+    onset_s: float | None = None,
+) -> Figure:
+    """Whitened residual of one transient, and each rule's statistic and threshold, on one time axis (Shewhart 1931).
+
+    Args:
+        time_s: shape (n_samples,).
+        whitened: shape (n_samples, n_channels).
+        rules: by name, each with its threshold.
+        onset_s: true onset of the fault, if it is to be drawn.
+    """
+    time, values = 1e3 * np.asarray(time_s), np.asarray(whitened)
+    figure = Figure(figsize=(8.0, 2.0 + 1.4 * len(rules)), layout="constrained")
+    axes = figure.subplots(1 + len(rules), 1, sharex=True)
+    axes[0].plot(time, values, linewidth=0.6)
+    axes[0].set_ylabel("residual\n(white)")
+    for axis, (name, (rule, threshold)) in zip(axes[1:], rules.items(), strict=True):
+        statistic = rule.statistic(values)
+        axis.plot(time, statistic, linewidth=0.9)
+        axis.axhline(threshold.value, color="tab:red", linestyle="--", linewidth=1.0)
+        alarm = int(first_above(statistic, threshold.value))
+        if alarm >= 0:
+            axis.plot(
+                time[alarm], statistic[alarm], "o", color="tab:red", label=f"alarm at {time[alarm]:.1f} ms"
+            )
+            axis.legend(loc="upper left", frameon=False)
+        axis.set_ylabel(name)
+    if onset_s is not None:
+        for axis in axes:
+            axis.axvline(1e3 * onset_s, color="0.4", linestyle=":", linewidth=1.0)
+    axes[-1].set_xlabel("time / ms")
+    return figure
+
+
+def plot_bank(time_s: ArrayLike, probabilities: FloatArray, names: Sequence[str]) -> Figure:
+    """Posterior of a bank over time (Magill 1965), as `ModelBank.probabilities` gives it for one transient.
+
+    Args:
+        time_s: shape (n_samples,).
+        probabilities: shape (n_samples, 1 + n_models), health first.
+        names: of health and the models.
+    """
+    figure = Figure(figsize=(8.0, 3.0), layout="constrained")
+    axis = figure.subplots()
+    axis.stackplot(1e3 * np.asarray(time_s), probabilities.T, labels=names, alpha=0.8)
+    axis.set_xlabel("time / ms")
+    axis.set_ylabel("probability")
+    axis.set_ylim(0.0, 1.0)
+    axis.margins(x=0.0)
+    figure.legend(loc="outside upper center", ncols=len(names), frameon=False)
+    return figure
