@@ -48,6 +48,9 @@ from .filters.joint import (
 from .filters.kalman import (
     KalmanFilter as KalmanFilter,
 )
+from .filters.smoothing import (
+    smooth as smooth,
+)
 from .filters.stream import (
     FilterStream as FilterStream,
 )

@@ -1,4 +1,4 @@
-"""Kalman filters: batch, stream, adaptive noise, joint state and parameters, consistency tests.
+"""Kalman filters: batch, stream, smoother, adaptive noise, joint state and parameters, consistency tests.
 
 Example:
     The filter of a healthy motor on the start of a healthy one: the residual is white noise of standard deviation

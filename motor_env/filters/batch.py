@@ -193,7 +193,7 @@ def innovations_and_states(
 def run_filter(
     kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
 ) -> FilterResult:
-    """Filter one or many measured transients (Kalman 1960; paper, Table 1).
+    """Filter one or many measured transients (Kalman 1960; paper, Table 1); `smoothing.smooth` looks back from there.
 
     Args:
         kalman: the belief, of one motor or of one for each case.

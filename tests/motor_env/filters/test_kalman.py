@@ -19,6 +19,7 @@ from motor_env import (
     filter_residuals,
     run_filter,
     simulate,
+    smooth,
 )
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, gain_and_covariance, schedule
 from motor_env.filters.kernels import covariance_step
@@ -144,6 +145,65 @@ def test_a_sharp_measurement_of_what_is_vague_leaves_a_right_covariance(
     np.testing.assert_allclose(np.array([[u00, u01], [u01, u11]]) / scale, expected / scale, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["whole", "missing", "own motors", "one case", "no process noise"])
+@pytest.mark.parametrize("name", SENSORS)
+def test_smoother_is_the_conditional_on_all_samples(name: str, kind: str) -> None:
+    kalman = correlated(belief(SENSORS[name]))
+    if kind == "own motors":
+        motors = PAPER_MOTOR.scaled(resistance_ohm=np.array([1.0, 1.2, 0.9]))
+        models = KalmanFilter.from_parameters(motors, SENSORS[name], 1e-4).model
+        kalman = replace(kalman, model=models)
+    if kind == "no process noise":
+        kalman = replace(kalman, process_covariance=np.zeros((2, 2)))
+    n_channels, n_samples = len(kalman.observation), 12
+    measured, voltage = random_case(n_channels, n_samples)
+    if kind == "missing":
+        measured[0, 0, 3] = measured[0, 0, 7:9] = measured[0, -1, 0] = measured[0, -1, 7:] = np.nan
+    smoothed = smooth(kalman, run_filter(kalman, measured[0] if kind == "one case" else measured, voltage))
+    own = kalman.model.transition.ndim > 2
+    for n in range(1 if kind == "one case" else 3):
+        model = kalman.model
+        alone = model._replace(transition=model.transition[n], gain=model.gain[n]) if own else model
+        mean, covariance, c, r = joint_gaussian(replace(kalman, model=alone), voltage)
+        values = measured[n].T.ravel()
+        seen = ~np.isnan(values)
+        cross = covariance @ c[seen].T
+        gain = cross @ np.linalg.inv((c @ covariance @ c.T + r)[np.ix_(seen, seen)])
+        state = (mean + gain @ (values[seen] - (c @ mean)[seen])).reshape(n_samples, 2)
+        spread = covariance - gain @ cross.T
+        np.testing.assert_allclose(smoothed.state[() if kind == "one case" else n], state, atol=1e-8)
+        given = smoothed.covariance[n] if smoothed.covariance.ndim == 4 else smoothed.covariance
+        for k in range(n_samples):
+            here = slice(2 * k, 2 * k + 2)
+            np.testing.assert_allclose(given[k], spread[here, here], rtol=1e-7, atol=1e-11)
+
+
+@pytest.mark.parametrize("process_noise_std", [(0.0, 0.0), (1e-5, 1e-3), (1e-2, 0.3)])
+@pytest.mark.parametrize("name", SENSORS)
+def test_smoothing_is_stable_over_a_long_run(name: str, process_noise_std: tuple[float, float]) -> None:
+    scenario = Scenario(
+        PAPER_MOTOR,
+        sensor=SENSORS[name],
+        timing=Timing(duration_s=0.5),
+        process_noise_std=process_noise_std,
+    )
+    transients = simulate(scenario, seed=2, cases=range(2))
+    kalman = KalmanFilter.from_parameters(
+        PAPER_MOTOR, SENSORS[name], 1e-4, process_noise_std=process_noise_std, initial_std=START
+    )
+    result = run_filter(kalman, transients.measurements, transients.voltage_v[0])
+    smoothed = smooth(kalman, result)
+    filtered = np.sqrt(np.diagonal(result.covariance, axis1=1, axis2=2))
+    sigma = np.sqrt(np.diagonal(smoothed.covariance, axis1=1, axis2=2))
+    assert (sigma <= filtered * (1.0 + 1e-6)).all()
+    assert np.array_equal(smoothed.covariance, np.swapaxes(smoothed.covariance, 1, 2))
+    scale = sigma[:, :, None] * sigma[:, None, :]
+    # Without process noise what is left unknown lies on the slow mode alone: a correlation of 1.
+    assert np.linalg.eigvalsh(smoothed.covariance / scale).min() > (0.0 if process_noise_std[0] else -1e-15)
+    error = np.abs(smoothed.state - transients.states)
+    assert (error < 6.0 * sigma + 1e-9).all()
+
+
 @pytest.mark.parametrize("name", SENSORS)
 def test_filter_agrees_with_filterpy(name: str) -> None:
     kalman = correlated(belief(SENSORS[name]))
@@ -257,7 +317,14 @@ def test_covariances_stay_symmetric_and_positive_over_a_long_run(
     whole = filter_residuals(kalman, measured, np.zeros(50_000), dtype=dtype)
     measured[generator.random(measured.shape) < 0.1] = np.nan
     result = run_filter(kalman, measured, np.zeros(50_000))
-    for covariance in (result.covariance, result.innovation_covariance, whole.innovation_covariance):
+    smoothed = smooth(kalman, result)
+    spreads = (
+        result.covariance,
+        smoothed.covariance,
+        result.innovation_covariance,
+        whole.innovation_covariance,
+    )
+    for covariance in spreads:
         assert covariance.dtype == np.float64
         assert np.array_equal(covariance, np.swapaxes(covariance, -1, -2))
         sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
