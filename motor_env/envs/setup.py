@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_are
 from motor_env.envs import kernel
 from motor_env.envs.drawing import make_prior, motor_table
 from motor_env.envs.layout import TaskNumbers
-from motor_env.envs.options import Drive, MonitorOptions, Start
+from motor_env.envs.options import Drive, MonitorOptions
 from motor_env.filters.kalman import KalmanFilter, gain_and_covariance
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind, apply_fault
 from motor_env.motor.model import DiscreteModel, Input, State, discretize, steady_state
@@ -93,7 +93,7 @@ def make_setup(options: MonitorOptions) -> Setup:
         recipe.sensor,
         options.dt_s,
         process_noise_std=options.belief_noise_std,
-        initial_state=rest if options.start is Start.RUNNING else np.zeros(2),
+        initial_state=rest,
     )
     features = (*kernel.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)))
     unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
