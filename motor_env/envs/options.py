@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 
 from motor_env.envs.tasks import require_environment, task_recipe, with_motor
-from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
     FloatArray,
@@ -63,7 +62,6 @@ class MonitorOptions:
         loop_time_s: time constant of the speed loop, at least twice a sample and L / R, else it would not be stable.
         earliest_onset_s: before this time there is no fault.
         mean_onset_s: mean of the (geometric) waiting time from `earliest_onset_s` to the onset; 0: always at once.
-        belief_noise_std: process noise of the filter's belief in [A, rad/s] a sample.
         correct_reward: for declaring the right kind after the onset.
         silent_reward: for reaching the horizon in silence when there was no fault.
         false_alarm_cost: for a declaration when no fault had acted yet.
@@ -90,7 +88,6 @@ class MonitorOptions:
     loop_time_s: float = 0.001
     earliest_onset_s: float = 0.01
     mean_onset_s: float = 0.05
-    belief_noise_std: tuple[float, float] = DEFAULT_PROCESS_NOISE_STD
     correct_reward: float = 1.0
     silent_reward: float = 1.0
     false_alarm_cost: float = 1.0
@@ -156,10 +153,6 @@ class MonitorOptions:
                     value is None or abs(value) <= LARGEST_REWARD,
                     f"{field.name} must be finite, at most {LARGEST_REWARD:g} either way, got {value}",
                 )
-        noise = self.belief_noise_std
-        require(len(noise) == 2, f"belief_noise_std must be two numbers, got {noise!r}")
-        for value in noise:
-            require_positive("belief_noise_std", value)
         require(
             self.n_samples % self.samples_per_step == 0 and self.n_samples >= self.samples_per_step,
             f"horizon_s must hold a whole number of steps of {self.samples_per_step} samples at "

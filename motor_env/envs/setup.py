@@ -88,13 +88,7 @@ def make_setup(options: MonitorOptions) -> Setup:
         f"motor of recipe {recipe.name} must turn with its supply of {recipe.supply.voltage_v:g} V, but a load of "
         f"{options.load_n_m:.3g} N m would drive it backwards",
     )
-    belief = KalmanFilter.from_parameters(
-        recipe.motor,
-        recipe.sensor,
-        options.dt_s,
-        process_noise_std=options.belief_noise_std,
-        initial_state=rest,
-    )
+    belief = KalmanFilter.from_parameters(recipe.motor, recipe.sensor, options.dt_s, initial_state=rest)
     features = (*kernel.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)))
     unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
     names = [name for name in features if name not in unmeasured]
