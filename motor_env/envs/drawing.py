@@ -263,4 +263,3 @@ def begin_state(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> No
     for m in range(MAX_BANK):
         s.bank_current[m, j], s.bank_speed[m, j] = current, speed
     s.kind[j] = class_of(task.classes, lanes.marks[layout.CLASS_INDEX, n]).verdict
-    s.supply[j] = drawn.supply

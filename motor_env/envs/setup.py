@@ -125,7 +125,7 @@ def make_setup(options: MonitorOptions) -> Setup:
 def _numbers(
     options: MonitorOptions, belief: KalmanFilter, rest: FloatArray, view: FloatArray, right: list[int]
 ) -> TaskNumbers:
-    bank, constants = make_bank(options, belief.model, rest), _constants(options, belief, float(rest[0]))
+    bank, constants = make_bank(options, belief.model, rest), _constants(options, belief)
     evidence = np.arange(kernel.EVIDENCE, kernel.EVIDENCE + kernel.MAX_BANK)
     bank[~np.isin(evidence, view[:, kernel.FIELD])] = 0.0  # what nobody sees need not run
     constants[kernel.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
@@ -135,7 +135,7 @@ def _numbers(
     return numbers._replace(motors=motor_table(numbers))
 
 
-def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: float) -> FloatArray:
+def _constants(options: MonitorOptions, belief: KalmanFilter) -> FloatArray:
     channels = [(Channel.CURRENT, Channel.SPEED).index(channel) for channel in options.task.sensor.channels]
     gain, covariance = converged_gain(belief)
     full_gain, whitening = np.zeros((2, 2)), np.zeros((2, 2))
@@ -169,10 +169,7 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: floa
         false_alarm=options.false_alarm_cost,
         wrong_kind=options.wrong_kind_cost,
         miss=options.miss_cost,
-        rest_voltage=float(options.task.supply.voltage_v),
-        rest_current=rest_current,
         probe_cost=options.probe_cost_per_v2_s * options.dt_s,
-        energy_cost=options.energy_cost_per_j * options.dt_s,
         zero=0.0,
         half=0.5,
         one=1.0,

@@ -48,15 +48,9 @@ IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
 BOTH = replace(load_recipe("bench"), sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5))
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "two sensors": ("motor_env/Monitor-v0", {"recipe": BOTH, "horizon_s": 0.06, "samples_per_step": 3}),
-    "speed loop, confirmed, other prices": (
+    "speed loop, confirmed": (
         "motor_env/Probe-v0",
-        {
-            "recipe": "hard",  # a supply that is not the nominal one: energy counts it
-            "drive": "speed_loop",
-            "loop_time_s": 0.003,
-            "confirm_steps": 2,
-            "energy_cost_per_j": 0.7,
-        },
+        {"recipe": "hard", "drive": "speed_loop", "loop_time_s": 0.003, "confirm_steps": 2},
     ),
     "fast failures": (
         "motor_env/Drive-v0",

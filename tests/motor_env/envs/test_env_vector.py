@@ -36,16 +36,12 @@ PAIRS: list[tuple[Any, Any, dict[str, Any]]] = [
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "drive": "speed_loop"}),
     (ProbeEnv, ProbeVectorEnv, {**SHORT, "samples_per_step": 5}),
     (ProbeEnv, ProbeVectorEnv, {**SHORT, "confirm_steps": 2, "drive": "speed_loop"}),
-    (
-        ProbeContinuousEnv,
-        ProbeContinuousVectorEnv,
-        {**SHORT, "samples_per_step": 5, "energy_cost_per_j": 0.5},
-    ),
+    (ProbeContinuousEnv, ProbeContinuousVectorEnv, {**SHORT, "samples_per_step": 5}),
 ]
 EXACT = (MonitorEnv, MonitorVectorEnv, {**SHORT, "samples_per_step": 4, "precision": "float64"})
 # Nothing else steps an environment alone in double precision: seven seconds of compiling.
 ALL_PAIRS = [*PAIRS, pytest.param(*EXACT, marks=pytest.mark.long)]
-PARTS = ("reward_verdict", "reward_delay", "reward_probe", "reward_energy")
+PARTS = ("reward_verdict", "reward_delay", "reward_probe")
 
 
 def random_actions(space: gym.Space[Any], steps: int, count: int, seed: int) -> NDArray[Any]:
@@ -139,7 +135,7 @@ def test_the_parts_of_a_reward_are_the_reward(
     for action in random_actions(envs.single_action_space, 300, 40, seed=1):
         _, rewards, _, _, info = envs.step(action)
         parts = {name: info[name] for name in PARTS if name in info}
-        assert len(parts) == (2 if isinstance(env, MonitorEnv) else 4)
+        assert len(parts) == (2 if isinstance(env, MonitorEnv) else 3)
         np.testing.assert_allclose(sum(parts.values()), rewards, atol=1e-6)
         assert (np.array([value for name, value in parts.items() if name != "reward_verdict"]) <= 0.0).all()
         seen |= {name for name, value in parts.items() if value.any()}
@@ -154,10 +150,7 @@ def test_the_parts_of_a_reward_are_the_reward(
         if over and mode == "SameStep":
             assert info["final_info"]["reward_verdict"][3] == alone["reward_verdict"] != 0.0
             env.reset()
-    wanted = (
-        set(parts) if options.get("energy_cost_per_j") else set(parts) - {"reward_energy", "reward_probe"}
-    )
-    assert wanted <= seen
+    assert set(parts) - ({"reward_probe"} if vector is ProbeVectorEnv else set()) <= seen
 
 
 def test_a_uniform_random_policy_keeps_lanes_apart_from_each_other() -> None:
