@@ -29,14 +29,14 @@ COLOURS = {
     "threshold": (255, 110, 90),
     "bearing": (255, 170, 60),
     "winding": (255, 95, 85),
-    "healthy": (90, 190, 230),
-    "noise": (175, 140, 255),
     "magnet": (235, 130, 210),
     "other": (160, 175, 185),
     "onset": (255, 80, 120),
 }
 LEFT, RIGHT, TOP, GAP = 92, 20, 46, 16
 PANEL_HEIGHTS = (98, 60, 98, 68)
+Panel = tuple[str, str, tuple[float, float], tuple[tuple[FloatArray, str], ...]]
+"""Name, unit, limits, and the traces with their colours."""
 
 
 def _colour(verdict: str) -> str:
@@ -100,9 +100,8 @@ def draw_trace(
     colour: str,
     *,
     thick: int = 1,
-    skip: int = 0,
 ) -> None:
-    """Draw values, one to a column of the panel (a NaN is left out), as a line; the first `skip` only join it."""
+    """Draw values, one to a column of the panel (a NaN is left out), as a line."""
     low, high = limits
     good = np.isfinite(values)
     share = np.clip((np.where(good, values, low) - low) / (high - low), 0.0, 1.0)
@@ -112,13 +111,11 @@ def draw_trace(
     first, last = np.minimum(rows, before), np.maximum(rows, before)
     grid = np.arange(panel.shape[0])[:, None]
     inside = (grid >= first - (thick - 1)) & (grid <= last + (thick - 1)) & good
-    panel[:, skip : len(values)][inside[:, skip:]] = COLOURS[colour]
+    panel[:, : len(values)][inside] = COLOURS[colour]
 
 
 class Scope:
     """Remembers an episode and draws it; the screen is as wide as the whole of it.
-
-    What has been drawn stays, and only new columns are added, until a value leaves its panel and the scale changes.
 
     Args:
         setup: of the environment.
@@ -131,19 +128,13 @@ class Scope:
         self.n_steps = setup.options.n_steps
         self.per_column = max(1, self.n_steps // self.width)
         self._step_of_column = (np.arange(self.width) * self.n_steps // self.width).tolist()
-        rest_current, rest_speed = (float(value) for value in setup.rest)
-        noise = setup.options.task.sensor.current_noise_a
-        self._rest = (rest_current, rest_speed)
-        self._least = (max(8.0 * noise, 0.3 * abs(rest_current)), 0.05 * abs(rest_speed))
         self.clear()
 
     def clear(self) -> None:
         """A new episode begins."""
         self.onset_step: int | None = None
-        self.step, self._filled, self._drawn = 0, 0, 0
+        self.step, self._filled = 0, 0
         self._columns = np.full((5 + MAX_BANK, self.width), np.nan)
-        self._reach = self._least  # how far current and speed go from where they rest
-        self._frame: Frame | None = None
         self._voltage: float | None = None
         self.verdict, self.good = "", False
 
@@ -152,102 +143,62 @@ class Scope:
         while self._filled < self.width and self._step_of_column[self._filled] <= self.step:
             self._columns[:, self._filled] = values
             self._filled += 1
-            reach = tuple(
-                max(old, 1.1 * abs(value - rest))
-                for old, value, rest in zip(self._reach, (values[0], values[2]), self._rest, strict=True)
-            )
-            if reach != self._reach:
-                self._reach, self._frame = (reach[0], reach[1]), None
         self._voltage = values[3]
         self.step += 1
 
     def draw(self) -> Frame:
         """The screen, shape (HEIGHT, WIDTH, 3)."""
-        if self._frame is None:
-            self._frame, self._drawn = self._empty_screen(), 0
-        frame, first = self._frame, self._drawn
-        if self._filled > first:
-            self._traces(frame, first)
-            self._drawn = self._filled
-        frame[: TOP - 6] = self._blank
-        self._head(frame)
+        frame, top = blank_screen(), TOP
+        for (name, unit, limits, traces), height in zip(self._panels(), PANEL_HEIGHTS, strict=True):
+            panel = frame[top : top + height, LEFT : WIDTH - RIGHT]
+            panel[:: height // 4] = GRID
+            panel[:, :: self.width // 10] = GRID
+            write(frame, name, (6, top - 2), "ink", size_px=12)
+            write_figures(frame, f"{limits[1]:.3g} {unit}", (6, top + 15), "dim", size_px=11)
+            if name != "evidence":
+                write_figures(frame, f"{limits[0]:.3g}", (6, top + height - 20), "dim", size_px=11)
+            for values, colour in traces:
+                draw_trace(panel, values, limits, colour, thick=2 if name == "evidence" else 1)
+            top += height + GAP
+        self._notes(frame)
         if self.onset_step is not None and self.onset_step <= self.step:
-            self._mark_onset(frame)
-        return frame.copy()
-
-    def _empty_screen(self) -> Frame:
-        frame = blank_screen()
-        self._blank = frame[: TOP - 6].copy()
-        (rest_current, rest_speed), (reach, swing) = self._rest, self._reach
-        self._panel(frame, 0, "current", "A", (rest_current - reach, rest_current + reach))
-        self._panel(frame, 1, "speed (filter)", "rad/s", (rest_speed - swing, rest_speed + swing))
-        self._panel(frame, 2, "residual", "sd", (-6.0, 6.0))
-        dashes = np.where(np.arange(self.width) % 9 < 4, 3.0, np.nan)
-        for level in (-dashes, dashes):
-            self._trace(frame, 2, level, (-6.0, 6.0), "threshold")
-        self._panel(frame, 3, "evidence", "nats", (0.0, 12.0))
-        for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
-            write(frame, name, (6, self._box(0)[0] + 32 + 15 * place), colour, size_px=11)
-        for place, kind in enumerate(dict.fromkeys(self._kinds)):
-            write(frame, kind, (6, self._box(3)[0] + 32 + 15 * place), _colour(kind), size_px=11)
-        shown = self.n_steps * self.setup.options.samples_per_step * self.setup.options.dt_s
-        write(frame, f"0 to {1e3 * shown:g} ms", (WIDTH - RIGHT - 90, HEIGHT - 24), "dim", size_px=12)
+            x = LEFT + min(self.width - 2, self.onset_step * self.width // self.n_steps)
+            mark_moment(frame, x)
+            write(frame, "onset", (min(x - 14, WIDTH - RIGHT - 40), HEIGHT - 30), "onset", size_px=12)
         return frame
 
-    def _traces(self, frame: Frame, first: int) -> None:
-        """The columns that are new, joined to the one before."""
-        columns = self._columns[:, : self._filled]
-        (rest_current, rest_speed), (reach, swing) = self._rest, self._reach
-        current = (rest_current - reach, rest_current + reach)
-        self._trace(frame, 0, columns[1], current, "estimate", first=first)
-        self._trace(frame, 0, columns[0], current, "current", first=first)
-        self._trace(frame, 1, columns[2], (rest_speed - swing, rest_speed + swing), "speed", first=first)
-        self._trace(frame, 2, columns[4], (-6.0, 6.0), "residual", first=first)
-        for row, kind in zip(columns[5:], self._kinds, strict=False):
-            self._trace(frame, 3, row, (0.0, 12.0), _colour(kind), thick=2, first=first)
+    def _panels(self) -> tuple[Panel, ...]:
+        """What each panel shows; those of current and speed reach as far from rest as these ever went."""
+        columns, rest = self._columns[:, : self._filled], self.setup.rest
+        noise = self.setup.options.task.sensor.current_noise_a
+        moved = np.abs(columns[[0, 2]] - rest[:, None]).max(axis=1, initial=0.0)
+        least = max(8.0 * noise, 0.3 * abs(rest[0])), 0.05 * abs(rest[1])
+        reach = np.maximum(least, 1.1 * moved)
+        current, speed = zip(rest - reach, rest + reach, strict=True)
+        dashes = np.where(np.arange(self.width) % 9 < 4, 3.0, np.nan)
+        residual = ((-dashes, "threshold"), (dashes, "threshold"), (columns[4], "residual"))
+        evidence = zip(columns[5:], map(_colour, self._kinds), strict=False)
+        return (
+            ("current", "A", current, ((columns[1], "estimate"), (columns[0], "current"))),
+            ("speed (filter)", "rad/s", speed, ((columns[2], "speed"),)),
+            ("residual", "sd", (-6.0, 6.0), residual),
+            ("evidence", "nats", (0.0, 12.0), tuple(evidence)),
+        )
 
-    def _box(self, which: int) -> tuple[int, int]:
-        top = TOP + sum(PANEL_HEIGHTS[:which]) + GAP * which
-        return top, top + PANEL_HEIGHTS[which]
-
-    def _panel(self, frame: Frame, which: int, name: str, unit: str, limits: tuple[float, float]) -> None:
-        (low, high), (top, bottom) = limits, self._box(which)
-        panel = frame[top:bottom, LEFT : WIDTH - RIGHT]
-        panel[:: max(1, (bottom - top) // 4)] = GRID
-        panel[:, :: self.width // 10] = GRID
-        write(frame, name, (6, top - 2), "ink", size_px=12)
-        write_figures(frame, f"{high:.3g} {unit}", (6, top + 15), "dim", size_px=11)
-        if which < 3:
-            write_figures(frame, f"{low:.3g}", (6, bottom - 20), "dim", size_px=11)
-
-    def _trace(
-        self,
-        frame: Frame,
-        which: int,
-        values: FloatArray,
-        limits: tuple[float, float],
-        colour: str,
-        *,
-        thick: int = 1,
-        first: int = 0,
-    ) -> None:
-        top, bottom = self._box(which)
-        joined = max(0, first - 1)
-        panel = frame[top:bottom, LEFT + joined : WIDTH - RIGHT]
-        if joined < len(values):
-            draw_trace(panel, values[joined:], limits, colour, thick=thick, skip=first - joined)
-
-    def _mark_onset(self, frame: Frame) -> None:
-        assert self.onset_step is not None  # noqa: S101  # the caller looked
-        x = LEFT + min(self.width - 2, self.onset_step * self.width // self.n_steps)
-        mark_moment(frame, x)
-        write(frame, "onset", (min(x - 14, WIDTH - RIGHT - 40), HEIGHT - 30), "onset", size_px=12)
-
-    def _head(self, frame: Frame) -> None:
-        options = self.setup.options
-        time_ms = 1e3 * self.step * options.samples_per_step * options.dt_s
+    def _notes(self, frame: Frame) -> None:
+        """Legends, the time that is shown, and the head."""
+        options, legend = self.setup.options, TOP + 32
+        for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
+            write(frame, name, (6, legend + 15 * place), colour, size_px=11)
+        legend += sum(PANEL_HEIGHTS[:3]) + 3 * GAP
+        for place, kind in enumerate(dict.fromkeys(self._kinds)):
+            write(frame, kind, (6, legend + 15 * place), _colour(kind), size_px=11)
+        step_ms = 1e3 * options.samples_per_step * options.dt_s
+        write(
+            frame, f"0 to {self.n_steps * step_ms:g} ms", (WIDTH - RIGHT - 90, HEIGHT - 24), "dim", size_px=12
+        )
         write(frame, "motor under watch", (6, 8), "ink", size_px=16)
-        write_figures(frame, f"{time_ms:7.1f} ms", (160, 8), "ink", size_px=16)
+        write_figures(frame, f"{self.step * step_ms:7.1f} ms", (160, 8), "ink", size_px=16)
         if self._voltage is not None:
             write_figures(frame, f"{self._voltage:+7.2f} V", (275, 8), "speed", size_px=16)
         if self.verdict:
