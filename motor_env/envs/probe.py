@@ -23,24 +23,17 @@ class ProbeOptions(MonitorOptions):
     """Options of `MonitorOptions` with other defaults, and those of a voltage that the agent moves.
 
     Attributes:
-        recipe: see `MonitorOptions`; the default has windings worse by 0.5 to 3 %.
-        motor: see `MonitorOptions`.
-        horizon_s: see `MonitorOptions`.
-        samples_per_step: see `MonitorOptions`; a decision every 2 ms.
-        load_torque_n_m: see `MonitorOptions`; none, so that a motor left alone shows nothing of a winding.
-        earliest_onset_s: see `MonitorOptions`.
-        mean_onset_s: see `MonitorOptions`.
-        delay_cost_per_s: see `MonitorOptions`.
         offsets_v: what the actions of Probe-v0 add to the supply's voltage; the first is what a waiting agent does.
         max_offset_v: the largest offset, up or down, of ProbeContinuous-v0.
         probe_cost_per_v2_s: price of the disturbance, the square of the offset, for a second.
-        observe: see `MonitorOptions`; empty: all that the sensor gives, and the evidence for each kind.
+        observe: names of the observed features, in this order; empty: all that the recipe's sensor gives, and the
+            evidence for each kind.
     """
 
-    recipe: Recipe | str | Path = "small"
+    recipe: Recipe | str | Path = "small"  # windings worse by 0.5 to 3 %
     horizon_s: float = 0.4
-    samples_per_step: int = 20
-    load_torque_n_m: float | None = 0.0
+    samples_per_step: int = 20  # a decision every 2 ms
+    load_torque_n_m: float | None = 0.0  # so that a motor left alone shows nothing of a winding
     earliest_onset_s: float = 0.02
     mean_onset_s: float = 0.1
     delay_cost_per_s: float = 2.0

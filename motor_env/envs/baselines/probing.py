@@ -21,23 +21,21 @@ class Bursts(NamedTuple):
         period: from burst to burst.
         length: of a burst; at most `period`.
         half_period: steps before the voltage changes sides; `length` or more: one pulse, always to the same side.
-        first: action of the first side, 1 or 2, among the offsets.
     """
 
     start: int
     period: int
     length: int
     half_period: int = 1
-    first: int = 1
 
     def actions(self, n_steps: int) -> Actions:
-        """The action of every step of an episode, with offsets 1 and 2 as the two sides."""
+        """The action of every step of an episode, with offsets 1 and 2 as the two sides, 1 first."""
         require(1 <= self.length <= self.period, f"length must be from 1 to {self.period}, got {self.length}")
         since = np.arange(n_steps) - self.start
         within = since % self.period
         side = (within // self.half_period) % 2
         moved = (since >= 0) & (within < self.length)
-        return np.where(moved, np.where(side == 0, self.first, 3 - self.first), 0)
+        return np.where(moved, 1 + side, 0)
 
 
 class WorthTest(ThresholdPolicy):
@@ -132,25 +130,22 @@ class OnDemand(Probing):
     Args:
         test: decides.
         above: probability of a winding fault from which on the voltage is moved.
-        actions: of the two sides.
     """
 
     test: WorthTest
 
-    def __init__(self, test: WorthTest, above: float, *, actions: tuple[int, int] = (1, 2)) -> None:
+    def __init__(self, test: WorthTest, above: float) -> None:
         super().__init__(test)
-        self.above, self._actions = above, np.array(actions)
-        self._winding = winding_of(test.belief.setup)
-        self._side: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self.above, self._winding = above, winding_of(test.belief.setup)
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
         super().start(count)
-        self._side = np.zeros(count, dtype=np.int64)
+        self._side: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
 
     def probe(self) -> Actions:
         """Move where a winding fault is likely enough."""
         moves = self.test.belief.kinds[:, self._winding] >= self.above
-        actions = np.where(moves, self._actions[self._side], 0)
+        actions = np.where(moves, 1 + self._side, 0)
         self._side = np.where(moves, 1 - self._side, self._side)
         return actions

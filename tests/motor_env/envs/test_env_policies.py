@@ -111,8 +111,8 @@ def test_random_takes_every_action_as_often() -> None:
 def test_bursts_move_where_they_say() -> None:
     actions = Bursts(start=2, period=6, length=3, half_period=1).actions(12)
     assert actions.tolist() == [0, 0, 1, 2, 1, 0, 0, 0, 1, 2, 1, 0]
-    one_pulse = Bursts(start=1, period=10, length=4, half_period=4, first=2).actions(8)
-    assert one_pulse.tolist() == [0, 2, 2, 2, 2, 0, 0, 0]
+    one_pulse = Bursts(start=1, period=10, length=4, half_period=4).actions(8)
+    assert one_pulse.tolist() == [0, 1, 1, 1, 1, 0, 0, 0]
     with pytest.raises(ValueError, match="length must be from 1 to 3, got 4"):
         Bursts(0, 3, 4).actions(5)
 
