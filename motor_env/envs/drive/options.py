@@ -223,8 +223,9 @@ class DriveOptions:
 
     @property
     def ahead_steps(self) -> tuple[int, ...]:
-        """Steps ahead at which the profile is observed: now, at the end of the next step, later."""
-        return (0, 1, *(max(1, round(time / self.period_s)) for time in self.ahead_s))
+        """Steps ahead at which the profile is observed, each once: now, at the end of the next step, later."""
+        later = (max(1, round(time / self.period_s)) for time in self.ahead_s)
+        return tuple(dict.fromkeys((0, 1, *later)))
 
     @property
     def load_memory(self) -> float:
