@@ -17,18 +17,26 @@ from numba.extending import intrinsic
 
 from motor_env.envs import layout
 from motor_env.envs.kernel import MAX_BANK, NEVER, ROW_LENGTH, Block
-from motor_env.envs.layout import Lanes, TaskNumbers, WordArray, class_of, drawn_of, prior_of
+from motor_env.envs.layout import (
+    Lanes,
+    TaskNumbers,
+    WordArray,
+    class_of,
+    drawn_of,
+    prior_of,
+    random_uniforms,
+    random_words,
+)
 from motor_env.envs.options import MonitorOptions
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.compiled import compiled_with_arrays, inlined
-from motor_env.motor.faults import HEALTHY, FaultKind
+from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import Input, exponential_and_phi
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters
-from motor_env.simulation.random_streams import Stream, box_muller, philox
+from motor_env.simulation.random_streams import Stream, box_muller
 
 _CLASS, _MOTOR, _SUPPLY = np.uint32(Stream.CLASS), np.uint32(Stream.MOTOR), np.uint32(Stream.SUPPLY)
 _ONSET, _SEVERITY = np.uint32(Stream.ONSET), np.uint32(Stream.SEVERITY)
-_LOW, _WORD = np.uint64(0xFFFFFFFF), np.uint64(32)
 
 
 def _fault_powers(kind: FaultKind) -> tuple[float, ...]:
@@ -69,9 +77,6 @@ def make_prior(
         "spread": tuple(recipe.spread.std),
         "earliest": round(options.earliest_onset_s / options.dt_s),
         "log_stay": (math.log(mean / (1.0 + mean)) or -1e-300) if mean > 0.0 else -np.inf,
-        "starts_per_motor": recipe.starts_per_motor,
-        "healthy_starts": recipe.healthy_starts,
-        "healthy_class": recipe.class_names.index(HEALTHY) if recipe.healthy_starts else -1,
     }
     prior = np.zeros(1, dtype=layout.PRIOR)
     for name, number in numbers.items():
@@ -173,41 +178,19 @@ def set_motor(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, fault: 
 
 
 @inlined
-def _uniform(stream: np.uint32, words: WordArray, n: int, case: np.uint64, number: int) -> float:
-    """Uniform number of a case in (0, 1), as `random_streams.uniforms`."""
-    four = philox(
-        np.uint32(number >> 2),
-        stream,
-        np.uint32(case & _LOW),
-        np.uint32(case >> _WORD),
-        words[layout.SEED_LOW, n],
-        words[layout.SEED_HIGH, n],
-    )
-    return float((float(four[number & 3]) + 0.5) * 2.0**-32)
-
-
-@inlined
-def _draw_factors(
-    task: TaskNumbers, words: WordArray, n: int, case: np.uint64, motor: np.uint64, out: Any
-) -> None:
+def _draw_factors(task: TaskNumbers, words: WordArray, n: int, out: Any) -> None:
     """The five nuisance factors into `drawn`, in the order of `recipes.FACTORS`: supply first."""
     p = prior_of(task.prior, 0)
-    low, high, k0, k1 = (
-        np.uint32(motor & _LOW),
-        np.uint32(motor >> _WORD),
-        words[layout.SEED_LOW, n],
-        words[layout.SEED_HIGH, n],
-    )
-    a, b, c, d = philox(np.uint32(0), _MOTOR, low, high, k0, k1)
+    a, b, c, d = random_words(_MOTOR, 0, words, n)
     out.resistance = 1.0 + p.spread.resistance * float(box_muller(a, b)[1])
     two = box_muller(c, d)
     out.constants, out.inertia = (
         1.0 + p.spread.constants * float(two[0]),
         1.0 + p.spread.inertia * float(two[1]),
     )
-    a, b, c, d = philox(np.uint32(1), _MOTOR, low, high, k0, k1)
+    a, b, c, d = random_words(_MOTOR, 1, words, n)
     out.friction = 1.0 + p.spread.friction * float(box_muller(a, b)[0])
-    a, b, c, d = philox(np.uint32(0), _SUPPLY, np.uint32(case & _LOW), np.uint32(case >> _WORD), k0, k1)
+    a, b, c, d = random_words(_SUPPLY, 0, words, n)
     out.supply = 1.0 + p.spread.supply * float(box_muller(a, b)[0])
 
 
@@ -215,30 +198,23 @@ def _draw_factors(
 def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     """Draw the episode that the words of lane n name, into its marks and `drawn`; its onset, NEVER without a fault."""
     p, words, drawn = prior_of(task.prior, 0), lanes.words, drawn_of(lanes.drawn, n)
-    case = np.uint64(words[layout.CASE_LOW, n]) | (np.uint64(words[layout.CASE_HIGH, n]) << _WORD)
-    starts = np.uint64(p.starts_per_motor)
-    motor = case // starts if starts > np.uint64(1) else case
-    which = 0
-    if float(case - motor * starts) < p.healthy_starts:
-        which = int(p.healthy_class)
-    else:
-        u = _uniform(_CLASS, words, n, motor, 0)
-        while u >= class_of(task.classes, which).cumulated:
-            which += 1
+    which, u = 0, random_uniforms(_CLASS, 0, words, n)[0]
+    while u >= class_of(task.classes, which).cumulated:
+        which += 1
     c = class_of(task.classes, which)
     drawn.severity = c.severity_from
     if c.severity_to > c.severity_from:
-        u = _uniform(_SEVERITY, words, n, motor, int(c.kind))
+        u = random_uniforms(_SEVERITY, int(c.kind) >> 2, words, n)[int(c.kind) & 3]
         drawn.severity += (c.severity_to - c.severity_from) * u
     if p.is_known > 0.0:
         drawn.supply = drawn.resistance = drawn.constants = drawn.inertia = drawn.friction = 1.0
     else:
-        _draw_factors(task, words, n, case, motor, drawn)
+        _draw_factors(task, words, n, drawn)
     onset = NEVER
     if c.verdict > 0.0:
         onset = p.earliest
         if p.log_stay > -np.inf:
-            onset += np.floor(np.log(_uniform(_ONSET, words, n, case, 0)) / p.log_stay)
+            onset += np.floor(np.log(random_uniforms(_ONSET, 0, words, n)[0]) / p.log_stay)
     lanes.marks[layout.CLASS_INDEX, n] = which
     lanes.marks[layout.RUNNING_ONSET, n] = int(min(onset, 2.0**31 - 1.0)) if onset < NEVER else -1
     return onset

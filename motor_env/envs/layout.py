@@ -23,17 +23,16 @@ from motor_env.simulation.recipes import FACTORS
 _CACHE_LINE = 64  # bytes
 _SIZES = ("n_classes", "n_observed")
 _SUPPLY = ("supply_v", "load_n_m", "dt_s", "is_known")
-_STARTS = ("starts_per_motor", "healthy_starts", "healthy_class")
 PRIOR = np.dtype(
     [
         *((name, float) for name in (*_SIZES, *MotorParameters.__slots__, *_SUPPLY)),
         *((name, float, 2) for name in ("rest", "by_volt", "noise")),
         ("transition", float, (2, 2)),
         ("spread", [(name, float) for name in FACTORS]),
-        *((name, float) for name in ("earliest", "log_stay", *_STARTS)),  # of the onset, in samples
+        *((name, float) for name in ("earliest", "log_stay")),  # of the onset, in samples
     ]
 )
-"""What is drawn from: the nominal motor, the belief's model, tolerances, onset, starts."""
+"""What is drawn from: the nominal motor, the belief's model, tolerances, onset."""
 _LAW = ("kind", "loses", "noise_power")
 _CLASS = ("cumulated", "verdict", "severity_from", "severity_to", *_LAW)
 CLASS = np.dtype(
@@ -192,6 +191,14 @@ def random_words(
         words[SEED_HIGH, n],
     )
     return made
+
+
+@inlined
+def random_uniforms(stream: np.uint32, block: int, words: WordArray, n: int) -> tuple[float, ...]:
+    """Four uniform numbers in (0, 1) of the episode that lane n runs, as `random_streams.uniforms` gives them."""
+    a, b, c, d = random_words(stream, block, words, n)
+    unit = 2.0**-32
+    return (float(a) + 0.5) * unit, (float(b) + 0.5) * unit, (float(c) + 0.5) * unit, (float(d) + 0.5) * unit
 
 
 def empty_lanes(blocks: int, lanes: int, precision: str) -> Lanes:

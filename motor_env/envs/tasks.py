@@ -123,6 +123,10 @@ def require_environment(recipe: Recipe) -> None:
         f"recipe {name} has joint faults, of which an agent could declare only one",
     )
     require(
+        recipe.starts_per_motor == 1,
+        f"recipe {name} has several starts of a motor, but an environment draws a motor for each episode",
+    )
+    require(
         np.ndim(recipe.supply.voltage_v) == 0,
         f"voltage_v of recipe {name} must be one number for an environment",
     )

@@ -7,7 +7,7 @@ import numpy as np
 from motor_env.envs import layout
 from motor_env.envs.compiling import fixed_tuple
 from motor_env.envs.drive.lanes import N_CONSTANTS, Block, Lanes, Task
-from motor_env.envs.layout import WordArray
+from motor_env.envs.layout import WordArray, random_uniforms
 from motor_env.motor.compiled import inlined
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream
@@ -24,19 +24,11 @@ def task_of(numbers: FloatArray) -> Task:
 
 
 @inlined
-def _uniforms(stream: np.uint32, group: int, words: WordArray, n: int) -> tuple[float, ...]:
-    """Four uniform numbers in (0, 1) of the episode that lane n runs."""
-    a, b, c, d = layout.random_words(stream, group, words, n)
-    unit = 2.0**-32
-    return (float(a) + 0.5) * unit, (float(b) + 0.5) * unit, (float(c) + 0.5) * unit, (float(d) + 0.5) * unit
-
-
-@inlined
 def _draw_profile(p: Task, words: WordArray, n: int, profile: FloatArray) -> None:
     """Plateaus and the ramps between them, until the row is full."""
     k, segment, speed = 0, 0, 0.0
     while k < len(profile):
-        level, length, rise, _ = _uniforms(_PROFILE, segment, words, n)
+        level, length, rise, _ = random_uniforms(_PROFILE, segment, words, n)
         aim = p.lowest_speed_rad_s + (p.top_speed_rad_s - p.lowest_speed_rad_s) * level
         if segment > 0:
             ramp_s = p.shortest_ramp_s + (p.longest_ramp_s - p.shortest_ramp_s) * rise
@@ -68,14 +60,14 @@ def begin_lane(s: Block, j: int, p: Task, lanes: Lanes, n: int) -> None:
     for m in range(s.everything.shape[0]):
         s.everything[m, j] = 0.0
     _draw_profile(p, words, n, profile)
-    u = _uniforms(_CLASS, 0, words, n)[0]
+    u = random_uniforms(_CLASS, 0, words, n)[0]
     kind = HEALTHY if u < p.healthy_share else (BEARING if u < p.no_winding_share else WINDING)
     s.kind[j], s.onset[j] = kind, -1.0
     if kind != HEALTHY:
         s.onset[j] = p.earliest_onset
         if p.log_stay > -np.inf:
-            s.onset[j] += np.floor(np.log(_uniforms(_ONSET, 0, words, n)[0]) / p.log_stay)
-        share = _uniforms(_SEVERITY, 0, words, n)[0]
+            s.onset[j] += np.floor(np.log(random_uniforms(_ONSET, 0, words, n)[0]) / p.log_stay)
+        share = random_uniforms(_SEVERITY, 0, words, n)[0]
         s.growth[j] = p.slowest_growth_per_s * np.exp(p.log_growth_range * share)
     speed = profile[0]
     current = (

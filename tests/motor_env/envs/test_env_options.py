@@ -132,6 +132,7 @@ def test_any_file_runs_or_refuses(kind: str, tmp_path: Path) -> None:
             "joint faults": '[[classes]]\n[[classes]]\nkind = "bearing"\nseverity = 0.1\n'
             '[[classes.also]]\nkind = "noise"\nseverity = 0.5',
             "a table field": 'base = "field"',
+            "several starts of a motor": "starts_per_motor = 2",
             "healthy only": "[[classes]]",
         },
         "motor": {

@@ -264,18 +264,12 @@ def test_actions_that_do_not_exist_are_refused(actions: NDArray[Any], sentence: 
         envs.step(actions)
 
 
-@pytest.mark.parametrize("recipe", ["small", "hard", "ranges", "starts"])
+@pytest.mark.parametrize("recipe", ["small", "hard", "ranges"])
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.long)])
 def test_episodes_are_the_draws_of_the_simulation(recipe: str, precision: str) -> None:
     """The compiled drawing, `draw` of the recipe and `discretize` give the same numbers, to the last bit."""
-    of_name = {
-        "ranges": replace(
-            TASKS["hard"],
-            classes=(FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in BUILT_IN_KINDS)),
-        ),
-        "starts": replace(TASKS["hard"], starts_per_motor=3, healthy_starts=1),
-    }
-    task = of_name.get(recipe, TASKS.get(recipe, TASKS["hard"]))
+    ranges = (FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in BUILT_IN_KINDS))
+    task = TASKS.get(recipe) or replace(TASKS["hard"], classes=ranges)
     envs = MonitorVectorEnv(200, recipe=task, precision=precision, mean_onset_s=0.0)
     _, info = envs.reset(seed=9)
     drawn = draw(task, 9, np.arange(200) << 32)
