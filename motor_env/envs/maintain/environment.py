@@ -8,10 +8,9 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
-from motor_env.envs.base import Info, Observation, StreamEnv, whole_action
-from motor_env.envs.layout import BoolArray, MarkArray, aligned_zeros, empty_streams
+from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv, whole_action
+from motor_env.envs.layout import BoolArray, aligned_zeros, empty_streams
 from motor_env.envs.maintain import kernel
 from motor_env.envs.maintain.belief import AT_ONCE
 from motor_env.envs.maintain.kernel import FEATURES, PARTS
@@ -48,72 +47,29 @@ def _chances(options: MaintainOptions, tables: Tables) -> kernel.Chances:
     )
 
 
-class Motors:
-    """The state of n motors, and the steps over all of them.
+def _motors(chances: kernel.Chances, count: int) -> kernel.Motors:
+    """So many motors that run no episode yet."""
+    width = min(count, kernel.MOTORS)
+    words, flags = empty_streams(count)
+    return kernel.Motors(
+        words,
+        np.zeros((kernel.FAILED + 1, count), dtype=np.int32),
+        flags,
+        aligned_zeros((-(-count // width), len(chances.weights), LEVELS, width)),
+        kernel.room_for(chances.growths.shape[1], width),
+        aligned_zeros((4, width), np.uint32),
+        aligned_zeros((width,), np.float32),
+        aligned_zeros((width,), np.uint32),
+    )
 
-    Args:
-        options: the task.
-        count: number of motors.
-    """
 
-    def __init__(self, options: MaintainOptions, count: int) -> None:
-        self.options = options
-        self.tables: Tables = make_tables(options)
-        self.words, self.flags = empty_streams(count)
-        self.marks: MarkArray = np.zeros((kernel.FAILED + 1, count), dtype=np.int32)
-        self._chances = _chances(options, self.tables)
-        width = min(count, kernel.MOTORS)
-        shape = (-(-count // width), len(self.tables.rates), LEVELS, width)
-        self._motors = kernel.Motors(
-            self.words,
-            self.marks,
-            self.flags,
-            aligned_zeros(shape),
-            kernel.room_for(self._chances.growths.shape[1], width),
-            aligned_zeros((4, width), np.uint32),
-            aligned_zeros((width,), np.float32),
-            aligned_zeros((width,), np.uint32),
-        )
-        self._arrays = (*self._chances, *self._motors)
-
-    @property
-    def belief(self) -> FloatArray:
-        """Probability of each rate and level of wear, given all that was seen, shape (n_motors, n_rates, LEVELS)."""
-        blocks = np.moveaxis(self._motors.belief, 3, 1)
-        return np.array(blocks.reshape(-1, *blocks.shape[2:])[: self.marks.shape[1]])
-
-    def observation_space(self) -> spaces.Space[Observation]:
-        """Box of the features."""
-        fastest = np.nextafter(np.float32(self._chances.shares.max()), np.float32(np.inf))
-        high = np.array([1.5, 1.0, 1.0, 1.0, fastest, 1.0, 1.0], dtype=np.float32)
-        low = np.zeros(len(FEATURES), dtype=np.float32)
-        low[FEATURES.index("estimate")] = -0.5
-        return cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
-
-    def begin(self, mask: BoolArray) -> None:
-        """Begin the next episode of the motors in the mask."""
-        kernel.begin(mask, *self._arrays)
-
-    def observe(self) -> Observation:
-        """Observations, shape (n_motors, n_features)."""
-        out = np.empty((len(FEATURES), self.marks.shape[1]), dtype=np.float32)
-        kernel.observe(out, *self._arrays)
-        return out.T
-
-    def step(self, actions: NDArray[np.int64], *, restart: bool) -> tuple[Observation, FloatArray, int]:
-        """A day of each motor: observations, the parts of its reward, shape (3, n_motors), and how many it ended."""
-        parts = np.empty((len(PARTS), len(actions)))
-        out = np.empty((len(FEATURES), len(actions)), dtype=np.float32)
-        n_over: int = kernel.step(actions, restart, parts, out, *self._arrays)
-        return out.T, parts, n_over
-
-    def truth(self) -> Info:
-        """Severity, drift a day and failure of each motor, for those who score."""
-        return {
-            "severity": self.marks[kernel.LEVEL] * (self.options.limit / LEVELS),
-            "drift_per_day": self.tables.rates.take(self.marks[kernel.RATE]),
-            "failed": self.marks[kernel.FAILED] > 0,
-        }
+def _observation_space(chances: kernel.Chances) -> spaces.Space[Observation]:
+    """Box of the features."""
+    fastest = np.nextafter(np.float32(chances.shares.max()), np.float32(np.inf))
+    high = np.array([1.5, 1.0, 1.0, 1.0, fastest, 1.0, 1.0], dtype=np.float32)
+    low = np.zeros(len(FEATURES), dtype=np.float32)
+    low[FEATURES.index("estimate")] = -0.5
+    return cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
 
 
 class MaintainEnv(StreamEnv[MaintainOptions]):
@@ -157,26 +113,29 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
     options_type = MaintainOptions
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
-        self.motors = Motors(self.options, 1)
-        self._words = self.motors.words
+        tables = make_tables(self.options)
+        chances = _chances(self.options, tables)
+        self._rates, self._motors = tables.rates, _motors(chances, 1)
+        self._words, self._arrays = self._motors.words, (*chances, *self._motors)
         self._action = np.zeros(1, dtype=np.int64)
         self._screen = None if self.render_mode is None else Logbook(self.options)
-        return self.motors.observation_space(), spaces.Discrete(_ACTIONS)
+        return _observation_space(chances), spaces.Discrete(_ACTIONS)
 
     def _begin(self) -> tuple[Observation, Info]:
-        self.motors.begin(np.ones(1, dtype=np.bool_))
+        kernel.begin(EVERYWHERE, *self._arrays)
         self._over = False
-        observation = self.motors.observe()[0]
+        observation = np.empty((len(FEATURES), 1), dtype=np.float32)
+        kernel.observe(observation, *self._arrays)
         if self._screen is not None:
             self._screen.clear()
-            self._show(observation, kernel.RUN)
-        return observation, self._truth()
+            self._show(observation[:, 0], kernel.RUN)
+        return observation[:, 0], self._truth()
 
     def _truth(self) -> Info:
-        marks, motors = self.motors.marks, self.motors
+        marks = self._motors.marks
         return {
             "severity": marks.item(kernel.LEVEL, 0) * (self.options.limit / LEVELS),
-            "drift_per_day": motors.tables.rates.item(marks.item(kernel.RATE, 0)),
+            "drift_per_day": self._rates.item(marks.item(kernel.RATE, 0)),
             "failed": marks.item(kernel.FAILED, 0) > 0,
         }
 
@@ -189,13 +148,13 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
         if self._over:
             raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
         self._action[0] = whole_action(action, _ACTIONS)
-        observations, parts, n_over = self.motors.step(self._action, restart=False)
-        observation, self._over = observations[0], n_over > 0
+        observation, parts = np.empty((len(FEATURES), 1), dtype=np.float32), np.empty((len(PARTS), 1))
+        self._over = kernel.step(self._action, False, parts, observation, *self._arrays) > 0
         if self._screen is not None:
-            self._show(observation, int(self._action[0]))
+            self._show(observation[:, 0], int(self._action[0]))
         info, costs = self._truth(), parts.ravel().tolist()
         info.update(zip(PARTS, costs, strict=True))
-        return observation, sum(costs), self._over, False, info
+        return observation[:, 0], sum(costs), self._over, False, info
 
     def _show(self, observation: Observation, action: int) -> None:
         self._screen.add(observation, action, **self._truth())
@@ -210,23 +169,34 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
     _part_names = PARTS
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
-        self.motors = Motors(self.options, self.num_envs)
-        self._words, self._flags = self.motors.words, self.motors.flags
-        return self.motors.observation_space(), spaces.Discrete(_ACTIONS)
+        tables = make_tables(self.options)
+        chances = _chances(self.options, tables)
+        self._rates, motors = tables.rates, _motors(chances, self.num_envs)
+        self._words, self._flags, self._marks = motors.words, motors.flags, motors.marks
+        self._arrays = (*chances, *motors)
+        return _observation_space(chances), spaces.Discrete(_ACTIONS)
 
     def _begin(self, mask: BoolArray) -> None:
-        self.motors.begin(mask)
+        kernel.begin(mask, *self._arrays)
 
     def _observe(self) -> Observation:
-        return self.motors.observe()
+        observation = np.empty((len(FEATURES), self.num_envs), dtype=np.float32)
+        kernel.observe(observation, *self._arrays)
+        return observation.T
 
     def _truth(self, active: BoolArray) -> Info:
-        return self.motors.truth()
+        return {
+            "severity": self._marks[kernel.LEVEL] * (self.options.limit / LEVELS),
+            "drift_per_day": self._rates.take(self._marks[kernel.RATE]),
+            "failed": self._marks[kernel.FAILED] > 0,
+        }
 
     def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
         array = whole_actions(actions, self.num_envs)
         restart = self.autoreset_mode is AutoresetMode.NEXT_STEP
-        observation, parts, n_over = self.motors.step(array, restart=restart)
+        observation = np.empty((len(FEATURES), self.num_envs), dtype=np.float32)
+        parts = np.empty((len(PARTS), self.num_envs))
+        n_over = kernel.step(array, restart, parts, observation, *self._arrays)
         if n_over < 0:
             raise ValueError(f"actions must be in 0 .. {_ACTIONS - 1}, got {array.min()} .. {array.max()}")
-        return observation, parts.sum(axis=0), parts, n_over
+        return observation.T, parts.sum(axis=0), parts, n_over

@@ -64,7 +64,7 @@ def test_the_belief_is_bayes_rule() -> None:
     belief = new
     for action in [0] * 25 + [1] + [0] * 5 + [2] + [0] * 5:
         seen, *_, info = env.step(action)
-        marks = env.motors.marks[:, 0]
+        marks = env._motors.marks[:, 0]
         if action == kernel.INSPECT:
             belief = belief * (np.arange(LEVELS) == marks[kernel.LEVEL])
         else:
@@ -73,7 +73,7 @@ def test_the_belief_is_bayes_rule() -> None:
             belief = new if info["failed"] else belief
             belief = belief * tables.estimate[marks[kernel.ESTIMATE] - LOWEST_ESTIMATE]
         belief = belief / belief.sum()
-        np.testing.assert_allclose(env.motors.belief[0], belief, atol=1e-12)
+        np.testing.assert_allclose(env._motors.belief[0, :, :, 0], belief, atol=1e-12)
         level, by_rate = belief.sum(axis=0), belief.sum(axis=1)
         mean = level @ np.arange(LEVELS)
         features = [
