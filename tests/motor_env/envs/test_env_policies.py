@@ -174,23 +174,6 @@ def test_posterior_of_a_probed_motor_is_calibrated() -> None:
         assert abs(happened[chosen].mean() - expected) < 4.0 * error + 1e-3
 
 
-def test_expected_reward_is_the_reward_on_average() -> None:
-    envs = ProbeVectorEnv(4000, **PROBE)
-    rule = OnDemand(WorthTest(envs.setup, 0.3), 0.05)  # declares early and is often wrong
-    observations, _ = envs.reset(seed=31)
-    rule.start(4000)
-    difference, alive = np.zeros(4000), np.ones(4000, dtype=bool)
-    for _ in range(envs.options.n_steps):
-        actions = rule.act(observations)
-        expected = rule.test.belief.expected_reward(actions)
-        observations, rewards, terminated, _, _ = envs.step(actions)
-        difference += (rewards - expected) * alive
-        alive &= ~terminated
-    assert not alive.any()
-    assert difference.std() > 0.1
-    assert abs(difference.mean()) < 4.0 * difference.std() / np.sqrt(4000)
-
-
 def test_restart_forgets_where_an_episode_is_over() -> None:
     envs = ProbeVectorEnv(64, **PROBE)
     belief = ProbeBelief(envs.setup)
@@ -216,21 +199,6 @@ def test_a_matched_probe_sees_what_a_waiting_rule_does_not() -> None:
     assert probing.probing.mean() > 0.1 > waiting.probing.mean() == 0.0
 
 
-def test_without_tolerances_their_posterior_is_the_exact_one() -> None:
-    envs = MonitorVectorEnv(50, recipe="medium", horizon_s=0.05, observe=baseline_features(MEDIUM))
-    policies = BayesPolicy(envs.setup, 0.0), TolerancePolicy(envs.setup, 0.0)
-    observations, _ = envs.reset(seed=4)
-    apart = []
-    for policy in policies:
-        policy.start(50)
-    for _ in range(envs.options.n_steps):
-        for policy in policies:
-            policy.judge(observations)
-        apart.append(np.abs(policies[0].quiet - policies[1].quiet))
-        observations = envs.step(np.zeros(50, dtype=np.int64))[0]
-    assert np.mean(apart) < 0.01  # it counts onsets in blocks of five samples
-
-
 def test_the_level_of_a_tolerant_motor_is_as_it_is_drawn() -> None:
     recipe = replace(HARD, spread=replace(HARD.spread, constants=0.02), classes=HARD.classes[:2])
     envs = MonitorVectorEnv(1500, recipe=recipe, observe=("measured_current",), earliest_onset_s=0.1)
@@ -238,17 +206,6 @@ def test_the_level_of_a_tolerant_motor_is_as_it_is_drawn() -> None:
     samples = [envs.step(np.zeros(1500, dtype=np.int64))[0][:, 0] for _ in range(400)]
     level = np.mean(samples, axis=0) / envs.setup.view[0, 0] / recipe.sensor.current_noise_a
     assert level.std() == pytest.approx(np.hypot(level_std(envs.options), 1.0 / 20.0), rel=0.06)
-
-
-def test_the_posterior_of_tolerances_beats_the_rules_on_hard_motors() -> None:
-    envs = MonitorVectorEnv(150, recipe="hard", observe=baseline_features(HARD))
-    posterior = sweep(envs, TolerancePolicy(envs.setup, 0.0), [0.96], 7)[0].returns
-    rule = sweep(envs, RulePolicy(envs.setup, Cusum(0.48, two_sided=True), threshold=0.0), [28.5], 7)[
-        0
-    ].returns
-    ahead, half_width = interval(posterior - rule)
-    assert ahead - half_width > 0.03
-    assert posterior.mean() < bounds.upper_bound(envs.options)
 
 
 def test_no_policy_is_above_the_bound() -> None:
@@ -274,18 +231,6 @@ def test_posterior_stays_finite_when_a_fault_is_far_beyond_doubt() -> None:
         assert not np.isnan(value).any()
         np.testing.assert_allclose(policy.quiet + policy.kinds.sum(axis=1), 1.0, atol=1e-9)
         observations = envs.step(np.zeros(100, dtype=np.int64))[0]
-
-
-def test_a_look_keeps_probabilities_and_at_last_tells_all() -> None:
-    p = PROBABILITY
-    for information in (1e-3, 0.3, 4.0):
-        np.testing.assert_allclose(look_matrix(information) @ p, p, atol=2e-3)
-    previous = better = np.maximum(p, 1.0 - p)
-    np.testing.assert_allclose(look_matrix(400.0) @ better, 1.0, atol=1e-6)
-    for information in (0.1, 1.0, 10.0):
-        value = look_matrix(information) @ better
-        assert (value >= previous - 1e-4).all()
-        previous = value
 
 
 def test_what_a_policy_gets_that_knows_the_class_is_just_below_its_bound() -> None:
