@@ -374,20 +374,6 @@ def test_limits_of_the_options_are_exact(factor: float) -> None:
         DriveOptions(horizon_s=1e9)
 
 
-def test_a_faulty_winding_burns() -> None:
-    env = DriveEnv(weights=(0.0, 0.0, 1.0), mean_onset_s=0.0, burn_k=71.0, thermal_time_s=0.2)
-    policy, (observation, _) = PI(env.setup), env.reset(seed=4)
-    policy.start(1)
-    over, heat = False, 0.0
-    while not over:
-        observation, _, over, _, info = env.step(policy.act(observation[None])[0])
-        heat += info["reward_heat"]
-    assert info["temperature_k"] >= 71.0
-    assert info["severity"] < 4.0
-    assert info["reward_failure"] < -6.0
-    assert heat < 0.0
-
-
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
