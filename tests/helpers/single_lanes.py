@@ -23,12 +23,17 @@ def follow(env: Any, actions: NDArray[Any], seed: int, index: int, mode: Autores
 
 
 def assert_lanes_are_single(envs: Any, env: Any, actions: NDArray[Any]) -> None:
-    """Every lane of a vector does what the environment alone does, over more than two episodes a lane."""
+    """Every lane of a vector does what the environment alone does, over more than two episodes a lane.
+
+    The parts of a reward are the same, too, and their sum is the reward.
+    """
     observations, infos = envs.reset(seed=7)
     seen = [(observations, np.zeros(envs.num_envs), np.zeros(envs.num_envs, bool), infos)]
     for action in actions:
         observations, rewards, terminated, truncated, infos = envs.step(action)
         assert not truncated.any()
+        parts = [infos[name] for name in infos if name.startswith("reward_")]
+        np.testing.assert_allclose(np.sum(parts, axis=0), rewards, atol=1e-6)
         seen.append((observations, rewards, terminated, infos))
     assert sum(int(over.sum()) for _, _, over, _ in seen) > 2 * envs.num_envs
     *found, told = zip(*seen, strict=True)

@@ -41,7 +41,6 @@ PAIRS: list[tuple[Any, Any, dict[str, Any]]] = [
 EXACT = (MonitorEnv, MonitorVectorEnv, {**SHORT, "samples_per_step": 4, "precision": "float64"})
 # Nothing else steps an environment alone in double precision: seven seconds of compiling.
 ALL_PAIRS = [*PAIRS, pytest.param(*EXACT, marks=pytest.mark.long)]
-PARTS = ("reward_verdict", "reward_delay", "reward_probe")
 
 
 def random_actions(space: gym.Space[Any], steps: int, count: int, seed: int) -> NDArray[Any]:
@@ -81,76 +80,27 @@ def test_shared_lanes_of_vectors_of_different_sizes_are_equal_to_the_bit(vector:
             np.testing.assert_array_equal(a[4][name], b[4][name][:5])
 
 
-@pytest.mark.parametrize(
-    ("vector", "options"),
-    [
-        (MonitorVectorEnv, {"recipe": "medium"}),
-        (MonitorVectorEnv, {"recipe": "hard"}),
-        (ProbeVectorEnv, {"recipe": "small"}),
-    ],
-)
-@pytest.mark.long
-def test_float32_stays_close_to_float64(vector: Any, options: dict[str, Any]) -> None:
-    assert worst_difference(vector, {**options, "horizon_s": 0.04}, lanes=100, samples=700) < 1e-5
-
-
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("vector", [MonitorVectorEnv, ProbeVectorEnv, ProbeContinuousVectorEnv])
 @pytest.mark.parametrize("recipe", ["easy", "medium", "hard", "small"])
-def test_float32_stays_close_to_float64_over_a_thousand_episodes(vector: Any, recipe: str) -> None:
-    assert worst_difference(vector, {"recipe": recipe}, lanes=1000, samples=4000) < 1e-5
-
-
-def worst_difference(vector: Any, options: dict[str, Any], lanes: int, samples: int) -> float:
-    """Largest difference of the two precisions, in each observation's scale, with resets at all times.
+def test_float32_stays_close_to_float64(vector: Any, recipe: str) -> None:
+    """Over a thousand episodes, in each observation's scale, with resets at all times.
 
     Without the evidence of the bank: where a sum falls to zero a filter starts anew, and rounding can tip that.
     """
-    envs = [vector(lanes, precision=precision, **options) for precision in ("float32", "float64")]
+    envs = [vector(1000, precision=precision, recipe=recipe) for precision in ("float32", "float64")]
     (a, _), (b, _) = (env.reset(seed=5) for env in envs)
-    steps = samples // envs[0].options.samples_per_step
     setup = envs[0].setup
-    scale, worst = setup.view[1, setup.chosen], 0.0
+    scale = setup.view[1, setup.chosen]
     scale[["evidence" in name for name in setup.observed]] = np.inf
-    for step in range(steps):
-        action = random_actions(envs[0].single_action_space, 1, lanes, seed=step)[0]
-        rare = np.random.default_rng(step).random(lanes) < 0.05
+    for step in range(4000 // envs[0].options.samples_per_step):
+        action = random_actions(envs[0].single_action_space, 1, 1000, seed=step)[0]
+        rare = np.random.default_rng(step).random(1000) < 0.05
         action = np.where(rare if action.ndim == 1 else rare[:, None], action, 0).astype(action.dtype)
-        worst = max(worst, float((np.abs(a - b) / scale).max()))
+        assert (np.abs(a - b) < 1e-5 * scale).all()
         (a, _, over_a, _, _), (b, _, over_b, _, _) = (env.step(action) for env in envs)
         np.testing.assert_array_equal(over_a, over_b)
-    return worst
-
-
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-@pytest.mark.parametrize(("single", "vector", "options"), ALL_PAIRS)
-def test_the_parts_of_a_reward_are_the_reward(
-    single: Any, vector: Any, options: dict[str, Any], mode: str
-) -> None:
-    envs, env = vector(40, autoreset_mode=mode, **options), single(**options)
-    envs.reset(seed=7)
-    env.reset(seed=7, options={"index": 3})
-    seen, over = set(), False
-    for action in random_actions(envs.single_action_space, 300, 40, seed=1):
-        _, rewards, _, _, info = envs.step(action)
-        parts = {name: info[name] for name in PARTS if name in info}
-        assert len(parts) == (2 if isinstance(env, MonitorEnv) else 3)
-        np.testing.assert_allclose(sum(parts.values()), rewards, atol=1e-6)
-        assert (np.array([value for name, value in parts.items() if name != "reward_verdict"]) <= 0.0).all()
-        seen |= {name for name, value in parts.items() if value.any()}
-        if over and mode == "NextStep":
-            env.reset()
-            over = False
-            assert not any(value[3] for value in parts.values())
-            continue
-        _, reward, over, _, alone = env.step(action[3])
-        assert sum(alone[name] for name in parts) == pytest.approx(reward, abs=1e-6)
-        assert {name: alone[name] for name in parts} == {name: value[3] for name, value in parts.items()}
-        if over and mode == "SameStep":
-            assert info["final_info"]["reward_verdict"][3] == alone["reward_verdict"] != 0.0
-            env.reset()
-    assert set(parts) - ({"reward_probe"} if vector is ProbeVectorEnv else set()) <= seen
 
 
 def test_a_uniform_random_policy_keeps_lanes_apart_from_each_other() -> None:
