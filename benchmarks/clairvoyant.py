@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.envs import DriveVectorEnv, Lqg, drive_episodes
+from motor_env.envs import DriveVectorEnv, Lqg, returns_of
 from motor_env.motor.parameters import FloatArray
 
 LIMP_FROM = (0.0, 0.2, 0.35, 0.5, 0.7, np.inf)
@@ -45,5 +45,5 @@ def clairvoyant_returns(envs: DriveVectorEnv, seed: int) -> FloatArray:
     No rule of that family, which knows fault and onset, does better. Of all that a controller could do it is no bound.
     """
     rules = [Clairvoyant(envs, limp_from=limp, stop_from=stop) for limp in LIMP_FROM for stop in STOP_FROM]
-    best: FloatArray = np.max([drive_episodes(envs, rule, seed).returns for rule in rules], axis=0)
+    best: FloatArray = np.max([returns_of(envs, rule, seed) for rule in rules], axis=0)
     return best

@@ -14,14 +14,15 @@ import gymnasium as gym
 import numpy as np
 from clairvoyant import clairvoyant_returns
 from cyclopts import run
+from numpy.typing import NDArray
 from pi_controller import PI
 from planned_drive import PlannedDrive
 from tables import keep_table
 
-from motor_env.envs import DriveVectorEnv, Lqg, drive_episodes
-from motor_env.envs.baselines.evaluation import interval, joined
+from motor_env.envs import DriveVectorEnv, Lqg, parts_of, returns_of
+from motor_env.envs.baselines.evaluation import interval
 from motor_env.envs.baselines.policies import Player
-from motor_env.envs.drive.evaluation import Drives
+from motor_env.motor.parameters import FloatArray
 
 LEVELS = 8
 TUNING_SEED, SEEDS, EPISODES = 1, (11, 12, 13, 14, 15), 200
@@ -45,20 +46,23 @@ def tuned(
 ) -> dict[str, Any]:
     """The point of the grid with the best mean return."""
     points = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
-    scores = [drive_episodes(envs, kind(envs.setup, **point), TUNING_SEED).returns.mean() for point in points]
+    scores = [returns_of(envs, kind(envs.setup, **point), TUNING_SEED).mean() for point in points]
     return points[int(np.argmax(scores))]
 
 
-def row(name: str, runs: Drives) -> list[str]:
+def by_class(returns: FloatArray, class_index: NDArray[np.int64]) -> list[str]:
+    """Mean return of the episodes of each class; empty where there is none."""
+    chosen = [returns[class_index == k] for k in range(3)]
+    return [f"{those.mean():.2f}" if len(those) else "" for those in chosen]
+
+
+def row(name: str, parts: FloatArray, class_index: NDArray[np.int64]) -> list[str]:
     """A row of the table."""
-    mean, half = interval(runs.returns)
-    by_class = [
-        f"{runs.returns[runs.class_index == k].mean():.2f}" if (runs.class_index == k).any() else ""
-        for k in range(3)
-    ]
-    parts = [f"{abs(part):.3f}" for part in runs.parts.mean(axis=1)]
-    failed = f"{(runs.parts[-1] < 0.0).mean():.1%}"
-    return [name, f"{mean:+.3f} ± {half:.3f}", *by_class, *parts, failed]
+    returns = parts.sum(axis=0)
+    mean, half = interval(returns)
+    means = [f"{abs(part):.3f}" for part in parts.mean(axis=1)]
+    failed = f"{(parts[-1] < 0.0).mean():.1%}"
+    return [name, f"{mean:+.3f} ± {half:.3f}", *by_class(returns, class_index), *means, failed]
 
 
 def main(*, task: str = "Drive-v0") -> None:
@@ -75,19 +79,17 @@ def main(*, task: str = "Drive-v0") -> None:
         "both by the bank": bank(envs.setup, **best),
         "plan": PlannedDrive(envs.setup),
     }
-    scored = {}
+    class_index = np.concatenate([envs.reset(seed=seed)[1]["class_index"] for seed in SEEDS])
 
     def rows() -> Iterator[list[str]]:
         for name, policy in policies.items():
-            scored[name] = joined([drive_episodes(envs, policy, seed) for seed in SEEDS])
-            yield row(name, scored[name])
+            parts = [parts_of(envs, policy, seed) for seed in SEEDS]
+            yield row(name, np.concatenate(parts, axis=1), class_index)
 
     keep_table("decisions", task, HEADER, rows())
-    last = scored["both by the bank"]
     known = np.concatenate([clairvoyant_returns(envs, seed) for seed in SEEDS])
-    by_class = [f"{known[last.class_index == k].mean():.2f}" for k in np.unique(last.class_index)]
     mean, half = interval(known)
-    print(f"clairvoyant {mean:+.3f} ± {half:.3f}, by class {by_class}")
+    print(f"clairvoyant {mean:+.3f} ± {half:.3f}, by class {by_class(known, class_index)}")
 
 
 if __name__ == "__main__":

@@ -30,7 +30,6 @@ from motor_env.envs import (
     PlannedUpkeep,
     Policy,
     ReplaceFrom,
-    drive_episodes,
     returns_of,
 )
 from motor_env.envs.baselines.evaluation import interval
@@ -154,7 +153,7 @@ def maintained_returns(choose: Any, seed: int) -> Floats:
 def lqg_returns(levels: int, seed: int) -> Floats:
     """Of the LQG on a drive."""
     envs = DriveVectorEnv(TASKS["drive"].episodes)
-    return drive_episodes(envs, Lqg(envs.setup, levels=levels), seed).returns
+    return returns_of(envs, Lqg(envs.setup, levels=levels), seed)
 
 
 def upkeep_returns(make: Callable[[Any], Any], seed: int) -> Floats:

@@ -6,6 +6,7 @@ from .baselines.belief import (
     ProbeBelief as ProbeBelief,
 )
 from .baselines.evaluation import (
+    parts_of as parts_of,
     returns_of as returns_of,
     run_episodes as run_episodes,
     score as score,
@@ -33,9 +34,6 @@ from .baselines.probing import (
 from .drive.env import (
     DriveEnv as DriveEnv,
     DriveVectorEnv as DriveVectorEnv,
-)
-from .drive.evaluation import (
-    drive_episodes as drive_episodes,
 )
 from .drive.options import (
     DriveOptions as DriveOptions,

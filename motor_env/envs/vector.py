@@ -36,7 +36,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
     options_type: type[Options]
     _words: WordArray
     _flags: BoolArray
-    _part_names: tuple[str, ...]
+    part_names: tuple[str, ...]
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
             raise gym.error.ResetNeeded("autoreset is disabled: reset the sub-environments that are over")
         observation, reward, parts, n_over = self._step(actions)
         flags = self._flags[:, : self.num_envs].copy()
-        over, rewards = flags[layout.TERMINATED], {name: parts[m] for m, name in enumerate(self._part_names)}
+        over, rewards = flags[layout.TERMINATED], {name: parts[m] for m, name in enumerate(self.part_names)}
         info = self._info(flags, rewards)
         if n_over > 0 and self.autoreset_mode is AutoresetMode.SAME_STEP:
             final = self._final(observation, info, over)
@@ -196,7 +196,7 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         lanes = empty_lanes(blocks, blocks * LANES, self.options.precision)
         self._words, self._marks, self._flags = lanes.words, lanes.marks, lanes.flags
         self._arrays = (*pack_task(self.setup.numbers, self.options.precision), *lanes)
-        self._part_names = reward_parts(self.options)
+        self.part_names = reward_parts(self.options)
         self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
         self._timing = (self.options.samples_per_step, self.autoreset_mode is AutoresetMode.NEXT_STEP)
         return observation_space(self.setup), self._actions()
@@ -230,7 +230,7 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
     def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
         observation = self._empty()
         reward = np.empty(observation.shape[1])
-        parts = np.empty((len(self._part_names), len(reward)))
+        parts = np.empty((len(self.part_names), len(reward)))
         n_over = self._step_lanes(actions, observation, reward, parts)
         n = self.num_envs
         return observation.T[:n], reward[:n], parts[:, :n], n_over

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.envs.base import Info
 from motor_env.envs.baselines.policies import Actions, Player, Policy, ThresholdPolicy
+from motor_env.envs.layout import BoolArray
 from motor_env.envs.vector import MotorVectorEnv, StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
@@ -32,9 +34,6 @@ class Runs(NamedTuple):
     right: NDArray[np.int64]
     onset: NDArray[np.int64]
     probing: FloatArray
-
-
-AnyRuns = TypeVar("AnyRuns", bound=NamedTuple)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,39 +67,48 @@ class Score:
         return asdict(self)
 
 
-def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
-    """Return of one episode of a policy in each sub-environment, of any family."""
+def _steps(
+    envs: StreamVectorEnv[Any], policy: Player, seed: int
+) -> Iterator[tuple[BoolArray, NDArray[Any], FloatArray, Info]]:
+    """Play one episode of a policy in each sub-environment: who still plays, actions, rewards and info of each step."""
     observations, _ = envs.reset(seed=seed)
     policy.start(envs.num_envs)
-    returns, alive = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=np.bool_)
+    alive = np.ones(envs.num_envs, dtype=np.bool_)
     while alive.any():
-        observations, rewards, terminated, truncated, _ = envs.step(policy.act(observations))
+        actions = policy.act(observations)
+        observations, rewards, over, _, info = envs.step(actions)
+        yield alive, actions, rewards, info
+        alive = alive & ~over
+
+
+def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
+    """Return of one episode of a policy in each sub-environment, of any family."""
+    returns = np.zeros(envs.num_envs)
+    for alive, _, rewards, _ in _steps(envs, policy, seed):
         returns += rewards * alive
-        alive &= ~(terminated | truncated)
     return returns
+
+
+def parts_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
+    """What these returns are made of, in the order of the info's `reward_*`, shape (parts, episodes)."""
+    parts = np.zeros((len(envs.part_names), envs.num_envs))
+    for alive, _, _, info in _steps(envs, policy, seed):
+        parts += np.stack([info[name] for name in envs.part_names]) * alive
+    return parts
 
 
 def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
     """Monitors and probes: play one episode of a policy in each sub-environment."""
-    count = envs.num_envs
-    observations, info = envs.reset(seed=seed)
+    count, info = envs.num_envs, envs.reset(seed=seed)[1]
     right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
-    policy.start(count)
     returns, probing = np.zeros((2, count))
     steps, declared, lengths = np.zeros((3, count), dtype=np.int64)
-    alive = np.ones(count, dtype=bool)
-    for step in range(envs.options.n_steps):
-        actions = policy.act(observations)
-        observations, rewards, terminated, _, _ = envs.step(actions)
+    for step, (alive, actions, rewards, _) in enumerate(_steps(envs, policy, seed)):
         returns += rewards * alive
         probing += (envs.setup.offsets_v[actions] != 0.0) & alive
         lengths += alive
-        ended = alive & terminated
-        declared[ended] = envs.setup.declarations[actions[ended]]
-        steps[ended & (declared > 0)] = step
-        alive &= ~terminated
-        if not alive.any():
-            break
+        declared[alive] = envs.setup.declarations[actions[alive]]
+        steps[alive] = np.where(declared[alive] > 0, step, 0)
     return Runs(returns, steps, declared, right, onset, probing / lengths)
 
 
@@ -157,9 +165,9 @@ def _verdict(
     return worth
 
 
-def joined(runs: Sequence[AnyRuns]) -> AnyRuns:
-    """Episodes of several seeds, one after the other; any tuple of arrays whose last axis is the episodes."""
-    return runs[0]._make(np.concatenate(parts, axis=-1) for parts in zip(*runs, strict=True))
+def joined(runs: Sequence[Runs]) -> Runs:
+    """Episodes of several seeds, one after the other."""
+    return Runs._make(np.concatenate(parts) for parts in zip(*runs, strict=True))
 
 
 def interval(values: FloatArray) -> tuple[float, float]:

@@ -148,7 +148,7 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
     """Vector of `DriveEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = DriveOptions
-    _part_names = REWARDS
+    part_names = REWARDS
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup = make_setup(self.options)

@@ -166,7 +166,7 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
     """Vector of `MaintainEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = MaintainOptions
-    _part_names = PARTS
+    part_names = PARTS
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         tables = make_tables(self.options)

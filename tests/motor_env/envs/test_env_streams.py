@@ -39,7 +39,7 @@ from motor_env.envs import (
     RulePolicy,
     WorthTest,
     baseline_features,
-    drive_episodes,
+    parts_of,
 )
 from motor_env.envs.baselines.probing import Bursts, OpenLoop
 
@@ -223,7 +223,7 @@ def driven(policy: Any) -> list[list[float]]:
     envs = DriveVectorEnv(
         6, horizon_s=2.0, earliest_onset_s=0.1, mean_onset_s=0.1, growth_per_s=(1.0, 2.0), warm_k=15.0
     )
-    parts = drive_episodes(envs, policy(envs), 4).parts
+    parts = parts_of(envs, policy(envs), 4)
     return [(1e3 * part).tolist() for part in parts]
 
 

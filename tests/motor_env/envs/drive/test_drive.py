@@ -21,9 +21,9 @@ from motor_env.envs import (
     DriveOptions,
     DriveVectorEnv,
     Lqg,
-    drive_episodes,
+    parts_of,
+    returns_of,
 )
-from motor_env.envs.baselines.evaluation import joined
 from motor_env.envs.drive.actions import LIMP, RUN, STOP
 from motor_env.envs.drive.env import REWARDS
 from motor_env.envs.drive.lanes import LANES
@@ -69,13 +69,15 @@ def test_a_score_counts_the_first_episode_alone() -> None:
             self.first = False
             return np.array([[0.0, decision], [0.0, RUN], [0.0, decision]])
 
-    found, env = drive_episodes(DriveVectorEnv(3, **SHORT), StopTwo(), seed=5), DriveEnv(**SHORT)
+    envs, env = DriveVectorEnv(3, **SHORT), DriveEnv(**SHORT)
+    returns, parts = (of(envs, StopTwo(), seed=5) for of in (returns_of, parts_of))
     for index in (0, 2):
         env.reset(seed=5, options={"index": index})
         _, reward, over, _, _ = env.step([0.0, STOP])
         assert over
-        assert found.returns[index] == pytest.approx(reward)
-    assert found.parts[:, 1].any()
+        assert returns[index] == pytest.approx(reward)
+    assert parts[:, 1].any()
+    np.testing.assert_allclose(parts.sum(axis=0), returns)
 
 
 def test_a_controller_forgets_the_episode_before() -> None:
@@ -420,8 +422,8 @@ def test_other_actions_give_the_same_commands(control: str) -> None:
     short: dict[str, Any] = {"tracking_limit_per_s": 3.0, "horizon_s": 3.0, "growth_per_s": (1.0, 3.0)}
     changes = short | {"control": control}
     plain, other = DriveVectorEnv(16, **short), DriveVectorEnv(16, **changes)
-    first, second = (drive_episodes(envs, Lqg(envs.setup, levels=3), seed=3) for envs in (plain, other))
-    off = np.abs(first.returns - second.returns)
+    first, second = (returns_of(envs, Lqg(envs.setup, levels=3), seed=3) for envs in (plain, other))
+    off = np.abs(first - second)
     assert (off == 0.0).all() if control == "voltage_limp_stop" else (np.median(off) < 0.02 and off.any())
     single = DriveEnv(**changes)
     seen, _ = single.reset(seed=3, options={"index": 7})
@@ -430,7 +432,7 @@ def test_other_actions_give_the_same_commands(control: str) -> None:
     while not over:
         seen, reward, over, _, _ = single.step(policy.act(seen[None])[0])
         total += reward
-    assert total == pytest.approx(second.returns[7], abs=1e-9)
+    assert total == pytest.approx(second[7], abs=1e-9)
     for action in (3, [0.0, 0.0]):
         single.reset()
         with pytest.raises(ValueError, match="action must be"):
@@ -482,7 +484,7 @@ def test_no_controller_is_above_the_bound() -> None:
     envs = DriveVectorEnv(60)
     bound = drive_bounds(envs.options, 60, seed=4)
     rules = [clairvoyant.Clairvoyant(envs, limp_from=limp, stop_from=0.97) for limp in (0.0, 0.5, np.inf)]
-    best = np.max([drive_episodes(envs, rule, 4).returns for rule in rules], axis=0)
+    best = np.max([returns_of(envs, rule, 4) for rule in rules], axis=0)
     assert (best < bound + 1e-3).all()
     assert bound.mean() - 0.35 < best.mean() < bound.mean() < -0.5
 
@@ -491,28 +493,24 @@ def test_no_controller_is_above_the_bound() -> None:
 def test_the_plan_is_ahead_of_the_bank() -> None:
     envs = DriveVectorEnv(150)
     bank, plan = (
-        drive_episodes(envs, policy, seed=9).returns
-        for policy in (Lqg(envs.setup, levels=8), PlannedDrive(envs.setup))
+        returns_of(envs, policy, seed=9) for policy in (Lqg(envs.setup, levels=8), PlannedDrive(envs.setup))
     )
     ahead = plan - bank
     assert ahead.mean() > 1.5 * ahead.std() / np.sqrt(150)
     deciding = DriveVectorEnv(150, **gym.spec("motor_env/DriveDecide-v0").kwargs)
-    decided = drive_episodes(deciding, PlannedDecisions(deciding.setup), seed=9).returns
+    decided = returns_of(deciding, PlannedDecisions(deciding.setup), seed=9)
     assert decided.mean() > bank.mean()
 
 
 def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
     envs = DriveVectorEnv(40)
-    fixed, bank = (drive_episodes(envs, Lqg(envs.setup, levels=levels), seed=9) for levels in (0, 8))
-    ahead = bank.returns - fixed.returns
+    fixed, bank = (returns_of(envs, Lqg(envs.setup, levels=levels), seed=9) for levels in (0, 8))
+    ahead = bank - fixed
     assert ahead.mean() > 1.0 + 1.96 * ahead.std() / np.sqrt(40)
-    np.testing.assert_array_equal(fixed.class_index, bank.class_index)
-    both = joined([fixed, bank])
-    assert (both.returns.shape, both.parts.shape, both.class_index.shape) == ((80,), (6, 80), (80,))
     assert (clairvoyant.LIMP_FROM[:5], clairvoyant.STOP_FROM[0]) == ((0.0, 0.2, 0.35, 0.5, 0.7), 0.97)
     monkeypatch.setattr(clairvoyant, "LIMP_FROM", (0.35, 0.7))
     monkeypatch.setattr(clairvoyant, "STOP_FROM", (0.97,))
-    assert clairvoyant.clairvoyant_returns(envs, seed=9).mean() > bank.returns.mean()
+    assert clairvoyant.clairvoyant_returns(envs, seed=9).mean() > bank.mean()
 
 
 def test_a_picture_changes_nothing() -> None:
