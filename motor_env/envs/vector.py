@@ -204,11 +204,6 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
     def _actions(self) -> spaces.Space[Any]:
         return discrete_actions(self.setup)
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Label kind of every class: what the info's `class_index` points at."""
-        return self.setup.labels
-
     def _begin(self, mask: BoolArray) -> None:
         if mask.all():
             self._marks[layout.ROW] = ROWS

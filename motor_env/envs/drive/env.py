@@ -157,11 +157,6 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
         self._arrays = (np.array(self.setup.task), *self._lanes)
         return _spaces(self.setup)
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Label kind of every class: what the info's `class_index` points at."""
-        return LABELS
-
     def truth(self, name: str) -> FloatArray:
         """A row of the lanes as it stands, for what is told the truth, shape (num_envs,).
 

@@ -55,7 +55,7 @@ class Last:
     def _info(self, info: Info) -> Info:
         mine = {name: values[-1] for name, values in info.items()}
         severity = self.envs._arrays[-1][self.envs.num_envs - 1, 0]
-        return {**mine, "label": self.envs.labels[mine["class_index"]], "severity": severity}
+        return {**mine, "label": self.setup.labels[mine["class_index"]], "severity": severity}
 
     def reset(self, *, seed: int, options: dict[str, int] | None = None) -> tuple[Any, Info]:
         assert options is None or options["index"] == self.envs.num_envs - 1
