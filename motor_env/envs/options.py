@@ -43,6 +43,14 @@ class Drive(StrEnum):
     SPEED_LOOP = "speed_loop"
 
 
+def settle_choice(options: Any, name: str, choices: type[StrEnum]) -> None:
+    """Make an option of frozen options, given by its value, the member of its enumeration; else `ValueError`."""
+    value = getattr(options, name)
+    known = isinstance(value, str) and value in set(choices)
+    require(known, f"{name} must be one of {', '.join(choices)}, got {value!r:.60}")
+    object.__setattr__(options, name, choices(value))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MonitorOptions:
     """Everything about the task that can be chosen; times in seconds, rewards in the reward's own unit.
@@ -121,11 +129,8 @@ class MonitorOptions:
             object.__setattr__(self, "motor", recipe.motor)
         require_environment(recipe)
         object.__setattr__(self, "recipe", recipe)
-        for name, choices in (("drive", Drive), ("precision", Precision)):
-            value = getattr(self, name)
-            known = isinstance(value, str) and value in set(choices)
-            require(known, f"{name} must be one of {', '.join(choices)}, got {value!r:.60}")
-            object.__setattr__(self, name, choices(value))
+        settle_choice(self, "drive", Drive)
+        settle_choice(self, "precision", Precision)
         if self.drive is Drive.SPEED_LOOP:
             shortest = 2.0 * (self.dt_s + float(np.asarray(recipe.motor.electrical_time_constant_s)))
             require(

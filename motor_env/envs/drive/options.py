@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from motor_env.envs.options import settle_choice
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import load_torque
 from motor_env.motor.parameters import (
@@ -164,10 +165,7 @@ class DriveOptions:
             1 <= self.n_steps <= MAX_STEPS,
             f"horizon_s must be 1 to {MAX_STEPS} periods, got {self.n_steps}",
         )
-        control: object = self.control
-        known = isinstance(control, str) and control in set(Control)
-        require(known, f"control must be one of {', '.join(Control)}, got {self.control!r:.60}")
-        object.__setattr__(self, "control", Control(self.control))
+        settle_choice(self, "control", Control)
         repeats: object = self.steps_per_decision
         require(
             isinstance(repeats, int) and not isinstance(repeats, bool) and repeats >= 1,
