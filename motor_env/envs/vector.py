@@ -61,10 +61,12 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         require(render_mode is None, f"render_mode of a vector must be None, got {render_mode!r}")
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self._next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._seeded = False
         self.options = with_changes(options, self.options_type, changes)
         self.single_observation_space, self.single_action_space = self._set_up()
+        (self._n_observed,) = self.single_observation_space.shape or (0,)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -76,9 +78,18 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         """Begin the next episode of the sub-environments in the mask."""
         raise NotImplementedError
 
-    def _observe(self) -> Observation:
-        """Observation as the lanes stand."""
+    def _write(self, observation: NDArray[np.float32]) -> None:
+        """Write the observation as the lanes stand, one row a feature."""
         raise NotImplementedError
+
+    def _observe(self) -> Observation:
+        observation = self._empty()
+        self._write(observation)
+        return observation.T[: self.num_envs]
+
+    def _empty(self) -> NDArray[np.float32]:
+        """A fresh array for the observation of all lanes, those that fill the last block too."""
+        return np.empty((self._n_observed, self._flags.shape[1]), dtype=np.float32)
 
     def _truth(self, active: BoolArray) -> Info:
         """The truth as the lanes stand, for those who score; what decides must not read it."""
@@ -198,7 +209,7 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         self._arrays = (*pack_task(self.setup.numbers, self.options.precision), *lanes)
         self.part_names = reward_parts(self.options)
         self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
-        self._timing = (self.options.samples_per_step, self.autoreset_mode is AutoresetMode.NEXT_STEP)
+        self._timing = (self.options.samples_per_step, self._next_step)
         return observation_space(self.setup), self._actions()
 
     def _actions(self) -> spaces.Space[Any]:
@@ -209,14 +220,8 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
             self._marks[layout.ROW] = ROWS
         stepping.begin_lanes(mask, *self._arrays)
 
-    def _observe(self) -> Observation:
-        observation = self._empty()
+    def _write(self, observation: NDArray[np.float32]) -> None:
         stepping.observe(observation, *self._arrays)
-        return observation.T[: self.num_envs]
-
-    def _empty(self) -> NDArray[np.float32]:
-        """A fresh array for the observation of all lanes, those that fill the last block too."""
-        return np.empty((len(self.setup.chosen), self._flags.shape[1]), dtype=np.float32)
 
     def _truth(self, active: BoolArray) -> Info:
         marks = self._marks[: layout.RUNNING_ONSET + 1, : self.num_envs].copy()

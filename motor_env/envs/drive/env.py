@@ -7,7 +7,6 @@ from typing import Any, cast
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv
@@ -170,13 +169,8 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
     def _begin(self, mask: BoolArray) -> None:
         kernel.begin(mask, *self._arrays)
 
-    def _observe(self) -> Observation:
-        observation = self._empty()
+    def _write(self, observation: NDArray[np.float32]) -> None:
         kernel.observe(self._lanes.state, self.setup.view, observation)
-        return observation.T
-
-    def _empty(self) -> NDArray[np.float32]:
-        return np.empty((len(self.setup.observed), self.num_envs), dtype=np.float32)
 
     def _truth(self, active: BoolArray) -> Info:
         return {
@@ -191,6 +185,7 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
         given = commands(self.options.control, actions, self.num_envs)
         observation, reward = self._empty(), np.empty(self.num_envs)
         parts = np.empty((len(PARTS), self.num_envs))
-        begins = self.autoreset_mode is AutoresetMode.NEXT_STEP
-        n_over = kernel.step(given, begins, self.setup.view, observation, reward, parts, *self._arrays)
+        n_over = kernel.step(
+            given, self._next_step, self.setup.view, observation, reward, parts, *self._arrays
+        )
         return observation.T, reward, parts, n_over

@@ -7,7 +7,7 @@ from typing import Any, cast
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 
 from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv, whole_action
 from motor_env.envs.layout import BoolArray, aligned_zeros, empty_streams
@@ -179,10 +179,8 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
     def _begin(self, mask: BoolArray) -> None:
         kernel.begin(mask, *self._arrays)
 
-    def _observe(self) -> Observation:
-        observation = np.empty((len(FEATURES), self.num_envs), dtype=np.float32)
+    def _write(self, observation: NDArray[np.float32]) -> None:
         kernel.observe(observation, *self._arrays)
-        return observation.T
 
     def _truth(self, active: BoolArray) -> Info:
         return {
@@ -193,10 +191,8 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
 
     def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
         array = whole_actions(actions, self.num_envs)
-        restart = self.autoreset_mode is AutoresetMode.NEXT_STEP
-        observation = np.empty((len(FEATURES), self.num_envs), dtype=np.float32)
-        parts = np.empty((len(PARTS), self.num_envs))
-        n_over = kernel.step(array, restart, parts, observation, *self._arrays)
+        observation, parts = self._empty(), np.empty((len(PARTS), self.num_envs))
+        n_over = kernel.step(array, self._next_step, parts, observation, *self._arrays)
         if n_over < 0:
             raise ValueError(f"actions must be in 0 .. {_ACTIONS - 1}, got {array.min()} .. {array.max()}")
         return observation.T, parts.sum(axis=0), parts, n_over
