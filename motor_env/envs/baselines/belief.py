@@ -195,7 +195,14 @@ class ProbeBelief:
         self._path = np.zeros((count, N_HYPOTHESIS))
         self._begun, self.steps = np.zeros((2, count), dtype=np.int64)
         self._offset_v = np.zeros(count)
+        self._seen = False
         self._conclude()
+
+    def watch(self, observations: Observations) -> None:
+        """Learn from the observation that a policy acts on; the first follows no step."""
+        if self._seen:
+            self.update(observations)
+        self._seen = True
 
     def restart(self, over: NDArray[np.bool_]) -> None:
         """Forget what was seen where an episode is over."""

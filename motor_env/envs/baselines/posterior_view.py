@@ -70,18 +70,15 @@ class Summarised(Policy):
     """
 
     def __init__(self, belief: ProbeBelief, choose: Any) -> None:
-        self.belief, self._choose, self._seen = belief, choose, False
+        self.belief, self._choose = belief, choose
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
         super().start(count)
         self.belief.start(count)
-        self._seen = False
 
     def act(self, observations: Observations) -> Actions:
-        """What is chosen. The first observation follows no step."""
-        if self._seen:
-            self.belief.update(observations)
-        self._seen = True
+        """What is chosen."""
+        self.belief.watch(observations)
         actions: NDArray[np.int64] = self._choose(self.belief.summary()).astype(np.int64)
         return actions

@@ -51,19 +51,15 @@ class WorthTest(ThresholdPolicy):
     def __init__(self, setup: Setup, threshold: float) -> None:
         self.belief, self.threshold = ProbeBelief(setup), threshold
         self._declarations = declarations(setup)
-        self._seen = False
 
     def start(self, count: int) -> None:
         """Forget everything; so many sub-environments begin."""
         super().start(count)
         self.belief.start(count)
-        self._seen = False
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """The worth of a declaration, and its kind. The first observation follows no step."""
-        if self._seen:
-            self.belief.update(observations)
-        self._seen = True
+        """The worth of a declaration, and its kind."""
+        self.belief.watch(observations)
         return self._statistic()
 
     def _statistic(self) -> tuple[FloatArray, Actions]:
