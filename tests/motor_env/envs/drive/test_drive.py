@@ -304,10 +304,9 @@ def test_the_filter_sees_what_its_model_says() -> None:
 
 def test_a_long_period_shows_each_step_ahead_once() -> None:
     """0.05 s ahead is the end of the next step already."""
-    env = DriveEnv(period_s=0.05)
-    observation, _ = env.reset(seed=1)
-    assert env.observed[-4:] == ("profile_0", "profile_1", "profile_2", "profile_4")
-    np.testing.assert_allclose(450.0 * observation[-4:], env._lanes.profile[0][[0, 1, 2, 4]], rtol=1e-6)
+    setup = make_setup(DriveOptions(period_s=0.05))
+    assert setup.ahead.tolist() == [0, 1, 2, 4]
+    assert setup.observed[-4:] == ("profile_0", "profile_1", "profile_2", "profile_4")
 
 
 def test_a_bank_and_its_decisions_by_hand() -> None:

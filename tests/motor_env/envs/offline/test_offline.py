@@ -15,7 +15,7 @@ from motor_env.envs.offline.recording import episodes_of
 minari = pytest.importorskip("minari", reason="data sets for learning offline need the extra minari")
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", ["Monitor-v0", "Probe-v0", "Maintain-v0", "Drive-v0"])
 def test_a_data_set_is_read_and_its_environment_repeats_it(
     task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -53,11 +53,11 @@ def test_a_folder_may_be_relative_and_new(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_better_policies_are_paid_better() -> None:
     for task in ("Probe-v0", "Drive-v0", "Maintain-v0"):
-        mean = {
-            each: np.mean([one.rewards.sum() for one in episodes_of(task, each, 60, 1)]) for each in Behaviour
-        }
-        assert mean[Behaviour.RANDOM] < mean[Behaviour.MIXED] < mean[Behaviour.RULE], task
-        assert mean[Behaviour.RULE] < mean[Behaviour.BEST] + 0.15, task
+        random, rule, best = (
+            np.mean([one.rewards.sum() for one in episodes_of(task, each, 60, 1)])
+            for each in (Behaviour.RANDOM, Behaviour.RULE, Behaviour.BEST)
+        )
+        assert random < rule < best + 0.15, task
 
 
 def test_thresholds_are_those_that_were_tuned() -> None:
