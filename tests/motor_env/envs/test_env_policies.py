@@ -190,15 +190,6 @@ def test_restart_forgets_where_an_episode_is_over() -> None:
     np.testing.assert_array_equal(belief.summary()[~over], kept)
 
 
-def test_a_matched_probe_sees_what_a_waiting_rule_does_not() -> None:
-    envs = ProbeVectorEnv(400, **PROBE)
-    setup, steps = envs.setup, envs.options.n_steps
-    waiting = sweep(envs, WorthTest(setup, 0.0), [0.9], 5)[0]
-    probing = sweep(envs, OpenLoop(WorthTest(setup, 0.0), Bursts(10, 10, 2).actions(steps)), [0.9], 5)[0]
-    assert score(envs, probing).detected_share > score(envs, waiting).detected_share + 0.3
-    assert probing.probing.mean() > 0.1 > waiting.probing.mean() == 0.0
-
-
 def test_the_level_of_a_tolerant_motor_is_as_it_is_drawn() -> None:
     recipe = replace(HARD, spread=replace(HARD.spread, constants=0.02), classes=HARD.classes[:2])
     envs = MonitorVectorEnv(1500, recipe=recipe, observe=("measured_current",), earliest_onset_s=0.1)

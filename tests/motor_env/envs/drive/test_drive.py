@@ -25,7 +25,6 @@ from motor_env.envs import (
     returns_of,
 )
 from motor_env.envs.drive.actions import LIMP, RUN, STOP
-from motor_env.envs.drive.env import REWARDS
 from motor_env.envs.drive.lanes import LANES
 from motor_env.envs.drive.options import LABELS
 from motor_env.envs.drive.policies import make_bank
@@ -157,31 +156,20 @@ def test_supply_and_profile_keep_their_limits() -> None:
     assert np.abs(np.diff(profile)).max() <= steepest * options.period_s * (1.0 + 1e-9)
 
 
-def test_rewards_say_what_the_options_say() -> None:
+def test_a_failure_costs_the_rest_of_the_episode_and_more() -> None:
     env = DriveEnv(weights=(0.0, 1.0, 0.0), mean_onset_s=0.0, growth_per_s=(10.0, 10.0), wear_cost=3.0)
     policy = Lqg(env.setup)
     policy.start(1)
     observation, _ = env.reset(seed=1)
     worn, over, steps = 0.0, False, 0
     while not over:
-        before = lane_of(env)["severity"]
-        observation, reward, over, _, info = env.step(policy.act(observation[None])[0])
-        steps += 1
-        assert reward == pytest.approx(sum(info[name] for name in REWARDS), abs=1e-12)
-        worn += info["reward_wear"]
-        assert info["reward_wear"] == pytest.approx(-3.0 * (info["severity"] - before) / 12.0)
+        observation, _, over, _, info = env.step(policy.act(observation[None])[0])
+        steps, worn = steps + 1, worn + info["reward_wear"]
     assert info["severity"] >= 12.0
     assert info["reward_failure"] == pytest.approx(-6.0 - (8.0 - 0.01 * steps))
     assert worn == pytest.approx(-3.0 * info["severity"] / 12.0)
     with pytest.raises(gym.error.ResetNeeded):
         env.step([0.0, RUN])
-    env.reset(seed=1)
-    limped = [env.step([0.5, LIMP])[4]["reward_limp"] for _ in range(40)]
-    assert limped[0] == pytest.approx(-0.2 * 0.01 / 30.0)
-    assert limped[-1] == pytest.approx(-0.2 * 0.01)
-    _, reward, over, _, info = env.step([0.5, STOP])
-    assert over
-    assert reward == info["reward_stop"] == pytest.approx(-7.6)
 
 
 def follow_truth(env: DriveEnv, actions: Iterable[Any]) -> Iterator[tuple[Any, Any, Any, Any]]:
