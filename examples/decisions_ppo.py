@@ -48,7 +48,7 @@ class Driven:
     """
 
     def __init__(self, count: int) -> None:
-        self.envs = DriveVectorEnv(count, autoreset_mode="SameStep")
+        self.num_envs, self.envs = count, DriveVectorEnv(count, autoreset_mode="SameStep")
         self.lqg = Lqg(self.envs.setup)
 
     def reset(self, seed: int) -> tuple[NDArray[np.float32], dict[str, Any]]:
@@ -121,33 +121,27 @@ class Task(NamedTuple):
     rivals: dict[str, Callable[[int], Floats]]
 
 
-def driven_returns(choose: Any, seed: int) -> Floats:
-    """Of a drive."""
-    envs = Driven(TASKS["drive"].episodes)
-    seen, _ = envs.reset(seed)
-    total, alive = np.zeros(len(seen)), np.ones(len(seen), dtype=np.bool_)
-    while alive.any():
-        seen, rewards, over, _, _ = envs.step(choose(seen))
-        total += rewards * alive
-        alive &= ~over
-    return total
-
-
 class Chosen(Policy):
-    """An agent as a policy of the maintenance."""
+    """An agent as a policy, which sees each observation as `show` gives it."""
 
-    def __init__(self, choose: Any) -> None:
-        self._choose = choose
+    def __init__(self, choose: Any, show: Callable[[Any], Any] = np.asarray) -> None:
+        self._choose, self._show = choose, show
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.int64]:
         """Its likeliest action."""
-        actions: NDArray[np.int64] = self._choose(spread_out(observations))
+        actions: NDArray[np.int64] = self._choose(self._show(observations))
         return actions
+
+
+def driven_returns(choose: Any, seed: int) -> Floats:
+    """Of a drive."""
+    envs: Any = Driven(TASKS["drive"].episodes)
+    return returns_of(envs, Chosen(choose), seed)
 
 
 def maintained_returns(choose: Any, seed: int) -> Floats:
     """Of the maintenance."""
-    return returns_of(MaintainVectorEnv(TASKS["maintain"].episodes), Chosen(choose), seed)
+    return returns_of(MaintainVectorEnv(TASKS["maintain"].episodes), Chosen(choose, spread_out), seed)
 
 
 def lqg_returns(levels: int, seed: int) -> Floats:
