@@ -135,7 +135,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
 
 
 class MotorEnv(StreamEnv[MonitorOptions]):
-    """A motor under the filter; the subclasses say what can be done with it."""
+    """A motor under the filter, with a list of actions: apply a voltage, or declare a kind."""
 
     options_type = MonitorOptions
 
@@ -163,6 +163,15 @@ class MotorEnv(StreamEnv[MonitorOptions]):
 
     def _actions(self) -> spaces.Space[Any]:
         return discrete_actions(self.setup)
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
+        """Apply a voltage (waiting is one), or declare a kind, which ends the episode.
+
+        Raises:
+            ValueError: there is no such action.
+        """
+        which = whole_action(action, len(self._offsets_v))
+        return self._advance(self._offsets_v[which], self._declarations[which])
 
     def _begin(self) -> tuple[Observation, Info]:
         self._marks[layout.ROW] = ROWS
@@ -262,16 +271,3 @@ def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
     if given.shape != shape or not np.isfinite(given).all():
         raise ValueError(f"action must be finite and have shape {shape}, got {action!r}")
     return given
-
-
-class DiscreteMotorEnv(MotorEnv):
-    """A motor with a list of actions: apply a voltage, or declare a kind."""
-
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
-        """Apply a voltage (waiting is one), or declare a kind, which ends the episode.
-
-        Raises:
-            ValueError: there is no such action.
-        """
-        which = whole_action(action, len(self._offsets_v))
-        return self._advance(self._offsets_v[which], self._declarations[which])

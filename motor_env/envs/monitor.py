@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from motor_env.envs.base import DiscreteMotorEnv
-from motor_env.envs.vector import DiscreteVectorEnv
+from motor_env.envs.base import MotorEnv
+from motor_env.envs.vector import MotorVectorEnv
 
 
-class MonitorEnv(DiscreteMotorEnv):
+class MonitorEnv(MotorEnv):
     """A DC motor runs, watched by a Kalman filter of the healthy motor. Say what fails, and when.
 
     ## Description
@@ -41,5 +41,5 @@ class MonitorEnv(DiscreteMotorEnv):
     """
 
 
-class MonitorVectorEnv(DiscreteVectorEnv):
+class MonitorVectorEnv(MotorVectorEnv):
     """Vector of `MonitorEnv`: sub-environment n runs the stream of episodes (seed, n)."""

@@ -10,10 +10,10 @@ import numpy as np
 from gymnasium import spaces
 
 from motor_env.envs import stepping
-from motor_env.envs.base import DiscreteMotorEnv, Info, MotorEnv, Observation, finite_action
+from motor_env.envs.base import Info, MotorEnv, Observation, finite_action
 from motor_env.envs.options import LARGEST_REWARD, LARGEST_V, MonitorOptions
 from motor_env.envs.setup import Setup
-from motor_env.envs.vector import DiscreteVectorEnv, MotorVectorEnv
+from motor_env.envs.vector import MotorVectorEnv
 from motor_env.motor.parameters import require, require_positive
 from motor_env.simulation.recipes import Recipe
 
@@ -61,7 +61,7 @@ class ProbeOptions(MonitorOptions):
         )
 
 
-class ProbeEnv(DiscreteMotorEnv):
+class ProbeEnv(MotorEnv):
     """A DC motor runs without load, where a winding fault does not show. Move the voltage to see it, and pay for that.
 
     ## Description
@@ -97,7 +97,7 @@ class ProbeEnv(DiscreteMotorEnv):
     options_type = ProbeOptions
 
 
-class ProbeVectorEnv(DiscreteVectorEnv):
+class ProbeVectorEnv(MotorVectorEnv):
     """Vector of `ProbeEnv`: sub-environment n runs the stream of episodes (seed, n)."""
 
     options_type = ProbeOptions

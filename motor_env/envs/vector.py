@@ -194,7 +194,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
 
 
 class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
-    """The compiled step over many lanes. The subclasses lay their actions into the lanes.
+    """The compiled step over many lanes, with a list of actions.
 
     Arrays that a step returns are new at each call; the observation is Fortran-ordered.
     """
@@ -236,7 +236,14 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         return observation.T[:n], reward[:n], parts[:, :n], n_over
 
     def _step_lanes(self, actions: Any, *outputs: NDArray[Any]) -> int:
-        raise NotImplementedError
+        array = whole_actions(actions, self.num_envs)
+        n_over: int = stepping.step_discrete(
+            array, self.setup.offsets_v, self._n_offsets, *self._timing, *outputs, *self._arrays
+        )
+        if n_over < 0:
+            highest = len(self.setup.offsets_v) - 1
+            raise ValueError(f"actions must be in 0 .. {highest}, got {array.min()} .. {array.max()}")
+        return n_over
 
 
 def whole_actions(actions: Any, num_envs: int) -> NDArray[np.int64]:
@@ -249,17 +256,3 @@ def whole_actions(actions: Any, num_envs: int) -> NDArray[np.int64]:
     if array.shape != (num_envs,) or array.dtype.kind not in "iu":
         raise ValueError(f"actions must be integers of shape ({num_envs},), got {array.dtype} {array.shape}")
     return np.ascontiguousarray(array, dtype=np.int64)
-
-
-class DiscreteVectorEnv(MotorVectorEnv):
-    """Sub-environments with a list of actions."""
-
-    def _step_lanes(self, actions: Any, *outputs: NDArray[Any]) -> int:
-        array = whole_actions(actions, self.num_envs)
-        n_over: int = stepping.step_discrete(
-            array, self.setup.offsets_v, self._n_offsets, *self._timing, *outputs, *self._arrays
-        )
-        if n_over < 0:
-            highest = len(self.setup.offsets_v) - 1
-            raise ValueError(f"actions must be in 0 .. {highest}, got {array.min()} .. {array.max()}")
-        return n_over
