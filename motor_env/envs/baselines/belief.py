@@ -256,12 +256,6 @@ class ProbeBelief:
         )
         return coming
 
-    @property
-    def speed_offset_v(self) -> FloatArray:
-        """What the speed of a healthy motor has left its rest by, as the voltage that it balances, shape (count,)."""
-        constant = float(np.asarray(self.setup.options.task.motor.back_emf_constant_v_s_per_rad))
-        return self._path[:, 1] * constant
-
     def expected_reward(self, actions: Actions) -> FloatArray:
         """Reward of a step to expect from an action, shape (count,): the same on average, without the noise of luck.
 
@@ -288,8 +282,10 @@ class ProbeBelief:
         """What an agent needs to know, each about as large as 1, shape (count, 5 + n_classes + 2 n_kinds).
 
         Remaining time, posterior of nothing, of each class and kind, its log-odds by kind and of any fault (a fifth
-        of them, from -2 to 2), and where the healthy motor stands: the last offset and `speed_offset_v`.
+        of them, from -2 to 2), and where the healthy motor stands: the last offset, and what its speed has left its
+        rest by, as the voltage that it balances.
         """
+        back_emf = float(np.asarray(self.setup.options.task.motor.back_emf_constant_v_s_per_rad))
         remaining = 1.0 - self.steps / self.setup.options.n_steps
         odds = np.column_stack([self.kinds, 1.0 - self.quiet])
         with np.errstate(divide="ignore"):
@@ -301,6 +297,6 @@ class ProbeBelief:
             self.kinds,
             logits,
             self._offset_v,
-            self.speed_offset_v,
+            self._path[:, 1] * back_emf,
         ]
         return np.column_stack(columns).astype(np.float32)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv
 from motor_env.envs.drive import kernel
 from motor_env.envs.drive.actions import action_space, command, commands
-from motor_env.envs.drive.lanes import PARTS, Lanes, empty_lanes
+from motor_env.envs.drive.lanes import PARTS, empty_lanes
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.drive.screen import DriveScreen
 from motor_env.envs.drive.setup import DriveSetup, make_setup
@@ -28,10 +28,6 @@ def _spaces(setup: DriveSetup) -> tuple[spaces.Space[Observation], spaces.Space[
     low, high = setup.view[1:].astype(np.float32)
     observations = cast("spaces.Space[Observation]", spaces.Box(low, high, dtype=np.float32))
     return observations, action_space(setup.options.control)
-
-
-def _empty_lanes(setup: DriveSetup, count: int) -> Lanes:
-    return empty_lanes(setup.ahead, setup.options.n_steps, count)
 
 
 class DriveEnv(StreamEnv[DriveOptions]):
@@ -83,7 +79,7 @@ class DriveEnv(StreamEnv[DriveOptions]):
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup = make_setup(self.options)
         self.observed = self.setup.observed
-        self._lanes = _empty_lanes(self.setup, 1)
+        self._lanes = empty_lanes(self.setup.ahead, self.options.n_steps, 1)
         self._words, self._flags = self._lanes.words, self._lanes.flags
         self._arrays = (np.array(self.setup.task), *self._lanes)
         self._parts, self._reward = np.zeros((len(PARTS), 1)), np.zeros(1)
@@ -151,7 +147,7 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup = make_setup(self.options)
-        self._lanes = _empty_lanes(self.setup, self.num_envs)
+        self._lanes = empty_lanes(self.setup.ahead, self.options.n_steps, self.num_envs)
         self._words, self._flags = self._lanes.words, self._lanes.flags
         self._arrays = (np.array(self.setup.task), *self._lanes)
         return _spaces(self.setup)
