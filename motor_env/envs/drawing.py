@@ -16,7 +16,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from motor_env.envs import layout
-from motor_env.envs.kernel import MAX_BANK, NEVER, ROW_LENGTH, Block
+from motor_env.envs.kernel import NEVER, ROW_LENGTH, Block
 from motor_env.envs.layout import (
     Lanes,
     TaskNumbers,
@@ -27,7 +27,7 @@ from motor_env.envs.layout import (
     random_uniforms,
     random_words,
 )
-from motor_env.envs.options import MonitorOptions
+from motor_env.envs.options import MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.compiled import compiled_with_arrays, inlined
 from motor_env.motor.faults import FaultKind
@@ -69,8 +69,10 @@ def make_prior(
         "supply_v": float(recipe.supply.voltage_v),
         "load_n_m": options.load_n_m,
         "dt_s": options.dt_s,
+        "is_running": options.start is Start.RUNNING,
         "is_known": not (ranged or recipe.spread.std.any()),
         "rest": rest,
+        "initial": belief.initial_state,
         "transition": belief.model.transition,
         "by_volt": belief.model.gain[:, Input.VOLTAGE],
         "noise": (recipe.sensor.current_noise_a, recipe.sensor.speed_noise_rad_s),
@@ -222,20 +224,19 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
 
 @inlined
 def begin_state(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> None:
-    """Let lane j of a block, lane n of all, run at the operating point of the motor drawn for it.
-
-    The filter begins where the belief would rest, so its error is the motor's deviation from there.
-    """
+    """Let lane j of a block, lane n of all, take the initial state of the episode drawn for it."""
     p, drawn = prior_of(task.prior, 0), drawn_of(lanes.drawn, n)
-    volts, ohm = p.supply_v * drawn.supply, p.resistance_ohm * drawn.resistance
-    back_emf = p.back_emf_constant_v_s_per_rad * drawn.constants
-    torque = p.torque_constant_n_m_per_a * drawn.constants
-    drag = p.viscous_friction_n_m_s_per_rad * drawn.friction
-    total = ohm * drag + torque * back_emf
-    current = (drag * volts + back_emf * p.load_n_m) / total - p.rest[0]
-    speed = (torque * volts - ohm * p.load_n_m) / total - p.rest[1]
-    s.current[j], s.speed[j], s.held[j] = current, speed, speed
-    s.error_current[j], s.error_speed[j] = current, speed
-    for m in range(MAX_BANK):
-        s.bank_current[m, j], s.bank_speed[m, j] = current, speed
+    current, speed = 0.0, 0.0
+    if p.is_running > 0.0:
+        volts, ohm = p.supply_v * drawn.supply, p.resistance_ohm * drawn.resistance
+        back_emf = p.back_emf_constant_v_s_per_rad * drawn.constants
+        torque = p.torque_constant_n_m_per_a * drawn.constants
+        drag = p.viscous_friction_n_m_s_per_rad * drawn.friction
+        total = ohm * drag + torque * back_emf
+        current = (drag * volts + back_emf * p.load_n_m) / total
+        speed = (torque * volts - ohm * p.load_n_m) / total
+    s.current[j], s.speed[j] = current - p.rest[0], speed - p.rest[1]
+    s.held[j] = speed - p.rest[1]
+    s.error_current[j] = current - p.initial[0]
+    s.error_speed[j] = speed - p.initial[1]
     s.kind[j] = class_of(task.classes, lanes.marks[layout.CLASS_INDEX, n]).verdict

@@ -22,17 +22,17 @@ from motor_env.simulation.recipes import FACTORS
 
 _CACHE_LINE = 64  # bytes
 _SIZES = ("n_classes", "n_observed")
-_SUPPLY = ("supply_v", "load_n_m", "dt_s", "is_known")
+_SUPPLY = ("supply_v", "load_n_m", "dt_s", "is_running", "is_known")
 PRIOR = np.dtype(
     [
         *((name, float) for name in (*_SIZES, *MotorParameters.__slots__, *_SUPPLY)),
-        *((name, float, 2) for name in ("rest", "by_volt", "noise")),
+        *((name, float, 2) for name in ("rest", "initial", "by_volt", "noise")),
         ("transition", float, (2, 2)),
         ("spread", [(name, float) for name in FACTORS]),
         *((name, float) for name in ("earliest", "log_stay")),  # of the onset, in samples
     ]
 )
-"""What is drawn from: the nominal motor, the belief's model, tolerances, onset."""
+"""What is drawn from: the nominal motor, the belief's model and where it begins, tolerances, onset."""
 _LAW = ("kind", "loses", "noise_power")
 _CLASS = ("cumulated", "verdict", "severity_from", "severity_to", *_LAW)
 CLASS = np.dtype(

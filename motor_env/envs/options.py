@@ -36,6 +36,13 @@ class Precision(StrEnum):
     FLOAT64 = "float64"
 
 
+class Start(StrEnum):
+    """State of the motor when an episode begins."""
+
+    RUNNING = "running"
+    STANDSTILL = "standstill"
+
+
 class Drive(StrEnum):
     """What feeds the motor."""
 
@@ -63,6 +70,7 @@ class MonitorOptions:
             recipe's motor.
         horizon_s: length of an episode.
         samples_per_step: sensor samples between two decisions.
+        start: `running` at the operating point, or from `standstill`.
         load_torque_n_m: load on the shaft, known to the filter. Without load a winding fault of a running motor is all
             but invisible. None: 11 % of the stall torque, which is 0.0147 N m for the default motor.
         drive: `open_loop` is a voltage; `speed_loop` a PI controller that holds the speed at which the motor begins.
@@ -91,6 +99,7 @@ class MonitorOptions:
     motor: MotorParameters | str | Path | None = None
     horizon_s: float = 0.2
     samples_per_step: int = 1
+    start: Start = Start.RUNNING
     load_torque_n_m: float | None = None
     drive: Drive = Drive.OPEN_LOOP
     loop_time_s: float = 0.001
@@ -129,9 +138,11 @@ class MonitorOptions:
             object.__setattr__(self, "motor", recipe.motor)
         require_environment(recipe)
         object.__setattr__(self, "recipe", recipe)
+        settle_choice(self, "start", Start)
         settle_choice(self, "drive", Drive)
         settle_choice(self, "precision", Precision)
         if self.drive is Drive.SPEED_LOOP:
+            require(self.start is Start.RUNNING, f"start must be running in a speed loop, got {self.start}")
             shortest = 2.0 * (self.dt_s + float(np.asarray(recipe.motor.electrical_time_constant_s)))
             require(
                 shortest <= self.loop_time_s <= 1e3,

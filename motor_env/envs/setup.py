@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_are
 from motor_env.envs import kernel
 from motor_env.envs.drawing import make_prior, motor_table
 from motor_env.envs.layout import TaskNumbers
-from motor_env.envs.options import Drive, MonitorOptions
+from motor_env.envs.options import Drive, MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter, gain_and_covariance
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind, apply_fault
 from motor_env.motor.model import DiscreteModel, Input, State, discretize, steady_state
@@ -88,7 +88,12 @@ def make_setup(options: MonitorOptions) -> Setup:
         f"motor of recipe {recipe.name} must turn with its supply of {recipe.supply.voltage_v:g} V, but a load of "
         f"{options.load_n_m:.3g} N m would drive it backwards",
     )
-    belief = KalmanFilter.from_parameters(recipe.motor, recipe.sensor, options.dt_s, initial_state=rest)
+    belief = KalmanFilter.from_parameters(
+        recipe.motor,
+        recipe.sensor,
+        options.dt_s,
+        initial_state=rest if options.start is Start.RUNNING else np.zeros(2),
+    )
     features = (*kernel.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)))
     unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
     names = [name for name in features if name not in unmeasured]

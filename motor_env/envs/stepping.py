@@ -112,11 +112,17 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
     s.onset[j] = s.next_change[j] = onset
     set_motor(s, j, task, lanes, n, 0)
     begin_state(s, j, task, lanes, n)
+    current, speed = s.current[j], s.speed[j]
+    error_current, error_speed = s.error_current[j], s.error_speed[j]
+    s.estimated_current[j] = current - error_current
+    s.estimated_speed[j] = speed - error_speed
+    for m in range(kernel.MAX_BANK):
+        s.bank_current[m, j], s.bank_speed[m, j] = error_current, error_speed
     p = Constants(*fixed_tuple(task.constants, N_CONSTANTS))
     channels = int(p.n_channels)
     four = begin_noise(s, lanes.words, n, row, channels)
-    s.measured_current[j] = s.current[j] + s.sigma_current[j] * four[0]
-    s.measured_speed[j] = s.speed[j] + s.sigma_speed[j] * four[channels - 1]
+    s.measured_current[j] = current + s.sigma_current[j] * four[0]
+    s.measured_speed[j] = speed + s.sigma_speed[j] * four[channels - 1]
     lanes.marks[layout.TIMES, n] = 0
     first = n - j
     soon = int(min(s.next_change[j], p.horizon))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.envs.options import Drive
+from motor_env.envs.options import Drive, Start
 from motor_env.envs.setup import Setup, converged_gain
 from motor_env.motor.faults import FaultKind, apply_faults
 from motor_env.motor.model import Input, discretize
@@ -49,6 +49,7 @@ def known_faults(setup: Setup) -> list[int]:
     require(not recipe.spread.std.any(), f"recipe {recipe.name} must have no spread for the exact posterior")
     noisy = any(kind.changes_noise for kind in recipe.kinds)
     require(not noisy, "the exact posterior knows no noise faults")
+    require(options.start is Start.RUNNING, "start must be running for the exact posterior")
     require(
         options.drive is Drive.OPEN_LOOP,
         f"drive must be open_loop for the exact posterior, got {options.drive}",

@@ -293,11 +293,13 @@ def test_delay_is_charged_from_the_onset() -> None:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_noise_is_that_of_the_streams_and_a_motor_begins_at_its_operating_point(precision: str) -> None:
+def test_noise_is_that_of_the_streams_and_a_start_that_of_the_simulation(precision: str) -> None:
     """The environment, a data set and a recording that is simulated draw the same numbers for the same case."""
     env = Last(
         lanes=6,
         precision=precision,
+        start="standstill",
+        load_torque_n_m=0.0,
         horizon_s=0.05,
         recipe="bench",
         observe=("measured_current",),
@@ -309,6 +311,8 @@ def test_noise_is_that_of_the_streams_and_a_motor_begins_at_its_operating_point(
     case = np.array([5 << 32])
     expected = normals(3, Stream.MEASUREMENT, case, 501)[0, 1:] * env.options.task.sensor.current_noise_a
     np.testing.assert_allclose(noise, expected, atol=2e-6)
-    drawn = draw(env.options.task, 3, case).scenario
-    rest = steady_state(drawn.parameters, drawn.supply.voltage_v, env.options.load_n_m)
-    np.testing.assert_allclose(states, np.broadcast_to(rest, states.shape), rtol=NEAR[precision])
+    drawn = draw(env.options.task, 3, case)
+    simulated = simulate_states(
+        drawn.scenario.parameters, np.full((1, 500), drawn.scenario.supply.voltage_v), env.options.dt_s
+    )
+    assert_near(states, simulated[0], precision)

@@ -60,6 +60,7 @@ MONITOR = {
     "motor": st.sampled_from(["examples/motor.toml", "maxon", "no such motor"]) | MOTORS,
     "horizon_s": st.sampled_from([0.0, 1e-4, 0.01, 0.0203, -1.0, float("nan")]) | st.floats(0.0, 0.03),
     "samples_per_step": st.integers(-1, 25),
+    "start": st.sampled_from(["running", "standstill", "flying"]),
     "load_torque_n_m": NUMBERS,
     "earliest_onset_s": NUMBERS,
     "mean_onset_s": NUMBERS,

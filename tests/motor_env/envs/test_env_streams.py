@@ -47,7 +47,10 @@ KEPT = Path(__file__).with_name("env_streams.json")
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
 BOTH = replace(load_recipe("bench"), sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5))
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
-    "two sensors": ("motor_env/Monitor-v0", {"recipe": BOTH, "horizon_s": 0.06, "samples_per_step": 3}),
+    "two sensors, from standstill": (
+        "motor_env/Monitor-v0",
+        {"recipe": BOTH, "start": "standstill", "horizon_s": 0.06, "samples_per_step": 3},
+    ),
     "speed loop, confirmed": (
         "motor_env/Probe-v0",
         {"recipe": "hard", "drive": "speed_loop", "loop_time_s": 0.003, "confirm_steps": 2},

@@ -31,7 +31,7 @@ IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
 SHORT: dict[str, Any] = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005}
 PAIRS: list[tuple[Any, Any, dict[str, Any]]] = [
     (MonitorEnv, MonitorVectorEnv, SHORT),
-    (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard"}),
+    (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "start": "standstill"}),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "samples_per_step": 2}),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "drive": "speed_loop"}),
     (ProbeEnv, ProbeVectorEnv, {**SHORT, "samples_per_step": 5}),
@@ -84,12 +84,15 @@ def test_shared_lanes_of_vectors_of_different_sizes_are_equal_to_the_bit(vector:
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("vector", [MonitorVectorEnv, ProbeVectorEnv, ProbeContinuousVectorEnv])
 @pytest.mark.parametrize("recipe", ["easy", "medium", "hard", "small"])
-def test_float32_stays_close_to_float64(vector: Any, recipe: str) -> None:
+@pytest.mark.parametrize("start", ["running", "standstill"])
+def test_float32_stays_close_to_float64(vector: Any, recipe: str, start: str) -> None:
     """Over a thousand episodes, in each observation's scale, with resets at all times.
 
     Without the evidence of the bank: where a sum falls to zero a filter starts anew, and rounding can tip that.
     """
-    envs = [vector(1000, precision=precision, recipe=recipe) for precision in ("float32", "float64")]
+    envs = [
+        vector(1000, precision=precision, recipe=recipe, start=start) for precision in ("float32", "float64")
+    ]
     (a, _), (b, _) = (env.reset(seed=5) for env in envs)
     setup = envs[0].setup
     scale = setup.view[1, setup.chosen]
