@@ -100,7 +100,7 @@ def environments(scratch: Path) -> Items:
         "usual": {},
         "hard": {"recipe": "hard"},
         "small": {"recipe": "small", "precision": "float64", "samples_per_step": 5},
-        "speed": {"recipe": two_channels, "start": "standstill", "mean_onset_s": 0.02},
+        "speed": {"recipe": two_channels, "start": "standstill", "growth_s": 0.02, "mean_onset_s": 0.02},
         "busy": {},
     }
     for name in ("Monitor-v0", "Probe-v0", "ProbeContinuous-v0"):

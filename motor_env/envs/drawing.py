@@ -1,9 +1,9 @@
-"""The drawing of episodes, compiled into the step: class, onset, and the motor without and with its fault.
+"""The drawing of episodes, compiled into the step: class, onset, motor, and the motor at each level of its fault.
 
 The numbers are those of `simulation.drawing.draw` and `motor.model.discretize` for the case of the episode, to the bit,
 so a data set and an environment draw the same motors (a test compares them). An episode depends on (task, seed,
 sub-environment, number of the episode) alone. What costs most, a motor's matrices, is computed when it is needed: at
-the begin of an episode, and when its fault sets in. Where all motors are alike they stand in a table.
+the begin of an episode, and when its fault reaches a level. Where all motors are alike they stand in a table.
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ def make_prior(
     numbers = {
         "n_classes": len(recipe.classes),
         "n_observed": n_observed,
+        "n_levels": options.n_levels,
         **{name: float(np.asarray(getattr(motor, name))) for name in MotorParameters.__slots__},
         "supply_v": float(recipe.supply.voltage_v),
         "load_n_m": options.load_n_m,
@@ -115,17 +116,17 @@ def _factor(power: float, loses: float, severity: float) -> float:
 
 
 @inlined
-def motor_row(p: Any, c: Any, drawn: Any, severity: float, row: FloatArray) -> None:
-    """The motor of a class at a severity of its fault, as its difference to the belief's: the kernel's row.
+def motor_row(p: Any, c: Any, drawn: Any, share: float, row: FloatArray) -> None:
+    """The motor of a class at a share of its fault's severity, as its difference to the belief's: the kernel's row.
 
     Args:
         p: prior of the task, a `layout.PRIOR`.
         c: the class, a `layout.CLASS`.
-        drawn: whose factors the motor has, a `layout.DRAWN`.
-        severity: of the fault; 0: there is none yet.
+        drawn: severity and factors, a `layout.DRAWN`.
+        share: of the severity, 0 to 1.
         row: written, shape (ROW_LENGTH,).
     """
-    loses, powers = c.loses, c.powers
+    severity, loses, powers = drawn.severity * share, c.loses, c.powers
     supply, constants = drawn.supply, drawn.constants
     ohm = p.resistance_ohm * drawn.resistance * _factor(powers.resistance_ohm, loses, severity)
     henry = p.inductance_h * _factor(powers.inductance_h, loses, severity)
@@ -157,26 +158,28 @@ def motor_row(p: Any, c: Any, drawn: Any, severity: float, row: FloatArray) -> N
 @compiled_with_arrays
 def motor_table(task: TaskNumbers) -> FloatArray:
     """All motors of a task whose motors are alike, as `TaskNumbers.motors` wants them; zeros where they are not."""
-    table = np.zeros((len(task.classes), 2, ROW_LENGTH))
+    n_classes, n_levels = len(task.classes), int(task.motors.shape[1]) - 1
+    table = np.zeros((n_classes, n_levels + 1, ROW_LENGTH))
     ones = np.ones(layout.DRAWN_LENGTH)
     p, drawn = prior_of(task.prior, 0), drawn_of(ones, 0)
-    for which in range(len(task.classes)):
+    for which in range(n_classes):
         c = class_of(task.classes, which)
-        for fault in range(2):
-            motor_row(p, c, drawn, c.severity_from * fault, table[which, fault])
+        drawn.severity = c.severity_from
+        for level in range(n_levels + 1):
+            motor_row(p, c, drawn, level / n_levels, table[which, level])
     return table
 
 
 @inlined
-def set_motor(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, fault: int) -> None:
-    """Let lane j of a block, lane n of all, have the motor without (0) or with (1) its fault."""
+def set_motor(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, level: int) -> None:
+    """Let lane j of a block, lane n of all, have the motor at a level of its fault."""
     p, which = prior_of(task.prior, 0), lanes.marks[layout.CLASS_INDEX, n]
     if p.is_known > 0.0:
         for f in range(ROW_LENGTH):
-            s.rows[f, j] = task.motors[which, fault, f]
+            s.rows[f, j] = task.motors[which, level, f]
     else:
-        drawn = drawn_of(lanes.drawn, n)
-        motor_row(p, class_of(task.classes, which), drawn, drawn.severity * fault, s.rows[:ROW_LENGTH, j])
+        row = s.rows[:ROW_LENGTH, j]
+        motor_row(p, class_of(task.classes, which), drawn_of(lanes.drawn, n), level / p.n_levels, row)
 
 
 @inlined

@@ -36,7 +36,7 @@ _STATISTICS = ("fast_current", "slow_current", "fast_speed", "slow_speed", "exce
 _TIMES = ("time", "next_change", "delay", "cost")  # in samples, and what a sample costs
 _MEASURED = ("measured_current", "measured_speed", "estimated_current", "estimated_speed")  # the last sample
 _STEP = ("innovation_current", "innovation_speed", "voltage")  # the last step; the innovation is white
-_EPISODE = ("onset", "kind")
+_EPISODE = ("onset", "level", "kind")
 _FOR_BANK = ("old_current", "old_speed", "mismatch_0", "mismatch_1", "noise_current", "noise_speed", "power")
 _LOOP = ("drive", "held")  # what a speed loop adds to the voltage, and the speed that it holds
 _FIELDS = (*_MOTOR, *_STATE, *_STATISTICS, *_TIMES, *_MEASURED, *_STEP, *_EPISODE, *_FOR_BANK, *_LOOP)
@@ -97,7 +97,7 @@ class Constants(NamedTuple):
     into_slow: float
     into_excess: float
     n_channels: float
-    horizon: float  # in samples
+    horizon: float  # in samples, as `growth`
     delay_cost: float  # a sample, as the price of a probe
     correct: float
     silent: float
@@ -105,6 +105,8 @@ class Constants(NamedTuple):
     wrong_kind: float
     miss: float
     probe_cost: float
+    growth: float
+    n_levels: float
     zero: float  # typed as the state is: a literal would make float64 of float32
     half: float
     one: float

@@ -21,7 +21,7 @@ from motor_env.simulation.random_streams import philox
 from motor_env.simulation.recipes import FACTORS
 
 _CACHE_LINE = 64  # bytes
-_SIZES = ("n_classes", "n_observed")
+_SIZES = ("n_classes", "n_observed", "n_levels")
 _SUPPLY = ("supply_v", "load_n_m", "dt_s", "is_running", "is_known")
 PRIOR = np.dtype(
     [
@@ -69,7 +69,7 @@ class TaskNumbers(NamedTuple):
         constants: shape (kernel.N_CONSTANTS,).
         bank: models of the other filters, zeros where there is none, shape (kernel.MAX_BANK, kernel.MODEL_LENGTH).
         features: field, scale, bound and offset of each observed feature, shape (n_observed, kernel.FEATURE_LENGTH).
-        motors: where all motors of a class are alike, them without and with their fault, shape (n_classes, 2,
+        motors: where all motors of a class are alike, them at each level of their fault, shape (n_classes, levels + 1,
             kernel.ROW_LENGTH).
         prior: a `PRIOR`, float64, shape (N_PRIOR,).
         classes: a `CLASS` each, float64, shape (n_classes, CLASS_LENGTH).
@@ -111,14 +111,14 @@ def pack_task(task: TaskNumbers, precision: str) -> tuple[FloatArray, FloatArray
 def unpack_task(numbers: FloatArray, prior: FloatArray) -> TaskNumbers:
     """The task of `pack_task`."""
     p = prior_of(prior, 0)
-    n_classes, n_observed = int(p.n_classes), int(p.n_observed)
+    n_classes, n_observed, n_motors = int(p.n_classes), int(p.n_observed), int(p.n_levels) + 1
     bank = kernel.N_CONSTANTS + kernel.MAX_BANK * kernel.MODEL_LENGTH
     view = bank + n_observed * kernel.FEATURE_LENGTH
     return TaskNumbers(
         numbers[: kernel.N_CONSTANTS],
         numbers[kernel.N_CONSTANTS : bank].reshape((kernel.MAX_BANK, kernel.MODEL_LENGTH)),
         numbers[bank:view].reshape((n_observed, kernel.FEATURE_LENGTH)),
-        numbers[view:].reshape((n_classes, 2, kernel.ROW_LENGTH)),
+        numbers[view:].reshape((n_classes, n_motors, kernel.ROW_LENGTH)),
         prior[:N_PRIOR],
         prior[N_PRIOR:].reshape((n_classes, CLASS_LENGTH)),
     )

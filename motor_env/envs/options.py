@@ -78,6 +78,8 @@ class MonitorOptions:
         loop_time_s: time constant of the speed loop, at least twice a sample and L / R, else it would not be stable.
         earliest_onset_s: before this time there is no fault.
         mean_onset_s: mean of the (geometric) waiting time from `earliest_onset_s` to the onset; 0: always at once.
+        growth_s: time over which the fault grows to its severity; 0: abrupt.
+        growth_levels: equal steps in which it grows.
         correct_reward: for declaring the right kind after the onset.
         silent_reward: for reaching the horizon in silence when there was no fault.
         false_alarm_cost: for a declaration when no fault had acted yet.
@@ -105,6 +107,8 @@ class MonitorOptions:
     loop_time_s: float = 0.001
     earliest_onset_s: float = 0.01
     mean_onset_s: float = 0.05
+    growth_s: float = 0.0
+    growth_levels: int = 16
     correct_reward: float = 1.0
     silent_reward: float = 1.0
     false_alarm_cost: float = 1.0
@@ -149,9 +153,9 @@ class MonitorOptions:
                 f"loop_time_s must be from {shortest:.3g} (twice a sample and L / R) to 1000, got {self.loop_time_s:g}",
             )
         require_positive("horizon_s", self.horizon_s)
-        for name in ("earliest_onset_s", "mean_onset_s"):
+        for name in ("earliest_onset_s", "mean_onset_s", "growth_s"):
             require_positive(name, getattr(self, name), zero_allowed=True)
-        for name in ("samples_per_step", "confirm_steps"):
+        for name in ("samples_per_step", "growth_levels", "confirm_steps"):
             value = getattr(self, name)
             require(
                 isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 1000,
@@ -203,6 +207,11 @@ class MonitorOptions:
     def n_samples(self) -> int:
         """Samples of an episode that reaches its horizon."""
         return round(min(self.horizon_s * self.task.timing.sampling_rate_hz, 2.0 * MAX_SAMPLES))
+
+    @property
+    def n_levels(self) -> int:
+        """Levels that a fault takes until its full severity; 1 if it is abrupt."""
+        return self.growth_levels if round(self.growth_s / self.dt_s) > 0 else 1
 
     @property
     def n_steps(self) -> int:

@@ -135,7 +135,7 @@ def _numbers(
     bank[~np.isin(evidence, view[:, kernel.FIELD])] = 0.0  # what nobody sees need not run
     constants[kernel.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
     prior, classes = make_prior(options, belief, rest, right, len(view))
-    motors = np.zeros((len(classes), 2, kernel.ROW_LENGTH))
+    motors = np.zeros((len(classes), options.n_levels + 1, kernel.ROW_LENGTH))
     numbers = TaskNumbers(constants, bank, view, motors, prior, classes)
     return numbers._replace(motors=motor_table(numbers))
 
@@ -175,6 +175,8 @@ def _constants(options: MonitorOptions, belief: KalmanFilter) -> FloatArray:
         wrong_kind=options.wrong_kind_cost,
         miss=options.miss_cost,
         probe_cost=options.probe_cost_per_v2_s * options.dt_s,
+        growth=round(options.growth_s / options.dt_s),
+        n_levels=options.n_levels,
         zero=0.0,
         half=0.5,
         one=1.0,

@@ -25,13 +25,16 @@ Float32Array = NDArray[np.float32]
 
 
 @compiled
-def _begin_faults(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, first: int, width: int) -> None:
-    """Let the faults of a block set in that are due, and see when the next one is."""
+def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, first: int, width: int) -> None:
+    """Let the faults of a block reach the levels that are due, and see when the next one is."""
     quiet = p.horizon
     for j in range(width):
-        if s.next_change[j] <= s.time[j]:
-            set_motor(s, j, task, lanes, first + j, 1)
-            s.delay[j], s.next_change[j] = p.delay_cost, kernel.NEVER
+        while s.next_change[j] <= s.time[j]:
+            level = int(s.level[j]) + 1
+            set_motor(s, j, task, lanes, first + j, level)
+            s.level[j], s.delay[j] = level, p.delay_cost
+            due = s.onset[j] + np.floor(p.growth * level / p.n_levels)
+            s.next_change[j] = due if level < p.n_levels else kernel.NEVER
             lanes.flags[layout.FAULT_ACTIVE, first + j] = True
         if s.time[j] < p.horizon:
             quiet = min(quiet, min(s.next_change[j], p.horizon) - s.time[j])
@@ -83,7 +86,7 @@ def _step_block(
     channels, kept = int(p.n_channels), p.zero
     for _ in range(samples):
         if lanes.marks[layout.QUIET, first] <= 0:
-            _begin_faults(s, p, task, lanes, first, width)
+            _change_levels(s, p, task, lanes, first, width)
         lanes.marks[layout.QUIET, first] -= 1
         if row >= ROWS:
             refill(s, lanes.words, first, channels, width)

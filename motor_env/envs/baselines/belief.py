@@ -159,8 +159,8 @@ class ProbeBelief:
     """Likelihood ratios and posterior of many sub-environments, from what an agent observes.
 
     Args:
-        setup: of a task that starts running, with a recipe without spread or noise faults, which observes
-            `innovation_current` and `voltage`.
+        setup: of a task that starts running, with an abrupt fault and a recipe without spread or noise faults, which
+            observes `innovation_current` and `voltage`.
 
     Raises:
         ValueError: the task is another one.

@@ -54,6 +54,7 @@ def known_faults(setup: Setup) -> list[int]:
         options.drive is Drive.OPEN_LOOP,
         f"drive must be open_loop for the exact posterior, got {options.drive}",
     )
+    require(options.growth_s == 0.0, f"growth_s must be 0 for the exact posterior, got {options.growth_s:g}")
     require(recipe.sensor.channels == (Channel.CURRENT,), "the exact posterior reads the current alone")
     require(options.mean_onset_s > 0.0 and math.isfinite(options.mean_onset_s), "mean_onset_s must be > 0")
     return [m for m, c in enumerate(recipe.classes) if c.kind is not None]

@@ -131,7 +131,7 @@ class BayesPolicy(PosteriorPolicy):
     problem of optimal stopping: it gives a lower bound of the best return, `benchmarks/bounds.py` an upper one.
 
     Args:
-        setup: of a Monitor-v0 that starts running, with a recipe without spread or noise faults.
+        setup: of a Monitor-v0 that starts running, with an abrupt fault and a recipe without spread or noise faults.
         threshold: of the expected reward.
 
     Raises:

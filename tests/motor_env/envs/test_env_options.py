@@ -64,6 +64,8 @@ MONITOR = {
     "load_torque_n_m": NUMBERS,
     "earliest_onset_s": NUMBERS,
     "mean_onset_s": NUMBERS,
+    "growth_s": st.sampled_from([0.0, 0.001, 0.01, 3.0, -1.0]),
+    "growth_levels": st.integers(-1, 40),
     "delay_cost_per_s": NUMBERS,
     "miss_cost": NUMBERS,
     "precision": st.sampled_from(["float32", "float32", "float16"]),
@@ -285,6 +287,7 @@ SHORTEST_LOOP_S = 2.0 * (1e-4 + 0.238e-3 / 2.18)
     ("good", "bad"),
     [
         ({"confirm_steps": 1000}, {"confirm_steps": 1001}),
+        ({"growth_levels": 1}, {"growth_levels": 0}),
         ({"samples_per_step": 1}, {"samples_per_step": True}),
         ({"horizon_s": 0.01, "samples_per_step": 100}, {"horizon_s": 0.01, "samples_per_step": 101}),
         ({"horizon_s": 1e-4}, {"horizon_s": 4e-5}),
@@ -325,7 +328,9 @@ def test_a_seed_of_ones_own_is_any_of_63_bits() -> None:
 
 def test_counts_that_follow_from_the_options() -> None:
     options = MonitorOptions(horizon_s=0.02, samples_per_step=4)
-    assert (options.n_samples, options.n_steps) == (200, 50)
+    assert (options.n_samples, options.n_steps, options.n_levels) == (200, 50, 1)
+    assert MonitorOptions(growth_s=0.4e-4).n_levels == 1  # rounds to no sample
+    assert MonitorOptions(growth_s=0.6e-4).n_levels == 16
     with pytest.raises(ValueError, match="samples long, got 20000000"):
         MonitorOptions(horizon_s=1e12)
 

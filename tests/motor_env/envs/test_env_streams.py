@@ -51,6 +51,10 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
         "motor_env/Monitor-v0",
         {"recipe": BOTH, "start": "standstill", "horizon_s": 0.06, "samples_per_step": 3},
     ),
+    "slow growth": (
+        "motor_env/Monitor-v0",
+        {"recipe": "hard", "growth_s": 0.02, "growth_levels": 5, "mean_onset_s": 0.01, "horizon_s": 0.06},
+    ),
     "speed loop, confirmed": (
         "motor_env/Probe-v0",
         {"recipe": "hard", "drive": "speed_loop", "loop_time_s": 0.003, "confirm_steps": 2},

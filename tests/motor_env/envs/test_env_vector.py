@@ -31,7 +31,7 @@ IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
 SHORT: dict[str, Any] = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005}
 PAIRS: list[tuple[Any, Any, dict[str, Any]]] = [
     (MonitorEnv, MonitorVectorEnv, SHORT),
-    (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "start": "standstill"}),
+    (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "growth_s": 0.004, "start": "standstill"}),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "samples_per_step": 2}),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "drive": "speed_loop"}),
     (ProbeEnv, ProbeVectorEnv, {**SHORT, "samples_per_step": 5}),
@@ -217,20 +217,23 @@ def test_actions_that_do_not_exist_are_refused(actions: NDArray[Any], sentence: 
         envs.step(actions)
 
 
-@pytest.mark.parametrize("recipe", ["small", "hard", "ranges"])
+@pytest.mark.parametrize(("recipe", "growth_s"), [("small", 0.0), ("hard", 0.004), ("ranges", 0.004)])
 @pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.long)])
-def test_episodes_are_the_draws_of_the_simulation(recipe: str, precision: str) -> None:
+def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, precision: str) -> None:
     """The compiled drawing, `draw` of the recipe and `discretize` give the same numbers, to the last bit."""
     ranges = (FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in BUILT_IN_KINDS))
     task = TASKS.get(recipe) or replace(TASKS["hard"], classes=ranges)
-    envs = MonitorVectorEnv(200, recipe=task, precision=precision, mean_onset_s=0.0)
+    envs = MonitorVectorEnv(200, recipe=task, growth_s=growth_s, precision=precision, mean_onset_s=0.0)
     _, info = envs.reset(seed=9)
     drawn = draw(task, 9, np.arange(200) << 32)
     np.testing.assert_array_equal(info["class_index"], drawn.class_index)
     lanes = envs._arrays[-1][:200]
     np.testing.assert_array_equal(lanes[:, 0], drawn.severity)
     np.testing.assert_array_equal(lanes[:, 1:], drawn.factors)
-    for share, steps in ((0.0, 1), (1.0, 100)):  # the onsets are 100 samples after the begin
+    envs.step(
+        np.zeros(200, dtype=np.int64)
+    )  # growth or not, the earliest onset is far: still the healthy motor
+    for share, steps in ((0.0, 0), (1.0, round((0.01 + growth_s) / 1e-4) + 1)):
         for _ in range(steps):
             envs.step(np.zeros(200, dtype=np.int64))
         faults = tuple(Fault(f.kind, f.severity * share) for f in drawn.scenario.faults)
