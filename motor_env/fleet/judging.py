@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.explanations import Difference
-from motor_env.diagnosis.misreading import as_sentence, wrong_scales
 from motor_env.errors import InputError, require_options
 from motor_env.fleet.first import Reading
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
@@ -24,10 +21,7 @@ from motor_env.fleet.names import Place
 from motor_env.fleet.picture import picture
 from motor_env.fleet.population import Core
 from motor_env.fleet.sister import Apart, Sister
-from motor_env.motor import identifiable
 from motor_env.pages.html import render
-
-_GAINS = 3  # of voltage, current and speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,22 +128,7 @@ def _of_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Sister]:
             for path in own
         }
         found.append(Sister(place, records, apart=_apart(fleet, core, place)))
-    alike = together([one.apart for one in found if one.apart is not None], fleet.fits.quantities, core, rate)
-    return [replace(one, together=alike) for one in found]
-
-
-def together(apart: Sequence[Apart], names: tuple[str, ...], core: Core, rate: float) -> str:
-    """What the motors of a machine show together: one sensor or supply at a wrong scale; empty for nothing.
-
-    Each motor may be too little off by itself.
-    """
-    if len(apart) < 2:
-        return ""
-    off = np.mean([one.off for one in apart], axis=0)
-    spread = np.mean([one.spread for one in apart], axis=0) / len(apart)
-    limit = -float(stdtrit(core.degrees_of_freedom, rate / (2.0 * _GAINS)))
-    difference = Difference(off, spread, identifiable.matrix(names), core.degrees_of_freedom)
-    return as_sentence([one for one in wrong_scales(difference, names, limit, rate) if one.gain is not None])
+    return found
 
 
 def _apart(fleet: LearnedFleet, core: Core, place: Place) -> Apart | None:

@@ -18,9 +18,8 @@ from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.first import First, Reading
 from motor_env.fleet.fits import Second, fit_fleet
-from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet, together
+from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
 from motor_env.fleet.learning import learn_fleet
-from motor_env.fleet.population import Core
 from motor_env.fleet.sister import Apart
 from motor_env.motor.data_sheet import Motor, save_motor
 from motor_env.motor.parameters import FloatArray
@@ -310,16 +309,3 @@ def test_one_log_among_starts_makes_all_of_them_logs() -> None:
     with pytest.raises(InputError, match="no record of the fleet can be used: no motor"):
         fit_fleet([Path(f"{n}.csv") for n in range(3)], Reading(), each=each)
     assert jobs[1].args[0].regime == "operation"
-
-
-def test_motors_of_a_machine_off_alike_are_told_together() -> None:
-    """A speed that reads 12 % high in both motors: a gear or an encoder of other pulses, too little for one alone."""
-    sd = np.array([0.1, 0.05, 0.1, 0.3])
-    low_k = np.array([0.0, -np.log(1.12), -2.0 * np.log(1.12), -2.0 * np.log(1.12)])
-    core = Core(np.zeros((1, 4)), np.zeros((1, 4, 4)), np.eye(4), np.eye(4), 60.0, np.ones(1))
-    names = ("R", "K", "J", "B")
-    both = [Apart(names, low_k, np.diag(sd**2), 60.0)] * 2
-    assert together(both, names, core, 0.01).startswith("all of it is explained if the speed is 1.12 times")
-    assert together(both[:1], names, core, 0.01) == ""
-    other = Apart(names, -low_k, np.diag(sd**2), 60.0)
-    assert together([both[0], other], names, core, 0.01) == ""
