@@ -13,6 +13,7 @@ import numpy as np
 from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.explanations import Difference
 from motor_env.errors import InputError, require_options
 from motor_env.fleet.first import Reading
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
@@ -20,7 +21,8 @@ from motor_env.fleet.mapping import Map
 from motor_env.fleet.names import Place
 from motor_env.fleet.picture import picture
 from motor_env.fleet.population import Core
-from motor_env.fleet.sister import Apart, Sister
+from motor_env.fleet.sister import Sister
+from motor_env.motor import identifiable
 from motor_env.pages.html import render
 
 
@@ -127,11 +129,11 @@ def _of_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Sister]:
             path: diagnose(path, motor, false_alarm_rate=rate / len(own), **fleet.fits.reading.options)
             for path in own
         }
-        found.append(Sister(place, records, apart=_apart(fleet, core, place)))
+        found.append(Sister(place, records, fleet.fits.quantities, _apart(fleet, core, place)))
     return found
 
 
-def _apart(fleet: LearnedFleet, core: Core, place: Place) -> Apart | None:
+def _apart(fleet: LearnedFleet, core: Core, place: Place) -> Difference | None:
     """How far a motor lies from the core; None where no fit tells."""
     if place not in fleet.motors:
         return None
@@ -139,9 +141,9 @@ def _apart(fleet: LearnedFleet, core: Core, place: Place) -> Apart | None:
     kept = np.array([n == number for n in range(len(fleet.motors))])
     logs, errors = fleet.records.only(kept).means(core.within)
     at = fleet.positions.index(place.motor)
-    return Apart(
-        fleet.fits.quantities,
+    return Difference(
         logs[0] - core.centres[at],
         core.next_motor(at) + errors[0],
+        identifiable.matrix(fleet.fits.quantities),
         core.degrees_of_freedom,
     )

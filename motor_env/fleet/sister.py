@@ -8,34 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import fdtrc
 
 from motor_env.diagnosis.diagnose import Diagnosis
+from motor_env.diagnosis.explanations import Difference
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.fleet.names import Place
 from motor_env.motor import identifiable
-from motor_env.motor.parameters import FloatArray
 
 _CLEAR = 2.0  # standard deviations
 _MOST_ODD = 3
 _ALONE = re.compile(",? and nothing else moved")
-
-
-@dataclass(frozen=True, slots=True)
-class Apart:
-    """How far a motor lies from the healthy core of its sisters.
-
-    Attributes:
-        names: of the quantities.
-        off: their logarithms less those of a healthy sister, shape (p,).
-        spread: covariance of that difference for a healthy motor, shape (p, p).
-        degrees_of_freedom: of it.
-    """
-
-    names: tuple[str, ...]
-    off: FloatArray
-    spread: FloatArray
-    degrees_of_freedom: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,36 +27,37 @@ class Sister:
     Attributes:
         place: machine and motor.
         records: diagnosis of each of its files.
-        apart: how far it lies from the core; None where no fit tells.
+        quantities: that the fleet's records tell.
+        apart: how far it lies from the core of its sisters, as healthy motors scatter; None where no fit tells.
     """
 
     place: Place
     records: dict[Path, Diagnosis]
-    apart: Apart | None = None
+    quantities: tuple[str, ...]
+    apart: Difference | None = None
 
     @property
     def ratios(self) -> dict[str, float]:
         """Its quantities over those of a healthy sister; none where no fit tells."""
         if self.apart is None:
             return {}
-        return dict(zip(self.apart.names, np.exp(self.apart.off).tolist(), strict=True))
+        return dict(zip(self.quantities, np.exp(self.apart.log_ratios).tolist(), strict=True))
 
     @property
     def off(self) -> dict[str, float]:
         """How far each lies from the core, in standard deviations of another healthy motor."""
         if self.apart is None:
             return {}
-        sd = np.sqrt(np.diag(self.apart.spread))
-        return dict(zip(self.apart.names, (self.apart.off / sd).tolist(), strict=True))
+        sd = np.sqrt(np.diag(self.apart.covariance))
+        return dict(zip(self.quantities, (self.apart.log_ratios / sd).tolist(), strict=True))
 
     @property
     def p_value(self) -> float | None:
         """Share of healthy sisters that are as odd (Hotelling)."""
         if self.apart is None:
             return None
-        off = self.apart.off
-        squared = float(off @ np.linalg.solve(self.apart.spread, off))
-        return float(fdtrc(len(off), self.apart.degrees_of_freedom, squared / len(off)))
+        off = self.apart.log_ratios
+        return self.apart.p_value(float(off @ np.linalg.solve(self.apart.covariance, off)), len(off))
 
     @property
     def telling(self) -> Diagnosis:

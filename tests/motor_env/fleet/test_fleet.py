@@ -13,6 +13,7 @@ from scipy.stats import f as fisher, t as student_t
 
 from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
+from motor_env.diagnosis.explanations import Difference
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
@@ -20,8 +21,8 @@ from motor_env.fleet.first import First, Reading
 from motor_env.fleet.fits import Second, fit_fleet
 from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
 from motor_env.fleet.learning import learn_fleet
-from motor_env.fleet.sister import Apart
 from motor_env.motor.data_sheet import Motor, save_motor
+from motor_env.motor.identifiable import matrix
 from motor_env.motor.parameters import FloatArray
 
 STEPS_V = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 45)
@@ -106,23 +107,22 @@ def test_table_json_and_page_say_the_same(found: FleetDiagnosis) -> None:
 
 def test_other_changes_beside_the_fault_are_not_denied(found: FleetDiagnosis) -> None:
     worst = found.sisters[0]
-    assert worst.apart is not None
-    names = worst.apart.names
+    names = worst.quantities
     off = np.zeros(len(names))
     off[names.index("B")] = 9.0
-    alone = replace(worst, apart=replace(worst.apart, off=off, spread=np.eye(len(names))))
+    alone = replace(worst, apart=Difference(off, np.eye(len(names)), matrix(names), 9.0))
     assert alone.odd.startswith("B +")
     assert alone.why == FaultKind.BEARING.finding
-    off = off.copy()
     off[names.index("R")] = 3.0
-    both = replace(alone, apart=replace(worst.apart, off=off, spread=np.eye(len(names))))
+    both = replace(worst, apart=Difference(off, np.eye(len(names)), matrix(names), 9.0))
     assert "R +" in both.odd
     assert both.why == "mostly, friction is up: look at the bearings, the lubricant and the load"
 
 
 def test_how_far_a_motor_is_off_by_hand(found: FleetDiagnosis) -> None:
-    apart = Apart(("R", "K"), np.array([0.2, -0.6]), np.array([[0.04, 0.0], [0.0, 0.09]]), 9.0)
-    one = replace(found.sisters[0], apart=apart)
+    names = ("R", "K")
+    apart = Difference(np.array([0.2, -0.6]), np.diag([0.04, 0.09]), matrix(names), 9.0)
+    one = replace(found.sisters[0], quantities=names, apart=apart)
     assert one.off == pytest.approx({"R": 1.0, "K": -2.0})
     assert one.p_value == pytest.approx(fisher(2, 9).sf(2.5))
 
