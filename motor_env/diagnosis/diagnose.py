@@ -17,8 +17,8 @@ from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.explanations import alarm_share, compare
 from motor_env.diagnosis.healthy_motor import Moved, Reference, reference_of
 from motor_env.diagnosis.misreading import SWAPPED, is_strange
-from motor_env.diagnosis.sensors.checks import Failure
-from motor_env.diagnosis.sensors.failed import failed_sensor, judgement_of
+from motor_env.diagnosis.sensors.checks import sensor_failed
+from motor_env.diagnosis.sensors.failed import failed_sensor
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
@@ -29,7 +29,6 @@ from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.starts.plausibility import NOT_TURNING, POOR_FIT, is_blocked, shows_turning
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
-from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.model import steady_state
 from motor_env.recordings.defects import UnusableError
@@ -154,7 +153,7 @@ def diagnose(
         with suppress(InputError):
             again = judged(swapped).telling
             if again.verdict not in (Verdict.OTHER, Verdict.SENSOR) and not is_strange(again):
-                said = judgement_of(Failure(FaultKind("swapped"), SWAPPED))
+                said = sensor_failed("swapped", SWAPPED)
                 each = (replace(said, begin_s=one.begin_s, duration_s=one.duration_s) for one in found.pieces)
                 return replace(found, pieces=tuple(each))
     return found

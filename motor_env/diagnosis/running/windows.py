@@ -21,7 +21,6 @@ from motor_env.diagnosis.explanations import alarm_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
 from motor_env.diagnosis.running.drives import FAR, driven, nearest, needed_columns, rms_volts
 from motor_env.diagnosis.sensors.checks import failure_in
-from motor_env.diagnosis.sensors.failed import judgement_of
 from motor_env.diagnosis.sensors.seen import Seen
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
@@ -202,8 +201,7 @@ class WindowJudge:
         volts, speed = needed_columns(part)
         if not volts.any():
             return None
-        found = failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
-        return None if found is None else judgement_of(found)
+        return failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
 
     def _judged(
         self, part: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None

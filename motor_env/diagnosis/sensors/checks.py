@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import permutations
-from typing import NamedTuple
 
 import numpy as np
 
 from motor_env.diagnosis.misreading import READ_SO
 from motor_env.diagnosis.sensors.seen import Seen, free_run, held_current, likeness, size
+from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
@@ -37,15 +37,14 @@ _OFFSET_AT_REST, _OFFSET = 0.05, 0.15  # of the current of a rotor that is held
 _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
 
 
-class Failure(NamedTuple):
-    """A sensor that failed: its kind, or None where it cannot be told, and what shows it."""
+def sensor_failed(kind: str, why: str) -> Judgement:
+    """What is said of a piece of which a sensor failed, of which kind and what shows it: nothing of its motor."""
+    fault = FaultKind(kind)
+    return Judgement(Verdict.SENSOR, (why, fault.finding), fault_kind=fault, kind_probability=1.0)
 
-    kind: FaultKind | None
-    why: str
 
-
-def failure_in(seen: Seen, physical: FloatArray) -> Failure | None:
-    """The sensor that failed in a record of a motor that is nearly that of these physical values; None for none."""
+def failure_in(seen: Seen, physical: FloatArray) -> Judgement | None:
+    """What is said of a record of a motor that is nearly that of these physical values; None where no sensor failed."""
     current, speed = free_run(physical, seen.voltage_v, seen.dt_s, from_rest=not seen.at_work)
     if not (np.isfinite(current).all() and np.isfinite(speed).all()):
         return None
@@ -102,7 +101,7 @@ def _turning(seen: Seen, expected: Seen, physical: FloatArray) -> bool | None:
     return False if off_held < off else None
 
 
-def _dead(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+def _dead(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
     """A channel that shows nothing while another shows that the motor turns, or no other is there."""
     for name, unit, shown, healthy in _channels(seen, expected):
         if size(shown) >= _NOTHING * size(healthy) or likeness(shown, healthy) ** 2 >= _A_SCALE:
@@ -111,17 +110,17 @@ def _dead(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
         if name == "current":
             turns = abs(likeness(seen.speed_rad_s, expected.speed_rad_s, about=0.0)) > _ALIKE
             is_dead = turns or (seen.speed_rad_s is None and seen.is_taught)
-            return Failure(FaultKind("current_dead"), f"{why} {unit}") if is_dead else None
+            return sensor_failed("current_dead", f"{why} {unit}") if is_dead else None
         turning = _turning(seen, expected, physical)
         if turning or seen.current_a is None:
-            return Failure(FaultKind("speed_dead"), f"{why} {unit}")
+            return sensor_failed("speed_dead", f"{why} {unit}")
         if turning is None:
             neither = "and the current is neither that of this motor nor that of a held rotor"
-            return Failure(None, f"{why} {unit}, {neither}")
+            return Judgement(Verdict.UNUSABLE, (f"{why} {unit}, {neither}",))
     return None
 
 
-def _stuck(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+def _stuck(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
     """A channel that ends in equal values while the motor moves, or the noise that it had is gone."""
     on = np.abs(seen.voltage_v) > _ON * np.max(np.abs(seen.voltage_v))
     for name, _, shown, healthy in _channels(seen, expected):
@@ -140,7 +139,7 @@ def _stuck(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
         if is_moving or is_noisy:
             count = len(shown) - first
             words = f"the {name} reads {shown[-1]:.4g} for its last {count} samples, while the motor runs"
-            return Failure(FaultKind(f"{name}_stuck"), words)
+            return sensor_failed(f"{name}_stuck", words)
     return None
 
 
@@ -152,7 +151,7 @@ def _runs_on(name: str, first: int, seen: Seen, expected: Seen, physical: FloatA
     return speed is not None and bool(np.ptp(speed[first:]) > _MOVES * np.ptp(speed))
 
 
-def _swapped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+def _swapped(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
     """Columns in another order, in which they are those of the healthy motor, as they are not as read."""
     if seen.current_a is None or seen.speed_rad_s is None or not seen.has_sign or _is_of_it(seen, expected):
         return None
@@ -162,7 +161,7 @@ def _swapped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
         read = Seen(seen.dt_s, volts, amps, speed)
         if _is_of_it(read, Seen(seen.dt_s, volts, *free_run(physical, volts, seen.dt_s))):
             moved = " and ".join(name for n, name in enumerate(names) if order[n] != n)
-            return Failure(FaultKind("swapped"), f"{moved} {READ_SO}")
+            return sensor_failed("swapped", f"{moved} {READ_SO}")
     return None
 
 
@@ -178,7 +177,7 @@ def _of_a_size(shown: FloatArray, healthy: FloatArray) -> bool:
     return 1.0 / _SAME_SIZE < size(shown) / max(size(healthy), 1e-300) < _SAME_SIZE
 
 
-def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
     """A channel against which the other ones agree: it is reversed, or that of another motor."""
     by_speed, by_current = _by_the_others(seen, physical)
     current = likeness(seen.current_a, expected.current_a)
@@ -213,9 +212,7 @@ def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Failure 
             current > _ALIKE and sizes["current"] and speed_agreed and speed_at_most < apart["speed"]
         ),
     }
-    return next(
-        (Failure(FaultKind(kind), words) for (kind, words), is_shown in shown.items() if is_shown), None
-    )
+    return next((sensor_failed(kind, words) for (kind, words), is_shown in shown.items() if is_shown), None)
 
 
 def _most_alike(shown: FloatArray, healthy: FloatArray) -> float:
@@ -223,7 +220,7 @@ def _most_alike(shown: FloatArray, healthy: FloatArray) -> float:
     return float(np.std(healthy) / max(np.hypot(np.std(healthy), difference_noise(shown)), 1e-300))
 
 
-def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
     """A channel that stands at its largest value where the motor shows more, and follows the motor elsewhere."""
     by_speed, _ = _by_the_others(seen, physical)
     for name, unit, shown, free in _channels(seen, expected):
@@ -242,13 +239,13 @@ def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None
         if is_more and likeness(shown, limited) > _ALIKE and size(shown - limited) < _MOSTLY * size(shown):
             most = float(np.max(np.abs(healthy)))
             words = f"{int(flat.sum())} samples of the {name} stand at {top:.4g} {unit}"
-            return Failure(
-                FaultKind(f"{name}_clipped"), f"{words}, where the healthy motor reaches {most:.3g} {unit}"
+            return sensor_failed(
+                f"{name}_clipped", f"{words}, where the healthy motor reaches {most:.3g} {unit}"
             )
     return None
 
 
-def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
+def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
     """A current that is off by the same amount at every voltage and speed: at rest, or of a motor that reverses."""
     current, speed = seen.current_a, seen.speed_rad_s
     if current is None or speed is None or likeness(seen.current_a, expected.current_a) < _ALIKE:
@@ -275,6 +272,4 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Failure | None:
     off = min(off, off - known, key=abs) / max(size(current) / size(by_speed), 1.0)
     if abs(off) < most * float(np.max(np.abs(seen.voltage_v)) / physical[places.R]):
         return None
-    return Failure(
-        FaultKind("current_offset"), f"the current is off by {off:.3g} A at every voltage and speed"
-    )
+    return sensor_failed("current_offset", f"the current is off by {off:.3g} A at every voltage and speed")

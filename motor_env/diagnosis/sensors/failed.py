@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from motor_env.diagnosis.sensors.checks import Failure, failure_in
+from motor_env.diagnosis.sensors.checks import failure_in, sensor_failed
 from motor_env.diagnosis.sensors.seen import Seen
-from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.diagnosis.verdict import Judgement
 from motor_env.fitting import places
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import FaultKind
@@ -49,7 +49,7 @@ def failed_sensor(
     """
     starts = None if motor.healthy is None else motor.healthy.starts
     if starts is not None and starts.direction and _goes_backwards(recording, starts.direction):
-        return judgement_of(Failure(FaultKind("current_polarity"), _BACKWARDS)).on(recording)
+        return sensor_failed("current_polarity", _BACKWARDS).on(recording)
     recording = recording if starts is None else _turned(recording, starts.turned)
     seen = _seen_in(recording, motor.nominal_voltage_v if voltage_v is None else voltage_v)
     if seen is None:
@@ -62,7 +62,7 @@ def failed_sensor(
     physical = physical_of(motor)
     physical[places.R] += 0.0 if circuit is None else circuit.shunt_ohm
     found = failure_in(seen._replace(at_work=at_work, is_taught=motor.healthy is not None), physical)
-    return None if found is None else judgement_of(found).on(recording)
+    return None if found is None else found.on(recording)
 
 
 def physical_of(motor: Motor) -> FloatArray:
@@ -86,15 +86,6 @@ def physical_of(motor: Motor) -> FloatArray:
         motor.brush_drop_v,
     )
     return values
-
-
-def judgement_of(found: Failure) -> Judgement:
-    """What is said of a piece of which a sensor failed: nothing of its motor."""
-    if found.kind is None:
-        return Judgement(Verdict.UNUSABLE, (found.why,))
-    return Judgement(
-        Verdict.SENSOR, (found.why, found.kind.finding), fault_kind=found.kind, kind_probability=1.0
-    )
 
 
 def _seen_in(recording: Recording, level_v: float | None) -> Seen | None:

@@ -125,7 +125,7 @@ def test_a_range_and_an_offset_are_named() -> None:
     found = failure_in(seen(short, is_log=False), PHYSICAL)
     assert found is not None
     assert found.kind == "current_clipped"
-    assert re.search(r"stand at 2\.5 A, where the healthy motor reaches [45]\.\d+ A$", found.why)
+    assert re.search(r"stand at 2\.5 A, where the healthy motor reaches [45]\.\d+ A$", found.reasons[0])
     # A data sheet says nothing of the sensor of a start.
     assert failure_in(seen(short, is_log=False)._replace(is_taught=False), PHYSICAL) is None
     off = replace(log, current_a=log.current_a + 1.0)
@@ -212,7 +212,7 @@ def test_a_column_of_another_motor_is_named(column: str) -> None:
     found = failure_in(seen(replace(one, **columns), is_log=True), PHYSICAL)
     assert found is not None
     assert found.kind == "swapped"
-    assert found.why.startswith(f"the {COLUMNS[column]} is not that of the motor")
+    assert found.reasons[0].startswith(f"the {COLUMNS[column]} is not that of the motor")
 
 
 @pytest.mark.parametrize("column", ["current_a", "speed_rad_s"])
