@@ -156,7 +156,7 @@ def checked(count: int, workers: int) -> Iterator[list[str]]:
             assert shared is not None
             fits = list(each(partial(second_log, Reading(regime="operation"), shared), files))
     off = np.array([fit.log_values for fit in fits]) - truths
-    squares = np.square(off) / np.array([np.diag(fit.covariance) for fit in fits])
+    squares = np.square(off) / np.array([np.diag(fit.log_covariance) for fit in fits])
     for name, column in zip(NAMES, squares.T, strict=True):
         yield [name, str(count), f"{np.mean(column):.2f}", f"{np.mean(column < 1.96**2):.1%}"]
 

@@ -14,44 +14,27 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.running.windows import over_speed
+from motor_env.diagnosis.running.windows import FittedWindow, over_speed
+from motor_env.diagnosis.views import Fitted
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.starts.choice import NUISANCES
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
-from motor_env.fitting.window import fit_window
+from motor_env.fitting.window import WindowFit, fit_window
 from motor_env.fleet.first import REASONS, First, Reading, first_fit, first_look
 from motor_env.fleet.mapping import Map
 from motor_env.motor.healthy import Windows
-from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import understood
 
 _LOADS = ("load_constant", "load_square", "load_walk")
 _DRY = (0.0, 0.35, 0.7, 1.0)  # shares of dry friction that are tried
 _MOST_TRIED = 12  # records
 _SHARED_NOT = [places.HEATING, places.COOLING, places.WALK, places.LOAD, places.SQUARE]
-
-
-class Second(NamedTuple):
-    """The second fit of a record.
-
-    Attributes:
-        log_values: logarithms of its quantities.
-        covariance: of them.
-        start: the fit, of a start.
-        misfit: -2 log likelihood.
-    """
-
-    log_values: FloatArray
-    covariance: FloatArray
-    start: Identified | None = None
-    misfit: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +50,7 @@ class FleetFits:
         read: how their columns were understood, in words.
     """
 
-    seconds: dict[Path, Second]
+    seconds: dict[Path, Fitted]
     quantities: tuple[str, ...]
     windows: Windows | None
     troubles: dict[Path, str]
@@ -115,7 +98,7 @@ def fit_fleet(
     else:
         windows = _shared_by_logs(good, reading)
         job = partial(second_log, reading, windows)
-    seconds: dict[Path, Second] = {}
+    seconds: dict[Path, Fitted] = {}
     for path, again in zip(good, each(job, list(good)), strict=True):
         if isinstance(again, str):
             troubles[path] = again
@@ -143,12 +126,11 @@ def _shared_by_starts(
 
 def _second_start(
     reading: Reading, model: tuple[str, ...], typical: dict[str, float], path: Path
-) -> Second | str:
+) -> Identified | str:
     try:
-        fit = identify(reading.start(path), model, typical=typical)
+        return identify(reading.start(path), model, typical=typical)
     except REASONS as error:
         return str(error)
-    return Second(fit.log_values, fit.log_covariance, fit)
 
 
 def _shared_by_logs(firsts: dict[Path, First], reading: Reading) -> Windows:
@@ -175,13 +157,9 @@ def _shared_by_logs(firsts: dict[Path, First], reading: Reading) -> Windows:
         known = known.copy()
         known[[places.B, places.COULOMB]] = (1.0 - share) * drag / speed, share * drag
         tried.append(replace(windows, physical=known))
-    misfits = [sum(_misfit(second_log(reading, one, path)) for path in some) for one in tried]
+    fits = [[_log_fit(reading, one, path) for path in some] for one in tried]
+    misfits = [sum(math.inf if isinstance(fit, str) else fit.misfit for fit in each) for each in fits]
     return tried[int(np.argmin(misfits))]
-
-
-def _misfit(found: Second | str) -> float:
-    """Misfit of a second fit; infinite where there is none."""
-    return math.inf if isinstance(found, str) else found.misfit
 
 
 def _drag(first: First) -> float:
@@ -189,12 +167,16 @@ def _drag(first: First) -> float:
     return float(first.values[places.B] + first.values[places.COULOMB] / first.speed_rad_s)
 
 
-def second_log(reading: Reading, windows: Windows, path: Path) -> Second | str:
+def _log_fit(reading: Reading, windows: Windows, path: Path) -> WindowFit | str:
     """The fit of a log with what all share, or why there is none."""
     try:
         record = replace(from_recordings([reading.log(path)]), hold=windows.hold)
-        fit = fit_window(record, windows.physical, windows.terms)
+        return fit_window(record, windows.physical, windows.terms)
     except REASONS as error:
         return str(error)
-    found = over_speed(fit, windows.physical, windows.speed_rad_s)
-    return Second(found.log_values, found.log_covariance, misfit=fit.misfit)
+
+
+def second_log(reading: Reading, windows: Windows, path: Path) -> FittedWindow | str:
+    """That fit, with the drag over the speed."""
+    fit = _log_fit(reading, windows, path)
+    return fit if isinstance(fit, str) else over_speed(fit, windows.physical, windows.speed_rad_s)

@@ -76,7 +76,7 @@ class LearnedFleet:
         exponents, seconds = identifiable.matrix(self.fits.quantities), self.fits.seconds
         return Motors(
             np.array([one.log_values for one in seconds.values()]),
-            np.array([one.covariance for one in seconds.values()]),
+            np.array([one.log_covariance for one in seconds.values()]),
             np.array([self.motors.index(self.every[path]) for path in seconds]),
             np.array([self.positions.index(motor.motor) for motor in self.motors]),
             exponents @ identifiable.tolerance_covariance(BELIEVED) @ exponents.T + _least(exponents),
@@ -130,7 +130,7 @@ class LearnedFleet:
     def _good(self) -> list[Identified]:
         """Starts of motors that seem healthy."""
         seen = zip(self.fits.seconds.values(), self.core.probability[self.records.motor], strict=True)
-        return [one.start for one, sure in seen if one.start is not None and sure > _LOST]
+        return [one for one, sure in seen if isinstance(one, Identified) and sure > _LOST]
 
     def _next(self, core: Core, position: str | None) -> tuple[FloatArray, FloatArray]:
         """Centre and covariance of another healthy motor's record."""

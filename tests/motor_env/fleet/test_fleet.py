@@ -14,11 +14,12 @@ from scipy.stats import f as fisher, t as student_t
 from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
 from motor_env.diagnosis.explanations import Difference
+from motor_env.diagnosis.running.windows import FittedWindow
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.first import First, Reading
-from motor_env.fleet.fits import Second, fit_fleet
+from motor_env.fleet.fits import fit_fleet
 from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
 from motor_env.fleet.learning import learn_fleet
 from motor_env.motor.data_sheet import Motor, save_motor
@@ -289,7 +290,7 @@ def test_a_record_with_more_columns_than_most_is_left_out() -> None:
     files = [Path(f"{n}.csv") for n in range(4)]
     few = First(names=("R",), quantities=("R", "K^2/J"), values=(1.0, 2.0))
     more = few._replace(quantities=("R", "K", "J"), values=(1.0, 2.0, 3.0))
-    steps: list[Any] = [[("start", ())] * 4, [few, few, more, few], [Second(np.zeros(2), np.eye(2))] * 3]
+    steps: list[Any] = [[("start", ())] * 4, [few, few, more, few], [FittedWindow(np.zeros(2), np.eye(2))] * 3]
     told = iter(steps)
     fits = fit_fleet(files, Reading(), each=lambda job, given: next(told))
     assert fits.quantities == few.quantities
