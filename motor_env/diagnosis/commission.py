@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from motor_env.motor.assumptions import lines as lines_of
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
+from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of, understood
@@ -39,6 +40,29 @@ _WARMTH = (
     "  a motor that is warmer or colder by {:.0f} K (1 sd) is healthy too: R +0.39 %, K -0.1 % and friction -0.3 % a"
     " kelvin come on top of that"
 )
+
+
+def intervals(healthy: Healthy, log_covariance: FloatArray, rate: float) -> dict[str, dict[str, Any]]:
+    """Quantities with unit and the interval that all but this share lie in; the covariance is of their logarithms."""
+    half = -float(stdtrit(healthy.degrees_of_freedom, rate / 2.0)) * np.sqrt(np.diag(log_covariance))
+    rows = zip(healthy.quantities, healthy.values.tolist(), half.tolist(), strict=True)
+    return {
+        name: {
+            "value": value,
+            "interval": [value * math.exp(-width), value * math.exp(width)],
+            "unit": UNITS[name],
+        }
+        for name, value, width in rows
+    }
+
+
+def interval_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """A line for each of these intervals, in per cent of the value."""
+    return [
+        f"  {name:<12} {row['value']:11.4g} {row['unit']:<12}"
+        f" {row['interval'][0] / row['value'] - 1.0:+.1%} to {row['interval'][1] / row['value'] - 1.0:+.1%}"
+        for name, row in rows.items()
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,19 +90,7 @@ class Commissioned:
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Healthy quantities with the interval of the next healthy piece at the rate of false alarms, and unit."""
-        healthy = self.healthy
-        half = -float(stdtrit(healthy.degrees_of_freedom, self.false_alarm_rate / 2.0))
-        widths = half * np.sqrt(np.diag(healthy.log_covariance))
-        return {
-            name: {
-                "value": value,
-                "interval": [value * math.exp(-width), value * math.exp(width)],
-                "unit": UNITS[name],
-            }
-            for name, value, width in zip(
-                healthy.quantities, healthy.values.tolist(), widths.tolist(), strict=True
-            )
-        }
+        return intervals(self.healthy, self.healthy.log_covariance, self.false_alarm_rate)
 
     @property
     def healthy(self) -> Healthy:
@@ -103,11 +115,7 @@ class Commissioned:
         interval = f"({1.0 - rate:.0%}, Student t, {healthy.degrees_of_freedom:.0f} degrees)"
         lines = [
             f"{healthy.pieces} healthy {piece}s{kind}; prediction interval of the next healthy {piece} {interval}",
-            *(
-                f"  {name:<12} {row['value']:11.4g} {row['unit']:<12}"
-                f" {row['interval'][0] / row['value'] - 1.0:+.1%} to {row['interval'][1] / row['value'] - 1.0:+.1%}"
-                for name, row in self.parameters.items()
-            ),
+            *interval_lines(self.parameters),
             *(
                 [f"  driven in {drives} ways: each window is compared with those that are driven alike"]
                 if drives > 1

@@ -9,13 +9,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.special import stdtrit
 
+from motor_env.diagnosis.commission import interval_lines, intervals
 from motor_env.diagnosis.learning import START_SPREAD, learn_starts
 from motor_env.diagnosis.misreading import POWERS
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.windows import viscous
-from motor_env.diagnosis.shown.report import UNITS
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.starts.identified import Identified
@@ -107,10 +106,17 @@ class LearnedFleet:
             core: of the motors; that of all unless given.
             position: place in the machine; without it, a motor of any place.
         """
-        core = self.core if core is None else core
+        healthy = self._healthy(self.core if core is None else core, position)
+        if self.fits.windows is not None:
+            volts = (self.fits.windows.peaks or (None,))[0]
+            return replace(motor_of_windows(healthy, name), nominal_voltage_v=volts)
+        return to_motor(self._good, name, healthy=healthy)
+
+    def _healthy(self, core: Core, position: str | None = None) -> Healthy:
+        """What a core teaches of another motor."""
         centre, covariance = self._next(core, position)
         count = len(core.probability)
-        healthy = Healthy(
+        return Healthy(
             count,
             core.degrees_of_freedom,
             self.fits.quantities,
@@ -121,10 +127,6 @@ class LearnedFleet:
             starts=None if self.fits.windows is not None else learn_starts(self._good).starts,
             fleet=Fleet(count, core.within),
         )
-        if self.fits.windows is not None:
-            volts = (self.fits.windows.peaks or (None,))[0]
-            return replace(motor_of_windows(healthy, name), nominal_voltage_v=volts)
-        return to_motor(self._good, name, healthy=healthy)
 
     @cached_property
     def _good(self) -> list[Identified]:
@@ -143,19 +145,14 @@ class LearnedFleet:
 
     def text(self, rate: float) -> str:
         """What was learned, with the interval of the next healthy motor."""
-        core = self.core
-        centre, covariance = self._next(core, None)
-        half = -float(stdtrit(core.degrees_of_freedom, rate / 2.0)) * np.sqrt(np.diag(covariance))
-        sick = int(np.sum(core.probability < _LOST))
+        healthy = self._healthy(self.core)
+        sick = int(np.sum(self.core.probability < _LOST))
         seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
         lines = [
             f"{len(self.motors)} motors with {len(self.fits.seconds)} records; {sick} of them {seem} nothing",
-            f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t, {core.degrees_of_freedom:.0f} degrees)",
-            *(
-                f"  {name:<12} {math.exp(at):11.4g} {UNITS[name]:<12}"
-                f" {math.expm1(-width):+.1%} to {math.expm1(width):+.1%}"
-                for name, at, width in zip(self.fits.quantities, centre.tolist(), half.tolist(), strict=True)
-            ),
+            f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t,"
+            f" {healthy.degrees_of_freedom:.0f} degrees)",
+            *interval_lines(intervals(healthy, healthy.log_covariance, rate)),
             *self._positions(),
             *self.fits.read,
             *(f"  not used: {path} ({reason})" for path, reason in self.fits.troubles.items()),

@@ -7,18 +7,16 @@ where sisters and record agree, after ten they are the motor's own.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
+from motor_env.diagnosis.commission import intervals
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.learning import PRIOR_WEIGHT
-from motor_env.diagnosis.shown.report import UNITS
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.diagnosis.views import Fitted
 from motor_env.errors import InputError
@@ -65,13 +63,7 @@ def quantities_of(motor: Motor) -> dict[str, dict[str, Any]]:
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was learned
     assert healthy.fleet is not None  # noqa: S101
-    spread = np.diag(healthy.log_covariance - healthy.fleet.log_within)
-    half = -float(stdtrit(healthy.degrees_of_freedom, 0.025)) * np.sqrt(np.maximum(spread, 0.0))
-    rows = zip(healthy.quantities, healthy.values.tolist(), half.tolist(), strict=True)
-    return {
-        name: {"value": at, "interval": [at * math.exp(-off), at * math.exp(off)], "unit": UNITS[name]}
-        for name, at, off in rows
-    }
+    return intervals(healthy, np.maximum(healthy.log_covariance - healthy.fleet.log_within, 0.0), 0.05)
 
 
 def with_own(healthy: Healthy, logs: FloatArray, errors: FloatArray) -> Healthy:

@@ -290,7 +290,11 @@ def test_a_record_with_more_columns_than_most_is_left_out() -> None:
     files = [Path(f"{n}.csv") for n in range(4)]
     few = First(names=("R",), quantities=("R", "K^2/J"), values=(1.0, 2.0))
     more = few._replace(quantities=("R", "K", "J"), values=(1.0, 2.0, 3.0))
-    steps: list[Any] = [[("start", ())] * 4, [few, few, more, few], [FittedWindow(np.zeros(2), np.eye(2))] * 3]
+    steps: list[Any] = [
+        [("start", ())] * 4,
+        [few, few, more, few],
+        [FittedWindow(np.zeros(2), np.eye(2))] * 3,
+    ]
     told = iter(steps)
     fits = fit_fleet(files, Reading(), each=lambda job, given: next(told))
     assert fits.quantities == few.quantities
