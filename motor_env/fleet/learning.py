@@ -145,14 +145,13 @@ class LearnedFleet:
 
     def text(self, rate: float) -> str:
         """What was learned, with the interval of the next healthy motor."""
-        healthy = self._healthy(self.core)
+        one = self._healthy(self.core)
         sick = int(np.sum(self.core.probability < _LOST))
         seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
         lines = [
             f"{len(self.motors)} motors with {len(self.fits.seconds)} records; {sick} of them {seem} nothing",
-            f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t,"
-            f" {healthy.degrees_of_freedom:.0f} degrees)",
-            *interval_lines(intervals(healthy, healthy.log_covariance, rate)),
+            f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t, {one.degrees_of_freedom:.0f} degrees)",
+            *interval_lines(intervals(one, one.log_covariance, rate)),
             *self._positions(),
             *self.fits.read,
             *(f"  not used: {path} ({reason})" for path, reason in self.fits.troubles.items()),
