@@ -66,7 +66,7 @@ def learn_windows(
         UnusableError: no current and speed, too few windows, or no motor explains them.
     """
     if window_s is None:
-        window_s = _twentieth_s(recordings)
+        window_s = window_length_s(recordings, _DEFAULT_WINDOWS)
     parts = [part for recording in recordings for part in windows_of(recording, window_s)]
     if len(parts) < FEWEST_WINDOWS:
         raise UnusableError(f"{len(parts)} windows of {window_s:g} s; at least {FEWEST_WINDOWS} are needed")
@@ -164,12 +164,12 @@ def _drive(pieces: NDArray[np.intp], moved: FloatArray, found: Sequence[FittedWi
     )
 
 
-def _twentieth_s(recordings: Sequence[Recording]) -> float:
-    """A window of a twentieth of all recordings, but no longer than one that is fitted whole."""
+def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float = 0.0) -> float:
+    """A window of such a part of all recordings, but no longer than one that is fitted whole, nor than a recording."""
     dt_s = recordings[0].dt_s
-    whole_s = sum(len(recording.time_s) * recording.dt_s for recording in recordings)
-    shortest_s = min(len(recording.time_s) * recording.dt_s for recording in recordings)
-    return min(max(min(whole_s / _DEFAULT_WINDOWS, MOST_SAMPLES * dt_s), _SHORTEST * dt_s), shortest_s)
+    lengths_s = [len(recording.time_s) * recording.dt_s for recording in recordings]
+    part_s = min(sum(lengths_s) / parts, MOST_SAMPLES * dt_s)
+    return min(max(part_s, least_s, _SHORTEST * dt_s), *lengths_s)
 
 
 def effective_speed(joint: Operation) -> float:

@@ -10,9 +10,14 @@ import numpy as np
 
 from motor_env.diagnosis.healthy_motor import Moved, reference_of
 from motor_env.diagnosis.running.drives import NEEDED, needed_columns
-from motor_env.diagnosis.running.lessons import effective_speed, known_of, told_by, turns_one_way
+from motor_env.diagnosis.running.lessons import (
+    effective_speed,
+    known_of,
+    told_by,
+    turns_one_way,
+    window_length_s,
+)
 from motor_env.diagnosis.running.windows import (
-    MOST_SAMPLES,
     NAMES,
     WindowJudge,
     judge_of,
@@ -31,7 +36,7 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording
 
 _WINDOWS = 10  # of a log
-_SHORTEST, _SHORTEST_SAMPLES = 40.0, 400  # a window: mechanical time constants, samples
+_SHORTEST = 40.0  # a window: mechanical time constants
 _SETTLED, _FEW = 20.0, 2_000  # a stretch: mechanical time constants; samples of all stretches
 
 
@@ -48,10 +53,11 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
     if motor.healthy is not None and motor.healthy.windows is not None:
         return judge_of(motor.healthy, motor.name, temperature_c)
     needed_columns(recording)  # refuses at once what the fit of the whole log would take long to find
-    joint = identify_record(_enough(from_recordings([recording]), _settles_s(motor)))
+    settles_s = float(np.mean(motor.parameters.mechanical_time_constant_s))
+    joint = identify_record(_enough(from_recordings([recording]), settles_s))
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)
-    window_s, speed = _window_s(recording, _settles_s(motor)), effective_speed(joint)
+    window_s, speed = window_length_s([recording], _WINDOWS, _SHORTEST * settles_s), effective_speed(joint)
     physical, terms = known_of(joint.solution), joint.solution.names
     if set(LOAD) & set(terms):
         records = []
@@ -83,11 +89,6 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
     return WindowJudge(windows, reference)
 
 
-def _settles_s(motor: Motor) -> float:
-    """Mechanical time constant."""
-    return float(np.mean(motor.parameters.mechanical_time_constant_s))
-
-
 def _enough(record: Record, settles_s: float) -> Record:
     """Stretches of a record in which a motor settles: they tell the terms and how the drag divides."""
     samples = max(_FEW, STRETCHES * math.ceil(_SETTLED * settles_s / record.dt_s))
@@ -104,10 +105,3 @@ def _friction(motor: Motor, physical: FloatArray, speed_rad_s: float) -> float:
         return 1.0
     no_load = float(steady_state(p, motor.nominal_voltage_v)[1])
     return (1.0 + motor.dry_share(no_load)) * viscous(physical, speed_rad_s) / viscous(physical, no_load)
-
-
-def _window_s(recording: Recording, settles_s: float) -> float:
-    """A tenth of the log, but neither shorter than the motor settles nor longer than it is fitted whole."""
-    dt_s, duration_s = recording.dt_s, len(recording.time_s) * recording.dt_s
-    shortest = max(_SHORTEST * settles_s, _SHORTEST_SAMPLES * dt_s)
-    return min(max(min(duration_s / _WINDOWS, MOST_SAMPLES * dt_s), shortest), duration_s)

@@ -174,6 +174,9 @@ def test_the_reference_of_a_log_by_hand() -> None:
     assert (taught.window_s, taught.speed_rad_s, taught.dt_s) == pytest.approx((0.8, speed, DT_S))
     assert (taught.terms, taught.hold, taught.rms_volts, taught.scales) == (TERMS, "late", None, ())
     assert taught.physical[places.HEATING] == taught.physical[places.COOLING] == 0.0
+    heavy = P.scaled(inertia_kg_m2=10.0)  # a window lasts 40 of its mechanical time constants
+    window_s = judge_for(log(), replace(SHEET, parameters=heavy)).windows.window_s
+    assert window_s == pytest.approx(40.0 * float(np.mean(heavy.mechanical_time_constant_s)))
     # Starts hold errors of other fits: the windows' own come on top, and their scatter is that of starts.
     starts = of_starts()
     assert starts.healthy is not None
@@ -260,21 +263,3 @@ def test_a_file_may_give_dry_friction_alone() -> None:
     drag = 4e-4 / no_load  # at every speed: all of this log's is viscous
     assert np.exp(judge_for(log(), only_dry).reference.log_values[3]) == pytest.approx(drag)
     assert unlearned._friction(only_dry, physical(0.0, 1.0), speed) * 1e-300 == pytest.approx(4e-4 / speed)
-
-
-@pytest.mark.parametrize(
-    ("samples", "dt_s", "settles_s", "window_s"),
-    [
-        (20_000, 1e-3, 0.01, 2.0),  # a tenth
-        (90_000, 1e-3, 0.01, 6.0),  # 6,000 samples at most
-        (2000, 1e-3, 0.001, 0.4),  # 400 at least
-        (20_000, 1e-3, 0.07, 2.8),  # 40 time constants at least
-        (90_000, 1e-3, 0.2, 8.0),
-        (300, 1e-3, 0.001, 0.3),  # and no more than there is
-        (20_000, 1e-3, 1.0, 20.0),
-        (10_000, 4e-3, 0.01, 4.0),
-    ],
-)
-def test_the_length_of_a_window_by_hand(samples: int, dt_s: float, settles_s: float, window_s: float) -> None:
-    recording = Recording(Path("log"), dt_s * np.arange(float(samples)), np.zeros(samples))
-    assert unlearned._window_s(recording, settles_s) == pytest.approx(window_s)
