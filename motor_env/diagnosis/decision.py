@@ -37,6 +37,7 @@ from motor_env.diagnosis.views import (
     Fitted,
     View,
     covariance_at_one_temperature,
+    kelvin_of,
     shared,
     smallest_of,
     unit_of,
@@ -198,10 +199,7 @@ def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) ->
     """That another temperature explains the changes, where it does so by itself: its posterior mean in kelvin."""
     if reference.temperature_k == 0.0:
         return ()
-    warmth = view.drag.warmth
-    solved = np.linalg.solve(same_warmth, warmth)
-    sd = 1.0 / math.sqrt(float(solved @ warmth) + reference.temperature_k**-2)
-    kelvin = sd**2 * float(solved @ view.difference.log_ratios)
+    kelvin, sd = kelvin_of(view.difference.log_ratios, same_warmth, view.drag.warmth, reference.temperature_k)
     if abs(kelvin) < max(_TELLING_WARMTH_K, 2.0 * sd):
         return ()
     word = "warmer" if kelvin > 0.0 else "colder"

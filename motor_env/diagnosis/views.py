@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
@@ -97,10 +98,18 @@ def _straightened(
     """Logarithms that move in proportion to the temperature: the factors do, their logarithms a little less."""
     if temperature_k == 0.0:
         return ratios
-    slope = np.linalg.solve(spread, warmth)
-    kelvin = float(slope @ ratios / (slope @ warmth + temperature_k**-2))
+    kelvin, _ = kelvin_of(ratios, spread, warmth, temperature_k)
     warm = np.maximum(warmth * min(max(kelvin, -_HOTTEST_K), _HOTTEST_K), _LEAST_FACTOR - 1.0)
     return np.asarray(ratios + warm - np.log1p(warm), dtype=np.float64)
+
+
+def kelvin_of(
+    ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
+) -> tuple[float, float]:
+    """How much warmer a motor seems, by the posterior mean and its standard deviation."""
+    slope = np.linalg.solve(spread, warmth)
+    precision = float(slope @ warmth) + temperature_k**-2
+    return float(slope @ ratios) / precision, 1.0 / math.sqrt(precision)
 
 
 def shared(fit: Fitted, reference: Reference) -> list[int]:

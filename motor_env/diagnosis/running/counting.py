@@ -84,8 +84,6 @@ class Counting:
         """A healthy window's places."""
         self.healthy, self.most = self.healthy + 1, np.maximum(self.most, places)
 
-    def alarm(self, windows: float) -> int | None:
-        """The axis that alarms at one false alarm in so many windows; None where none does."""
-        axis = int(np.argmax(self.rows))
-        needed = fewest_in_a_row(self.healthy, windows, len(self.most))
-        return axis if self.rows[axis] >= needed else None
+    def alarms(self, windows: float) -> bool:
+        """Whether an axis alarms at one false alarm in so many windows."""
+        return bool(self.rows.max() >= fewest_in_a_row(self.healthy, windows, len(self.most)))

@@ -99,13 +99,13 @@ def learn_scale(
         sums = np.einsum("nij,nj->i", some, logs[states == state])
         centres[state] = np.linalg.solve(some.sum(axis=0) + some.mean(axis=0), sums)
     off = logs - centres[states]
-    roots, levels = np.linalg.cholesky(errors), np.zeros((len(windows), _P))
+    levels = np.zeros((len(windows), _P))
     for _ in range(2 if halvings else 1):
         white = whitened(off - levels[place], errors)
         white -= 0.0 if halvings else white.mean(axis=0)
         freedom = len(white) - (len(windows) if halvings else 1)
         covariances, tails = _scatter(white, states, freedom)
-        inverse = np.linalg.inv(roots @ covariances[states] @ np.swapaxes(roots, 1, 2))
+        inverse = np.linalg.inv(spread_of(covariances[states], errors))
         believed = np.linalg.inv([inverse[place == n].sum(axis=0) for n in range(len(windows))])
         pulls = np.einsum("nij,nj->ni", inverse, off)
         levels = np.array([one @ pulls[place == n].sum(axis=0) for n, one in enumerate(believed)])
@@ -152,10 +152,10 @@ def _scatter(rest: FloatArray, states: NDArray[np.intp], freedom: int) -> tuple[
     return out, 4.0 + 6.0 / max(kurtosis - 3.0, _LEAST_EXCESS)
 
 
-def spread_of(scale: Scale, errors: FloatArray, states: NDArray[np.intp]) -> FloatArray:
-    """Calibrated covariance of pieces about their centre, shape (n, 4, 4)."""
+def spread_of(covariances: FloatArray, errors: FloatArray) -> FloatArray:
+    """Covariance of pieces about their centre, by that of what is whitened by their errors, shape (n, 4, 4)."""
     roots = np.linalg.cholesky(errors)
-    spread: FloatArray = roots @ scale.covariances[states] @ np.swapaxes(roots, 1, 2)
+    spread: FloatArray = roots @ covariances @ np.swapaxes(roots, 1, 2)
     return spread
 
 
@@ -183,7 +183,7 @@ def places_along(off: FloatArray, spread: FloatArray, wander: FloatArray, along:
 
 def calibrated(scale: Scale, pieces: Pieces, along: FloatArray) -> Places:
     """Where pieces are, by what healthy ones of their length and state scatter."""
-    spread = spread_of(scale, pieces.errors, pieces.states)
+    spread = spread_of(scale.covariances[pieces.states], pieces.errors)
     return places_along(pieces.logs - scale.centres[pieces.states], spread, scale.wander, along)
 
 

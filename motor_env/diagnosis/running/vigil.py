@@ -183,7 +183,7 @@ class Vigil:
             self._detector.forget()
         elif scores.max() < _GOES_ON:
             self._toward = -1
-        is_counted = self._counting.alarm(self.windows) is not None
+        is_counted = self._counting.alarms(self.windows)
         is_alarm = self._toward >= 0 if self.adds_up else is_counted
         if self._toward < 0 and not is_counted and scores.max() < _SUSPECT:
             self._learn(pieces, places[0])

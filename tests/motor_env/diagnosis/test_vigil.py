@@ -161,12 +161,12 @@ def test_windows_in_a_row_that_a_rate_needs(healthy: int, windows: float, tests:
     assert fewest_in_a_row(healthy, windows, tests) == needed
     counting = Counting(healthy, np.zeros(tests), np.zeros(tests))
     for row in range(1, needed + 1):
-        assert counting.alarm(windows) is None
+        assert not counting.alarms(windows)
         counting.add(np.eye(tests)[0])
         assert counting.rows[0] == row
-    assert counting.alarm(windows) == 0
+    assert counting.alarms(windows)
     counting.add(np.zeros(tests))
-    assert counting.alarm(windows) is None
+    assert not counting.alarms(windows)
     counting.learn(np.full(tests, 2.0))
     assert (counting.healthy, counting.most[0]) == (healthy + 1, 2.0)
 
