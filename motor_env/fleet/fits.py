@@ -92,6 +92,7 @@ def fit_fleet(
     for path in [path for path, one in good.items() if one.quantities != quantities]:
         troubles[path] = "it was recorded with other columns than most"
         del good[path]
+    job: Callable[[Path], Fitted | str]
     if reading.regime == "start":
         windows = None
         job = partial(_second_start, reading, *_shared_by_starts(list(good.values()), quantities))
