@@ -78,8 +78,7 @@ def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | N
     moved = [_run(fit, motor + step, load) for step in _STEP * np.eye(5)[:_FRICTION]]
     moved.append(_run(fit, motor, load, added=_STEP))
     textbooks = inverse @ (np.stack(moved, axis=1) - healthy[:, None]) / _STEP
-    response: FloatArray = np.column_stack([fit.exponents[:, free] @ textbooks, fit.exponents[:, -1]])
-    return response
+    return np.column_stack([fit.exponents[:, free] @ textbooks, fit.exponents[:, -1]])
 
 
 def _textbook_of(fit: Identified) -> FloatArray:

@@ -55,8 +55,7 @@ class Motion(NamedTuple):
         mean, effective = self.speed / count, np.sqrt(self.square / count)
         level = np.searchsorted(_LEVELS, effective / fastest_rad_s, side="right")
         way = np.where(np.abs(mean) > _ONE_WAY * effective, np.sign(mean), 0.0)
-        states: NDArray[np.intp] = np.where(level == 0, 0, 3 * level - 1 + way).astype(np.intp)
-        return states
+        return np.where(level == 0, 0, 3 * level - 1 + way).astype(np.intp)
 
 
 class Sections(NamedTuple):

@@ -130,8 +130,7 @@ def untaught_scale(log_covariance: FloatArray, freedom: float, windows: int) -> 
 
 def whitened(off: FloatArray, errors: FloatArray) -> FloatArray:
     """Differences over the roots of their covariances, shape (n, p)."""
-    white: FloatArray = np.linalg.solve(np.linalg.cholesky(errors), off[..., None])[..., 0]
-    return white
+    return np.linalg.solve(np.linalg.cholesky(errors), off[..., None])[..., 0]
 
 
 def _scatter(rest: FloatArray, states: NDArray[np.intp], freedom: int) -> tuple[FloatArray, float]:
@@ -155,8 +154,7 @@ def _scatter(rest: FloatArray, states: NDArray[np.intp], freedom: int) -> tuple[
 def spread_of(covariances: FloatArray, errors: FloatArray) -> FloatArray:
     """Covariance of pieces about their centre, by that of what is whitened by their errors, shape (n, 4, 4)."""
     roots = np.linalg.cholesky(errors)
-    spread: FloatArray = roots @ covariances @ np.swapaxes(roots, 1, 2)
-    return spread
+    return roots @ covariances @ np.swapaxes(roots, 1, 2)
 
 
 class Places(NamedTuple):

@@ -97,8 +97,7 @@ def reference_current(judgement: Judgement) -> FloatArray | None:
     physical = fit.physical
     for name in "RLKJB":
         physical[getattr(places, name)] = value[name]
-    current: FloatArray = fit.run(physical)[:, 0] + fit.start.alignment.offset_a
-    return current
+    return fit.run(physical)[:, 0] + fit.start.alignment.offset_a
 
 
 def _bars(changes: tuple[Change, ...]) -> str:
@@ -180,8 +179,7 @@ def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -
 def moving_average(values: FloatArray, span: int) -> FloatArray:
     """Moving average over so many samples."""
     padded = np.pad(values, (span // 2, span - 1 - span // 2), "reflect")
-    averaged: FloatArray = np.convolve(padded, np.ones(span) / span, "valid")
-    return averaged
+    return np.convolve(padded, np.ones(span) / span, "valid")
 
 
 def _end_chart(time_ms: FloatArray, measured: FloatArray, healthy: FloatArray, apart_a: float) -> str:
