@@ -38,6 +38,7 @@ from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
+from motor_env.recordings.regime import taken_for
 
 RKJB = ("R", "K", "J", "B")
 SPEED = 200.0
@@ -249,4 +250,4 @@ def test_a_recording_as_long_as_a_healthy_window_is_judged_as_a_window() -> None
         found = diagnose(recording, of_windows(), regime=regime, start=chosen)
         assert found.taken.regime == expected
         assert (found.taken.why == "as its healthy recordings") is (expected == "operation")
-        assert diagnose(recording).taken.regime == "start"
+        assert taken_for(recording).regime == "start"

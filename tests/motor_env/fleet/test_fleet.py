@@ -21,7 +21,8 @@ from motor_env.errors import InputError
 from motor_env.fleet.first import First, Reading
 from motor_env.fleet.fits import fit_fleet
 from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
-from motor_env.fleet.learning import learn_fleet
+from motor_env.fleet.learning import LearnedFleet, learn_fleet
+from motor_env.fleet.names import Place
 from motor_env.motor.data_sheet import Motor, save_motor
 from motor_env.motor.identifiable import matrix
 from motor_env.motor.parameters import FloatArray
@@ -74,8 +75,21 @@ def starts(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def found(starts: list[Path]) -> FleetDiagnosis:
-    return diagnose_fleet(starts, group=GROUP)
+def learned(starts: list[Path]) -> LearnedFleet:
+    return learn_fleet(starts, group=GROUP)
+
+
+@pytest.fixture(scope="module")
+def found(starts: list[Path], learned: LearnedFleet) -> FleetDiagnosis:
+    """What `diagnose_fleet` says; it would learn the same once more."""
+
+    def known(files: list[Path], *, group: str, **_: object) -> LearnedFleet:
+        assert (files, group) == (starts, GROUP)
+        return learned
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("motor_env.fleet.judging.learn_fleet", known)
+        return diagnose_fleet(starts, group=GROUP)
 
 
 def test_the_sick_motor_leads_the_table(found: FleetDiagnosis) -> None:
@@ -129,17 +143,18 @@ def test_how_far_a_motor_is_off_by_hand(found: FleetDiagnosis) -> None:
 
 
 def test_the_records_of_a_motor_share_its_rate(
-    starts: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    starts: list[Path], learned: LearnedFleet, found: FleetDiagnosis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    again, rates = tmp_path / "1_left_b.csv", {}
-    record(again, [1, 0, 1], START_V)
+    rates = {}
+    more = replace(learned, every=learned.every | {Path("1_left_b.csv"): Place("1", "left")})
 
-    def noted(path: Path, motor: Motor, *, false_alarm_rate: float, **reading: Any) -> Diagnosis:
+    def noted(path: Path, _: Motor, *, false_alarm_rate: float, **reading: object) -> Diagnosis:
         rates[path.stem] = false_alarm_rate
-        return diagnose(path, motor, false_alarm_rate=false_alarm_rate, **reading)
+        return found.sisters[-1].telling
 
+    monkeypatch.setattr("motor_env.fleet.judging.learn_fleet", lambda *_, **__: more)
     monkeypatch.setattr("motor_env.fleet.judging.diagnose", noted)
-    diagnose_fleet([*starts, again], group=GROUP, false_alarm_rate=0.02)
+    diagnose_fleet(starts, false_alarm_rate=0.02)
     assert rates == {path.stem: 0.02 for path in starts} | {"1_left": 0.01, "1_left_b": 0.01}
 
 
@@ -154,19 +169,16 @@ def test_a_motor_is_told_by_the_surest_of_its_faults(found: FleetDiagnosis) -> N
     assert replace(found.sisters[0], records=records).verdict is Verdict.BEARING
 
 
-def test_a_fleet_says_once_how_it_was_read(starts: list[Path]) -> None:
-    (read,) = (line for line in learn_fleet(starts, group=GROUP).text(0.01).splitlines() if "read: " in line)
+def test_a_fleet_says_once_how_it_was_read(learned: LearnedFleet) -> None:
+    (read,) = (line for line in learned.text(0.01).splitlines() if "read: " in line)
     assert read.startswith("  read: time is column 1 (time_s); ")
 
 
-def test_motors_of_one_machine_do_not_count_for_each_other(starts: list[Path]) -> None:
+def test_motors_of_one_machine_do_not_count_for_each_other(learned: LearnedFleet) -> None:
     """Both motors of a machine off alike are both odd, however many motors it has."""
-    learned = learn_fleet(starts, group=GROUP)
     core = learned.core_without("3")
     assert len(core.probability) == 6
-    with_sick = learned.motor("all").healthy
     without = learned.motor("others", core, "left").healthy
-    assert with_sick is not None
     assert without is not None
     assert without.fleet is not None
     assert without.fleet.motors == 6
@@ -192,11 +204,11 @@ def test_logs_at_work_make_a_motor_file_that_judges_another_sister(
 
     # With each own record the healthy values come closer to the motor's own, and the spread falls.
     own = []
-    for repeat in range(4):
+    for repeat in range(3):
         own.append(tmp_path / f"own_{repeat}.csv")
         record(own[-1], [50, 0, repeat], STEPS_V)
     healthy = [motor.healthy]
-    for count in (1, 4):
+    for count in (1, 3):
         given, kept = [str(path) for path in own[:count]], tmp_path / f"own_{count}.toml"
         assert main(["commission", *given, "--motor", str(toml), "-o", str(kept)]) == 0
         learned = load_motor(kept).healthy
@@ -267,10 +279,10 @@ def test_options_that_do_not_go_together(
 
 
 def test_one_own_record_is_one_recording(
-    starts: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    starts: list[Path], learned: LearnedFleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sisters = tmp_path / "sisters.toml"
-    save_motor(learn_fleet(starts, group=GROUP).motor("sisters"), sisters)
+    save_motor(learned.motor("sisters"), sisters)
     own = str(starts[0])
     assert main(["identify", own, "--motor", str(sisters)]) == 0
     assert main(["commission", own, "--motor", str(sisters), "-o", str(tmp_path / "own.toml")]) == 0
