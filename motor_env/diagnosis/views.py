@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,40 +19,39 @@ from motor_env.diagnosis.healthy_motor import Reference, with_normal
 from motor_env.diagnosis.loaded import Drag, drags
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.uncertainty import beyond
+from motor_env.motor import identifiable as quantities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
+NAMES = ("R", "K", "J", "B")
+"""What a window tells; B is the drag over the speed."""
+EXPONENTS = quantities.matrix(NAMES)
 _HOTTEST_K = 100.0
 # Of a quantity when it gets warmer or colder: far from the model it follows no straight line.
 _LEAST_FACTOR = 0.5
 
 
-class Fitted(Protocol):
-    """A fitted piece of a recording."""
+@dataclass(frozen=True, slots=True)
+class FittedWindow:
+    """A fitted window: logarithms of R, K, J and of the drag over the speed, shape (4,), their covariance, innovations.
 
-    @property
-    def quantity_names(self) -> tuple[str, ...]:
-        """What it tells."""
+    The innovations of current and speed are over their standard deviations, shape (n, 2); none of a short piece.
+    """
 
-    @property
-    def log_values(self) -> FloatArray:
-        """Logarithms of these quantities, shape (n,)."""
-
-    @property
-    def log_covariance(self) -> FloatArray:
-        """Their covariance, shape (n, n)."""
+    quantity_names: ClassVar[tuple[str, ...]] = NAMES
+    exponents: ClassVar[FloatArray] = EXPONENTS
+    log_values: FloatArray
+    log_covariance: FloatArray
+    whitened: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
     @property
     def white_covariance(self) -> FloatArray:
-        """Their covariance from white noise alone: what differs between pieces of one motor, shape (n, n)."""
+        """The covariance, which is that of white residuals."""
+        return self.log_covariance
 
-    @property
-    def whitened(self) -> FloatArray:
-        """Innovations over their standard deviations, shape (n, n_channels); NaN where the sensor shows nothing."""
 
-    @property
-    def exponents(self) -> FloatArray:
-        """Exponents of (R, L, K, J, B, V) in each quantity, shape (n, 6)."""
+Fitted = Identified | FittedWindow
+"""A fitted piece of a recording: a start, or a window of a motor at work."""
 
 
 class View(NamedTuple):

@@ -14,15 +14,8 @@ from motor_env.diagnosis.running.drives import FAR, NEEDED, driven, rms_volts, s
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
 from motor_env.diagnosis.running.replay import replay
 from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
-from motor_env.diagnosis.running.windows import (
-    MOST_SAMPLES,
-    NAMES,
-    FittedWindow,
-    WindowJudge,
-    judge_of,
-    over_speed,
-    windows_of,
-)
+from motor_env.diagnosis.running.windows import MOST_SAMPLES, WindowJudge, judge_of, over_speed, windows_of
+from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.fitting import places
 from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, identify_operation
 from motor_env.fitting.problem import Solution

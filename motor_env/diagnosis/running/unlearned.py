@@ -17,13 +17,8 @@ from motor_env.diagnosis.running.lessons import (
     turns_one_way,
     window_length_s,
 )
-from motor_env.diagnosis.running.windows import (
-    NAMES,
-    WindowJudge,
-    judge_of,
-    viscous,
-    windows_of,
-)
+from motor_env.diagnosis.running.windows import WindowJudge, judge_of, viscous, windows_of
+from motor_env.diagnosis.views import NAMES
 from motor_env.fitting.identify import identify_record
 from motor_env.fitting.record import STRETCHES, Record
 from motor_env.fitting.recorded import from_recordings

@@ -29,8 +29,9 @@ from motor_env.diagnosis.running.scales import (
     reaches,
     untaught_scale,
 )
-from motor_env.diagnosis.running.windows import NAMES, FittedWindow, WindowJudge, averaged
+from motor_env.diagnosis.running.windows import WindowJudge, averaged
 from motor_env.diagnosis.verdict import Judgement
+from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.errors import InputError
 from motor_env.fitting.recorded import from_recordings
 from motor_env.motor.healthy import Healthy

@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from motor_env.diagnosis.running.drives import FAR, driven, nearest, needed_colu
 from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.seen import Seen
 from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.diagnosis.views import EXPONENTS, NAMES, FittedWindow
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
@@ -37,33 +37,12 @@ from motor_env.recordings.recording import Recording, cut
 MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
-NAMES = ("R", "K", "J", "B")
 _REGIME = 2.0
 DRIVE_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
 """Standard deviation of the logarithms of R, K, J and B where a motor is driven otherwise, but not far: what the model
 lacks (stiction, a gear's teeth, brushes) is then taken for them in another way."""
 DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
-EXPONENTS = quantities.matrix(NAMES)
 WARMTH = quantities.warmth_direction(EXPONENTS)
-
-
-@dataclass(frozen=True, slots=True)
-class FittedWindow:
-    """A fitted window: logarithms of R, K, J and of the drag over the speed, shape (4,), their covariance, innovations.
-
-    The innovations of current and speed are over their standard deviations, shape (n, 2); none of a short piece.
-    """
-
-    quantity_names: ClassVar[tuple[str, ...]] = NAMES
-    exponents: ClassVar[FloatArray] = EXPONENTS
-    log_values: FloatArray
-    log_covariance: FloatArray
-    whitened: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-
-    @property
-    def white_covariance(self) -> FloatArray:
-        """The covariance, which is that of white residuals."""
-        return self.log_covariance
 
 
 def viscous(physical: FloatArray, speed_rad_s: float) -> float:

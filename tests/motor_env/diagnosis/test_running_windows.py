@@ -20,15 +20,9 @@ from motor_env.diagnosis.explanations import alarm_share, joint_share
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.running import windows
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.windows import (
-    EXPONENTS,
-    NAMES,
-    WARMTH,
-    FittedWindow,
-    WindowJudge,
-    judge_of,
-)
+from motor_env.diagnosis.running.windows import WARMTH, WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Judgement
+from motor_env.diagnosis.views import EXPONENTS, NAMES, FittedWindow
 from motor_env.fitting import places
 
 # Reaches in: the oracle of the joint share needs the direction in which each fault shows.

@@ -18,7 +18,8 @@ from motor_env.diagnosis.running.drives import sorted_by_drive
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.pieces import Pieces
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
-from motor_env.diagnosis.running.windows import FittedWindow, WindowJudge, judge_of, windows_of
+from motor_env.diagnosis.running.windows import WindowJudge, judge_of, windows_of
+from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting.recorded import from_recordings
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
@@ -50,8 +51,24 @@ def logs(simulated: SimulatedMotor) -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def learned(simulated: SimulatedMotor, logs: list[Recording]) -> tuple[Healthy, list[FittedWindow]]:
-    return learn_windows(logs, WINDOW * 0.1 * simulated.mechanical_s)
+def taught_by() -> list[FloatArray]:
+    """What the pieces of each window were compared with while the motor was `learned`."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def learned(
+    simulated: SimulatedMotor, logs: list[Recording], taught_by: list[FloatArray]
+) -> tuple[Healthy, list[FittedWindow]]:
+    pieces_of = lessons._pieces_of
+
+    def spy(judge: WindowJudge, *window: Any) -> list[Pieces]:
+        taught_by.append(judge.reference.log_values)
+        return pieces_of(judge, *window)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lessons, "_pieces_of", spy)
+        return learn_windows(logs, WINDOW * 0.1 * simulated.mechanical_s)
 
 
 def test_windows_are_sorted_by_how_they_are_driven() -> None:
@@ -129,12 +146,16 @@ def test_the_smallest_change_shows_under_each_drive(learned: tuple[Healthy, list
 
 
 def test_a_commissioning_says_in_how_many_ways_the_motor_was_driven(
-    simulated: SimulatedMotor, logs: list[Recording]
+    simulated: SimulatedMotor,
+    logs: list[Recording],
+    learned: tuple[Healthy, list[FittedWindow]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     window_s = WINDOW * 0.1 * simulated.mechanical_s
-    assert (
-        "  driven in 2 ways: each window is compared with those" in commission(logs, window_s=window_s).text()
-    )
+    with monkeypatch.context() as patch:
+        patch.setattr("motor_env.diagnosis.commission.learn_windows", lambda *_, **__: learned)
+        said = commission(logs, window_s=window_s).text()
+    assert "  driven in 2 ways: each window is compared with those" in said
     again = log_of(simulated, PROFILES[0], 7, usual=simulated)
     alike = commission([logs[0], again], window_s=window_s)
     assert "  driven in" not in alike.text()
@@ -142,17 +163,9 @@ def test_a_commissioning_says_in_how_many_ways_the_motor_was_driven(
 
 
 def test_pieces_teach_how_they_scatter_about_their_own_drive(
-    simulated: SimulatedMotor, logs: list[Recording], monkeypatch: pytest.MonkeyPatch
+    learned: tuple[Healthy, list[FittedWindow]], taught_by: list[FloatArray]
 ) -> None:
-    taught_by: list[FloatArray] = []
-    pieces_of = lessons._pieces_of
-
-    def spy(judge: WindowJudge, *window: Any) -> list[Pieces]:
-        taught_by.append(judge.reference.log_values)
-        return pieces_of(judge, *window)
-
-    monkeypatch.setattr(lessons, "_pieces_of", spy)
-    healthy, _ = learn_windows(logs, WINDOW * 0.1 * simulated.mechanical_s)
+    healthy, _ = learned
     assert healthy.windows is not None
     for drive in healthy.windows.drives:
         for n in drive.pieces:

@@ -28,8 +28,9 @@ from motor_env.diagnosis.running.scales import (
     reaches,
 )
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
-from motor_env.diagnosis.running.windows import NAMES, FittedWindow, judge_of
+from motor_env.diagnosis.running.windows import judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
+from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.fitting import places
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Drive, Healthy, Scale, Windows

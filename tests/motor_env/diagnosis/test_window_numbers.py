@@ -27,10 +27,7 @@ from motor_env.diagnosis.running.drives import apart, driven, rms_volts
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of
 from motor_env.diagnosis.running.windows import (
-    EXPONENTS,
-    NAMES,
     WARMTH,
-    FittedWindow,
     WindowJudge,
     averaged,
     judge_of,
@@ -41,7 +38,7 @@ from motor_env.diagnosis.running.windows import (
 from motor_env.diagnosis.sensors.failed import physical_of
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import covariance_at_one_temperature
+from motor_env.diagnosis.views import EXPONENTS, NAMES, FittedWindow, covariance_at_one_temperature
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
 
