@@ -236,12 +236,12 @@ LARGE = (("bearing", 3.0), ("winding_contact", 2.0), ("winding_short", 0.5), ("m
 
 @pytest.mark.parametrize("recipe", ["bench", "field", "operation"])
 def test_no_motor_is_taken_for_a_failed_sensor(recipe: str, request: pytest.FixtureRequest) -> None:
-    """350 each of healthy and faulty motors: more than a thousand, of which none is."""
+    """A hundred each of healthy and faulty motors, of which none is."""
     classes = (FaultClass(weight=4.0), *(FaultClass(FaultKind(name), size) for name, size in LARGE))
     drawn_from = changed_recipe(
         replace(RECIPES[recipe], classes=classes, healthy_starts=0), channels=("current", "speed")
     )
-    drawn = draw(drawn_from, 3, np.arange(350))
+    drawn = draw(drawn_from, 3, np.arange(100))
     readings = measure_draw(drawn, drawn_from, 3).astype(np.float64)
     is_log, time_s = drawn_from.duty is not None, drawn_from.timing.time_s
     physical = physical_of(replace(SHEET, parameters=drawn_from.motor))

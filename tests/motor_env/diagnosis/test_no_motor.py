@@ -120,7 +120,6 @@ def test_a_blocked_rotor_is_no_healthy_motor(missing: tuple[str, ...], seed: int
             "the current is in mA, and was read in A, or if the voltage is in kV, and was read in V",
         ),
         ("log", "speed in deg/s", "the speed is in degrees a second, and was read in rad/s"),
-        ("log", "speed in rpm", "the speed is in rpm, and was read in rad/s"),
     ],
 )
 def test_a_wrong_scale_is_named_first(form: str, name: str, first: str) -> None:

@@ -1,4 +1,4 @@
-"""Starts that are recorded otherwise than the healthy ones of the commissioning, and voltages read at other times."""
+"""Starts that are recorded otherwise than the healthy ones, or warmer, and voltages read at other times."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from motor_env import (
     identify,
     load_motor,
 )
+from motor_env.diagnosis.commission import Commissioned
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: the supply comes on between two samples, which `simulate` cannot do; its level is drawn as by recipes.
@@ -61,19 +62,22 @@ def verdicts(learned: Motor, time_s: FloatArray, current_a: FloatArray) -> list[
     return [diagnose(recording, learned) for recording in recordings(time_s, current_a)]
 
 
-def learn(time_s: FloatArray, current_a: FloatArray) -> Motor:
-    """What healthy starts teach where the motor is always as warm: a change of 15 K would hide R +25 % at 2 kHz."""
-    learned = commission(recordings(time_s, current_a))
+def always_as_warm(learned: Commissioned) -> Motor:
+    """What healthy starts teach if the motor is always as warm: a change of 15 K would hide R +25 % at 2 kHz."""
     return replace(learned.motor, healthy=replace(learned.healthy, temperature_k=0.0))
 
 
 @pytest.fixture(scope="module")
-def commissioned() -> Motor:
-    return learn(*starts(5))
+def healthy() -> Commissioned:
+    return commission(recordings(*starts(5)))
 
 
-@pytest.mark.parametrize("skew", [-1, 0, 1])
-@pytest.mark.parametrize("delay", [0.0, 0.4, 0.9])
+@pytest.fixture(scope="module")
+def commissioned(healthy: Commissioned) -> Motor:
+    return always_as_warm(healthy)
+
+
+@pytest.mark.parametrize(("delay", "skew"), [(0.0, -1), (0.0, 1), (0.4, 0), (0.9, -1), (0.9, 1)])
 def test_inductance_is_told_wherever_a_measured_voltage_changes(delay: float, skew: int) -> None:
     """L/R is as long as an interval: a step taken half an interval late would look like half the inductance."""
     time_s, current_a = starts(1, noise_a=0.005, delay_s=delay * COMMISSIONED.dt_s)
@@ -100,10 +104,12 @@ def test_a_start_that_tells_less_than_the_healthy_ones_raises_no_alarm(
 
 
 @pytest.mark.parametrize("rate_hz", [1_000.0, 10_000.0])
-def test_a_verdict_is_at_least_as_probable_as_what_it_rules_out(rate_hz: float) -> None:
+def test_a_verdict_is_at_least_as_probable_as_what_it_rules_out(rate_hz: float, commissioned: Motor) -> None:
     """A weak magnet moves K^2/J alone; where L cannot be told, shorted turns might explain it, barely."""
     timing = Timing(rate_hz, 0.2, 0.05)
-    learned = learn(*starts(5, timing))
+    learned = commissioned
+    if timing != COMMISSIONED:
+        learned = always_as_warm(commission(recordings(*starts(5, timing))))
     constant = MOTOR.back_emf_constant_v_s_per_rad
     weak = replace(
         MOTOR, back_emf_constant_v_s_per_rad=0.9 * constant, torque_constant_n_m_per_a=0.9 * constant
@@ -125,3 +131,36 @@ def test_what_the_samples_cannot_tell_has_a_wide_interval() -> None:
     errors = np.array([np.sqrt(np.diag(fit.log_covariance)) for fit in fits])
     assert np.all(off.std(axis=0) < 2.0 * np.median(errors, axis=0))
     assert np.all(errors[:, 0] < 0.3)
+
+
+def warmed(kelvin: float) -> MotorParameters:
+    constant = 1.0 - 0.001 * kelvin
+    return MOTOR.scaled(
+        resistance_ohm=1.0 + 0.00393 * kelvin,
+        back_emf_constant_v_s_per_rad=constant,
+        torque_constant_n_m_per_a=constant,
+        viscous_friction_n_m_s_per_rad=1.0 - 0.003 * kelvin,
+    )
+
+
+@pytest.mark.parametrize("kelvin", [-20.0, 25.0])
+def test_another_temperature_is_no_fault(healthy: Commissioned, kelvin: float) -> None:
+    for found in verdicts(healthy.motor, *starts(2, motor=warmed(kelvin), seed=8)):
+        assert found.verdict is Verdict.HEALTHY
+        assert ("K warmer" in found.reasons[-1]) is (kelvin > 0.0)
+
+
+@pytest.mark.parametrize("kelvin", [0.0, 15.0])
+def test_a_bad_contact_is_still_one(healthy: Commissioned, kelvin: float) -> None:
+    fault = Fault(FaultKind.WINDING_CONTACT, 0.25)
+    for found in verdicts(healthy.motor, *starts(2, COMMISSIONED, fault, motor=warmed(kelvin), seed=9)):
+        assert found.verdict is Verdict.WINDING
+
+
+def test_a_measured_temperature_makes_a_smaller_change_visible(healthy: Commissioned) -> None:
+    (recording,) = recordings(*starts(1, motor=warmed(40.0), seed=10))
+    known = replace(healthy.motor, healthy=replace(healthy.healthy, temperature_c=20.0))
+    warm, cold = (diagnose(recording, known, temperature_c=celsius) for celsius in (60.0, 20.0))
+    assert warm.verdict is Verdict.HEALTHY
+    assert cold.verdict is not Verdict.HEALTHY
+    assert warm.smallest_changes["winding_contact"] < cold.smallest_changes["winding_contact"] * 1.01
