@@ -155,13 +155,6 @@ def test_a_sheet_does_not_say_how_much_of_its_friction_is_dry(share: float) -> N
     assert half.ratio == pytest.approx(2.5**share / math.sqrt(2.5), rel=0.05)
 
 
-def test_windows_see_a_bad_contact_in_a_start() -> None:
-    worn = start(PAPER_MOTOR.scaled(resistance_ohm=1.3), 0.0, has_speed=True)
-    found = diagnose(worn, of_windows(), voltage_v=12.0)
-    assert (found.verdict, found.kind) == (Verdict.WINDING, FaultKind.WINDING_CONTACT)
-    assert found.severity == pytest.approx(0.3, abs=0.03)
-
-
 def reference(motor: Motor, names: tuple[str, ...], friction: float = 1.0) -> Reference:
     found = reference_of(motor, names, are_starts=False, moved=Moved(friction=friction))
     assert found is not None

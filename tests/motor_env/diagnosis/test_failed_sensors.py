@@ -19,6 +19,7 @@ from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of, with_signs
 from motor_env.diagnosis.sensors.seen import Seen, free_run, likeness
 from motor_env.diagnosis.shown.words import WORDS
+from motor_env.diagnosis.verdict import Judgement
 from motor_env.errors import InputError
 
 # Reaches in: motors that one recording teaches, and the checks by themselves.
@@ -72,11 +73,14 @@ def failures(recording: Recording) -> Iterator[tuple[str, Recording]]:
             yield "swapped", changed(**{one: columns[other], other: columns[one]})
 
 
-def failed_kind(seen: Seen, physical: FloatArray = PHYSICAL) -> FaultKind | None:
-    """Kind of the failure that is found; there is one."""
-    found = failure_in(seen, physical)
+def kind_in(found: Judgement | None) -> FaultKind | None:
+    """Kind of a failure that is found; there is one."""
     assert found is not None
     return found.kind
+
+
+def failed_kind(seen: Seen, physical: FloatArray = PHYSICAL) -> FaultKind | None:
+    return kind_in(failure_in(seen, physical))
 
 
 def seen(recording: Recording, *, is_log: bool) -> Seen:
@@ -103,9 +107,8 @@ def test_a_duty_is_that_share_of_the_supply() -> None:
     assert log.voltage_v is not None
     chopped = replace(log, voltage_v=None, duty=log.voltage_v / 24.0)
     assert failed_sensor(chopped, SHEET, 24.0, at_work=True) is None
-    dead = failed_sensor(replace(chopped, current_a=np.zeros(3000)), SHEET, 24.0, at_work=True)
-    assert dead is not None
-    assert dead.fault_kind == "current_dead"
+    dead = replace(chopped, current_a=np.zeros(3000))
+    assert kind_in(failed_sensor(dead, SHEET, 24.0, at_work=True)) == "current_dead"
 
 
 def test_a_shunt_is_in_the_circuit_that_sensors_are_checked_in(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -226,9 +229,7 @@ def test_a_noisy_column_is_not_that_of_another_motor(column: str) -> None:
     shown = healthy._replace(**{column: own + 4.0 * noise})
     assert likeness(getattr(shown, column), own) < 0.3
     assert failure_in(shown, PHYSICAL) is None
-    found = failure_in(healthy._replace(**{column: np.roll(own, 317) + 0.01 * noise}), PHYSICAL)
-    assert found is not None
-    assert found.kind == "swapped"
+    assert failed_kind(healthy._replace(**{column: np.roll(own, 317) + 0.01 * noise})) == "swapped"
 
 
 LARGE = (("bearing", 3.0), ("winding_contact", 2.0), ("winding_short", 0.5), ("magnet", 0.5))
@@ -316,9 +317,7 @@ def test_a_unit_is_no_failed_sensor() -> None:
     log = at_work(np.random.default_rng(3))
     assert log.current_a is not None
     off = replace(log, current_a=log.current_a + 1.5)
-    found = failed_sensor(off, SHEET, at_work=True)
-    assert found is not None
-    assert found.fault_kind == "current_offset"
+    assert kind_in(failed_sensor(off, SHEET, at_work=True)) == "current_offset"
     for read in ({}, {"current_a": 1e3}, {"speed_rad_s": 0.03 / np.pi}):
         assert failed_sensor(scaled(log, **read), SHEET, at_work=True) is None
 
@@ -335,9 +334,7 @@ def test_a_probe_that_was_turned_when_the_motor_was_learned_is_no_failure() -> N
     assert diagnose(scaled(other, current_a=-1.0), learned()).kind == "current_polarity"
     alone = replace(other, voltage_v=None, speed_rad_s=None)
     assert failed_sensor(alone, learned()) is None
-    found = failed_sensor(scaled(alone, current_a=-1.0), learned())
-    assert found is not None
-    assert found.fault_kind == "current_polarity"
+    assert kind_in(failed_sensor(scaled(alone, current_a=-1.0), learned())) == "current_polarity"
 
 
 @pytest.mark.parametrize(
@@ -358,9 +355,7 @@ def test_a_column_that_never_moved_is_no_dead_sensor() -> None:
     start = commanded(5)
     without = replace(start, speed_rad_s=np.zeros(len(start.time_s)))
     assert failed_sensor(without, SHEET) is None
-    found = failed_sensor(without, learned())
-    assert found is not None
-    assert found.fault_kind == "speed_dead"
+    assert kind_in(failed_sensor(without, learned())) == "speed_dead"
 
 
 def of_itself(recording: Recording, voltage_v: float | None) -> Motor:

@@ -30,10 +30,11 @@ from motor_env import (
     simulate,
 )
 
-# Reaches in: the estimate of a start's noise by itself.
+# Reaches in: the estimate of a start's noise by itself, and the starts of a recording without their fits.
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import DefectKind
 from motor_env.recordings.noise import difference_noise
+from motor_env.recordings.splitting import chosen_starts
 from motor_env.recordings.start import Circuit
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
@@ -74,10 +75,9 @@ def test_a_defect_is_no_fault(name: str) -> None:
     assert judge(DEFECTS[name], Verdict.HEALTHY).verdict is Verdict.HEALTHY
 
 
-@pytest.mark.parametrize("truth", [Verdict.HEALTHY, Verdict.WINDING])
 @pytest.mark.parametrize("name", [name for name, defect in DEFECTS.items() if not defect.judged])
-def test_what_cannot_be_judged_is_unusable(name: str, truth: Verdict) -> None:
-    assert judge(DEFECTS[name], truth).verdict is Verdict.UNUSABLE
+def test_what_cannot_be_judged_is_unusable(name: str) -> None:
+    assert judge(DEFECTS[name], Verdict.WINDING).verdict is Verdict.UNUSABLE
 
 
 def assert_friction_is_undecided(found: Diagnosis) -> None:
@@ -162,7 +162,7 @@ def test_the_starts_of_a_recording_share_its_rate() -> None:
     assert (both.taken.regime, both.of) == ("start", 2)
     assert [piece.verdict for piece in both.pieces] == [Verdict.HEALTHY, Verdict.WINDING]
     assert (both.verdict, both.telling) == (Verdict.WINDING, both.pieces[1])
-    parts = [part for part, _ in identify(several(voltage=True)).starts]
+    parts = chosen_starts(several(voltage=True), None)
     assert [piece.begin_s for piece in both.pieces] == [float(part.time_s[0]) for part in parts]
     second = diagnose(several(voltage=True), MOTOR, false_alarm_rate=0.02, start=2)
     assert (second.taken, second.of) == (("start", "as asked"), 1)
@@ -173,7 +173,7 @@ def test_the_starts_of_a_recording_share_its_rate() -> None:
 
 @pytest.mark.parametrize("voltage", [True, False])
 def test_each_start_of_a_file_is_judged(voltage: bool) -> None:
-    parts = [part for part, _ in identify(several(voltage=voltage)).starts]
+    parts = chosen_starts(several(voltage=voltage), None)
     assert [str(part.path) for part in parts] == ["two.csv#1", "two.csv#2"]
     assert [diagnose(part, MOTOR).verdict for part in parts] == [Verdict.HEALTHY, Verdict.WINDING]
     ((second, _),) = identify(several(voltage=voltage), start=2).starts

@@ -6,13 +6,11 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from motor_env import (
-    Diagnosis,
     Fault,
     FaultKind,
     Recording,
@@ -22,7 +20,6 @@ from motor_env import (
     Timing,
     Verdict,
     cli,
-    commission,
     diagnose,
     draw,
     identify,
@@ -156,13 +153,6 @@ def test_without_a_voltage_only_ratios_are_told_and_the_sheet_is_no_reference() 
     assert compared.reasons[0].startswith("this recording tells R/V, L/V, K^2/(J V), B/J, and the reference")
 
 
-def test_healthy_recordings_as_reference() -> None:
-    motor = commission(captures(5, known_voltage=False)).motor
-    assert diagnose(captures(6, known_voltage=False)[5], motor).verdict is Verdict.HEALTHY
-    worn = captures(2, Fault(FaultKind.WINDING_CONTACT, 0.4), known_voltage=False)
-    assert [diagnose(r, motor).verdict for r in worn] == [Verdict.WINDING] * 2
-
-
 def test_a_capture_without_a_start_is_unusable_and_never_healthy() -> None:
     rng = np.random.default_rng(0)
     time = np.linspace(0.0, 0.1, 1000)
@@ -217,41 +207,12 @@ def test_exit_status_and_json_of_the_command(tmp_path: Path, capsys: pytest.Capt
     assert "nosuch.csv: no such file" in printed.err
 
 
-def test_an_unwritable_folder_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").write_text("")
-    status = cli.main(
-        ["diagnose", str(EXAMPLES / "startup_capture.csv"), "--out", str(tmp_path / "file" / "deep")]
-    )
-    assert status == 2
-    assert "cannot be written" in capsys.readouterr().err
-
-
 def test_the_example_is_what_its_script_writes(tmp_path: Path) -> None:
     script = tmp_path / "make_startup_capture.py"
     script.write_bytes((EXAMPLES / "make_startup_capture.py").read_bytes())
     (tmp_path / "motor.toml").write_bytes((EXAMPLES / "motor.toml").read_bytes())
     subprocess.run([sys.executable, str(script)], check=True)
     assert (tmp_path / "startup_capture.csv").read_bytes() == (EXAMPLES / "startup_capture.csv").read_bytes()
-
-
-def test_a_file_on_which_the_numerics_fail_does_not_cost_the_others_their_verdicts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    calls = iter([ZeroDivisionError("by zero"), None])
-
-    def sometimes(*arguments: Any, **options: Any) -> Diagnosis:
-        error = next(calls)
-        if error is not None:
-            raise error
-        return diagnose(*arguments, **options)
-
-    monkeypatch.setattr("motor_env.diagnosis.files.diagnose", sometimes)
-    capture = EXAMPLES / "startup_capture.csv"
-    bad, good = diagnose_files([capture, capture], motor=str(EXAMPLES / "motor.toml"))
-    assert bad.error is not None
-    assert "cannot be judged (by zero)" in bad.error
-    assert good.diagnosis is not None
-    assert good.diagnosis.verdict is Verdict.BEARING
 
 
 SLOW = [pytest.mark.long, pytest.mark.timeout(900)]
@@ -281,13 +242,8 @@ def test_real_starts_are_fitted(
     ((_, fit),) = identify(read_recording(RECORDINGS / file), voltage_v=voltage_v, regime="start").starts
     assert fit.r2_current >= r2
     assert abs(fit.lag_one) <= largest_correlation
-
-
-@needs_recordings
-def test_a_wild_sample_of_a_scope_is_named() -> None:
-    recording = read_recording(RECORDINGS / "oscillo_lab" / "startup_F0000.csv")
-    ((_, fit),) = identify(recording, voltage_v=12.3, regime="start").starts
-    assert "a wild sample of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
+    if file.endswith("F0000.csv"):
+        assert "a wild sample of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
 
 
 @needs_recordings
