@@ -24,6 +24,8 @@ from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
 from motor_env.fleet.names import Place
 from motor_env.motor.data_sheet import Motor, save_motor
+
+# Reaches in: fits, and how far a motor lies off, are made by hand.
 from motor_env.motor.identifiable import matrix
 from motor_env.motor.parameters import FloatArray
 
