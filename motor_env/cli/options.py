@@ -143,10 +143,14 @@ class Sisters:
         group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
             groups, such as `(?P<machine>[0-9]+)_(?P<motor>left|right)`.
         workers: Processes, for --fleet.
+        scheduler: For --fleet: address of a Dask scheduler, whose workers fit instead.
+        kept: For --fleet: file that keeps the fits as they come. A fleet that was stopped goes on where it was.
     """
 
     group: str | None = None
     workers: console.Whole = 1
+    scheduler: str | None = None
+    kept: Path | None = None
 
     @contextmanager
     def fitted(self, files: list[Path], reading: first.Reading) -> Iterator[dict[str, Any]]:
@@ -155,12 +159,13 @@ class Sisters:
 
         with (
             console.progress_bar(2 * len(files), "fitting") as advance,
-            processes(self.workers) as each,
+            processes(self.workers, self.scheduler) as each,
         ):
             yield {
                 "group": self.group,
                 "reading": reading,
                 "each": each,
+                "kept": self.kept,
                 "progress": lambda _: advance(advance=1),
             }
 

@@ -27,6 +27,7 @@ from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.window import WindowFit, fit_window
 from motor_env.fleet.first import REASONS, First, Reading, first_fit, first_look
+from motor_env.fleet.kept import Kept
 from motor_env.fleet.mapping import Map
 from motor_env.motor.healthy import Windows
 from motor_env.recordings.recording import understood
@@ -63,6 +64,7 @@ def fit_fleet(
     reading: Reading,
     *,
     each: Map = map,
+    kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> FleetFits:
     """Fit the records of a fleet.
@@ -71,19 +73,22 @@ def fit_fleet(
         files: recordings, one motor each; a start, or a log of the motor at work.
         reading: how they are read.
         each: what maps over files, see `processes`.
+        kept: file that keeps the first fits: a fleet that was stopped goes on where it was.
         progress: told each file, twice.
 
     Raises:
-        InputError: no record can be used.
+        InputError: no record can be used, or the file of kept fits is another's.
     """
     looks = list(each(partial(first_look, reading), files))
     kinds = {kind for kind, _ in looks}
     # A start is a short log, too; a log is no start.
     reading = replace(reading, regime="operation" if "operation" in kinds else "start")
-    firsts: dict[Path, First] = {}
-    for path, one in zip(files, each(partial(first_fit, reading), files), strict=True):
-        firsts[path] = one
-        progress(path)
+    with Kept(kept, reading) as known:
+        missing = [path for path in files if path not in known]
+        for path, one in zip(missing, each(partial(first_fit, reading), missing), strict=True):
+            known.add(path, one)
+            progress(path)
+    firsts = {path: known[path] for path in files}
     troubles = {path: one.trouble for path, one in firsts.items() if one.trouble}
     good = {path: one for path, one in firsts.items() if not one.trouble}
     if not good:

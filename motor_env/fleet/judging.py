@@ -91,6 +91,7 @@ def diagnose_fleet(
     reading: Reading | None = None,
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
     each: Map = map,
+    kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> FleetDiagnosis:
     """Judge each motor of a fleet by all others; those of its own machine teach nothing about it.
@@ -101,13 +102,14 @@ def diagnose_fleet(
         reading: how the files are read.
         false_alarm_rate: how often a healthy motor may be called faulty.
         each: what maps over files, see `motor_env.fleet.mapping.processes`.
+        kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
         progress: told each file, twice.
 
     Raises:
         InputError: too few motors, or records that cannot be used together.
     """
     require_options(false_alarm_rate=false_alarm_rate)
-    fleet = learn_fleet(files, group=group, reading=reading, each=each, progress=progress)
+    fleet = learn_fleet(files, group=group, reading=reading, each=each, kept=kept, progress=progress)
     machines = list(dict.fromkeys(place.machine for place in fleet.every.values()))
     job = partial(_of_machine, fleet, false_alarm_rate)
     found = [sister for sisters in each(job, machines) for sister in sisters]

@@ -204,6 +204,7 @@ def learn_fleet(
     group: str | None = None,
     reading: Reading | None = None,
     each: Map = map,
+    kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> LearnedFleet:
     """Learn a healthy motor from sisters, of which some may be sick.
@@ -213,6 +214,7 @@ def learn_fleet(
         group: regular expression that reads machine, motor and repeat from a file's name, see `places_of`.
         reading: how the files are read.
         each: what maps over files, see `motor_env.fleet.mapping.processes`.
+        kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
         progress: told each file, twice.
 
     Raises:
@@ -222,7 +224,7 @@ def learn_fleet(
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a record of the fleet is given twice: it would count as two motors")
     every = dict(zip(files, places_of(files, group), strict=True))
-    fits = fit_fleet(files, reading or Reading(), each=each, progress=progress)
+    fits = fit_fleet(files, reading or Reading(), each=each, kept=kept, progress=progress)
     learned = LearnedFleet(fits, every)
     count = len(learned.motors)
     if count < FEWEST_SISTERS:

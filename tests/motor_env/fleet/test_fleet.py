@@ -1,6 +1,7 @@
 """Motors judged by their sisters, from files to the table, and a motor between its sisters and its own records."""
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,9 @@ from motor_env.errors import InputError
 from motor_env.fleet.first import First, Reading
 from motor_env.fleet.fits import fit_fleet
 from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
+from motor_env.fleet.kept import Kept
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
+from motor_env.fleet.mapping import processes
 from motor_env.fleet.names import Place
 from motor_env.motor.data_sheet import Motor, save_motor
 
@@ -300,6 +303,40 @@ def test_own_records_need_the_file_of_a_fleet(starts: list[Path], capsys: pytest
     assert not Path("never.toml").exists()
 
 
+def test_a_fleet_that_was_stopped_goes_on_where_it_was(starts: list[Path], tmp_path: Path) -> None:
+    class StoppedError(Exception):
+        pass
+
+    kept, fitted = tmp_path / "fits.jsonl", list[Path]()
+
+    def stop(path: Path) -> None:
+        fitted.append(path)
+        if len(fitted) == 6:
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        learn_fleet(starts, group=GROUP, kept=kept, progress=stop)
+    with kept.open("a") as file:
+        file.write('{"record": "cut sh')
+    fitted.clear()
+    found = learn_fleet(starts, group=GROUP, kept=kept, progress=fitted.append)
+    assert fitted == [*starts[6:], *starts]  # first fits of the rest, then second ones of all
+    assert found.core.centres.tolist() == learn_fleet(starts, group=GROUP).core.centres.tolist()
+
+
+def test_a_kept_fit_counts_only_for_the_file_as_it_was(tmp_path: Path) -> None:
+    record, kept = tmp_path / "one.csv", tmp_path / "fits.jsonl"
+    record.write_text("as it was")
+    then_ns = record.stat().st_mtime_ns
+    with Kept(kept, Reading()) as known:
+        known.add(record, First("no motor"))
+    assert Kept(kept, Reading())[record] == First("no motor")
+    for text, later_ns in (("as it was then", 0), ("as it is!", 1_000_000)):
+        record.write_text(text)
+        os.utime(record, ns=(then_ns + later_ns, then_ns + later_ns))
+        assert record not in Kept(kept, Reading())
+
+
 def test_a_record_with_more_columns_than_most_is_left_out() -> None:
     files = [Path(f"{n}.csv") for n in range(4)]
     few = First(names=("R",), quantities=("R", "K^2/J"), values=(1.0, 2.0))
@@ -328,3 +365,35 @@ def test_one_log_among_starts_makes_all_of_them_logs() -> None:
     with pytest.raises(InputError, match="no record of the fleet can be used: no motor"):
         fit_fleet([Path(f"{n}.csv") for n in range(3)], Reading(), each=each)
     assert jobs[1].args[0].regime == "operation"
+
+
+def test_kept_fits_of_others_are_refused(starts: list[Path], tmp_path: Path) -> None:
+    kept = tmp_path / "fits.jsonl"
+    learn_fleet(starts, kept=kept)
+    with pytest.raises(InputError, match="holds no fits of records that were read like these"):
+        learn_fleet(starts, kept=kept, reading=Reading(voltage_v=9.0))
+    lines = kept.read_text().splitlines()
+    kept.write_text("\n".join([lines[0], '{"record": 3}', *lines[2:], ""]))
+    with pytest.raises(InputError, match="line 2 is no kept fit"):
+        learn_fleet(starts, kept=kept)
+
+
+@pytest.mark.parametrize(
+    "content", ["notes without an end of line", "# a title\nand text\n", "[" * 9999 + "\n"]
+)
+def test_a_file_of_another_kind_is_refused_and_stays(
+    starts: list[Path], tmp_path: Path, content: str
+) -> None:
+    kept = tmp_path / "notes.md"
+    kept.write_text(content)
+    with pytest.raises(InputError, match="holds no fits of records"):
+        learn_fleet(starts, kept=kept)
+    assert kept.read_text() == content
+
+
+@pytest.mark.long
+def test_a_cluster_finds_the_same(starts: list[Path], found: FleetDiagnosis) -> None:
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(n_workers=1, dashboard_address=None)
+    with cluster, processes(1, cluster.scheduler_address) as each:
+        assert diagnose_fleet(starts, group=GROUP, each=each).to_json() == found.to_json()
