@@ -111,6 +111,7 @@ def commission(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     false_alarm_rate: float = 0.01,
+    out: Path | None = None,
     measurement: options.Measurement = options.MEASUREMENT,
     temperature_c: float | None = None,
     regime: str = "auto",
@@ -133,6 +134,7 @@ def commission(
         files: Healthy recordings of one motor: all starts, of which a file may hold several, or all logs.
         output: Motor file to write (TOML).
         false_alarm_rate: For the intervals that are printed.
+        out: Folder for the picture: the spread of each quantity, and starts with their fits and residuals.
         measurement: How they were measured.
         temperature_c: Temperature of the motor at these recordings, where known.
         regime: start, operation (a motor at work), or auto: decided by what the voltage does.
@@ -154,6 +156,7 @@ def commission(
             steady=steady,
             torque_constant=torque_constant,
             no_load_current=no_load_current,
+            out=out,
         )
         reading = measurement.of_fleet(regime)
         text = _of_sisters(files, output, reading, sisters, name=name, motor=motor, rate=false_alarm_rate)
@@ -176,6 +179,8 @@ def commission(
             no_load_current_a=no_load_current,
         )
         save_motor(result.motor, output)
+        if out is not None:
+            result.plot(out / f"{output.stem}.png")
         text = result.text()
     print(printable(text))
     print(printable(f"written: {output}"))

@@ -135,6 +135,16 @@ class Commissioned:
         ]
         return "\n".join(lines)
 
+    def plot(self, path: Path) -> None:
+        """A picture of the spread of each quantity; of starts also their fits and residuals.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        from motor_env.diagnosis.shown.pictures import plot_commissioned
+
+        plot_commissioned(self.fits, self.parameters, self.smallest, self.false_alarm_rate, path)
+
 
 def commission(
     recordings: Sequence[Recording | str | Path],
