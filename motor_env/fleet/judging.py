@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import stdtrit
 
 from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.explanations import Difference
+from motor_env.diagnosis.misreading import as_sentence, wrong_scales
 from motor_env.errors import InputError, require_options
 from motor_env.fleet.first import Reading
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
@@ -24,6 +26,8 @@ from motor_env.fleet.population import Core
 from motor_env.fleet.sister import Sister
 from motor_env.motor import identifiable
 from motor_env.pages.html import render
+
+_GAINS = 3  # of voltage, current and speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +136,22 @@ def _of_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Sister]:
             for path in own
         }
         found.append(Sister(place, records, fleet.fits.quantities, _apart(fleet, core, place)))
-    return found
+    alike = together([one.apart for one in found if one.apart is not None], fleet.fits.quantities, rate)
+    return [replace(one, together=alike) for one in found]
+
+
+def together(apart: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
+    """What the motors of a machine show together: one sensor or supply at a wrong scale; empty for nothing.
+
+    Each motor may be too little off by itself.
+    """
+    if len(apart) < 2:
+        return ""
+    off = np.mean([one.log_ratios for one in apart], axis=0)
+    spread = np.mean([one.covariance for one in apart], axis=0) / len(apart)
+    limit = -float(stdtrit(apart[0].degrees_of_freedom, rate / (2.0 * _GAINS)))
+    mean = replace(apart[0], log_ratios=off, covariance=spread)
+    return as_sentence([one for one in wrong_scales(mean, names, limit, rate) if one.gain is not None])
 
 
 def _apart(fleet: LearnedFleet, core: Core, place: Place) -> Difference | None:

@@ -29,12 +29,14 @@ class Sister:
         records: diagnosis of each of its files.
         quantities: that the fleet's records tell.
         apart: how far it lies from the core of its sisters, as healthy motors scatter; None where no fit tells.
+        together: what all motors of its machine show together; empty for nothing.
     """
 
     place: Place
     records: dict[Path, Diagnosis]
     quantities: tuple[str, ...]
     apart: Difference | None = None
+    together: str = ""
 
     @property
     def ratios(self) -> dict[str, float]:
@@ -100,6 +102,7 @@ class Sister:
             "ratios": self.ratios,
             "standard_deviations": self.off,
             "reasons": list(one.reasons),
+            "together": self.together or None,
         }
 
     @property
@@ -110,12 +113,14 @@ class Sister:
 
     @property
     def why(self) -> str:
-        """The first reason of a verdict that is not healthy.
+        """The first reason of a verdict that is not healthy, and what the machine's motors show together."""
+        own = "" if self.verdict is Verdict.HEALTHY else self._own
+        both = f"all motors of {self.place.machine} together: {self.together}" if self.together else ""
+        return "; ".join(filter(None, (own, both)))
 
-        Where the table names other quantities beside those of the fault, it says so.
-        """
-        if self.verdict is Verdict.HEALTHY:
-            return ""
+    @property
+    def _own(self) -> str:
+        """The verdict's first reason; where the table names other quantities beside those of the fault, it says so."""
         reason, kind, far = self.telling.reasons[0], self.telling.telling.fault_kind, self._far
         if kind is None or not far:
             return reason

@@ -21,7 +21,7 @@ from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.first import First, Reading
 from motor_env.fleet.fits import fit_fleet
-from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet
+from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet, together
 from motor_env.fleet.kept import Kept
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
 from motor_env.fleet.mapping import processes
@@ -397,3 +397,15 @@ def test_a_cluster_finds_the_same(starts: list[Path], found: FleetDiagnosis) -> 
     cluster = distributed.LocalCluster(n_workers=1, dashboard_address=None)
     with cluster, processes(1, cluster.scheduler_address) as each:
         assert diagnose_fleet(starts, group=GROUP, each=each).to_json() == found.to_json()
+
+
+def test_motors_of_a_machine_off_alike_are_told_together() -> None:
+    """A speed that reads 12 % high in both motors: a gear or an encoder of other pulses, too little for one alone."""
+    sd = np.array([0.1, 0.05, 0.1, 0.3])
+    low_k = np.array([0.0, -np.log(1.12), -2.0 * np.log(1.12), -2.0 * np.log(1.12)])
+    names = ("R", "K", "J", "B")
+    both = [Difference(low_k, np.diag(sd**2), matrix(names), 60.0)] * 2
+    assert together(both, names, 0.01).startswith("all of it is explained if the speed is 1.12 times")
+    assert together(both[:1], names, 0.01) == ""
+    other = Difference(-low_k, np.diag(sd**2), matrix(names), 60.0)
+    assert together([both[0], other], names, 0.01) == ""
