@@ -19,6 +19,7 @@ from motor_classifiers.scoring.evaluation import evaluation_lines
 from motor_classifiers.scoring.judging import LIMIT, expected_severity, in_recipe_order
 from motor_classifiers.scoring.metrics import (
     compare,
+    confusion_matrices,
     level_distance,
     resampling_weights,
     root_mean_square,
@@ -80,20 +81,14 @@ def test_scores_of_a_small_table_of_confusions() -> None:
     assert [one.value for one in got.recall] == [0.5, 0.5, 0.0, 1.0, 0.5]
     assert got.macro_f1.value == pytest.approx((0.5 + 0.5 + 0.0 + 2 / 3 + 2 / 3) / 5)
     np.testing.assert_array_equal(got.confusion, confusion_matrix(truth, decided))
+    weight, back = np.arange(1.0, 9.0), slice(None, None, -1)  # each case keeps its own, whatever their order
+    weighted = confusion_matrices(truth[back], decided[back], 5, weight[None])[0]
+    expected = confusion_matrix(truth[back], decided[back], sample_weight=weight)
+    np.testing.assert_array_equal(weighted, expected)
     assert level_distance(RECIPE)[2, 3] == pytest.approx(0.35)
     never = scores(RECIPE, truth[:2], decided[:2], resampling_weights(2, 0))
     assert np.isnan(never.missed_detection_rate.value)
     assert np.isnan(never.recall[4].value)
-
-
-def test_bootstrap_interval_is_that_of_the_binomial() -> None:
-    truth = np.zeros(1000, dtype=np.int64)
-    decided = (np.arange(1000) < 200).astype(np.int64)
-    found = scores(RECIPE, truth, decided, resampling_weights(1000, 3)).accuracy
-    deviation = np.sqrt(0.8 * 0.2 / 1000)
-    assert (found.low, found.high) == pytest.approx(
-        (0.8 - 1.96 * deviation, 0.8 + 1.96 * deviation), abs=0.003
-    )
 
 
 def test_a_recipe_without_windings_has_no_winding_score() -> None:
