@@ -68,7 +68,6 @@ def export_c(
     shift: float | None = None,
     false_alarms_per_year: float = 1.0,
     arithmetic: Literal["fixed", "float"] = "fixed",
-    gain: Literal["steady", "scheduled"] = "steady",
     current_noise: float | None = None,
     speed_noise: float | None = None,
     current_count: float | None = None,
@@ -91,7 +90,6 @@ def export_c(
         shift: The only shift that the cusum looks for, in standard deviations of a sample; by default several.
         false_alarms_per_year: Of this motor, healthy, exactly known and without load.
         arithmetic: fixed (whole numbers, for chips without a floating-point unit), or float.
-        gain: steady, or scheduled (a gain for each sample after a begin at rest).
         current_noise: Standard deviation of a current sample in ampere; by default that of the motor file.
         speed_noise: Standard deviation of a speed sample in rad/s; speed is read where this is given.
         current_count: What one count of a whole-number reading is worth, in ampere; by default a suitable power of ten.
@@ -117,7 +115,6 @@ def export_c(
         voltage_v=voltage if voltage is not None else known.nominal_voltage_v or 0.0,
         false_alarms_per_year=false_alarms_per_year,
         stuck_after=stuck_after,
-        scheduled=gain == "scheduled",
     )
     counts = Steps.suited(monitor.limits, current_count, speed_count, voltage_count)
     wanted = f"{false_alarms_per_year:g} false alarms a year"

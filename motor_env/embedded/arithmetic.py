@@ -58,15 +58,15 @@ def rounded(values: Values, dtype: type[np.generic]) -> Values:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Factors of a sum of products: floats, or integers whose sum is shifted right; one row a sample, shape (n, k)."""
+    """Factors of a sum of products, shape (k,): floats, or integers whose sum is shifted right."""
 
     factors: Values
     shift: int | None = None
 
-    def total(self, sample: int, values: Sequence[Values]) -> Values:
+    def total(self, values: Sequence[Values]) -> Values:
         """The sum over the first values, from left to right."""
-        factors = self.factors[min(sample, len(self.factors) - 1)]
-        total = np.asarray(sum(factor * value for factor, value in zip(factors, values, strict=False)))
+        products = (factor * value for factor, value in zip(self.factors, values, strict=False))
+        total = np.asarray(sum(products))
         return total if self.shift is None else clamped(((total >> (self.shift - 1)) + 1) >> 1)
 
 
@@ -150,8 +150,8 @@ def _numbers(
     transition, inputs = monitor.kalman.model.transition, monitor.kalman.model.gain
     model = np.hstack([transition - np.eye(2), inputs[:, :1]]) * np.array(units) / states[:, None]
     gain, white = monitor.gains()
-    gain, white = gain * states[:m] / states[:, None], white * states[: white.shape[2]] / unit
-    together = row(white.reshape(len(white), -1))  # one shift for all: C takes them in turn
+    gain, white = gain * states[:m] / states[:, None], white * states[: white.shape[1]] / unit
+    together = row(white)  # one shift for all: C takes them in turn
     rule = monitor.rule if isinstance(monitor.rule, CusumBank) else CusumBank((), ())
     halves = 0.5 * np.array(rule.shifts) / np.array(monitor.thresholds)[: len(rule.shifts)]
     # What brushes and dry friction take in a sample, for a motion forwards.
@@ -165,12 +165,10 @@ def _numbers(
         n_channels=m,
         scales=tuple(round(step / unit) for step, unit in zip(steps, units, strict=True)),
         readings=steps,
-        model=(row(model[:1]), row(model[1:])),
+        model=(row(model[0]), row(model[1])),
         drag=(drag[0], drag[1], rounded(np.array(DEADBAND * limits.speed_rad_s / 2.0 / units[1]), dtype)),
-        gain=(row(gain[:, 0]), row(gain[:, 1])),
-        white=tuple(
-            replace(together, factors=part) for part in np.split(together.factors, white.shape[1], axis=1)
-        ),
+        gain=(row(gain[0]), row(gain[1])),
+        white=tuple(replace(together, factors=part) for part in together.factors),
         halves=rounded(halves / unit, dtype),
         threshold=rounded(np.array(1.0 / unit), dtype),
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),

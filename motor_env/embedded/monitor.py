@@ -22,7 +22,6 @@ TELLING = 0.1
 """Share of the current of a held rotor, above which the model's current is much."""
 DEADBAND = 0.01
 _HEADROOM = 2.0
-_SETTLED = 1e-6
 _YEAR_S = 365.25 * 86_400.0
 _OVERLAP = 12.0
 
@@ -72,7 +71,7 @@ class Monitor:
 
     Attributes:
         motor: its name, and what brushes and dry friction take.
-        kalman: the belief, of one motor that begins at rest; of the current, or of current and speed.
+        kalman: the belief, of one motor, with its steady covariance; of the current, or of current and speed.
         rule: bank of CUSUMs, or the plain NIS test.
         thresholds: of each sum, or of the NIS; the motor counts as faulty above any of them.
         limits: of the sensors.
@@ -85,20 +84,15 @@ class Monitor:
     limits: Limits
 
     def gains(self) -> tuple[FloatArray, FloatArray]:
-        """Kalman gains, and what turns innovations into shares of the thresholds.
+        """Steady Kalman gain (2, m), and what turns innovations into shares of the thresholds (p, m).
 
-        The shapes are (n, 2, m) and (n, p, m); a bank takes only the first channel: (n, p, 1). The last of the n
-        samples serves all later ones.
+        A bank takes only the first channel: (p, 1).
         """
         steps = settled(self.kalman)
-        last = steps.gain[-1]
-        off = np.abs(steps.gain - last).max(axis=(1, 2)) > _SETTLED * np.abs(last).max()
-        count = int(np.flatnonzero(off)[-1]) + 2 if off.any() else 1
-        kept = np.r_[: count - 1, -1]
-        white = np.linalg.inv(np.linalg.cholesky(steps.innovation_covariance[kept]))
+        white = np.linalg.inv(np.linalg.cholesky(steps.innovation_covariance[-1]))
         if isinstance(self.rule, CusumBank):
-            return steps.gain[kept], white[:, :1, :1] / np.array(self.thresholds)[:, None]
-        return steps.gain[kept], white / math.sqrt(self.thresholds[0])
+            return steps.gain[-1], white[:1, :1] / np.array(self.thresholds)[:, None]
+        return steps.gain[-1], white / math.sqrt(self.thresholds[0])
 
 
 def settled(kalman: KalmanFilter) -> Schedule:
@@ -135,7 +129,6 @@ def monitor_of(
     voltage_v: float,
     false_alarms_per_year: float = 1.0,
     stuck_after: int = STUCK_AFTER,
-    scheduled: bool = False,
 ) -> Monitor:
     """Monitor of a motor that is known exactly and carries no load but its own friction.
 
@@ -147,7 +140,6 @@ def monitor_of(
         voltage_v: level of the supply; the sensors' limits are twice of what it can cause.
         false_alarms_per_year: of the healthy motor, wanted.
         stuck_after: so many equal readings in a row, with voltage on, are no readings.
-        scheduled: a gain for each sample after a begin at rest, instead of the steady gain for all.
 
     Raises:
         ValueError: a value out of range, or fewer false alarms than the rule's equation resolves.
@@ -164,8 +156,7 @@ def monitor_of(
     )
     require(stuck_after < 65_536, f"stuck_after must be < 65536, got {stuck_after}")
     kalman = KalmanFilter.from_parameters(motor.parameters, sensor, 1.0 / rate_hz)
-    if not scheduled:
-        kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
+    kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
     arl0 = _YEAR_S * rate_hz / false_alarms_per_year
     thresholds = (
         rule.thresholds_for(arl0)

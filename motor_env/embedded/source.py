@@ -102,7 +102,7 @@ def write_library(
 
 def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, Any]:
     rate_hz = 1.0 / monitor.kalman.model.dt_s
-    gains = np.concatenate([row.factors for row in (*n.gain, *n.white)], axis=1)
+    gains = np.concatenate([row.factors for row in (*n.gain, *n.white)])
     return {
         "n": n,
         "name": name,
@@ -114,7 +114,6 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "cusum": n.halves.size > 0,
         "m": n.n_channels,
         "two_channels": n.n_channels == 2,
-        "scheduled": len(gains) > 1,
         "gains": gains,
         "rate_hz": f"{rate_hz:.9g}",
         "period_us": round(1e6 / rate_hz),

@@ -63,7 +63,7 @@ def answers(numbers: Numbers, readings: Values) -> Answers:
 
 class _Twin:
     def __init__(self, numbers: Numbers, n_cases: int) -> None:
-        self.numbers, self.sample = numbers, 0
+        self.numbers = numbers
         self.state, self.lost, self.slow = np.zeros((3, 2, n_cases), numbers.dtype)
         self.voltage, self.statistic = np.zeros((2, n_cases), numbers.dtype)
         self.sums = np.zeros((2, len(numbers.halves), n_cases), numbers.dtype)
@@ -85,11 +85,10 @@ class _Twin:
         used = ~(wrong | stuck | dead)
         forward = self._forward(growth)
         innovation = [measured[:, c] * numbers.scales[c] - self.state[c] - growth[c] for c in range(m)]
-        correction = np.array([row.total(self.sample, innovation) for row in numbers.gain])
-        white = np.array([row.total(self.sample, innovation) for row in numbers.white])
+        correction = np.array([row.total(innovation) for row in numbers.gain])
+        white = np.array([row.total(innovation) for row in numbers.white])
         self._add(np.where(used, growth + correction, growth))
         self.statistic = np.where(used, self._decided(white, forward, used), self.statistic)
-        self.sample += 1
         fault = np.where(self.statistic > numbers.threshold, SampleVerdict.FAULT, SampleVerdict.HEALTHY)
         sensor = np.where(stuck, SampleVerdict.SENSOR_STUCK, SampleVerdict.SENSOR_DEAD)
         sensor = np.where(wrong, SampleVerdict.SENSOR_RANGE, sensor)
@@ -113,7 +112,7 @@ class _Twin:
     def _growth(self) -> Values:
         (current, speed), drag = self.state, self.numbers.drag
         direction = np.sign(speed) * (np.abs(speed) > drag[2])
-        totals = [row.total(self.sample, (current, speed, self.voltage)) for row in self.numbers.model]
+        totals = [row.total((current, speed, self.voltage)) for row in self.numbers.model]
         return np.array([total - direction * part for total, part in zip(totals, drag, strict=False)])
 
     def _add(self, growth: Values) -> None:

@@ -37,7 +37,7 @@ from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of, s
 from motor_env.embedded.source import checks, write_library
 from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
 
-# Reaches in: the gains that are exported begin the filter's whole schedule, which they are compared with.
+# Reaches in: the gain that is exported ends the filter's schedule, which it is compared with.
 from motor_env.filters.kalman import schedule
 from motor_env.motor.model import steady_state
 
@@ -56,12 +56,10 @@ thresholds_for = cache(CusumBank.thresholds_for)
 
 
 @cache
-def monitor(
-    rule: CusumBank | MOfN, n_channels: int = 1, *, scheduled: bool = False, rate_hz: float = 10_000.0
-) -> Monitor:
+def monitor(rule: CusumBank | MOfN, n_channels: int = 1, rate_hz: float = 10_000.0) -> Monitor:
     sensor = SensorParameters((Channel.CURRENT, Channel.SPEED)[:n_channels], 0.02, 1.0)
     motor = Motor("paper", "data_sheet", PAPER_MOTOR)
-    made = monitor_of(motor, rate_hz, rule=nis_rule(), sensor=sensor, voltage_v=12.0, scheduled=scheduled)
+    made = monitor_of(motor, rate_hz, rule=nis_rule(), sensor=sensor, voltage_v=12.0)
     return (
         replace(made, rule=rule, thresholds=thresholds_for(rule, YEAR_SAMPLES))
         if isinstance(rule, CusumBank)
@@ -100,18 +98,14 @@ def expected(believed: Monitor, data: Transients) -> NDArray[np.float64]:
     return statistic
 
 
-@pytest.mark.parametrize(
-    ("rule", "n_channels", "scheduled"),
-    [("cusum", 1, False), ("cusum", 2, True), ("one shift", 1, True), ("nis", 2, False)],
-)
-def test_twin_is_filter_and_rule(rule: str, n_channels: int, scheduled: bool) -> None:
-    believed = monitor(RULES[rule], n_channels, scheduled=scheduled)
+@pytest.mark.parametrize(("rule", "n_channels"), [("cusum", 1), ("cusum", 2), ("one shift", 1), ("nis", 2)])
+def test_twin_is_filter_and_rule(rule: str, n_channels: int) -> None:
+    believed = monitor(RULES[rule], n_channels)
     data = starts(believed, 20)
     reference = expected(believed, data)
     exact = floating(believed, np.float64)
     statistic = answers(exact, readings_of(exact, data.measurements, data.voltage_v)).statistic
-    # A schedule ends where the gain is within 1e-6 of the steady one.
-    np.testing.assert_allclose(statistic, reference, rtol=1e-9, atol=1e-6 if scheduled else 1e-9)
+    np.testing.assert_allclose(statistic, reference, rtol=1e-9, atol=1e-9)
     above = reference > 1.0
     alarms = np.where(above.any(axis=1), above.argmax(axis=1), -1)
     for numbers in (floating(believed), fixed_point(believed, Steps.suited(believed.limits))):
@@ -284,10 +278,10 @@ def units_of(fixed: Numbers) -> NDArray[np.float64]:
     return units
 
 
-@pytest.mark.parametrize(("rule", "n_channels", "scheduled"), [("cusum", 2, True), ("nis", 2, False)])
-def test_fixed_point_is_the_floats_in_other_units(rule: str, n_channels: int, scheduled: bool) -> None:
+@pytest.mark.parametrize("rule", ["cusum", "nis"])
+def test_fixed_point_is_the_floats_in_other_units(rule: str) -> None:
     """Every number within half a count; factors with as many bits as 64 take, one shift for all whitenings."""
-    believed = monitor(RULES[rule], n_channels, scheduled=scheduled)
+    believed = monitor(RULES[rule], 2)
     dry = replace(believed.motor, brush_drop_v=0.3, coulomb_friction_n_m=2e-4)
     believed = replace(believed, motor=dry)
     steps = Steps(1e-6, 1e-3, 1e-6)
@@ -300,7 +294,7 @@ def test_fixed_point_is_the_floats_in_other_units(rule: str, n_channels: int, sc
     model, transition = believed.kalman.model, believed.kalman.model.transition
     rows = [*zip(exact.model, fixed.model, (units, units), units[:2], strict=True)]
     rows += [*zip(exact.gain, fixed.gain, (units[:2], units[:2]), units[:2], strict=True)]
-    width = exact.white[0].factors.shape[1]
+    width = len(exact.white[0].factors)
     rows += [(one, other, units[:width], share) for one, other in zip(exact.white, fixed.white, strict=True)]
     for one, other, before, after in rows:
         assert other.shift is not None
@@ -314,7 +308,7 @@ def test_fixed_point_is_the_floats_in_other_units(rule: str, n_channels: int, sc
     assert {row.shift for row in fixed.white} == {fixed.white[0].shift}
     assert 2**29 < max(np.abs(row.factors).max() for row in fixed.white) <= 2**30
     np.testing.assert_allclose(
-        [row.factors[0] for row in exact.model], np.column_stack([transition - np.eye(2), model.gain[:, 0]])
+        [row.factors for row in exact.model], np.column_stack([transition - np.eye(2), model.gain[:, 0]])
     )
     forward = model.gain @ [0.3, -2e-4]
     np.testing.assert_allclose(exact.drag[:2], forward, rtol=1e-12)
@@ -324,7 +318,7 @@ def test_fixed_point_is_the_floats_in_other_units(rule: str, n_channels: int, sc
     )  # 1 % of the speed without load
     assert fixed.drag[2] * units[1] == pytest.approx(exact.drag[2], rel=1e-6)
     assert all(part > 0 for part in fixed.drag)
-    assert not any(floating(monitor(RULES[rule], n_channels)).drag[:2])
+    assert not any(floating(monitor(RULES[rule], 2)).drag[:2])
     assert float(exact.threshold) == 1.0
     assert int(fixed.threshold) == 1 << 26
     np.testing.assert_allclose(fixed.halves * share, exact.halves, atol=0.51 * share)
@@ -335,19 +329,18 @@ def test_fixed_point_is_the_floats_in_other_units(rule: str, n_channels: int, sc
         int(most / step) for most, step in zip(believed.limits[:3], steps, strict=True)
     ]
     assert exact.ranges.tolist() == list(believed.limits[:3])
-    assert (exact.n_channels, fixed.n_channels, fixed.stuck_after) == (n_channels, n_channels, 100)
+    assert (exact.n_channels, fixed.n_channels, fixed.stuck_after) == (2, 2, 100)
     assert (exact.n_friction, exact.memory) == (2 if rule == "cusum" else 0, fixed.memory)
 
 
 def test_a_row_rounds_half_up_and_clamps() -> None:
-    row = Row(np.array([[3, -5], [1, 1]]), shift=2)
+    row = Row(np.array([3, -5]), shift=2)
     ones = np.array([1, 2, 3, -1])
     # (3 a - 5 b) / 4 of whole numbers, half upwards
-    assert row.total(0, (ones, np.array([1, 0, 0, 0]))).tolist() == [0, 2, 2, -1]
-    assert row.total(7, (ones, ones)).tolist() == [1, 1, 2, 0]
+    assert row.total((ones, np.array([1, 0, 0, 0]))).tolist() == [0, 2, 2, -1]
     most = 1 << 29
-    assert row.total(0, (np.array([4 * most, -4 * most]), np.zeros(2, dtype=int))).tolist() == [most, -most]
-    assert Row(np.array([[0.5, 2.0]])).total(0, (np.array([3.0]), np.array([4.0]), np.array([5.0]))) == [9.5]
+    assert row.total((np.array([4 * most, -4 * most]), np.zeros(2, dtype=int))).tolist() == [most, -most]
+    assert Row(np.array([0.5, 2.0])).total((np.array([3.0]), np.array([4.0]), np.array([5.0]))) == [9.5]
 
 
 @pytest.mark.parametrize(
@@ -377,7 +370,7 @@ def test_a_factor_must_leave_a_bit_to_round() -> None:
     steps = Steps.suited(believed.limits)
     [row] = fixed_point(believed, steps).white
     assert row.shift is not None
-    largest = float(row.factors[0, 0]) * 2.0**-row.shift * believed.thresholds[0]
+    largest = float(row.factors[0]) * 2.0**-row.shift * believed.thresholds[0]
     [found] = fixed_point(replace(believed, thresholds=(largest / (0.9 * 2.0**29),)), steps).white
     assert found.shift == 1
     with pytest.raises(ValueError, match="is too large for fixed point"):
@@ -426,20 +419,17 @@ def test_limits_and_memory_are_those_of_the_motor() -> None:
 
 
 @pytest.mark.parametrize("rule", ["cusum", "nis"])
-def test_a_schedule_ends_where_the_gain_no_longer_moves(rule: str) -> None:
-    believed = monitor(RULES[rule], 2, scheduled=True)
+def test_the_gain_is_that_of_the_settled_filter(rule: str) -> None:
+    believed = monitor(RULES[rule], 2)
     gain, white = believed.gains()
-    full = schedule(believed.kalman, 20_000)
-    near = np.abs(full.gain - full.gain[-1]).max(axis=(1, 2)) <= 1e-6 * np.abs(full.gain[-1]).max()
-    assert len(gain) == len(white) == int(np.flatnonzero(~near)[-1]) + 2
-    np.testing.assert_allclose(gain[:-1], full.gain[: len(gain) - 1], rtol=1e-12)
-    np.testing.assert_allclose(gain[-1], full.gain[-1], rtol=1e-9)
-    roots = np.linalg.inv(np.linalg.cholesky(full.innovation_covariance[: len(gain) - 1]))
-    wanted = roots / believed.thresholds[0] ** 0.5
+    sensor = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 1.0)
+    late = schedule(KalmanFilter.from_parameters(PAPER_MOTOR, sensor, 1e-4), 20_000)
+    np.testing.assert_allclose(gain, late.gain[-1], rtol=1e-9)
+    root = np.linalg.inv(np.linalg.cholesky(late.innovation_covariance[-1]))
+    wanted = root / believed.thresholds[0] ** 0.5
     if rule == "cusum":
-        wanted = roots[:, :1, :1] / np.array(believed.thresholds)[:, None]
-    np.testing.assert_allclose(white[:-1], wanted, rtol=1e-9)
-    assert len(monitor(RULES[rule], 2).gains()[0]) == 1
+        wanted = root[:1, :1] / np.array(believed.thresholds)[:, None]
+    np.testing.assert_allclose(white, wanted, rtol=1e-9)
 
 
 def test_a_sample_that_is_no_reading_is_not_used() -> None:
@@ -474,7 +464,7 @@ def test_a_sample_that_is_no_reading_is_not_used() -> None:
         state = predicted
         if verdict == 0:
             off = seen - predicted
-            state, statistic = predicted + gain[0] @ off, float(np.square(white[0] @ off).sum())
+            state, statistic = predicted + gain @ off, float(np.square(white @ off).sum())
             verdict = int(statistic > 1.0)
         wanted.append((verdict, statistic))
     found = answers(exact, readings[None])
@@ -524,7 +514,7 @@ def test_a_self_test_is_a_start_with_a_fault_and_a_wrong_reading(n_channels: int
 @pytest.mark.parametrize("rule", ["cusum", "nis"])
 def test_the_source_holds_the_numbers_of_its_twin(fixed: bool, rule: str, tmp_path: Path) -> None:
     """Read back from the text; that it computes as its twin does is tested with a compiler (long)."""
-    believed = monitor(RULES[rule], 2, scheduled=rule == "nis")
+    believed = monitor(RULES[rule], 2)
     believed = replace(believed, motor=replace(believed.motor, name="my/motor"))
     steps = Steps.suited(believed.limits) if fixed else None
     files = write_library(believed, tmp_path, steps=steps, name="m", wanted="1 a year")
@@ -539,11 +529,10 @@ def test_the_source_holds_the_numbers_of_its_twin(fixed: bool, rule: str, tmp_pa
         assert found is not None
         return np.array([float(each) for each in re.findall(r"-?\d[\d.]*(?:e[-+]?\d+)?", found[1])])
 
-    rows = np.concatenate([row.factors for row in (*numbers.gain, *numbers.white)], axis=1)
-    np.testing.assert_array_equal(table("GAINS").astype(numbers.dtype), rows.ravel())
-    assert (len(rows) > 1) == ("monitor->sample" in text) == (rule == "nis")
+    rows = np.concatenate([row.factors for row in (*numbers.gain, *numbers.white)])
+    np.testing.assert_array_equal(table("GAINS").astype(numbers.dtype), rows)
     np.testing.assert_allclose(
-        table("MODEL"), np.concatenate([row.factors[0] for row in numbers.model]), rtol=1e-7
+        table("MODEL"), np.concatenate([row.factors for row in numbers.model]), rtol=1e-7
     )
     if rule == "cusum":
         np.testing.assert_allclose(table("HALVES"), numbers.halves, rtol=1e-7)
