@@ -75,11 +75,11 @@ def read_json(path: Readable, largest_bytes: int, missing: str = "no such file")
         raise InputError(f"{path}: is not JSON ({reason})") from None
 
 
-def require_ours(folder: Path, name: str, mark: str, *, command: str, more: str = "") -> None:
+def require_ours(folder: Path, name: str, mark: str, *, command: str) -> None:
     """Refuse a folder that is neither new nor empty, unless its file of that name holds the mark of a command.
 
     Raises:
-        InputError: it is another's; the sentence names the command, and what more could be done.
+        InputError: it is another's; the sentence names the command.
     """
     try:
         free = not folder.exists() or not any(folder.iterdir())
@@ -88,7 +88,7 @@ def require_ours(folder: Path, name: str, mark: str, *, command: str, more: str 
         ours = False
     if not ours:
         words = f"is there, and {command} did not make it; give a new or empty folder"
-        raise InputError(f"{folder}: {words}{more}")
+        raise InputError(f"{folder}: {words}")
 
 
 @contextmanager

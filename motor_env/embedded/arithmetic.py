@@ -37,7 +37,7 @@ class Steps(NamedTuple):
     @classmethod
     def suited(cls, limits: Limits, *given: float | None) -> Self:
         """Those that are given, and powers of ten of which 1e7 to 1e8 make the range."""
-        tens = [10.0 ** (math.floor(math.log10(most)) - 7) for most in limits[:3]]
+        tens = [10.0 ** (math.floor(math.log10(most)) - 7) for most in limits]
         return cls(
             *(ten if step is None else step for ten, step in zip(tens, given or 3 * [None], strict=True))
         )
@@ -87,7 +87,6 @@ class Numbers:
         halves: half the shift of each sum; empty for NIS.
         threshold: of the statistic: 1, or 1 << STATISTIC_BITS.
         ranges: largest readings of current, speed, voltage.
-        stuck_after: so many equal readings in a row are no readings.
         telling: the model's current above which a reading of nothing is that of a dead sensor.
         n_friction: how many of the sums look for friction; they are the first.
         memory: of the slow current and speed: the mechanical time constant in samples, as the nearest power of two.
@@ -105,7 +104,6 @@ class Numbers:
     halves: Values
     threshold: Values
     ranges: Values
-    stuck_after: int
     telling: Values
     n_friction: int
     memory: int
@@ -123,7 +121,7 @@ def fixed_point(monitor: Monitor, steps: Steps) -> Numbers:
         ValueError: a step is not positive, or so small or large that the range does not fit.
     """
     units = []
-    for name, step, most in zip(Steps._fields, steps, monitor.limits[:3], strict=True):
+    for name, step, most in zip(Steps._fields, steps, monitor.limits, strict=True):
         counts = most / step if 0.0 < step < math.inf else math.inf
         require(2.0 <= counts <= _FULL_SCALE, f"step of {name} must suit {most:g}, got {step:g}")
         units.append(step / 2.0 ** math.floor(math.log2(_FULL_SCALE / counts)))
@@ -158,7 +156,7 @@ def _numbers(
     drag = rounded(inputs @ [monitor.motor.brush_drop_v, -monitor.motor.coulomb_friction_n_m] / states, dtype)
     slowest = float(np.abs(np.linalg.eigvals(transition)).max())
     memory = round(-math.log2(max(1.0 - slowest, 2.0**-_LONGEST_MEMORY)))
-    ranges = np.array(limits[:3]) / np.array(steps)
+    ranges = np.array(limits) / np.array(steps)
     return Numbers(
         dtype=dtype,
         is_fixed=dtype == np.int64,
@@ -172,7 +170,6 @@ def _numbers(
         halves=rounded(halves / unit, dtype),
         threshold=rounded(np.array(1.0 / unit), dtype),
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
-        stuck_after=limits.stuck_after,
         telling=rounded(np.array(TELLING * limits.current_a / 2.0 / units[0]), dtype),
         n_friction=len(rule.friction),
         memory=max(memory, 0),

@@ -16,6 +16,7 @@ from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
 
 STUCK_AFTER = 100
+"""So many equal readings in a row, with voltage on, are no readings."""
 DEAD_AFTER = 4
 """So many samples whose current is nothing where the model has much, with no other between, show a dead sensor."""
 TELLING = 0.1
@@ -27,12 +28,11 @@ _OVERLAP = 12.0
 
 
 class Limits(NamedTuple):
-    """Largest magnitudes that the sensors show: what lies beyond is no reading; `stuck_after` equal ones are none."""
+    """Largest magnitudes that the sensors show: what lies beyond is no reading."""
 
     current_a: float
     speed_rad_s: float
     voltage_v: float
-    stuck_after: int = STUCK_AFTER
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,6 @@ def monitor_of(
     sensor: SensorParameters,
     voltage_v: float,
     false_alarms_per_year: float = 1.0,
-    stuck_after: int = STUCK_AFTER,
 ) -> Monitor:
     """Monitor of a motor that is known exactly and carries no load but its own friction.
 
@@ -139,7 +138,6 @@ def monitor_of(
         sensor: current, or current and speed, with their noise.
         voltage_v: level of the supply; the sensors' limits are twice of what it can cause.
         false_alarms_per_year: of the healthy motor, wanted.
-        stuck_after: so many equal readings in a row, with voltage on, are no readings.
 
     Raises:
         ValueError: a value out of range, or fewer false alarms than the rule's equation resolves.
@@ -154,7 +152,6 @@ def monitor_of(
         not isinstance(rule, MOfN) or (rule.needed, rule.among) == (1, 1),
         f"rule must be a CusumBank or the NIS test of single samples, got {rule}",
     )
-    require(stuck_after < 65_536, f"stuck_after must be < 65536, got {stuck_after}")
     kalman = KalmanFilter.from_parameters(motor.parameters, sensor, 1.0 / rate_hz)
     kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
     arl0 = _YEAR_S * rate_hz / false_alarms_per_year
@@ -168,7 +165,6 @@ def monitor_of(
         current_a=_HEADROOM * voltage_v / float(motor.parameters.resistance_ohm),
         speed_rad_s=_HEADROOM * speed,
         voltage_v=_HEADROOM * voltage_v,
-        stuck_after=stuck_after,
     )
     for name, value in zip(Limits._fields, limits, strict=True):
         require_positive(name, value)

@@ -20,7 +20,7 @@ from motor_env.embedded.arithmetic import (
     fixed_point,
     floating,
 )
-from motor_env.embedded.monitor import DEAD_AFTER, Monitor
+from motor_env.embedded.monitor import DEAD_AFTER, STUCK_AFTER, Monitor
 from motor_env.embedded.twin import SampleVerdict, answers, readings_of
 from motor_env.errors import InputError
 from motor_env.files import filling, require_ours, write_text
@@ -53,7 +53,7 @@ class Check(NamedTuple):
 
 
 def write_library(
-    monitor: Monitor, folder: Path, *, steps: Steps | None, name: str, wanted: str, force: bool = False
+    monitor: Monitor, folder: Path, *, steps: Steps | None, name: str, wanted: str
 ) -> list[Path]:
     """Write the C library of a monitor, whole or not at all.
 
@@ -63,7 +63,6 @@ def write_library(
         steps: what one count of a reading is worth in fixed point; None for single precision.
         name: of the library, and the first part of the names in it.
         wanted: the rate of false alarms in words.
-        force: write into any folder.
 
     Returns:
         The files.
@@ -81,8 +80,7 @@ def write_library(
         raise InputError(
             f"name must be a C name of lower-case letters such as motor_monitor, and no word of C, got {name!r}"
         )
-    if not force:
-        require_ours(folder, "library.properties", _MARK, command="export-c", more=", or --force")
+    require_ours(folder, "library.properties", _MARK, command="export-c")
     numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
     values = _values(monitor, numbers, name, wanted)
     files = {
@@ -128,6 +126,7 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "largest": LARGEST,
         "slack": 0 if n.is_fixed else "1e-3f",
         "dead_after": DEAD_AFTER,
+        "stuck_after": STUCK_AFTER,
         "checks": checks(monitor, n),
     }
 

@@ -79,13 +79,13 @@ def test_json_is_refused_in_a_sentence(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_others_is_refused(tmp_path: Path) -> None:
-    ours = partial(require_ours, command="make-it", more=", or --force")
+    ours = partial(require_ours, command="make-it")
     ours(tmp_path / "new", "a.json", "mark")
     ours(tmp_path, "a.json", "mark")
     path = tmp_path / "a.json"
     path.write_text("another's")
     sentence = refused(lambda: ours(tmp_path, "a.json", "mark"), tmp_path)
-    assert sentence.endswith("make-it did not make it; give a new or empty folder, or --force")
+    assert sentence.endswith("make-it did not make it; give a new or empty folder")
     refused(lambda: ours(path, "a.json", "mark"), path)
     path.write_text("with a mark")
     ours(tmp_path, "a.json", "mark")
