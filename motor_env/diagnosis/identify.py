@@ -135,7 +135,7 @@ class Identification:
             "onset_s": fit.onset_s,
             "offset_a": fit.offset_a,
             "columns": list(recording.columns),
-            "defects": [str(defect) for defect in fit.defects],
+            "defects": list(fit.defects),
             "not_told": not_told(fit),
             "warnings": warnings_of(recording, fit),
         }

@@ -52,8 +52,8 @@ class RemainingLife(NamedTuple):
     """Time from the last estimate until the limit is first reached, in the unit of the time axis.
 
     Attributes:
-        low: lower end of the central interval, which holds with a probability of `LEVEL`; 0 where the limit may have been
-            reached already.
+        low: lower end of the central interval, which holds with a probability of `LEVEL`; 0 where the limit may have
+            been reached already.
         median: infinite where the limit is reached with a probability below one half.
         high: upper end, infinite where the limit may never be reached.
         probability_reached: probability that the limit has been reached already.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import Defect, DefectKind, UnusableError
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise, hidden_level, wild_samples, without_wild
 from motor_env.recordings.recording import Recording
 
@@ -44,7 +44,8 @@ class Alignment:
         unseen_level_a: standard deviation of the error that the converter's steps leave in a steady current, however
             long it is.
         rectified: the sensor shows no current below 0.
-        defects: what is wrong with the recording.
+        saturation: that the current is clipped, in words; empty where it is not.
+        defects: what is wrong with the recording, in words, the saturation among them.
         wild: single samples far off both neighbours; they do not count.
     """
 
@@ -57,13 +58,9 @@ class Alignment:
     quantum_a: float = 0.0
     unseen_level_a: float = 0.0
     rectified: bool = False
-    defects: tuple[Defect, ...] = ()
+    saturation: str = ""
+    defects: tuple[str, ...] = ()
     wild: tuple[int, ...] = ()
-
-    @property
-    def saturation(self) -> Defect | None:
-        """The defect of a clipped current."""
-        return next((defect for defect in self.defects if defect.kind is DefectKind.SATURATION), None)
 
 
 def align(recording: Recording) -> Alignment:
@@ -93,6 +90,12 @@ def align(recording: Recording) -> Alignment:
         spread = math.sqrt(2.0 * float(np.mean(current[: max(onset - _GUARD, 1)] ** 2)))
     elif len(quiet):
         offset, spread = float(np.mean(quiet)), float(np.std(quiet, ddof=1))
+    saturation = _saturation(current, quantum)
+    defects = {
+        saturation: saturation != "",
+        f"quantisation: the current moves in steps of {quantum:.3g} A": quantum > _QUANTISED_STEP * span,
+        "rectification: no current lies below 0": rectified,
+    }
     return Alignment(
         onset_index=onset,
         onset_s=float(recording.time_s[onset]) - 0.5 * recording.dt_s,
@@ -103,7 +106,8 @@ def align(recording: Recording) -> Alignment:
         quantum_a=quantum,
         unseen_level_a=hidden_level(quiet, noise, quantum),
         rectified=rectified,
-        defects=_defects(current, quantum, rectified=rectified),
+        saturation=saturation,
+        defects=tuple(words for words, is_shown in defects.items() if is_shown),
         wild=wild,
     )
 
@@ -147,19 +151,11 @@ def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:
     return quantum < min(_COARSE_STEP * float(np.ptp(current)), difference_noise(current[onset:]))
 
 
-def _defects(current: FloatArray, quantum: float, *, rectified: bool) -> tuple[Defect, ...]:
-    """What the current alone shows of the sensor."""
-    span, top = float(np.ptp(current)), float(np.max(np.abs(current)))
-    run = clipped_run(current, quantum) if quantum < _COARSE_STEP * span else 0
-    is_quantised = quantum > _QUANTISED_STEP * span
-    texts = {
-        DefectKind.SATURATION: f"saturation: {run} samples in a row stand at {top:.4g} A" if run else "",
-        DefectKind.QUANTISATION: f"quantisation: the current moves in steps of {quantum:.3g} A"
-        if is_quantised
-        else "",
-        DefectKind.RECTIFICATION: "rectification: no current lies below 0" if rectified else "",
-    }
-    return tuple(Defect(kind, text) for kind, text in texts.items() if text)
+def _saturation(current: FloatArray, quantum: float) -> str:
+    """That the current is clipped, in words; empty where it is not."""
+    if quantum >= _COARSE_STEP * float(np.ptp(current)) or not (run := clipped_run(current, quantum)):
+        return ""
+    return f"saturation: {run} samples in a row stand at {np.max(np.abs(current)):.4g} A"
 
 
 def clipped_run(current: FloatArray, quantum: float) -> int:

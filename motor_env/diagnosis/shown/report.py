@@ -73,7 +73,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "warnings": warnings_of(recording, fit),
         "commutation": None if fit is None else ripple_json(fit, diagnosis.periods_per_turn),
         "columns": list(recording.columns),
-        "defects": [] if fit is None else [str(defect) for defect in fit.defects],
+        "defects": [] if fit is None else list(fit.defects),
         "pieces_of_recording": diagnosis.of,
         "pieces": [
             {"begin_s": piece.begin_s, "duration_s": piece.duration_s} | _said(piece)

@@ -12,7 +12,6 @@ from motor_env.fitting.problem import Solution, r_squared
 from motor_env.fitting.record import Record
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.recordings.defects import Defect, DefectKind
 from motor_env.recordings.noise import difference_noise, floor_noise
 from motor_env.recordings.start import Start
 
@@ -74,28 +73,26 @@ class Identified:
         return record_of(self.start).predict(values, learn=False)[0][:, 2:4]
 
     @property
-    def defects(self) -> tuple[Defect, ...]:
-        """What is wrong with the recording, and what of the model it shows."""
+    def defects(self) -> tuple[str, ...]:
+        """What is wrong with the recording, and what of the model it shows, in words."""
         start, size = self.start, {name: value for name, (value, _) in self.fitted_extension.items()}
         defects = list(start.alignment.defects)
         for k in start.alignment.wild:
             where = f"{start.alignment.sign * start.current_a[k]:.3g} A at {start.time_s[k]:.6g} s"
-            defects.append(Defect(DefectKind.WILD_SAMPLE, f"a wild sample of {where}, left out"))
+            defects.append(f"a wild sample of {where}, left out")
         for line in start.lines:
             where = f"{line.amplitude_a:.3g} A at {line.frequency_hz:.4g} Hz"
-            defects.append(Defect(DefectKind.PWM_RIPPLE, f"PWM ripple of {where} (or an alias of it)"))
+            defects.append(f"PWM ripple of {where} (or an alias of it)")
         if "supply_ramp" in size:
-            text = f"supply ramp: it rises in {1e3 * size['supply_ramp']:.3g} ms"
             curve = ", in a curve" if "supply_curve" in self.model else ""
-            defects.append(Defect(DefectKind.SUPPLY_RAMP, text + curve))
+            defects.append(f"supply ramp: it rises in {1e3 * size['supply_ramp']:.3g} ms{curve}")
         defects += [
-            Defect(kind, f"{kind.replace('_', ' ')} of {1e3 * size[kind]:.3g} ms")
-            for kind in (DefectKind.SENSOR_LAG, DefectKind.SPEED_LAG)
-            if kind in size
+            f"{name.replace('_', ' ')} of {1e3 * size[name]:.3g} ms"
+            for name in ("sensor_lag", "speed_lag")
+            if name in size
         ]
         if "dead_zone" in size:
-            text = f"dead zone: the sensor hides currents below {size['dead_zone']:.3g} A"
-            defects.append(Defect(DefectKind.DEAD_ZONE, text))
+            defects.append(f"dead zone: the sensor hides currents below {size['dead_zone']:.3g} A")
         return tuple(defects)
 
     @property

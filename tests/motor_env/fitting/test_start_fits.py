@@ -33,7 +33,6 @@ from motor_env.motor.parameters import FloatArray
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
 from motor_env.recordings.alignment import Alignment
-from motor_env.recordings.defects import Defect, DefectKind
 from motor_env.recordings.noise import difference_noise, floor_noise
 from motor_env.recordings.start import Circuit, Start
 
@@ -668,7 +667,7 @@ def test_a_current_that_hardly_falls_is_of_a_blocked_rotor() -> None:
     for constant_s, stands in ((lasts / 2.01, True), (lasts / 1.99, False), (np.inf, False)):
         assert is_blocked(held(1.0), constant_s) is stands
     assert not is_blocked(held(1.0, of=fit), 0.1 * lasts)  # which tells K^2/J
-    clipped = replace(fit.start.alignment, defects=(Defect(DefectKind.SATURATION, "at 3 A"),))
+    clipped = replace(fit.start.alignment, saturation="at 3 A")
     whole = held(1.0)
     assert not is_blocked(replace(whole, start=replace(whole.start, alignment=clipped)), 0.1 * lasts)
     noise = 1.5 * np.random.default_rng(1).standard_normal(len(after))  # R2 far below 0.75
