@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from motor_env import PAPER_MOTOR, Motor, Scenario, SensorParameters, nis_rule, simulate
+from motor_env import PAPER_MOTOR, Motor, Scenario, SensorParameters, simulate
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import literal, write_library
@@ -69,7 +69,6 @@ class Measured(NamedTuple):
 
     chip: str
     arithmetic: str
-    rule: str
     n_channels: int
     flash: int
     flash_with_self_test: int
@@ -89,13 +88,13 @@ def tool(name: str) -> str:
     return path
 
 
-def paper_monitor(*, n_channels: int = 1, rule: str = "cusum") -> Monitor:
+def paper_monitor(*, n_channels: int = 1) -> Monitor:
     """The textbook motor at 1 kHz."""
     channels = (Channel.CURRENT, Channel.SPEED)[:n_channels]
     return monitor_of(
         Motor("paper", "data_sheet", PAPER_MOTOR),
         1000.0,
-        rule=nis_rule() if rule == "nis" else CusumBank(),
+        rule=CusumBank(),
         sensor=SensorParameters(channels, 0.02, 1.0),
         voltage_v=12.0,
     )
@@ -194,9 +193,9 @@ def instructions(chip: Chip, elf: Path) -> int:
     return len(re.findall(r"^Trace ", log.read_text(encoding="utf-8"), re.MULTILINE))
 
 
-def measure(chip: Chip, arithmetic: str, *, n_channels: int = 1, rule: str = "cusum") -> Measured:
+def measure(chip: Chip, arithmetic: str, *, n_channels: int = 1) -> Measured:
     """Sizes and instructions of one build."""
-    monitor = paper_monitor(n_channels=n_channels, rule=rule)
+    monitor = paper_monitor(n_channels=n_channels)
     steps = Steps.suited(monitor.limits) if arithmetic == "fixed" else None
     numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
     with tempfile.TemporaryDirectory() as name:
@@ -209,16 +208,16 @@ def measure(chip: Chip, arithmetic: str, *, n_channels: int = 1, rule: str = "cu
             for n in (SAMPLES // 5, SAMPLES)
         ]
     a_sample = (counts[1] - counts[0]) / (SAMPLES - SAMPLES // 5)
-    return Measured(chip.name, arithmetic, rule, n_channels, flash, tested, ram, a_sample)
+    return Measured(chip.name, arithmetic, n_channels, flash, tested, ram, a_sample)
 
 
 def main() -> None:
     """Write the sizes."""
     rows = [
-        measure(chip, arithmetic, n_channels=n_channels, rule=rule)._asdict()
+        measure(chip, arithmetic, n_channels=n_channels)._asdict()
         for chip in CHIPS
         for arithmetic in ("fixed", "float")
-        for rule, n_channels in (("cusum", 1), ("cusum", 2), ("nis", 1), ("nis", 2))
+        for n_channels in (1, 2)
     ]
     RESULTS.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 

@@ -319,7 +319,7 @@ KINDS = {
     ),
     "export-c": Kind(
         100,
-        "motor-env export-c FOLDER/m.toml --rate-hz 1000 --rule nis --out FOLDER/out",
+        "motor-env export-c FOLDER/m.toml --rate-hz 1000 --shift 0.5 --out FOLDER/out",
         "m.toml",
         strange_file(MOTORS),
     ),

@@ -64,7 +64,6 @@ def export_c(
     out: Path,
     rate_hz: float,
     voltage: float | None = None,
-    rule: Literal["cusum", "nis"] = "cusum",
     shift: float | None = None,
     false_alarms_per_year: float = 1.0,
     arithmetic: Literal["fixed", "float"] = "fixed",
@@ -84,8 +83,7 @@ def export_c(
         out: Folder of the library: a new or empty one, or one that export-c made.
         rate_hz: Samples a second.
         voltage: Level of the supply in volt; by default the motor's nominal voltage.
-        rule: cusum (lasting shifts), or nis (the size of single samples).
-        shift: The only shift that the cusum looks for, in standard deviations of a sample; by default several.
+        shift: The only lasting shift that it looks for, in standard deviations of a sample; by default several.
         false_alarms_per_year: Of this motor, healthy, exactly known and without load.
         arithmetic: fixed (whole numbers, for chips without a floating-point unit), or float.
         current_noise: Standard deviation of a current sample in ampere; by default that of the motor file.
@@ -95,18 +93,16 @@ def export_c(
         voltage_count: The same of the voltage, in volt.
         name: Of the library, and the first part of the names in it.
     """
-    from motor_env.detection.rules import nis_rule
     from motor_env.embedded.arithmetic import Steps
     from motor_env.embedded.monitor import CusumBank, monitor_of, sensor_of
     from motor_env.embedded.source import write_library
     from motor_env.motor.data_sheet import load_motor
 
     known = load_motor(motor)
-    bank = CusumBank() if shift is None else CusumBank((shift,), ())
     monitor = monitor_of(
         known,
         rate_hz,
-        rule=nis_rule() if rule == "nis" else bank,
+        rule=CusumBank() if shift is None else CusumBank((shift,), ()),
         sensor=sensor_of(known, current_noise, speed_noise),
         voltage_v=voltage if voltage is not None else known.nominal_voltage_v or 0.0,
         false_alarms_per_year=false_alarms_per_year,

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.embedded.monitor import DEADBAND, TELLING, CusumBank, Limits, Monitor
+from motor_env.embedded.monitor import DEADBAND, TELLING, Limits, Monitor
 from motor_env.motor.parameters import FloatArray, require
 
 Values = NDArray[Any]
@@ -83,8 +83,8 @@ class Numbers:
         model: what current and speed grow by in a sample, from current, speed and voltage.
         drag: what brushes and dry friction take from current and speed, and the speed below which they do not count.
         gain: corrections of current and speed from the innovations.
-        white: what an innovation adds to each sum, or the root of what it adds to the NIS.
-        halves: half the shift of each sum; empty for NIS.
+        white: what the current's innovation adds to each sum.
+        halves: half the shift of each sum.
         threshold: of the statistic: 1, or 1 << STATISTIC_BITS.
         ranges: largest readings of current, speed, voltage.
         telling: the model's current above which a reading of nothing is that of a dead sensor.
@@ -148,10 +148,9 @@ def _numbers(
     transition, inputs = monitor.kalman.model.transition, monitor.kalman.model.gain
     model = np.hstack([transition - np.eye(2), inputs[:, :1]]) * np.array(units) / states[:, None]
     gain, white = monitor.gains()
-    gain, white = gain * states[:m] / states[:, None], white * states[: white.shape[1]] / unit
+    gain, white = gain * states[:m] / states[:, None], white * states[0] / unit
     together = row(white)  # one shift for all: C takes them in turn
-    rule = monitor.rule if isinstance(monitor.rule, CusumBank) else CusumBank((), ())
-    halves = 0.5 * np.array(rule.shifts) / np.array(monitor.thresholds)[: len(rule.shifts)]
+    halves = 0.5 * np.array(monitor.rule.shifts) / np.array(monitor.thresholds)
     # What brushes and dry friction take in a sample, for a motion forwards.
     drag = rounded(inputs @ [monitor.motor.brush_drop_v, -monitor.motor.coulomb_friction_n_m] / states, dtype)
     slowest = float(np.abs(np.linalg.eigvals(transition)).max())
@@ -171,6 +170,6 @@ def _numbers(
         threshold=rounded(np.array(1.0 / unit), dtype),
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
         telling=rounded(np.array(TELLING * limits.current_a / 2.0 / units[0]), dtype),
-        n_friction=len(rule.friction),
+        n_friction=len(monitor.rule.friction),
         memory=max(memory, 0),
     )

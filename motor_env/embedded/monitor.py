@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from motor_env.detection.rules.cusum import Cusum
-from motor_env.detection.rules.nis import MOfN
 from motor_env.filters.kalman import KalmanFilter, Schedule, schedule
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.model import steady_state
@@ -72,27 +71,22 @@ class Monitor:
     Attributes:
         motor: its name, and what brushes and dry friction take.
         kalman: the belief, of one motor, with its steady covariance; of the current, or of current and speed.
-        rule: bank of CUSUMs, or the plain NIS test.
-        thresholds: of each sum, or of the NIS; the motor counts as faulty above any of them.
+        rule: bank of CUSUMs.
+        thresholds: of each sum; the motor counts as faulty above any of them.
         limits: of the sensors.
     """
 
     motor: Motor
     kalman: KalmanFilter
-    rule: CusumBank | MOfN
+    rule: CusumBank
     thresholds: tuple[float, ...]
     limits: Limits
 
     def gains(self) -> tuple[FloatArray, FloatArray]:
-        """Steady Kalman gain (2, m), and what turns innovations into shares of the thresholds (p, m).
-
-        A bank takes only the first channel: (p, 1).
-        """
+        """Steady Kalman gain (2, m), and what turns the current's innovation into shares of the thresholds (p, 1)."""
         steps = settled(self.kalman)
         white = np.linalg.inv(np.linalg.cholesky(steps.innovation_covariance[-1]))
-        if isinstance(self.rule, CusumBank):
-            return steps.gain[-1], white[:1, :1] / np.array(self.thresholds)[:, None]
-        return steps.gain[-1], white / math.sqrt(self.thresholds[0])
+        return steps.gain[-1], white[:1, :1] / np.array(self.thresholds)[:, None]
 
 
 def settled(kalman: KalmanFilter) -> Schedule:
@@ -124,7 +118,7 @@ def monitor_of(
     motor: Motor,
     rate_hz: float,
     *,
-    rule: CusumBank | MOfN,
+    rule: CusumBank,
     sensor: SensorParameters,
     voltage_v: float,
     false_alarms_per_year: float = 1.0,
@@ -134,7 +128,7 @@ def monitor_of(
     Args:
         motor: as its file says.
         rate_hz: samples a second.
-        rule: bank of CUSUMs, or the plain NIS test.
+        rule: bank of CUSUMs.
         sensor: current, or current and speed, with their noise.
         voltage_v: level of the supply; the sensors' limits are twice of what it can cause.
         false_alarms_per_year: of the healthy motor, wanted.
@@ -148,18 +142,10 @@ def monitor_of(
         ("false_alarms_per_year", false_alarms_per_year),
     ):
         require_positive(name, value)
-    require(
-        not isinstance(rule, MOfN) or (rule.needed, rule.among) == (1, 1),
-        f"rule must be a CusumBank or the NIS test of single samples, got {rule}",
-    )
     kalman = KalmanFilter.from_parameters(motor.parameters, sensor, 1.0 / rate_hz)
     kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
     arl0 = _YEAR_S * rate_hz / false_alarms_per_year
-    thresholds = (
-        rule.thresholds_for(arl0)
-        if isinstance(rule, CusumBank)
-        else (rule.threshold_for(arl0=arl0, n_channels=len(sensor.channels)).value,)
-    )
+    thresholds = rule.thresholds_for(arl0)
     _, speed = steady_state(motor.parameters, voltage_v).tolist()
     limits = Limits(
         current_a=_HEADROOM * voltage_v / float(motor.parameters.resistance_ohm),

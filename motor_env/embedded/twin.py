@@ -16,7 +16,6 @@ from motor_env.embedded.arithmetic import (
     LARGEST,
     NOTHING_BITS,
     SOMETHING_BITS,
-    STATISTIC_BITS,
     Numbers,
     Values,
     clamped,
@@ -134,14 +133,9 @@ class _Twin:
     def _decided(self, white: Values, forward: Values, used: NDArray[np.bool_]) -> Values:
         """The statistic, where the sample is used."""
         numbers = self.numbers
-        if numbers.halves.size:
-            sign = np.repeat(forward[::-1], [numbers.n_friction, len(white) - numbers.n_friction], axis=0)
-            signed = np.where(sign < 0, -white, white)
-            moved = self.sums + np.array([signed, -signed]) - numbers.halves[:, None]
-            sums = np.clip(moved, 0, LARGEST if numbers.is_fixed else None)
-            self.sums = np.where(used, sums, self.sums)
-            return np.asarray(sums.max(axis=(0, 1)))
-        squares = white * white
-        if numbers.is_fixed:
-            squares = clamped((squares + (1 << (STATISTIC_BITS - 1))) >> STATISTIC_BITS)
-        return np.asarray(np.add.reduce(squares))
+        sign = np.repeat(forward[::-1], [numbers.n_friction, len(white) - numbers.n_friction], axis=0)
+        signed = np.where(sign < 0, -white, white)
+        moved = self.sums + np.array([signed, -signed]) - numbers.halves[:, None]
+        sums = np.clip(moved, 0, LARGEST if numbers.is_fixed else None)
+        self.sums = np.where(used, sums, self.sums)
+        return np.asarray(sums.max(axis=(0, 1)))

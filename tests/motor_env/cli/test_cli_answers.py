@@ -22,7 +22,6 @@ from motor_env import (
     diagnose,
     identify,
     load_motor,
-    nis_rule,
     trend,
     watch,
 )
@@ -212,9 +211,8 @@ def test_export_c_hands_on_what_was_asked_for(
     assert exported["rule"] == CusumBank()
     assert exported["steps"] == ("limits", None, None, None)
     assert exported["wanted"] == "1 false alarms a year"
-    more = ["--rule", "nis", "--arithmetic", "float", "--voltage", "9"]
+    more = ["--arithmetic", "float", "--voltage", "9"]
     assert main([*command, *more, "--false-alarms-per-year", "2.5"]) == 0
-    assert type(exported["rule"]) is type(nis_rule())
     assert (exported["voltage_v"], exported["steps"]) == (9.0, None)
     assert exported["false_alarms_per_year"] == 2.5
     assert main([*command, "--shift", "3", "--current-count", "0.01"]) == 0

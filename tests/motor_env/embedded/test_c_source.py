@@ -27,7 +27,6 @@ from motor_env import (
     Scenario,
     SensorParameters,
     identify,
-    nis_rule,
     simulate,
 )
 from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
@@ -81,7 +80,7 @@ EDGES = {
 }
 LONGEST = 20_000  # samples of a recording
 RECORDINGS = sorted(Path(os.environ.get("MOTOR_ENV_RECORDINGS", "no_folder")).glob("*/*.csv"))
-BUILDS = list(itertools.product(("fixed", "float"), ("cusum", "nis"), (1, 2)))
+BUILDS = list(itertools.product(("fixed", "float"), (1, 2)))
 
 
 def first(answer: Answers) -> NDArray[np.int64]:
@@ -102,11 +101,11 @@ def compiled(command: list[str | Path]) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def exported(folder: Path, arithmetic: str, rule: str, n_channels: int) -> tuple[Monitor, Numbers]:
+def exported(folder: Path, arithmetic: str, n_channels: int) -> tuple[Monitor, Numbers]:
     believed = monitor_of(
         Motor("paper */ \\", "data_sheet", PAPER_MOTOR, brush_drop_v=0.1 * (n_channels - 1)),
         10_000.0,
-        rule=nis_rule() if rule == "nis" else CusumBank(),
+        rule=CusumBank(),
         sensor=SensorParameters((Channel.CURRENT, Channel.SPEED)[:n_channels], 0.02, 1.0),
         voltage_v=12.0,
     )
@@ -134,9 +133,9 @@ def run_c(folder: Path, readings: NDArray[Any]) -> Answers:
     return Answers(verdict.astype(np.int64), statistic)
 
 
-@pytest.mark.parametrize(("arithmetic", "rule", "n_channels"), BUILDS)
-def test_c_is_bit_equal_to_its_twin(arithmetic: str, rule: str, n_channels: int, tmp_path: Path) -> None:
-    believed, numbers = exported(tmp_path, arithmetic, rule, n_channels)
+@pytest.mark.parametrize(("arithmetic", "n_channels"), BUILDS)
+def test_c_is_bit_equal_to_its_twin(arithmetic: str, n_channels: int, tmp_path: Path) -> None:
+    believed, numbers = exported(tmp_path, arithmetic, n_channels)
     sensor = SensorParameters((Channel.CURRENT, Channel.SPEED)[:n_channels], 0.02, 1.0)
     data = simulate(Scenario(PAPER_MOTOR, (Fault(FaultKind.BEARING, 0.25),), sensor=sensor), 1, range(100))
     measured = data.measurements.copy()
@@ -151,11 +150,11 @@ def test_c_is_bit_equal_to_its_twin(arithmetic: str, rule: str, n_channels: int,
 
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize(("arithmetic", "rule", "n_channels"), BUILDS)
+@pytest.mark.parametrize(("arithmetic", "n_channels"), BUILDS)
 def test_compilers_and_sanitizers_find_nothing(
-    compiler: str, arithmetic: str, rule: str, n_channels: int, tmp_path: Path
+    compiler: str, arithmetic: str, n_channels: int, tmp_path: Path
 ) -> None:
-    exported(tmp_path, arithmetic, rule, n_channels)
+    exported(tmp_path, arithmetic, n_channels)
     main = tmp_path / "hostile.c"
     main.write_text(RUN + HOSTILE.replace("EDGE_VALUES", EDGES[arithmetic]), encoding="utf-8")
     program, source = tmp_path / "hostile", tmp_path / "src" / "m.c"
@@ -169,7 +168,7 @@ def test_compilers_and_sanitizers_find_nothing(
 @pytest.mark.parametrize("arithmetic", ["fixed", "float"])
 @pytest.mark.parametrize("severity", [0.0, 0.25, 0.5])
 def test_10000_starts_alarm_as_in_double_precision(arithmetic: str, severity: float, tmp_path: Path) -> None:
-    believed, numbers = exported(tmp_path, arithmetic, "cusum", 1)
+    believed, numbers = exported(tmp_path, arithmetic, 1)
     scenario = Scenario(PAPER_MOTOR, (Fault(FaultKind.BEARING, severity),), sensor=SensorParameters())
     data = simulate(scenario, 1, range(10_000))
     exact = floating(believed, np.float64)
@@ -224,7 +223,7 @@ def test_it_is_small_on_a_controller(chip: Any, arithmetic: str, n_channels: int
 
 
 def test_cmake_builds_and_tests_it(tmp_path: Path) -> None:
-    exported(tmp_path, "fixed", "cusum", 1)
+    exported(tmp_path, "fixed", 1)
     compiled([tool("cmake"), "-S", tmp_path, "-B", tmp_path / "build"])
     compiled(["cmake", "--build", tmp_path / "build"])
     compiled(["ctest", "--test-dir", tmp_path / "build"])
