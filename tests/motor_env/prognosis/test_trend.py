@@ -64,15 +64,6 @@ def test_runs_first_reach_the_limit_when_theory_says() -> None:
         assert abs(share - probability) < 4.0 * math.sqrt(probability * (1.0 - probability) / 1500)
 
 
-def test_runs_do_not_depend_on_the_others() -> None:
-    recipe = WearRecipe(starts=12)
-    many, one = run_to_failure(recipe, 1, np.arange(70)), run_to_failure(recipe, 1, [66])
-    np.testing.assert_array_equal(many.wear[66], one.wear[0])
-    assert many.failure_days[66] == one.failure_days[0]
-    seen_by_many = observe(recipe, run_to_failure(recipe, 1, [65, 66]), 1)
-    np.testing.assert_array_equal(seen_by_many.wear[1], observe(recipe, one, 1).wear[0])
-
-
 def test_estimates_of_wear_are_calibrated() -> None:
     recipe = WearRecipe(starts=10)
     runs = run_to_failure(recipe, 4, np.arange(60))
@@ -93,15 +84,12 @@ def test_a_certain_line_reaches_the_limit_when_it_says() -> None:
 
 
 def test_coverage_of_the_remaining_life() -> None:
-    """The quick version of the long test: 120 runs leave a standard error of 3 points."""
-    result = remaining_life_coverage(WearRecipe(), 11, np.arange(120))
+    """The quick version of the long test: 80 runs leave a standard error of 3.5 points."""
+    result = remaining_life_coverage(WearRecipe(), 11, np.arange(80))
     assert result.reported.mean() > 0.25
     assert abs(result.covered.mean() - result.claimed.mean()) < 0.08
     assert abs(result.covered[result.reported].mean() - 0.9) < 0.12
-
-
-def test_an_interval_without_an_upper_end_claims_more() -> None:
-    result = remaining_life_coverage(WearRecipe(), 11, np.arange(40))
+    # An interval without an upper end claims more.
     open_ended = np.isinf(result.high)
     np.testing.assert_allclose(result.claimed[open_ended & (result.low > 0.0)], 0.95)
     np.testing.assert_allclose(result.claimed[~open_ended & (result.low > 0.0)], 0.90)
@@ -118,11 +106,11 @@ def test_coverage_of_the_remaining_life_on_many_runs() -> None:
 def test_a_steady_motor_is_said_to_have_no_trend() -> None:
     rng = np.random.default_rng(8)
     false = 0
-    for _ in range(20):
+    for _ in range(10):
         series = Series("B", np.arange(30.0), 1.0 + 0.05 * rng.standard_normal(30), np.full(30, 0.05))
         trend = judge(series)
         false += any(forecast.trends for forecast in trend.forecasts)
-    assert false <= 2
+    assert false <= 1
     assert "no trend" in trend.sentence
     assert "no remaining life" in trend.sentence
 

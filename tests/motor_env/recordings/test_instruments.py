@@ -230,9 +230,3 @@ def test_two_hundred_mangled_files_are_right_or_refused(tmp_path: Path) -> None:
     assert seen.count("right") > 60
     assert seen.count("refused") > 60
     assert seen.count("said") < 10
-
-
-@pytest.mark.long
-def test_many_mangled_files_are_right_or_refused(tmp_path: Path) -> None:
-    for n in range(200, 4000):
-        check_mangled(n, tmp_path / "a.csv")

@@ -110,77 +110,15 @@ def test_a_pickle_in_a_numpy_file_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "mark").exists()
 
 
-def malformed(kind: int, good: bytes, rng: np.random.Generator) -> tuple[bytes, str]:
-    """Bytes that are no recording, and the ending of their file; every kind beyond all doubt."""
-    lines = good.split(b"\n")
-    place = int(rng.integers(5, len(lines) - 5))
-
-    def with_line(line: bytes) -> bytes:
-        return b"\n".join([*lines[:place], line, *lines[place + 1 :]])
-
-    letters = bytes(rng.integers(97, 123, 6).tolist())
-    kinds: list[tuple[bytes, str]] = [
-        (b"", ".csv"),
-        (b" \n\n\t\n" * (place % 7 + 1), ".csv"),
-        (rng.bytes(50 + place), ".csv"),
-        (rng.bytes(50 + place), ".mat"),
-        (b"\x93NUMPY" + rng.bytes(40), ".npy"),
-        (b"PK\x03\x04" + rng.bytes(60), ".npz"),
-        (b"PAR1" + rng.bytes(80), ".parquet"),
-        (b"MATLAB 5.0 MAT-file" + rng.bytes(200), ".mat"),
-        (b"MATLAB 7.3 MAT-file" + rng.bytes(200), ".mat"),
-        (with_line(b"0.01,12,nan"), ".csv"),
-        (with_line(b"0.01,12,inf"), ".csv"),
-        (with_line(b"0.01,12,1e999"), ".csv"),
-        (with_line(b"0.01,12," + letters), ".csv"),
-        (with_line(b"0.01,12"), ".csv"),
-        (with_line(b"-5,12,0"), ".csv"),
-        (with_line(b"0.01,12,"), ".txt"),
-        (b"\n".join(lines[: 2 + place % 15]), ".csv"),
-        (b"\n".join([b"a,b," + letters, *lines[1:]]), ".csv"),
-        (b"\n".join([b"time_s,voltage_v,voltage_v", *lines[1:]]), ".csv"),
-        (b"\n".join(b"%d,%d" % (k, 10**12 + k) for k in range(30 + place)), ".csv"),
-        (b"\n".join(line.rsplit(b",", 1)[0] for line in lines), ".csv"),
-        (letters * place, ".csv"),
-        (b"{" + letters + b": [1, 2]}", ".json"),
-        (good[: len(good) // 2] + b"\0" * place + good[len(good) // 2 :], ".csv"),
-        (b"<html><body>" + letters + b"</body></html>", ".csv"),
-    ]
-    return kinds[kind % len(kinds)]
-
-
-COMMANDS = {
-    "diagnose": ["diagnose", "{}"],
-    "identify": ["identify", "{}", "-o", "{out}"],
-    "commission": ["commission", "{}", "{good}", "{good}", "-o", "{out}"],
-}
-
-
-GOOD = START.read_bytes()[:8000].rsplit(b"\n", 1)[0]
-
-
-@pytest.mark.parametrize("command", list(COMMANDS))
-def test_malformed_files_get_one_sentence_each(command: str, tmp_path: Path) -> None:
-    """Through the command: status 2, one sentence that names the file, nothing written."""
-    rng, seen = np.random.default_rng([3, len(command)]), set()
-    count = 25 if command == "diagnose" else 20  # of 25 kinds
-    for n in range(count):
-        content, ending = malformed(n, GOOD, rng)
-        seen.add(content)
-        path = tmp_path / f"f{n}{ending}"
-        path.write_bytes(content)
-        words = [word.format(path, good=START, out=tmp_path / "out.toml") for word in COMMANDS[command]]
-        refused(partial(cli.main, words), path, named=command != "commission")
-    assert len(seen) > 0.8 * count
-
-
-def test_a_folder_of_malformed_files_has_no_trend(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rng = np.random.default_rng(4)
-    for n in range(25):
-        content, ending = malformed(n, GOOD, rng)
-        (tmp_path / f"2026-01-{n + 1:02d}{ending}").write_bytes(content)
+def test_a_folder_without_a_recording_has_no_trend(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for n, content in enumerate((b"", b"PAR1 nothing", b"time_s,current_a\n0,1\n", b"\0" * 99), 1):
+        (tmp_path / f"2026-01-{n:02d}.csv").write_bytes(content)
     assert cli.main(["trend", str(tmp_path), "--out", str(tmp_path / "t.html")]) == 2
-    assert "Traceback" not in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert said.startswith("motor-env: no recording can be used; the first reason: ")
+    assert said.endswith("2026-01-01.csv: is empty\n")
     assert not (tmp_path / "t.html").exists()
 
 
