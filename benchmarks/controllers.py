@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from motor_env import PAPER_MOTOR, Motor, Scenario, SensorParameters, simulate
-from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
+from motor_env.embedded.arithmetic import Numbers, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import literal, write_library
 from motor_env.embedded.twin import answers, readings_of
@@ -196,7 +196,7 @@ def instructions(chip: Chip, elf: Path) -> int:
 def measure(chip: Chip, arithmetic: str, *, n_channels: int = 1) -> Measured:
     """Sizes and instructions of one build."""
     monitor = paper_monitor(n_channels=n_channels)
-    steps = Steps.suited(monitor.limits) if arithmetic == "fixed" else None
+    steps = monitor.limits.counts() if arithmetic == "fixed" else None
     numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

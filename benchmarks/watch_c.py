@@ -36,7 +36,7 @@ from watch_counts import (
 )
 
 from motor_env import FaultKind, KalmanFilter, Motor, SensorParameters
-from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
+from motor_env.embedded.arithmetic import Numbers, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of, settled
 from motor_env.embedded.source import write_library
 from motor_env.embedded.twin import readings_of
@@ -81,7 +81,7 @@ class Compiled:
     """The exported library of a monitor, compiled."""
 
     def __init__(self, monitor: Monitor, folder: Path, *, arithmetic: str) -> None:
-        steps = Steps.suited(monitor.limits) if arithmetic == "fixed" else None
+        steps = monitor.limits.counts() if arithmetic == "fixed" else None
         self.numbers: Numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
         write_library(monitor, folder, steps=steps, name="m", wanted="see the benchmark")
         (folder / "run.c").write_text(RUN, encoding="utf-8")

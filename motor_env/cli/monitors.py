@@ -93,7 +93,6 @@ def export_c(
         voltage_count: The same of the voltage, in volt.
         name: Of the library, and the first part of the names in it.
     """
-    from motor_env.embedded.arithmetic import Steps
     from motor_env.embedded.monitor import CusumBank, monitor_of, sensor_of
     from motor_env.embedded.source import write_library
     from motor_env.motor.data_sheet import load_motor
@@ -107,7 +106,7 @@ def export_c(
         voltage_v=voltage if voltage is not None else known.nominal_voltage_v or 0.0,
         false_alarms_per_year=false_alarms_per_year,
     )
-    counts = Steps.suited(monitor.limits, current_count, speed_count, voltage_count)
+    counts = monitor.limits.counts(current_count, speed_count, voltage_count)
     wanted = f"{false_alarms_per_year:g} false alarms a year"
     for path in write_library(
         monitor, out, steps=counts if arithmetic == "fixed" else None, name=name, wanted=wanted

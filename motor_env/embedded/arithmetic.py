@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.embedded.monitor import DEADBAND, TELLING, Limits, Monitor
+from motor_env.embedded.monitor import DEADBAND, TELLING, Monitor, Readings
 from motor_env.motor.parameters import FloatArray, require
 
 Values = NDArray[Any]
@@ -27,23 +27,7 @@ NOTHING_BITS, SOMETHING_BITS = 4, 1
 """A current below the model's over 2^4 is nothing, one of half the model's is something."""
 
 
-class Steps(NamedTuple):
-    """What one count of a reading is worth."""
-
-    current_a: float
-    speed_rad_s: float
-    voltage_v: float
-
-    @classmethod
-    def suited(cls, limits: Limits, *given: float | None) -> Self:
-        """Those that are given, and powers of ten of which 1e7 to 1e8 make the range."""
-        tens = [10.0 ** (math.floor(math.log10(most)) - 7) for most in limits]
-        return cls(
-            *(ten if step is None else step for ten, step in zip(tens, given or 3 * [None], strict=True))
-        )
-
-
-_UNITS = Steps(1.0, 1.0, 1.0)
+_UNITS = Readings(1.0, 1.0, 1.0)
 
 
 def clamped(values: Values) -> Values:
@@ -96,7 +80,7 @@ class Numbers:
     is_fixed: bool
     n_channels: int
     scales: tuple[int, ...]
-    readings: Steps
+    readings: Readings
     model: tuple[Row, Row]
     drag: tuple[Values, Values, Values]
     gain: tuple[Row, Row]
@@ -114,14 +98,14 @@ def floating(monitor: Monitor, dtype: type[np.float32 | np.float64] = np.float32
     return _numbers(monitor, dtype, _UNITS, unit=1.0, row=lambda rows: Row(rows.astype(dtype)), steps=_UNITS)
 
 
-def fixed_point(monitor: Monitor, steps: Steps) -> Numbers:
+def fixed_point(monitor: Monitor, steps: Readings) -> Numbers:
     """Numbers in fixed point, for readings that are counts of `steps`.
 
     Raises:
         ValueError: a step is not positive, or so small or large that the range does not fit.
     """
     units = []
-    for name, step, most in zip(Steps._fields, steps, monitor.limits, strict=True):
+    for name, step, most in zip(Readings._fields, steps, monitor.limits, strict=True):
         counts = most / step if 0.0 < step < math.inf else math.inf
         require(2.0 <= counts <= _FULL_SCALE, f"step of {name} must suit {most:g}, got {step:g}")
         units.append(step / 2.0 ** math.floor(math.log2(_FULL_SCALE / counts)))
@@ -142,7 +126,7 @@ def _numbers(
     *,
     unit: float,
     row: Callable[[FloatArray], Row],
-    steps: Steps,
+    steps: Readings,
 ) -> Numbers:
     states, m, limits = np.array(units[:2]), len(monitor.kalman.observation), monitor.limits
     transition, inputs = monitor.kalman.model.transition, monitor.kalman.model.gain

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -26,12 +26,18 @@ _YEAR_S = 365.25 * 86_400.0
 _OVERLAP = 12.0
 
 
-class Limits(NamedTuple):
-    """Largest magnitudes that the sensors show: what lies beyond is no reading."""
+class Readings(NamedTuple):
+    """A magnitude of each reading: the largest that is one, or what one count is worth."""
 
     current_a: float
     speed_rad_s: float
     voltage_v: float
+
+    def counts(self, *given: float | None) -> Self:
+        """What one count is worth: as given, else powers of ten of which 1e7 to 1e8 make these largest readings."""
+        tens = [10.0 ** (math.floor(math.log10(most)) - 7) for most in self]
+        chosen = zip(tens, given or 3 * [None], strict=True)
+        return type(self)(*(ten if count is None else count for ten, count in chosen))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +86,7 @@ class Monitor:
     kalman: KalmanFilter
     rule: CusumBank
     thresholds: tuple[float, ...]
-    limits: Limits
+    limits: Readings
 
     def gains(self) -> tuple[FloatArray, FloatArray]:
         """Steady Kalman gain (2, m), and what turns the current's innovation into shares of the thresholds (p, 1)."""
@@ -147,11 +153,11 @@ def monitor_of(
     arl0 = _YEAR_S * rate_hz / false_alarms_per_year
     thresholds = rule.thresholds_for(arl0)
     _, speed = steady_state(motor.parameters, voltage_v).tolist()
-    limits = Limits(
+    limits = Readings(
         current_a=_HEADROOM * voltage_v / float(motor.parameters.resistance_ohm),
         speed_rad_s=_HEADROOM * speed,
         voltage_v=_HEADROOM * voltage_v,
     )
-    for name, value in zip(Limits._fields, limits, strict=True):
+    for name, value in zip(Readings._fields, limits, strict=True):
         require_positive(name, value)
     return Monitor(motor, kalman, rule, thresholds, limits)

@@ -15,12 +15,11 @@ from motor_env.embedded.arithmetic import (
     SOMETHING_BITS,
     STATISTIC_BITS,
     Numbers,
-    Steps,
     Values,
     fixed_point,
     floating,
 )
-from motor_env.embedded.monitor import DEAD_AFTER, STUCK_AFTER, Monitor
+from motor_env.embedded.monitor import DEAD_AFTER, STUCK_AFTER, Monitor, Readings
 from motor_env.embedded.twin import SampleVerdict, answers, readings_of
 from motor_env.errors import InputError
 from motor_env.files import filling, require_ours, write_text
@@ -53,7 +52,7 @@ class Check(NamedTuple):
 
 
 def write_library(
-    monitor: Monitor, folder: Path, *, steps: Steps | None, name: str, wanted: str
+    monitor: Monitor, folder: Path, *, steps: Readings | None, name: str, wanted: str
 ) -> list[Path]:
     """Write the C library of a monitor, whole or not at all.
 
@@ -114,7 +113,7 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "gains": gains,
         "rate_hz": f"{rate_hz:.9g}",
         "period_us": round(1e6 / rate_hz),
-        "counts": Steps(*(literal(np.float32(size)) for size in n.readings)),  # type: ignore[arg-type]
+        "counts": Readings(*(literal(np.float32(size)) for size in n.readings)),  # type: ignore[arg-type]
         "memory_share": np.float32(2.0**-n.memory),
         "nothing_bits": NOTHING_BITS,
         "nothing_share": np.float32(2.0**-NOTHING_BITS),

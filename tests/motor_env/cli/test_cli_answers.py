@@ -32,7 +32,6 @@ from motor_env.diagnosis import identify as identifying
 from motor_env.diagnosis.files import Outcome
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.embedded import monitor as monitors, source
-from motor_env.embedded.arithmetic import Steps
 from motor_env.embedded.monitor import CusumBank
 from motor_env.live import command
 from motor_env.prognosis import files as trends
@@ -188,7 +187,7 @@ def exported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
 
     def monitor_of(known: Any, rate_hz: float, **more: Any) -> Any:
         found.update(more, rate_hz=rate_hz)
-        return SimpleNamespace(limits="limits")
+        return SimpleNamespace(limits=SimpleNamespace(counts=lambda *given: given))
 
     def write_library(_: Any, out: Path, **more: Any) -> list[Path]:
         found.update(more)
@@ -196,7 +195,6 @@ def exported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
 
     monkeypatch.setattr(monitors, "monitor_of", monitor_of)
     monkeypatch.setattr(source, "write_library", write_library)
-    monkeypatch.setattr(Steps, "suited", lambda *counts: counts)
     return found
 
 
@@ -209,7 +207,7 @@ def test_export_c_hands_on_what_was_asked_for(
     known = load_motor(MOTOR)
     assert (exported["rate_hz"], exported["voltage_v"]) == (2000.0, known.nominal_voltage_v)
     assert exported["rule"] == CusumBank()
-    assert exported["steps"] == ("limits", None, None, None)
+    assert exported["steps"] == (None, None, None)
     assert exported["wanted"] == "1 false alarms a year"
     more = ["--arithmetic", "float", "--voltage", "9"]
     assert main([*command, *more, "--false-alarms-per-year", "2.5"]) == 0
@@ -218,7 +216,7 @@ def test_export_c_hands_on_what_was_asked_for(
     assert main([*command, "--shift", "3", "--current-count", "0.01"]) == 0
     shifted: Any = CusumBank((3.0,), ())
     assert exported["rule"] == shifted
-    assert exported["steps"] == ("limits", 0.01, None, None)
+    assert exported["steps"] == (0.01, None, None)
 
 
 @pytest.mark.parametrize(

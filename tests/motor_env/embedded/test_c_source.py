@@ -29,7 +29,7 @@ from motor_env import (
     identify,
     simulate,
 )
-from motor_env.embedded.arithmetic import Numbers, Steps, fixed_point, floating
+from motor_env.embedded.arithmetic import Numbers, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import write_library
 from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
@@ -113,7 +113,7 @@ def exported(folder: Path, arithmetic: str, n_channels: int) -> tuple[Monitor, N
 
 
 def written(believed: Monitor, folder: Path, arithmetic: str) -> Numbers:
-    steps = Steps.suited(believed.limits) if arithmetic == "fixed" else None
+    steps = believed.limits.counts() if arithmetic == "fixed" else None
     write_library(believed, folder, steps=steps, name="m", wanted="1 false alarm a year")
     (folder / "run.c").write_text(RUN, encoding="utf-8")
     return fixed_point(believed, steps) if steps else floating(believed)

@@ -30,8 +30,8 @@ from motor_env import (
 )
 from motor_env.cli import main
 from motor_env.embedded import source, twin
-from motor_env.embedded.arithmetic import Numbers, Row, Steps, fixed_point, floating
-from motor_env.embedded.monitor import CusumBank, Limits, Monitor, monitor_of, settled
+from motor_env.embedded.arithmetic import Numbers, Row, fixed_point, floating
+from motor_env.embedded.monitor import CusumBank, Monitor, Readings, monitor_of, settled
 from motor_env.embedded.source import checks, write_library
 from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
 
@@ -98,7 +98,7 @@ def test_twin_is_filter_and_rule(rule: str, n_channels: int) -> None:
     np.testing.assert_allclose(statistic, reference, rtol=1e-9, atol=1e-9)
     above = reference > 1.0
     alarms = np.where(above.any(axis=1), above.argmax(axis=1), -1)
-    for numbers in (floating(believed), fixed_point(believed, Steps.suited(believed.limits))):
+    for numbers in (floating(believed), fixed_point(believed, believed.limits.counts())):
         answer = answers(numbers, readings_of(numbers, data.measurements, data.voltage_v))
         off = np.abs(first(answer) - alarms)
         assert off.max() <= 1
@@ -127,7 +127,7 @@ def test_sensor_is_watched() -> None:
     current, on = data.measurements.copy(), int(np.argmax(data.voltage_v > 0.0))
     current[0, 0, on + 300 : on + 500] = current[0, 0, on + 300]
     current[0, 0, on + 600] = 50.0
-    for numbers in (floating(believed), fixed_point(believed, Steps.suited(believed.limits))):
+    for numbers in (floating(believed), fixed_point(believed, believed.limits.counts())):
         readings = readings_of(numbers, current, data.voltage_v)
         verdict = answers(numbers, readings).verdict[0]
         assert (verdict[on + 400 : on + 500] == SampleVerdict.SENSOR_STUCK).all()
@@ -143,7 +143,7 @@ def test_a_current_that_reads_nothing_in_an_inrush_is_that_of_a_dead_sensor() ->
     alive, on = data.measurements[:, :1], int(np.argmax(data.voltage_v > 0.0))
     quiet = np.random.default_rng(1).normal(0.0, 0.02, alive.shape)
     mended = np.where(np.arange(alive.shape[-1]) < on + 20, quiet, alive)
-    for numbers in (floating(believed), fixed_point(believed, Steps.suited(believed.limits))):
+    for numbers in (floating(believed), fixed_point(believed, believed.limits.counts())):
 
         def verdicts(current: NDArray[np.float64], numbers: Numbers = numbers) -> Any:
             return answers(numbers, readings_of(numbers, current, data.voltage_v)).verdict[0]
@@ -172,10 +172,10 @@ def test_brushes_and_dry_friction_are_known() -> None:
         )
     current = states[None, :1, 1:] + 0.02 * rng.standard_normal(n)
     for sign in (1.0, -1.0):  # the first samples, in which the twin knows of no motion, are near to nothing
-        numbers = fixed_point(believed, Steps.suited(believed.limits))
+        numbers = fixed_point(believed, believed.limits.counts())
         answer = answers(numbers, readings_of(numbers, sign * current, sign * volts))
         assert (answer.verdict == SampleVerdict.HEALTHY).all()
-    blind = fixed_point(monitor(), Steps.suited(believed.limits))
+    blind = fixed_point(monitor(), believed.limits.counts())
     assert (answers(blind, readings_of(blind, current, volts)).verdict == SampleVerdict.FAULT).any()
 
 
@@ -251,7 +251,7 @@ def test_counts_of_a_converter_do() -> None:
     believed = monitor()
     data = starts(believed, 50)
     coarse, fine = (
-        fixed_point(believed, steps) for steps in (Steps(4e-3, 1.0, 6e-3), Steps.suited(believed.limits))
+        fixed_point(believed, steps) for steps in (Readings(4e-3, 1.0, 6e-3), believed.limits.counts())
     )
     rounded = answers(coarse, readings_of(coarse, data.measurements, data.voltage_v))
     reference = answers(fine, readings_of(fine, data.measurements, data.voltage_v))
@@ -269,9 +269,9 @@ def test_fixed_point_is_the_floats_in_other_units() -> None:
     believed = monitor(n_channels=2)
     dry = replace(believed.motor, brush_drop_v=0.3, coulomb_friction_n_m=2e-4)
     believed = replace(believed, motor=dry)
-    steps = Steps(1e-6, 1e-3, 1e-6)
-    assert Steps.suited(believed.limits, None, 1e-3, None) == pytest.approx(steps)
-    assert Steps.suited(Limits(9.9, 1000.0, 0.024)) == pytest.approx((1e-7, 1e-4, 1e-9))
+    steps = Readings(1e-6, 1e-3, 1e-6)
+    assert believed.limits.counts(None, 1e-3, None) == pytest.approx(steps)
+    assert Readings(9.9, 1000.0, 0.024).counts() == pytest.approx((1e-7, 1e-4, 1e-9))
     exact, fixed = floating(believed, np.float64), fixed_point(believed, steps)
     for most, step, scale in zip(believed.limits, steps, fixed.scales, strict=True):
         assert scale * most / step <= 2**28 < 2 * scale * most / step
@@ -330,28 +330,29 @@ def test_a_row_rounds_half_up_and_clamps() -> None:
 @pytest.mark.parametrize(
     ("steps", "words"),
     [
-        (Steps(4.1e-8, 1e-3, 1e-6), "step of current_a must suit"),
-        (Steps(1e-6, 600.0, 1e-6), "step of speed_rad_s must suit"),
-        (Steps(1e-6, 1e-3, 0.0), "step of voltage_v must suit 24, got 0"),
-        (Steps(1e-6, 1e-3, float("inf")), "step of voltage_v must suit"),
+        (Readings(4.1e-8, 1e-3, 1e-6), "step of current_a must suit"),
+        (Readings(1e-6, 600.0, 1e-6), "step of speed_rad_s must suit"),
+        (Readings(1e-6, 1e-3, 0.0), "step of voltage_v must suit 24, got 0"),
+        (Readings(1e-6, 1e-3, float("inf")), "step of voltage_v must suit"),
     ],
 )
-def test_steps_must_suit_the_ranges(steps: Steps, words: str) -> None:
+def test_steps_must_suit_the_ranges(steps: Readings, words: str) -> None:
     """From 2 counts to 2^28."""
     believed = monitor()
     with pytest.raises(ValueError, match=words):
         fixed_point(believed, steps)
     most = np.array(believed.limits)
-    assert fixed_point(believed, Steps(*(most / 2.0**28))).scales == (1, 1, 1)
+    assert fixed_point(believed, Readings(*(most / 2.0**28))).scales == (1, 1, 1)
     assert (
-        fixed_point(believed, Steps(most[0] / 2.0, most[1] / 2.0**28, most[2] / 2.0**28)).scales[0] == 2**27
+        fixed_point(believed, Readings(most[0] / 2.0, most[1] / 2.0**28, most[2] / 2.0**28)).scales[0]
+        == 2**27
     )
 
 
 def test_a_factor_must_leave_a_bit_to_round() -> None:
     """Whitened innovations grow as the threshold falls: below 2^29 a factor fits with a shift of 1."""
     believed = monitor("one shift")
-    steps = Steps.suited(believed.limits)
+    steps = believed.limits.counts()
     [row] = fixed_point(believed, steps).white
     assert row.shift is not None
     largest = float(row.factors[0]) * 2.0**-row.shift * believed.thresholds[0]
@@ -448,7 +449,7 @@ def test_a_sample_that_is_no_reading_is_not_used(monkeypatch: pytest.MonkeyPatch
 
 def test_readings_are_counts() -> None:
     believed = monitor(n_channels=2)
-    numbers = fixed_point(believed, Steps(0.1, 2.0, 0.5))
+    numbers = fixed_point(believed, Readings(0.1, 2.0, 0.5))
     measured = np.array([[[0.24, 0.26], [3.1, -2.9]]])
     assert readings_of(numbers, measured, [12.0, 11.8]).tolist() == [[[2, 3], [2, -1], [24, 24]]]
     assert readings_of(floating(believed, np.float64), measured, 12.0).tolist() == [
@@ -488,7 +489,7 @@ def test_the_source_holds_the_numbers_of_its_twin(fixed: bool, tmp_path: Path) -
     """Read back from the text; that it computes as its twin does is tested with a compiler (long)."""
     believed = monitor(n_channels=2)
     believed = replace(believed, motor=replace(believed.motor, name="my/motor"))
-    steps = Steps.suited(believed.limits) if fixed else None
+    steps = believed.limits.counts() if fixed else None
     files = write_library(believed, tmp_path, steps=steps, name="m", wanted="1 a year")
     source, header = (tmp_path / f"src/m.{ending}" for ending in ("c", "h"))
     assert {source, header} <= set(files)
