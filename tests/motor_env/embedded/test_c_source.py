@@ -5,7 +5,6 @@
 
 import ctypes
 import itertools
-import os
 import shutil
 import subprocess
 import sys
@@ -22,11 +21,9 @@ from motor_env import (
     Channel,
     Fault,
     FaultKind,
-    InputError,
     Motor,
     Scenario,
     SensorParameters,
-    identify,
     simulate,
 )
 from motor_env.embedded.arithmetic import Numbers, fixed_point, floating
@@ -78,8 +75,6 @@ EDGES = {
     "fixed": "0, 1, -1, 5000000, -5000000, 11000000, -11000000, 24000000, -24000000, INT32_MAX, INT32_MIN",
     "float": "0.0f, 1.0f, -5.0f, 11.0f, -11.0f, 24.0f, -24.0f, 3e38f, -3e38f, 0.0f / 0.0f, 1.0f / 0.0f",
 }
-LONGEST = 20_000  # samples of a recording
-RECORDINGS = sorted(Path(os.environ.get("MOTOR_ENV_RECORDINGS", "no_folder")).glob("*/*.csv"))
 BUILDS = list(itertools.product(("fixed", "float"), (1, 2)))
 
 
@@ -180,32 +175,6 @@ def test_10000_starts_alarm_as_in_double_precision(arithmetic: str, severity: fl
     sys.stdout.write(f"{arithmetic}, bearing {severity:+.0%}: {np.mean(reference >= 0):.2%} alarm; {said}\n")
     assert same >= 0.995
     assert near >= 0.999
-
-
-@pytest.mark.skipif("MOTOR_ENV_RECORDINGS" not in os.environ, reason="MOTOR_ENV_RECORDINGS is not set")
-@pytest.mark.parametrize("path", RECORDINGS, ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_recordings_get_the_verdict_of_double_precision(path: Path, tmp_path: Path) -> None:
-    try:
-        start, fit = identify(path, start=1).starts[0]
-    except InputError as error:
-        pytest.skip(str(error))
-    volts = float(np.max(np.abs(fit.start.level_v if start.voltage_v is None else start.voltage_v)))
-    motor = Motor(path.stem, "identified", fit.parameters)
-    sensor = SensorParameters(current_noise_a=max(fit.noise_a, 1e-3 * float(np.ptp(start.current_a))))
-    believed = monitor_of(motor, 1.0 / start.dt_s, rule=CusumBank(), sensor=sensor, voltage_v=volts)
-    exact = floating(believed, np.float64)
-    voltage = volts * (start.time_s > fit.onset_s) if start.voltage_v is None else start.voltage_v
-    measured, voltage = start.current_a[None, None, :LONGEST], voltage[:LONGEST]
-    [reference] = first(answers(exact, readings_of(exact, measured, voltage)))
-    for arithmetic in ("fixed", "float"):
-        try:
-            numbers = written(believed, tmp_path / arithmetic, arithmetic)
-        except InputError as error:  # the numbers of no motor do not fit into 32 bits
-            pytest.skip(str(error))
-        [alarm] = first(run_c(tmp_path / arithmetic, readings_of(numbers, measured, voltage)))
-        sys.stdout.write(f"{path.stem}, {arithmetic}: alarm at {alarm}, in double precision at {reference}\n")
-        assert (alarm >= 0) == (reference >= 0)
-        assert abs(alarm - reference) <= 1
 
 
 @pytest.mark.parametrize("chip", CHIPS, ids=lambda chip: chip.name)

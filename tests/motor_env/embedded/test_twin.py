@@ -247,17 +247,6 @@ def test_a_library_is_whole_and_only_in_its_own_folder(
     assert contents()["src/motor_monitor.c"] != first["src/motor_monitor.c"]
 
 
-def test_counts_of_a_converter_do() -> None:
-    believed = monitor()
-    data = starts(believed, 50)
-    coarse, fine = (
-        fixed_point(believed, steps) for steps in (Readings(4e-3, 1.0, 6e-3), believed.limits.counts())
-    )
-    rounded = answers(coarse, readings_of(coarse, data.measurements, data.voltage_v))
-    reference = answers(fine, readings_of(fine, data.measurements, data.voltage_v))
-    assert np.mean((first(rounded) >= 0) == (first(reference) >= 0)) > 0.9
-
-
 def units_of(fixed: Numbers) -> NDArray[np.float64]:
     """What one count of current, speed and voltage is worth inside."""
     units: NDArray[np.float64] = np.array(fixed.readings) / np.array(fixed.scales)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ FINE_S = 1e-4
 OHM, CONSTANT, INERTIA, DRY = 2.0, 0.03, 2.3e-5, 3.6e-3
 
 
+@cache
 def pulsed(pwm_hz: float, duty: float, every: int, *, coasts: bool = True, n: int = 40_000) -> Recording:
     """A motor of 50 ms, without inductance, that pulses of 12 V start at 0.2 s; one fine step in some is recorded."""
     time_s: FloatArray = FINE_S * np.arange(n, dtype=np.float64)

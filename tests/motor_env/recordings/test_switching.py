@@ -111,23 +111,25 @@ def test_what_follows_is_left_out_of_a_start() -> None:
 
 
 @pytest.mark.parametrize("has_voltage", [False, True])
-@pytest.mark.parametrize("brake_a", [0.0, 2.0])
-def test_a_motor_that_is_switched_off_is_judged_by_its_start(has_voltage: bool, brake_a: float) -> None:
+def test_a_motor_that_is_switched_off_is_judged_by_its_start(has_voltage: bool) -> None:
     """A healthy one had less friction, where a current of 0 A counted as a motor's that turns."""
-    whole, rng = start(Fault(FaultKind.BEARING, 3.0)), np.random.default_rng(8)
-    assert whole.voltage_v is not None
-    later = whole.time_s[-1] + whole.dt_s * np.arange(1.0, OFF + 1.0)
-    after = decay(-brake_a, 100.0) + 0.02 * rng.standard_normal(OFF)
-    longer = replace(
-        whole,
-        time_s=np.append(whole.time_s, later),
-        current_a=np.append(whole.current_a, after),
-        voltage_v=np.append(whole.voltage_v, np.zeros(OFF)),
-    )
-    both = (one if has_voltage else replace(one, voltage_v=None) for one in (whole, longer))
-    expected, found = (diagnose(one, SHEET, voltage_v=12.0) for one in both)
-    assert found.verdict == expected.verdict == "bearing"
-    assert [c.ratio for c in found.changes] == pytest.approx([c.ratio for c in expected.changes], rel=0.01)
+    begun, rng = start(Fault(FaultKind.BEARING, 3.0)), np.random.default_rng(8)
+    whole = begun if has_voltage else replace(begun, voltage_v=None)
+    expected = diagnose(whole, SHEET, voltage_v=12.0)
+    assert expected.verdict == "bearing"
+    for brake_a in (0.0, 2.0):
+        after = decay(-brake_a, 100.0) + 0.02 * rng.standard_normal(OFF)
+        longer = replace(
+            whole,
+            time_s=whole.dt_s * np.arange(len(whole.time_s) + OFF) + whole.time_s[0],
+            current_a=np.append(whole.current_a, after),
+            voltage_v=None if whole.voltage_v is None else np.append(whole.voltage_v, np.zeros(OFF)),
+        )
+        found = diagnose(longer, SHEET, voltage_v=12.0)
+        assert found.verdict == "bearing"
+        assert [c.ratio for c in found.changes] == pytest.approx(
+            [c.ratio for c in expected.changes], rel=0.01
+        )
 
 
 def test_a_switch_that_bounces_cuts_no_start_of_several() -> None:
