@@ -232,6 +232,17 @@ def test_a_column_that_seldom_holds_a_number_is_none_of_the_table(tmp_path: Path
         assert (read.speed_rad_s is not None) is is_read
 
 
+@pytest.mark.parametrize(
+    ("cell", "kind"), [("inf", "finite numbers"), ("1e999", "finite numbers"), ("1_0", "numbers")]
+)
+def test_a_cell_that_is_no_finite_number_is_named(cell: str, kind: str, tmp_path: Path) -> None:
+    rows = [f"{t:.3f},{i:.4f}" for t, i in zip(PLACES, WAVE, strict=True)]
+    rows[20] = f"20.000,{cell}"
+    (tmp_path / "a.csv").write_text("\n".join(["time_s,current_a", *rows]))
+    with pytest.raises(InputError, match=f"line 22: the column current_a must hold {kind}, got '{cell}'"):
+        read_recording(tmp_path / "a.csv")
+
+
 def test_uneven_times_are_evened_from_a_fiftieth_of_an_interval_on() -> None:
     columns = {"current": WAVE}
     for off, is_kept in ((0.0199, True), (0.0201, False)):
