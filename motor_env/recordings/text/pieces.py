@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,6 +20,7 @@ from motor_env.recordings.text.block import CLOCK, CUT_OFF, Block, block_of, fil
 from motor_env.recordings.text.settings import Table, table_of
 
 MOST_ROWS = 4_000_000
+_AT_ONCE = 2  # pieces: pandas lets other threads run while it parses
 _HEAD_BYTES, _TAIL_BYTES, _PIECE_BYTES = 2_000_000, 65_536, 8_000_000
 _SMALL_BYTES = 4_000_000
 
@@ -64,15 +67,21 @@ def large_block(path: Path) -> Table:
 
 
 def _pieces(file: BinaryIO, block: Block) -> Iterator[FloatArray]:
-    """The numbers of each piece of whole lines, shape (rows, columns)."""
+    """The numbers of each piece of whole lines, shape (rows, columns); several are parsed at once."""
     line = block.begin
-    while piece := file.read(_PIECE_BYTES) + file.readline():
-        if CUT_OFF in block.remarks and not piece.endswith(b"\n"):
-            piece = piece.rpartition(b"\n")[0]
-        piece = piece.replace(b" -> ", block.arrow.encode()) if block.arrow else piece
-        rows = piece.count(b"\n") + (not piece.endswith(b"\n"))
-        yield _numbers(block, piece, line, rows)[0]
-        line += rows
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        waiting: deque[Future[tuple[FloatArray, Sequence[int]]]] = deque()
+        while piece := file.read(_PIECE_BYTES) + file.readline():
+            if CUT_OFF in block.remarks and not piece.endswith(b"\n"):
+                piece = piece.rpartition(b"\n")[0]
+            piece = piece.replace(b" -> ", block.arrow.encode()) if block.arrow else piece
+            rows = piece.count(b"\n") + (not piece.endswith(b"\n"))
+            waiting.append(pool.submit(_numbers, block, piece, line, rows))
+            line += rows
+            if len(waiting) > _AT_ONCE:
+                yield waiting.popleft().result()[0]
+        while waiting:
+            yield waiting.popleft().result()[0]
 
 
 def _means(parts: Iterable[FloatArray], factor: int) -> FloatArray:
