@@ -72,6 +72,7 @@ def export_c(
     current_count: float | None = None,
     speed_count: float | None = None,
     voltage_count: float | None = None,
+    stuck_after: console.Whole = 100,
     name: str = "motor_monitor",
 ) -> int:
     """Filter, rule and threshold for one motor as a C99 library for its controller, with CMake and Arduino files.
@@ -91,6 +92,7 @@ def export_c(
         current_count: What one count of a whole-number reading is worth, in ampere; by default a suitable power of ten.
         speed_count: The same of the speed, in rad/s.
         voltage_count: The same of the voltage, in volt.
+        stuck_after: So many equal readings in a row, while voltage is on, are a stuck sensor.
         name: Of the library, and the first part of the names in it.
     """
     from motor_env.embedded.monitor import CusumBank, monitor_of, sensor_of
@@ -105,6 +107,7 @@ def export_c(
         sensor=sensor_of(known, current_noise, speed_noise),
         voltage_v=voltage if voltage is not None else known.nominal_voltage_v or 0.0,
         false_alarms_per_year=false_alarms_per_year,
+        stuck_after=stuck_after,
     )
     counts = monitor.limits.counts(current_count, speed_count, voltage_count)
     wanted = f"{false_alarms_per_year:g} false alarms a year"

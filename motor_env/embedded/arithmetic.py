@@ -71,6 +71,7 @@ class Numbers:
         halves: half the shift of each sum.
         threshold: of the statistic: 1, or 1 << STATISTIC_BITS.
         ranges: largest readings of current, speed, voltage.
+        stuck_after: so many equal readings in a row are no readings.
         telling: the model's current above which a reading of nothing is that of a dead sensor.
         n_friction: how many of the sums look for friction; they are the first.
         memory: of the slow current and speed: the mechanical time constant in samples, as the nearest power of two.
@@ -88,6 +89,7 @@ class Numbers:
     halves: Values
     threshold: Values
     ranges: Values
+    stuck_after: int
     telling: Values
     n_friction: int
     memory: int
@@ -153,6 +155,7 @@ def _numbers(
         halves=rounded(halves / unit, dtype),
         threshold=rounded(np.array(1.0 / unit), dtype),
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
+        stuck_after=monitor.stuck_after,
         telling=rounded(np.array(TELLING * limits.current_a / 2.0 / units[0]), dtype),
         n_friction=len(monitor.rule.friction),
         memory=max(memory, 0),

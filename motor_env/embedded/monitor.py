@@ -14,8 +14,6 @@ from motor_env.motor.data_sheet import Motor
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
 
-STUCK_AFTER = 100
-"""So many equal readings in a row, with voltage on, are no readings."""
 DEAD_AFTER = 4
 """So many samples whose current is nothing where the model has much, with no other between, show a dead sensor."""
 TELLING = 0.1
@@ -80,6 +78,7 @@ class Monitor:
         rule: bank of CUSUMs.
         thresholds: of each sum; the motor counts as faulty above any of them.
         limits: of the sensors.
+        stuck_after: so many equal readings in a row, with voltage on, are no readings.
     """
 
     motor: Motor
@@ -87,6 +86,7 @@ class Monitor:
     rule: CusumBank
     thresholds: tuple[float, ...]
     limits: Readings
+    stuck_after: int = 100
 
     def gains(self) -> tuple[FloatArray, FloatArray]:
         """Steady Kalman gain (2, m), and what turns the current's innovation into shares of the thresholds (p, 1)."""
@@ -128,6 +128,7 @@ def monitor_of(
     sensor: SensorParameters,
     voltage_v: float,
     false_alarms_per_year: float = 1.0,
+    stuck_after: int = 100,
 ) -> Monitor:
     """Monitor of a motor that is known exactly and carries no load but its own friction.
 
@@ -138,6 +139,7 @@ def monitor_of(
         sensor: current, or current and speed, with their noise.
         voltage_v: level of the supply; the sensors' limits are twice of what it can cause.
         false_alarms_per_year: of the healthy motor, wanted.
+        stuck_after: so many equal readings in a row, with voltage on, are no readings; more for a coarse converter.
 
     Raises:
         ValueError: a value out of range, or fewer false alarms than the rule's equation resolves.
@@ -148,6 +150,7 @@ def monitor_of(
         ("false_alarms_per_year", false_alarms_per_year),
     ):
         require_positive(name, value)
+    require(1 <= stuck_after < 65_536, f"stuck_after must be from 1 to 65535, got {stuck_after}")
     kalman = KalmanFilter.from_parameters(motor.parameters, sensor, 1.0 / rate_hz)
     kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
     arl0 = _YEAR_S * rate_hz / false_alarms_per_year
@@ -160,4 +163,4 @@ def monitor_of(
     )
     for name, value in zip(Readings._fields, limits, strict=True):
         require_positive(name, value)
-    return Monitor(motor, kalman, rule, thresholds, limits)
+    return Monitor(motor, kalman, rule, thresholds, limits, stuck_after)

@@ -19,7 +19,7 @@ from motor_env.embedded.arithmetic import (
     fixed_point,
     floating,
 )
-from motor_env.embedded.monitor import DEAD_AFTER, STUCK_AFTER, Monitor, Readings
+from motor_env.embedded.monitor import DEAD_AFTER, Monitor, Readings
 from motor_env.embedded.twin import SampleVerdict, answers, readings_of
 from motor_env.errors import InputError
 from motor_env.files import filling, require_ours, write_text
@@ -123,7 +123,7 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
         "largest": LARGEST,
         "slack": 0 if n.is_fixed else "1e-3f",
         "dead_after": DEAD_AFTER,
-        "stuck_after": STUCK_AFTER,
+        "stuck_after": n.stuck_after,
         "checks": checks(monitor, n),
     }
 

@@ -21,7 +21,7 @@ from motor_env.embedded.arithmetic import (
     clamped,
     rounded,
 )
-from motor_env.embedded.monitor import DEAD_AFTER, STUCK_AFTER
+from motor_env.embedded.monitor import DEAD_AFTER
 
 
 class SampleVerdict(IntEnum):
@@ -76,9 +76,9 @@ class _Twin:
         self.voltage = np.where(inside[:, m], readings[:, m] * numbers.scales[2], self.voltage)
         measured = readings[:, :m]
         again = (measured == self.last) & (self.voltage != 0)[:, None]
-        self.same = np.where(again, np.minimum(self.same + 1, STUCK_AFTER), 0)
+        self.same = np.where(again, np.minimum(self.same + 1, numbers.stuck_after), 0)
         self.last = measured
-        wrong, stuck = ~inside.all(axis=1), (self.same == STUCK_AFTER).any(axis=1)
+        wrong, stuck = ~inside.all(axis=1), (self.same == numbers.stuck_after).any(axis=1)
         growth = self._growth()
         dead = self._dead(growth, measured[:, 0], wrong)
         used = ~(wrong | stuck | dead)

@@ -206,13 +206,13 @@ def test_export_c_hands_on_what_was_asked_for(
     assert capsys.readouterr().out == f"{tmp_path / 'a.c'}\n"
     known = load_motor(MOTOR)
     assert (exported["rate_hz"], exported["voltage_v"]) == (2000.0, known.nominal_voltage_v)
-    assert exported["rule"] == CusumBank()
+    assert (exported["rule"], exported["stuck_after"]) == (CusumBank(), 100)
     assert exported["steps"] == (None, None, None)
     assert exported["wanted"] == "1 false alarms a year"
     more = ["--arithmetic", "float", "--voltage", "9"]
-    assert main([*command, *more, "--false-alarms-per-year", "2.5"]) == 0
+    assert main([*command, *more, "--false-alarms-per-year", "2.5", "--stuck-after", "7"]) == 0
     assert (exported["voltage_v"], exported["steps"]) == (9.0, None)
-    assert exported["false_alarms_per_year"] == 2.5
+    assert (exported["false_alarms_per_year"], exported["stuck_after"]) == (2.5, 7)
     assert main([*command, "--shift", "3", "--current-count", "0.01"]) == 0
     shifted: Any = CusumBank((3.0,), ())
     assert exported["rule"] == shifted

@@ -29,7 +29,7 @@ from motor_env import (
     simulate,
 )
 from motor_env.cli import main
-from motor_env.embedded import source, twin
+from motor_env.embedded import source
 from motor_env.embedded.arithmetic import Numbers, Row, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, Readings, monitor_of, settled
 from motor_env.embedded.source import checks, write_library
@@ -367,6 +367,12 @@ def test_thresholds_share_the_false_alarms() -> None:
         motor, 1e4, rule=rule, sensor=SensorParameters(), voltage_v=12.0, false_alarms_per_year=5e6
     )
     assert believed.thresholds == rule.thresholds_for(YEAR_SAMPLES / 5e6)
+    assert (believed.stuck_after, fixed_point(believed, believed.limits.counts()).stuck_after) == (100, 100)
+    for stuck_after in (0, 65_536):
+        with pytest.raises(ValueError, match="stuck_after must be from 1 to 65535"):
+            monitor_of(
+                motor, 1e4, rule=rule, sensor=SensorParameters(), voltage_v=12.0, stuck_after=stuck_after
+            )
     assert (CusumBank().friction, CusumBank().winding) == ((0.15, 0.5), (1.25,))
 
 
@@ -392,10 +398,9 @@ def test_the_gain_is_that_of_the_settled_filter() -> None:
     np.testing.assert_allclose(white, root[0, 0] / np.array(believed.thresholds)[:, None], rtol=1e-9)
 
 
-def test_a_sample_that_is_no_reading_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sample_that_is_no_reading_is_not_used() -> None:
     """Out of range, not a number, or stuck: the state goes on with the model, the statistic stays."""
-    monkeypatch.setattr(twin, "STUCK_AFTER", 3)
-    believed = monitor("one shift", 2)
+    believed = replace(monitor("one shift", 2), stuck_after=3)
     exact, model = floating(believed, np.float64), believed.kalman.model
     gain, white = believed.gains()
     rng, state, statistic = np.random.default_rng(4), np.zeros(2), 0.0
