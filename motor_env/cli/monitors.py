@@ -27,8 +27,9 @@ def watch(
 
     Example: motor-env watch out/motor.toml log.csv --follow --state out/watch.json
 
-    Each event is a line of JSON. Exit status when the lines end or with Ctrl-C: 0 all healthy, 1 any fault, 2 input
-    that cannot be used, 3 no fault but a window that cannot be judged, or none that was.
+    On a terminal a screen is kept up to date; otherwise each event is a line of JSON. Exit status when the lines end or
+    with Ctrl-C: 0 all healthy, 1 any fault, 2 input that cannot be used, 3 no fault but a window that cannot be judged,
+    or none that was.
 
     Args:
         motor: Motor file that `commission` wrote from logs, or that --learn writes.

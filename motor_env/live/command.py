@@ -1,13 +1,15 @@
-"""The command `motor-env watch`: what it watches, keeps and says, an event a line of JSON."""
+"""The command `motor-env watch`: what it watches, keeps and shows: a screen on a terminal, JSON lines otherwise."""
 
 from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from motor_env.console import printable
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.errors import InputError
 from motor_env.files import LARGEST_NOTE_BYTES, read_file
@@ -46,10 +48,9 @@ def run(
         sys.stderr.write(f"{watcher.promise}\n")
     before = seen.last_read.encode("latin-1")
     pieces = source(name, follow=follow, baud=baud, offset=seen.offset, last_read=before)
-    with suppress(KeyboardInterrupt):  # Ctrl-C is the usual end of a watch
+    with suppress(KeyboardInterrupt), showing(seen.counts) as show:  # Ctrl-C is the usual end of a watch
         for event in watcher.events(lines(pieces, rest=not follow)):
-            sys.stdout.write(f"{event.as_json()}\n")
-            sys.stdout.flush()
+            show(event)
             if event.kind == "learned" and watcher.healthy is not None:
                 save_motor(motor_of_windows(watcher.healthy, motor.stem), motor)
                 seen.motor = _digest(motor)
@@ -102,3 +103,41 @@ def _windows_of(motor: Motor) -> Healthy:
     if motor.healthy is None or motor.healthy.windows is None:
         raise InputError(f"{motor.name}: was not commissioned by windows of the motor at work")
     return motor.healthy
+
+
+@contextmanager
+def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
+    """Yields the function that shows an event; the counts are those of all events."""
+    if not sys.stdout.isatty():
+        yield _line
+        return
+    from rich.console import Group
+    from rich.live import Live
+    from rich.table import Table
+    from rich.text import Text
+
+    latest: deque[Event] = deque(maxlen=8)
+    with Live(Text("waiting for the first window")) as screen:
+
+        def show(event: Event) -> None:
+            latest.append(event)
+            table = Table("time (s)", "event", "what", "moved", expand=True)
+            for each in latest:
+                moved = ", ".join(f"{name} {ratio - 1.0:+.1%}" for name, ratio in each.ratios.items())
+                kind = each.kind if each.count == 1 else f"{each.count} {each.kind}"
+                words = (f"{each.time_s:.6g}", kind, f"{each.text} {each.reason}", moved)
+                table.add_row(*(Text(printable(word)) for word in words), style=_style(each))
+            screen.update(Group(table, Text(", ".join(f"{n} {name}" for name, n in counts.most_common()))))
+
+        yield show
+
+
+def _line(event: Event) -> None:
+    sys.stdout.write(event.as_json() + "\n")
+    sys.stdout.flush()
+
+
+def _style(event: Event) -> str:
+    if event.kind != "window" or event.text == "unusable":
+        return "yellow" if event.kind not in ("learning", "learned") else ""
+    return "green" if event.text == "healthy" else "bold red"

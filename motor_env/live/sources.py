@@ -20,7 +20,7 @@ from motor_env.live.pieces import BLOCK_BYTES, NEW_FILE, Notice, Piece
 
 _PAUSE_S = 0.2
 _CHUNK = 1 << 16
-_MOST_WAITING = 1 << 16  # pieces; one is at most what the system's buffer of a port holds, 4 kB
+_MOST_WAITING = 1 << 16  # pieces, each of which an operating system's buffer of a port holds: 4 kB
 
 
 def identity(name: str | None) -> str:

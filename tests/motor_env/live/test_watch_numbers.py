@@ -6,6 +6,8 @@ The judgement itself is put in its place by hand: that of real windows is tested
 import itertools
 import json
 import math
+import re
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -31,6 +33,7 @@ from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting import places
 from motor_env.live import command, watch as watching
+from motor_env.live.command import showing
 from motor_env.live.events import Event
 from motor_env.live.pieces import NEW_FILE, SILENCE, Notice, Piece, lines
 from motor_env.live.state import State
@@ -693,3 +696,24 @@ def test_what_is_no_number_is_null() -> None:
     assert told.as_json().count("null") == 4
     assert "\n" not in told.as_json()
     follows("motor-env watch", told.as_json())
+
+
+def test_a_terminal_shows_the_last_events_and_all_counts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("TERM", "dumb")
+    state = State()
+    state.counts.update({"window healthy": 11, "gap": 2})
+    with showing(state.counts) as show:
+        for n in range(9):
+            show(Event(float(n), "window", "bearing", {"R": 1.0, "B": 1.25}, "odd"))
+    said = capsys.readouterr().out
+    assert "R +0.0%, B +25.0%" in said
+    assert "11 window healthy, 2 gap" in said
+    assert said.count("bearing odd") == 8
+    for count, kind in ((1, "window"), (2, "2 window")):
+        with showing(state.counts) as show:
+            show(Event(7.25, "window", "worn", {}, "", count=count))
+        assert f" 7.25 {kind} worn " in " ".join(re.split(r"[\s│]+", capsys.readouterr().out))
