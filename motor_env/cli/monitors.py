@@ -33,7 +33,7 @@ def watch(
 
     Args:
         motor: Motor file that `commission` wrote from logs, or that --learn writes.
-        source: A file, or serial:/dev/ttyACM0; standard input without it.
+        source: A file, serial:/dev/ttyACM0, mqtt://host/topic; standard input without it.
         false_alarms_per_year: Of a healthy motor that always runs.
         state: File that keeps what was seen of this motor and source, so that a new start goes on where the last
             window ended.

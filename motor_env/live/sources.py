@@ -1,4 +1,4 @@
-"""Where lines come from: standard input, a growing file, a serial port.
+"""Where lines come from: standard input, a growing file, a serial port, MQTT.
 
 A source yields bytes as they come, and nothing (b"") at least every second while none do.
 """
@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote, urlsplit
 
 from motor_env.errors import InputError
 from motor_env.live.pieces import BLOCK_BYTES, NEW_FILE, Notice, Piece
@@ -24,7 +26,7 @@ _MOST_WAITING = 1 << 16  # pieces, each of which an operating system's buffer of
 
 
 def identity(name: str | None) -> str:
-    """What is watched, as a state and sentences name it: a file by its whole path.
+    """What is watched, as a state and sentences name it: a file by its whole path, a broker without a password.
 
     Raises:
         InputError: it names no source.
@@ -33,17 +35,18 @@ def identity(name: str | None) -> str:
         return "standard input"
     if name.startswith("serial:"):
         return name
-    if "://" in name:  # it may hold a password, and is not said
-        raise InputError(
-            "a source is a file or serial:PORT, got a URL; let another program read it into a pipe"
-        )
+    if name.startswith("mqtt:"):
+        broker = _broker(name)
+        return f"mqtt://{broker.host}:{broker.port}/{broker.topic}"
+    if "://" in name:  # it may hold a password, too
+        raise InputError("a source is a file, serial:PORT or mqtt://HOST/TOPIC, got another kind of URL")
     return str(Path(name).absolute())
 
 
 def source(
     name: str | None, *, follow: bool, baud: int, offset: int = 0, last_read: bytes = b""
 ) -> Iterator[Piece]:
-    """Pieces of what a user names: a file or serial:PORT; standard input without a name.
+    """Pieces of what a user names: a file, serial:PORT, mqtt://HOST/TOPIC; standard input without a name.
 
     Args:
         name: of the source.
@@ -60,6 +63,8 @@ def source(
         return _standard_input()
     if name.startswith("serial:"):
         return _serial(name.removeprefix("serial:"), baud)
+    if name.startswith("mqtt:"):
+        return _mqtt(_broker(name))
     return _file(Path(name), offset, last_read, follow=follow)
 
 
@@ -148,6 +153,57 @@ def _serial(port: str, baud: int) -> Iterator[Piece]:
                 time.sleep(_PAUSE_S)
 
     threading.Thread(target=read, daemon=True).start()
+    return _from(waiting)
+
+
+class _Broker(NamedTuple):
+    host: str
+    port: int
+    topic: str
+    user: str
+    password: str
+
+
+def _broker(url: str) -> _Broker:
+    try:
+        parts = urlsplit(url)
+        port, topic = parts.port or 1883, unquote(parts.path.removeprefix("/"))
+    except ValueError:
+        parts, port, topic = urlsplit(""), 0, ""
+    if not parts.hostname or not topic:  # what was given may hold a password, and is not said
+        raise InputError(
+            "MQTT needs mqtt://HOST/TOPIC or mqtt://USER:PASSWORD@HOST:PORT/TOPIC (in a password write / as %2F,"
+            " # as %23, ? as %3F)"
+        )
+    return _Broker(parts.hostname, port, topic, unquote(parts.username or ""), unquote(parts.password or ""))
+
+
+def _mqtt(broker: _Broker) -> Iterator[Piece]:
+    """Each message holds one or more lines; the library's own thread connects again."""
+    try:
+        from paho.mqtt.client import Client
+        from paho.mqtt.enums import CallbackAPIVersion
+    except ImportError:
+        raise InputError("MQTT needs paho-mqtt: pip install 'motor-env[live]'") from None
+    waiting = _Waiting()
+    client = Client(CallbackAPIVersion.VERSION2)
+    if broker.user:
+        client.username_pw_set(broker.user, broker.password)
+
+    def subscribe(*given: Any) -> None:
+        if given[3].is_failure:
+            waiting.offer(Notice("unplugged", f"{broker.host} refuses: {given[3]}".lower()))
+        else:
+            client.subscribe(broker.topic, qos=1)
+
+    client.on_connect = subscribe
+    client.on_message = lambda *given: waiting.offer(bytes(given[2].payload).rstrip(b"\r\n") + b"\n")
+    client.on_disconnect = lambda *_: waiting.offer(Notice("unplugged", f"{broker.host} is gone"))
+    try:
+        client.connect(broker.host, broker.port)
+    except OSError as error:
+        raise InputError(f"{broker.host}:{broker.port}: {(error.strerror or str(error)).lower()}") from None
+    client.loop_start()
     return _from(waiting)
 
 

@@ -1,11 +1,16 @@
-"""Where lines come from: a serial port (a pty), a growing file."""
+"""Where lines come from: a serial port (a pty), MQTT (a real mosquitto), a growing file."""
 
 import os
+import shutil
+import socket
+import subprocess
+import time
 import tracemalloc
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import hostile
 import pytest
@@ -14,6 +19,8 @@ from motor_env import InputError
 from motor_env.live import pieces, sources
 from motor_env.live.pieces import LONGEST_LINE, SILENCE, Notice, Piece, lines
 from motor_env.live.sources import identity, source
+
+WAIT_S = 20.0
 
 
 def opened(name: str | None, *, follow: bool = False) -> Iterator[Piece]:
@@ -161,17 +168,53 @@ def test_what_comes_faster_than_it_is_judged_is_told(monkeypatch: pytest.MonkeyP
     assert list(heard) == [b"a\n", b"b\n"]  # it is told once
 
 
-@pytest.mark.parametrize("url", ["mqtt://me:SECRET@host/topic", "HTTPS://me:SECRET@host"])
-def test_a_url_is_refused_and_its_password_not_said(url: str) -> None:
-    with pytest.raises(InputError, match="got a URL; let another program read it into a pipe") as refusal:
+@pytest.mark.parametrize(
+    "url",
+    [
+        "mqtt://me:SECRET@127.0.0.1:1/topic",
+        "mqtt://me:SECRET@127.0.0.1",
+        "mqtt://me:SEC/SECRET@host/topic",
+        "mqtt://me:SECRET#@host/topic",
+        "mqtt://me:SECRET\u2100@host/topic",
+        "mqtt://me:SECRET@[host/topic",
+        "mqtts://me:SECRET@host/topic",
+        "MQTT://me:SECRET@host/topic",
+    ],
+)
+def test_no_password_is_said(url: str) -> None:
+    pytest.importorskip("paho.mqtt", reason="paho-mqtt is not installed")
+    with pytest.raises(InputError) as refusal:
         opened(url)
-    assert "SECRET" not in str(refusal.value)
+    assert "SEC" not in str(refusal.value)
 
 
-def test_what_is_watched_has_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_watched_has_a_name_without_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert identity("mqtt://me:SECRET@host/a/b%2Fc") == "mqtt://host:1883/a/b/c"
+    assert identity("mqtt://host:1884/a") == "mqtt://host:1884/a"
     monkeypatch.chdir(tmp_path)
     assert identity("log.csv") == identity(str(tmp_path / "log.csv")) == str(tmp_path / "log.csv")
     assert (identity("serial:/dev/tty"), identity(None)) == ("serial:/dev/tty", "standard input")
+
+
+def test_each_message_of_a_broker_ends_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether it ends with one itself or not."""
+    client = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
+
+    class Broker:
+        """In the place of the library's client: two messages come."""
+
+        def __init__(self, *_: object) -> None:
+            self.on_message: Callable[..., None] = print
+
+        def connect(self, *_: object) -> None: ...
+
+        def loop_start(self) -> None:
+            for payload in (b"1,2,3,4", b"5,6,7,8\r\n9,10,11,12\r\n"):
+                self.on_message(self, None, SimpleNamespace(payload=payload))
+
+    monkeypatch.setattr(client, "Client", Broker)
+    heard = opened("mqtt://host/topic")
+    assert [next(heard) for _ in range(3)] == [b"1,2,3,4\n", b"5,6,7,8\r\n", b"9,10,11,12\n"]
 
 
 def test_a_serial_port_and_its_cable() -> None:
@@ -188,3 +231,75 @@ def test_a_serial_port_and_its_cable() -> None:
     told(heard, "unplugged")
     with pytest.raises(InputError, match="serial port /dev/none: no such file or directory"):
         opened("serial:/dev/none")
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> list[str]:
+    """Command that starts a mosquitto, and its port."""
+    pytest.importorskip("paho.mqtt", reason="paho-mqtt is not installed")
+    program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+    if program is None:
+        pytest.skip("mosquitto is not installed")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    (tmp_path / "m.conf").write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n", encoding="utf-8")
+    return [program, "-c", str(tmp_path / "m.conf"), str(port)]
+
+
+def started(broker: list[str]) -> subprocess.Popen[bytes]:
+    running = subprocess.Popen(broker[:3], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    until = time.monotonic() + WAIT_S
+    while time.monotonic() < until:
+        try:
+            socket.create_connection(("127.0.0.1", int(broker[3])), 1.0).close()
+        except OSError:
+            time.sleep(0.05)
+        else:
+            break
+    return running
+
+
+def test_mqtt_from_a_real_broker(broker: list[str]) -> None:
+    from paho.mqtt import publish
+
+    port = int(broker[3])
+
+    def publish_until_heard(heard: Iterator[Piece], payload: str) -> Piece:
+        """A subscription takes a moment."""
+        until = time.monotonic() + WAIT_S
+        pieces: list[Piece] = []
+        while time.monotonic() < until and not pieces:
+            publish.single("plant/motor", payload, hostname="127.0.0.1", port=port)
+            pieces = [piece for piece in (next(heard),) if piece]
+        return pieces[0]
+
+    url = f"mqtt://127.0.0.1:{port}/plant/motor"
+    with pytest.raises(InputError, match="refused"):
+        opened(url)
+    running = started(broker)
+    try:
+        heard = source(url, follow=False, baud=0)
+        assert publish_until_heard(heard, "1,2,3,4\n5,6,7,8") == b"1,2,3,4\n5,6,7,8\n"
+        running.kill()
+        running.wait()
+        assert next(piece for piece in heard if isinstance(piece, Notice)).kind == "unplugged"
+        running = started(broker)
+        assert publish_until_heard(heard, "9,9,9,9") == b"9,9,9,9\n"
+    finally:
+        running.kill()
+        running.wait()
+    with pytest.raises(InputError, match="mqtt://HOST/TOPIC"):
+        opened("mqtt://127.0.0.1")
+
+
+def test_a_broker_that_refuses_is_told_without_the_password(broker: list[str]) -> None:
+    Path(broker[2]).write_text(f"listener {broker[3]} 127.0.0.1\nallow_anonymous false\n", encoding="utf-8")
+    running = started(broker)
+    try:
+        heard = source(f"mqtt://me:SECRET@127.0.0.1:{broker[3]}/plant", follow=False, baud=0)
+        said = next(piece for piece in heard if isinstance(piece, Notice))
+    finally:
+        running.kill()
+        running.wait()
+    assert said == Notice("unplugged", "127.0.0.1 refuses: not authorized")
