@@ -18,13 +18,14 @@ from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import Observed
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray, SensorParameters
-from motor_env.prognosis.wear import LEVEL, TREND_PROBABILITY, degradation
+from motor_env.prognosis.wear import TREND_PROBABILITY, degradation
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.simulate import Scenario, Timing, simulate
 
 _SUBSTEPS = 8  # of a day, from start to start; crossings between them are drawn from the Brownian bridge
 _MOST_STARTS = 1 << 20
 _LEAST_FRICTION = 0.2  # of the nominal one: a bearing does not run in to nothing
+LEVEL = 0.9  # probability of a central interval with two ends
 FEWEST_STARTS = 8  # before a run is judged
 TIMING = Timing(sampling_rate_hz=2_000.0, duration_s=0.1)
 FREE = ("resistance", "friction")
@@ -214,7 +215,7 @@ def remaining_life_coverage(recipe: WearRecipe, seed: int, cases: ArrayLike) -> 
         wear = degradation(
             days[:seen], estimates.wear[n, :seen], estimates.standard_error[n, :seen], recipe.limit
         )
-        life, left = wear.remaining_life(), float(runs.failure_days[n] - days[seen - 1])
+        life, left = wear.remaining_life(LEVEL), float(runs.failure_days[n] - days[seen - 1])
         trends, reached = wear.probability_trend >= TREND_PROBABILITY, life.probability_reached >= 0.5
         rows.append((life.low, life.high, max(left, 0.0), trends, reached))
     low, high, life_days, trending, over = (np.array(column) for column in zip(*rows, strict=True))

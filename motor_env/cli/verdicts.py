@@ -103,9 +103,11 @@ def trend(
     paths: list[Path],
     *,
     limit: list[str] | None = None,
+    level: float = 0.9,
     voltage: float | None = None,
     reading: Reading = READING,
     date: Literal["name", "modified"] = "name",
+    reference_count: console.Whole = 3,
     out: Path = Path("out/trend.html"),
     json_: bool = False,
 ) -> int:
@@ -119,9 +121,11 @@ def trend(
         paths: A table of estimates (CSV or JSON), or a folder of recordings whose names hold a date.
         limit: Limits as factors on the mean of the first estimates, QUANTITY=FACTOR[,FACTOR]; by default
             0.75,1.25, and none of L.
+        level: Probability that the interval of the remaining life holds.
         voltage: Level of the supply in volt, for recordings without a voltage.
         reading: How the recordings are read.
         date: name (2026-01-31, 2026-01-31T11-00-14, Jan-31-2026_11-00-14), or modified: the file's own date.
+        reference_count: Number of first estimates whose mean is the reference.
         out: The page, one self-contained HTML file.
         json_: Print one array with one object a quantity.
     """
@@ -134,9 +138,11 @@ def trend(
         found = trends_of(
             paths,
             parse_limits(limit or ()),
+            level=level,
             voltage_v=voltage if voltage is not None else chosen.voltage,
             columns=chosen.options["columns"],
             date=date,
+            reference_count=reference_count,
             progress=lambda path: say(f"fitting {path}"),
         )
     write_text(out, found.page())

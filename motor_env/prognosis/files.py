@@ -29,7 +29,6 @@ from motor_env.prognosis.estimates import (
     read_estimates,
 )
 from motor_env.prognosis.trend import Forecast, Trend, describe, judge
-from motor_env.prognosis.wear import LEVEL
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, read_recording
 from motor_env.recordings.start import prepare
@@ -160,7 +159,7 @@ class Trends:
 def _of_limit(trend: Trend, forecast: Forecast) -> dict[str, Any]:
     life = {
         name: number if math.isfinite(number) else None
-        for name, number in zip(("low", "median", "high"), forecast.life, strict=False)
+        for name, number in zip(("low", "median", "high", "level"), forecast.life, strict=False)
     }
     return {
         "limit": forecast.factor * trend.reference,
@@ -171,7 +170,7 @@ def _of_limit(trend: Trend, forecast: Forecast) -> dict[str, Any]:
         "close": forecast.close,
         "probability_reached": forecast.life.probability_reached,
         "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
-        "remaining_life": life | {"level": LEVEL} if forecast is trend.leading and forecast.is_told else None,
+        "remaining_life": life if forecast is trend.leading and forecast.is_told else None,
         "withheld": forecast.withheld or None,
     }
 
@@ -180,9 +179,11 @@ def trend(
     paths: str | Path | Sequence[str | Path],
     limits: Mapping[str, tuple[float, ...]] | None = None,
     *,
+    level: float = 0.9,
     voltage_v: float | None = None,
     columns: Sequence[ColumnChoice] = (),
     date: Literal["name", "modified"] = "name",
+    reference_count: int = 3,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> Trends:
     """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
@@ -190,14 +191,20 @@ def trend(
     Args:
         paths: a table of estimates (CSV or JSON), a folder of dated recordings, or several of these.
         limits: factors on the mean of the first estimates, by quantity; 0.75 and 1.25 unless given, and none of L.
+        level: probability that the interval of the remaining life holds.
         voltage_v: level of the supply, for recordings without a voltage.
         columns: columns named by the user.
         date: where the date of a recording comes from.
+        reference_count: number of first estimates whose mean is the reference.
         progress: told each file before it is fitted.
 
     Raises:
         InputError: bad options or files.
     """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"level must lie between 0 and 1, got {level:g}")
+    if reference_count < 1:
+        raise InputError(f"reference-count must be >= 1, got {reference_count}")
     several = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     if missing := [path for path in several if not path.exists()]:
         raise InputError(f"{missing[0]}: no such file or folder")
@@ -211,7 +218,10 @@ def trend(
     if unknown := [name for name in limits or {} if name not in named]:
         raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(named))}")
     return Trends(
-        tuple(judge(one, (limits or {}).get(name), temperature) for name, one in named.items()),
+        tuple(
+            judge(one, (limits or {}).get(name), level, reference_count, temperature)
+            for name, one in named.items()
+        ),
         tuple(printable(note) for note in notes),
     )
 

@@ -17,7 +17,6 @@ from motor_env.prognosis.estimates import Series
 from motor_env.prognosis.laws import at_one_temperature, last_jump, since, withheld
 from motor_env.prognosis.wear import (
     FEWEST_ESTIMATES,
-    LEVEL,
     TREND_PROBABILITY,
     Degradation,
     RemainingLife,
@@ -29,9 +28,6 @@ DEFAULT_LIMITS = (0.75, 1.25)
 
 There are none of L, which no fault moves alone and few starts tell.
 """
-
-_REFERENCE_COUNT = 3
-"""Number of first estimates whose mean is the reference."""
 
 CLOSE_SHARE = 0.8
 """Beyond this share of the way a limit is called close, with or without a trend."""
@@ -104,6 +100,8 @@ class Trend:
 def judge(
     series: Series,
     factors: Sequence[float] | None = None,
+    level: float = 0.9,
+    reference_count: int = 3,
     temperature: Series | None = None,
 ) -> Trend:
     """Judge one quantity against limits.
@@ -111,6 +109,8 @@ def judge(
     Args:
         series: its estimates.
         factors: limits as factors on the reference, each different from 1; `DEFAULT_LIMITS` if None.
+        level: probability that the interval of the remaining life is to hold.
+        reference_count: number of first estimates whose mean is the reference.
         temperature: in degrees Celsius, where recorded.
 
     Raises:
@@ -118,7 +118,7 @@ def judge(
     """
     if temperature is not None:
         series = at_one_temperature(series, temperature)
-    reference = float(np.mean(series.estimate[:_REFERENCE_COUNT]))
+    reference = float(np.mean(series.estimate[:reference_count]))
     if reference == 0.0:
         raise InputError(f"{series.name}: the first estimates are 0; limits are relative to them")
     relative = replace(
@@ -142,9 +142,9 @@ def judge(
             recent.standard_error,
             factor,
             sign=math.copysign(1.0, factor - 1.0),
-            limit_errors=abs(factor) / math.sqrt(_REFERENCE_COUNT),
+            limit_errors=abs(factor) / math.sqrt(min(reference_count, len(series.time))),
         )
-        life = wear.remaining_life()
+        life = wear.remaining_life(level)
         trends = wear.probability_trend >= TREND_PROBABILITY
         forecasts.append(
             Forecast(
@@ -208,7 +208,7 @@ def _sentence(found: Trend) -> str:
 
 def describe(forecast: Forecast, unit: str) -> str:
     """The remaining life in words, or why none is told."""
-    life, share = forecast.life, f"{100.0 * LEVEL:.0f} %"
+    life, share = forecast.life, f"{100.0 * forecast.life.level:.0f} %"
     if forecast.withheld:
         return f"no remaining life is told, for {forecast.withheld}"
     if math.isinf(life.high):

@@ -35,9 +35,6 @@ from motor_env.prognosis.steps import Steps, fit_steps
 TREND_PROBABILITY = 0.95
 """From this posterior probability on a quantity is said to trend to a limit."""
 
-LEVEL = 0.9
-"""Probability that the interval of the remaining life is meant to hold."""
-
 FEWEST_ESTIMATES = 5
 """Below this no trend can be told from scatter."""
 
@@ -52,10 +49,10 @@ class RemainingLife(NamedTuple):
     """Time from the last estimate until the limit is first reached, in the unit of the time axis.
 
     Attributes:
-        low: lower end of the central interval, which holds with a probability of `LEVEL`; 0 where the limit may have
-            been reached already.
+        low: lower end of the central interval; 0 where the limit may have been reached already.
         median: infinite where the limit is reached with a probability below one half.
         high: upper end, infinite where the limit may never be reached.
+        level: probability that the interval is meant to hold.
         probability_reached: probability that the limit has been reached already.
         probability_ever: probability that it is reached at all.
     """
@@ -63,6 +60,7 @@ class RemainingLife(NamedTuple):
     low: float
     median: float
     high: float
+    level: float
     probability_reached: float
     probability_ever: float
 
@@ -188,15 +186,15 @@ class Degradation:
         by_steps = self.steps.probability_beyond(self.sign * self.limit, life)
         return found + self.share_of_steps * (by_steps - found)
 
-    def remaining_life(self) -> RemainingLife:
-        """Median and central interval of the time until the limit is first reached."""
+    def remaining_life(self, level: float = 0.9) -> RemainingLife:
+        """Median and central interval of the time until the limit is first reached; the level lies between 0 and 1."""
         reach = self.sign * self.limit - self.sign * self.mean_level
         pace = abs(self.mean_drift) + 1e-3 * abs(reach) / float(self.span.max())
         axis = np.geomspace(1e-4, 1e3, _LIFE_POINTS) * max(abs(reach) / pace, 1e-3 * float(self.span.max()))
         cdf = np.maximum.accumulate(self.passage(axis))
-        wanted = [0.5 - LEVEL / 2.0, 0.5, 0.5 + LEVEL / 2.0]
+        wanted = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]
         low, median, high = np.exp(np.interp(wanted, cdf, np.log(axis), left=-np.inf, right=np.inf)).tolist()
-        return RemainingLife(low, median, high, self.probability_beyond(1.0), float(cdf[-1]))
+        return RemainingLife(low, median, high, level, self.probability_beyond(1.0), float(cdf[-1]))
 
     def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the level at times after the last estimate, each the shape of `ahead`."""

@@ -171,12 +171,13 @@ def test_trend_ends_with_1_where_a_limit_matters(
     monkeypatch.setattr(trends.Trends, "page", lambda _: "<page>")
     monkeypatch.setattr(trends.Trends, "text", lambda one: " ".join(each.state for each in one.trends))
     out = tmp_path / "t.html"
-    assert main(["trend", "a.csv", "--limit", "R=0.9,1.1", "--voltage", "12", "--out", str(out)]) == status
+    command = ["trend", "a.csv", "--limit", "R=0.9,1.1", "--level", "0.7", "--reference-count", "5"]
+    assert main([*command, "--voltage", "12", "--out", str(out)]) == status
     printed = capsys.readouterr()
     assert printed.out == f"{' '.join(states)}\n{out}\n"
     assert printed.err == "motor-env: a note\n"
     assert out.read_text() == "<page>"
-    assert given["voltage_v"] == 12.0
+    assert (given["level"], given["reference_count"], given["voltage_v"]) == (0.7, 5, 12.0)
     assert (given["limits"], given["date"]) == ({"R": (0.9, 1.1)}, "name")
 
 

@@ -248,8 +248,12 @@ def test_the_life_of_a_known_drift_is_inverse_gaussian() -> None:
     """Distance 0.5, drift 0.01, diffusion 0.03; the quantiles are interpolated between times 17 % apart."""
     one = wear(diffusion=0.03)
     law = invgauss(0.03**2 / (0.01 * 0.5), scale=0.5**2 / 0.03**2)
-    life = one.remaining_life()
-    np.testing.assert_allclose([life.low, life.median, life.high], law.ppf([0.05, 0.5, 0.95]), rtol=0.01)
+    for level in (0.5, 0.9):
+        life = one.remaining_life(level)
+        expected = law.ppf([0.5 - level / 2.0, 0.5, 0.5 + level / 2.0])
+        np.testing.assert_allclose([life.low, life.median, life.high], expected, rtol=0.01)
+        assert life.level == level
+    assert one.remaining_life() == one.remaining_life(0.9)
     assert (life.probability_reached, life.probability_ever) == pytest.approx((0.0, 1.0))
     away = wear(drift=array(-0.01), diffusion=0.03).remaining_life()
     assert away.probability_ever == pytest.approx(math.exp(-2.0 * 0.01 * 0.5 / 0.03**2), rel=1e-6)
@@ -408,6 +412,8 @@ def test_a_trend_is_judged_from_five_estimates_on_relative_to_the_first() -> Non
     # The limit has the error of the mean of three estimates, times its factor.
     of_one = (1e-4 / 2.02) ** 2 + forecast.wear.scatter**2
     np.testing.assert_allclose(forecast.wear.limit_variance, 1.5**2 / 3.0 * of_one)
+    assert judge(series(values, 1e-4), (1.5,), reference_count=1).reference == 2.0
+    assert judge(series(values, 1e-4), (1.5,), level=0.5).forecasts[0].life.level == 0.5
     assert "trends to the limit at +50 %, by +0.99 % of the reference a day: reached in" in found.sentence
     assert judge(series(values[:5], 1e-4)).forecasts
     assert (
@@ -422,9 +428,15 @@ def test_a_trend_is_judged_from_five_estimates_on_relative_to_the_first() -> Non
         judge(series(np.zeros(9)))
 
 
-def test_the_last_change_is_from_the_reference() -> None:
+def test_what_is_said_is_relative_to_the_reference_however_many_estimates_it_is_the_mean_of() -> None:
+    """Of six estimates none is the mean of ten; and the last change is from it, not from the first three."""
     values = 1.0 + 0.02 * (-1.0) ** np.arange(6.0)
-    assert "last change -3 %;" in judge(series(values, 1e-3), (1.5,)).sentence
+    assert judge(series(values, 1e-3), reference_count=10).reference == pytest.approx(1.0)
+    for count, mean_of, change in ((1, 1, "-4 %"), (2, 2, "-2 %"), (10, 6, "-2 %")):
+        found = judge(series(values, 1e-3), (1.5,), reference_count=count)
+        of_one = (1e-3 / found.reference) ** 2 + found.forecasts[0].wear.scatter ** 2
+        np.testing.assert_allclose(found.forecasts[0].wear.limit_variance, 1.5**2 / mean_of * of_one)
+        assert f"last change {change};" in found.sentence
 
 
 def test_a_limit_counts_as_reached_with_a_probability_of_one_half() -> None:
@@ -445,11 +457,11 @@ def test_a_limit_counts_as_reached_with_a_probability_of_one_half() -> None:
 
 
 def test_a_life_in_words() -> None:
-    life = RemainingLife(4.0, 12.0, 31.0, 0.0, 1.0)
+    life = RemainingLife(4.0, 12.0, 31.0, 0.8, 0.0, 1.0)
     one = Forecast(1.5, reached=False, close=False, trends=True, wear=wear(), life=life)
-    assert describe(one, "days") == "reached in 12 days from the last estimate (90 % interval 4 to 31)"
+    assert describe(one, "days") == "reached in 12 days from the last estimate (80 % interval 4 to 31)"
     said = describe(replace(one, life=life._replace(high=math.inf, probability_ever=0.45)), "days")
-    assert "not before 4 days (lower end of the 90 % interval; no upper end" in said
+    assert "not before 4 days (lower end of the 80 % interval; no upper end" in said
     assert "with 45 %)" in said
 
 
@@ -491,11 +503,11 @@ def test_json_says_what_was_judged(tmp_path: Path, capsys: pytest.CaptureFixture
     lines = [f"{day},{3.0 + 0.03 * day:.9g},{0.001}" for day in range(30)]
     table = tmp_path / "e.csv"
     table.write_text("time_days,B,B_se\n" + "\n".join(lines) + "\n")
-    options = ["--limit", "B=1.2,1.6,0.5", "--out", str(tmp_path / "t.html"), "--json"]
+    options = ["--limit", "B=1.2,1.6,0.5", "--level", "0.8", "--out", str(tmp_path / "t.html"), "--json"]
     assert main(["trend", str(table), *options]) == 1
     (found,) = json.loads(capsys.readouterr().out)
     (given,) = read_estimates(table)
-    expected = judge(given, (1.2, 1.6, 0.5))
+    expected = judge(given, (1.2, 1.6, 0.5), 0.8)
     assert (found["quantity"], found["state"], found["time_unit"]) == ("B", "reached", "days")
     assert (found["estimates"], found["last_estimate"]) == (30, pytest.approx(3.87))
     assert found["reference"] == pytest.approx(3.03)
@@ -509,14 +521,19 @@ def test_json_says_what_was_judged(tmp_path: Path, capsys: pytest.CaptureFixture
         assert limit["remaining_life"] is None
     assert main(["trend", str(table), "--limit", "B=1.6,2.0,0.5", *options[2:]]) == 1
     (found,) = json.loads(capsys.readouterr().out)
-    life = judge(given, (1.6,)).forecasts[0].life
+    life = judge(given, (1.6,), 0.8).forecasts[0].life
+    names = ("low", "median", "high", "level")
     assert found["state"] == "trending"
-    told = {name: getattr(life, name) for name in ("low", "median", "high")}
-    assert found["limits"][0]["remaining_life"] == pytest.approx(told | {"level": 0.9})
+    assert found["limits"][0]["remaining_life"] == pytest.approx(
+        {name: getattr(life, name) for name in names}
+    )
     assert found["limits"][1]["remaining_life"] is None  # the nearer one is told
-    leading = judge(given, (2.0, 1.6)).leading
+    leading = judge(given, (2.0, 1.6), 0.8).leading
     assert leading is not None
     assert leading.factor == 1.6
+    for count, reference in ((1, 3.0), (5, 3.06)):
+        (one,) = files.trend(table, reference_count=count).trends
+        assert one.reference == pytest.approx(reference)
     assert 0.5 < life.median / ((1.6 * 3.03 - 3.87) / 0.03) < 1.02
 
 
