@@ -1,4 +1,4 @@
-"""What is said of a wearing motor under laws of wear that the model has and lacks: a table of docs/trend.md.
+"""What is said of a wearing motor under laws of wear that the model has and lacks: the table of docs/results/trend.md.
 
 python benchmarks/trend_laws.py --histories 400
 

@@ -53,7 +53,6 @@ class Stream(IntEnum):
     SENSOR = 6
     SPLIT = 7
     WEAR = 8
-    WEAR_CROSSING = 9
     FIELD_MOTOR = 10
     FIELD_START = 11
     SEVERITY = 12
