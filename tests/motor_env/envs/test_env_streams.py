@@ -18,10 +18,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from clairvoyant import Clairvoyant
 from look_ahead import RatioTest
 from maintain_bounds import maintenance_bound
-from pi_controller import PI
 from tolerances import TolerancePolicy
 
 import motor_env  # noqa: F401  # registers the environments
@@ -255,10 +253,8 @@ POLICIES: dict[str, Callable[[], Any]] = {
     "on demand": lambda: judged(
         envs := ProbeVectorEnv(4, horizon_s=0.1), OnDemand(WorthTest(envs.setup, 0.0), 0.05)
     ),
-    "pi": lambda: driven(lambda envs: PI(envs.setup)),
     "lqg": lambda: driven(lambda envs: Lqg(envs.setup)),
     "reconfigured": lambda: driven(lambda envs: Lqg(envs.setup, levels=3)),
-    "clairvoyant": lambda: driven(lambda envs: Clairvoyant(envs, limp_from=0.5, stop_from=0.97)),
     "upkeep": upkeep,
 }
 

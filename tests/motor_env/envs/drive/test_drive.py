@@ -4,14 +4,12 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-import clairvoyant
 import gymnasium as gym
 import numpy as np
 import pytest
 from drive_bound import drive_bounds
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from pi_controller import PI
 from planned_drive import PlannedDecisions, PlannedDrive
 from single_lanes import assert_lanes_are_single
 
@@ -128,11 +126,11 @@ def test_the_motor_is_the_discretised_one_with_its_fault(kind: int) -> None:
 
 def test_the_filter_of_a_healthy_motor_has_white_innovations() -> None:
     envs = DriveVectorEnv(50, weights=(1.0, 0.0, 0.0), horizon_s=3.0)
-    pi, (observations, _) = PI(envs.setup), envs.reset(seed=5)
-    pi.start(50)
+    policy, (observations, _) = Lqg(envs.setup), envs.reset(seed=5)
+    policy.start(50)
     rows = []
     for _ in range(290):
-        observations, _, over, _, _ = envs.step(pi.act(observations))
+        observations, _, over, _, _ = envs.step(policy.act(observations))
         assert not over.any()
         rows.append(observations[:, 3:5])
     white = np.array(rows)
@@ -467,11 +465,10 @@ def test_a_decision_lasts_and_an_error_costs_so_much_at_most() -> None:
 
 
 def test_no_controller_is_above_the_bound() -> None:
-    """In no episode, as it is told all that is to come; a controller that hardly errs comes near."""
+    """In no episode, as it is told all that is to come; the best plan comes near."""
     envs = DriveVectorEnv(60)
     bound = drive_bounds(envs.options, 60, seed=4)
-    rules = [clairvoyant.Clairvoyant(envs, limp_from=limp, stop_from=0.97) for limp in (0.0, 0.5, np.inf)]
-    best = np.max([returns_of(envs, rule, 4) for rule in rules], axis=0)
+    best = returns_of(envs, PlannedDrive(envs.setup), 4)
     assert (best < bound + 1e-3).all()
     assert bound.mean() - 0.35 < best.mean() < bound.mean() < -0.5
 
@@ -489,15 +486,11 @@ def test_the_plan_is_ahead_of_the_bank() -> None:
     assert decided.mean() > bank.mean()
 
 
-def test_detection_is_worth_something(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_detection_is_worth_something() -> None:
     envs = DriveVectorEnv(40)
     fixed, bank = (returns_of(envs, Lqg(envs.setup, levels=levels), seed=9) for levels in (0, 8))
     ahead = bank - fixed
     assert ahead.mean() > 1.0 + 1.96 * ahead.std() / np.sqrt(40)
-    assert (clairvoyant.LIMP_FROM[:5], clairvoyant.STOP_FROM[0]) == ((0.0, 0.2, 0.35, 0.5, 0.7), 0.97)
-    monkeypatch.setattr(clairvoyant, "LIMP_FROM", (0.35, 0.7))
-    monkeypatch.setattr(clairvoyant, "STOP_FROM", (0.97,))
-    assert clairvoyant.clairvoyant_returns(envs, seed=9).mean() > bank.mean()
 
 
 def test_a_picture_changes_nothing() -> None:
