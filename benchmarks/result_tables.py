@@ -16,7 +16,6 @@ import reference_scores
 import watch_tables
 from tables import KEPT, kept_tables, marked, table
 
-from motor_classifiers.contest.leaderboard import read_scores
 from motor_classifiers.report.trust_tables import trust_tables
 
 FOLDER = Path(__file__).resolve().parent
@@ -145,11 +144,10 @@ def size_table() -> str:
 
 
 def field_table(name: str = "field") -> str:
-    """The best possible accuracy on `field`, or on `operation` with those of trained methods."""
+    """The best possible accuracy on `field` or on `operation`."""
     got: Row = json.loads((FOLDER / "results" / f"{name}_limit.json").read_bytes())
     learned = f", learned from {got['learned']}" if got.get("learned") else ""
     control = got["control"] if learned else "posterior network"
-    scored = [] if name == "field" else read_scores(FOLDER / "leaderboard").get(name, [])
     first, second = got["expected_accuracy_of_runs"]
     rows = {
         "the best possible accuracy, between": " and ".join(_points(end) for end in got["bracket"]),
@@ -164,9 +162,6 @@ def field_table(name: str = "field") -> str:
             for behind, error in zip(got["network_behind"], got["network_behind_error"], strict=True)
         ),
     }
-    for one in sorted(scored, key=lambda each: each["value"]):
-        ends = [_points(1.0 - 0.01 * one[end]) for end in ("value", "high", "low")]
-        rows[f"{one['method']} ({one['authors']}), on the task"] = "{} ({} to {})".format(*ends)
     return table(["figure", "%, or points; ± one standard error"], rows.items())
 
 
