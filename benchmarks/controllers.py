@@ -8,13 +8,14 @@ libnewlib-arm-none-eabi, qemu-system-arm.
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
+
+from tables import keep_table
 
 from motor_env import PAPER_MOTOR, Motor, Scenario, SensorParameters, simulate
 from motor_env.embedded.arithmetic import Numbers, fixed_point, floating
@@ -23,8 +24,16 @@ from motor_env.embedded.source import literal, write_library
 from motor_env.embedded.twin import answers, readings_of
 from motor_env.motor.parameters import Channel
 
-RESULTS = Path(__file__).parent / "results" / "controllers.json"
 SAMPLES = 250
+HEADER = (
+    "chip",
+    "arithmetic",
+    "channels",
+    "flash",
+    "with self test",
+    "RAM",
+    "instructions a sample",
+)
 
 
 class Chip(NamedTuple):
@@ -212,14 +221,15 @@ def measure(chip: Chip, arithmetic: str, *, n_channels: int = 1) -> Measured:
 
 
 def main() -> None:
-    """Write the sizes."""
-    rows = [
-        measure(chip, arithmetic, n_channels=n_channels)._asdict()
+    """Measure the sizes and keep the table of docs/results/embedded.md."""
+    found = (
+        measure(chip, arithmetic, n_channels=n_channels)
         for chip in CHIPS
         for arithmetic in ("fixed", "float")
         for n_channels in (1, 2)
-    ]
-    RESULTS.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    )
+    rows = ([*map(str, sizes), f"{instructions:.0f}"] for *sizes, instructions in found)
+    keep_table("embedded", "sizes", HEADER, rows)
 
 
 if __name__ == "__main__":

@@ -13,14 +13,17 @@ from typing import Any
 
 import pandas as pd
 import reference_scores
-import watch_tables
 from tables import KEPT, kept_tables, marked, table
 
 from motor_classifiers.report.trust_tables import trust_tables
+from motor_env.diagnosis.running.counting import fewest_in_a_row
+from motor_env.diagnosis.running.scales import AXES
+from motor_env.diagnosis.running.vigil import YEAR_S
 
 FOLDER = Path(__file__).resolve().parent
 DIGESTS = FOLDER.parent / "classifiers" / "motor_classifiers" / "contest" / "motor_bench.json"
 README, DOCS = FOLDER.parent / "README.md", FOLDER.parent / "docs"
+COUNTED_S = 20.0  # windows of the table of promises
 Row = dict[str, Any]
 
 _IN_README = {
@@ -165,20 +168,6 @@ def field_table(name: str = "field") -> str:
     return table(["figure", "%, or points; ± one standard error"], rows.items())
 
 
-def maintenance_table(rows: list[Row]) -> str:
-    """Policies of a maintenance task, the worst first, then what none exceeds."""
-    worst, best = rows[0]["return"], rows[-1]["return"]
-    shown = [
-        [
-            row["policy"],
-            f"{row['return']:+.3f}" + (f" ± {row['half_width']:.3f}" if "half_width" in row else ""),
-            f"{(row['return'] - worst) / (best - worst):.1%}",
-        ]
-        for row in rows
-    ]
-    return table(["policy", "mean return", "of the range"], shown)
-
-
 def id_digests() -> str:
     """Digest of what is kept of each environment."""
     kept = json.loads((FOLDER.parent / "tests" / "motor_env" / "envs" / "env_streams.json").read_bytes())
@@ -197,6 +186,16 @@ def task_digests() -> str:
         [f"`{name}`", *(f"`{one[part][:16]}`" for part in ("train", "test"))] for name, one in whole.items()
     )
     return table(["task", "training starts", "test cases"], rows)
+
+
+def promises() -> str:
+    """Windows in a row that counting needs, by the number of healthy windows and the rate that is asked for."""
+    rates = {"an hour": 3600.0, "a day": 86_400.0, "a month": YEAR_S / 12.0, "a year": YEAR_S}
+    rows = [
+        [str(n), *(str(fewest_in_a_row(n, every_s / COUNTED_S, len(AXES))) for every_s in rates.values())]
+        for n in (4, 10, 20, 30, 100)
+    ]
+    return table(["healthy windows", *(f"one {name}" for name in rates)], rows)
 
 
 def pages() -> dict[Path, str]:
@@ -222,13 +221,9 @@ def pages() -> dict[Path, str]:
     parts.setdefault(DOCS / "limits.md", {}).update(
         {"field": field_table(), "operation": field_table("operation")}
     )
-    policies = json.loads((FOLDER / "results" / "maintain.json").read_bytes())
-    parts.setdefault(DOCS / "results" / "decisions.md", {}).update(
-        {name: maintenance_table(rows) for name, rows in policies.items()}
-    )
     parts[DOCS / "reference-scores.md"] = {"reference": reference_scores.table()}
     parts[DOCS / "citing.md"] = {"ids": id_digests(), "tasks": task_digests()}
-    parts |= {DOCS / f"{page}.md": tables for page, tables in watch_tables.parts().items()}
+    parts[DOCS / "howto" / "watch.md"] = {"promises": promises()}
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
 

@@ -1,6 +1,6 @@
 """False alarms and delays of the C code of `export-c`, compiled with gcc, on simulated hours of a known motor.
 
-    python benchmarks/watch_c.py --hours 200 --out benchmarks/results/watch_c.json
+    python benchmarks/watch_c.py --hours 200
 
 The textbook motor with ten times its inertia, current at 100 Hz, a random duty cycle; every alarm begins the sum anew.
 A delay is compared with the CUSUM of the likelihood ratio of two Kalman filters, which knows kind and size of the
@@ -10,9 +10,9 @@ fault; its threshold is found by simulation for the same number of false alarms.
 from __future__ import annotations
 
 import ctypes
-import json
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,17 +22,17 @@ from controllers import tool
 from cyclopts import run
 from numba import njit
 from numpy.typing import NDArray
+from tables import keep_table
 from watch_counts import (
+    ALARM_HEADER,
     RATES,
     VOLTS,
     Floats,
+    alarm_row,
     delays_by_fault,
     duty,
     heavy,
     motion,
-    wandering,
-    warmed,
-    write,
 )
 
 from motor_env import FaultKind, KalmanFilter, Motor, SensorParameters
@@ -55,8 +55,10 @@ FAULTS = (
 )
 HOLDS = (5, 16)  # samples
 RULES = {"bank": CusumBank(), "--shift 0.5": CusumBank((0.5,), ())}
+DRIVES = {"one direction": 0.1, "both directions": -1.0}
+"""Least share of the voltage."""
 DELAYS, HEALTHY_S = 200, 10.0
-VARYING_H, CALIBRATION_H = 20.0, 50.0
+CALIBRATION_H = 50.0
 RUN = """
 #include <string.h>
 #include "m.h"
@@ -135,32 +137,28 @@ def exported(folder: Path, arithmetic: str, a_year: float, rule: CusumBank = RUL
     return Compiled(monitor, folder, arithmetic=arithmetic)
 
 
-def current(
-    motor: MotorParameters, rng: np.random.Generator, volts: Floats, x: Floats, load: Floats | None = None
-) -> Floats:
+def current(motor: MotorParameters, rng: np.random.Generator, volts: Floats, x: Floats) -> Floats:
     """What the sensor shows of a motor; `x` is left as its last state."""
-    states = motion(motor, 1.0 / RATE_HZ, volts, load, x)
+    states = motion(motor, 1.0 / RATE_HZ, volts, x)
     shown: Floats = states[:, 0] + SENSOR.current_noise_a * rng.standard_normal(len(volts))
     return shown
 
 
 def false_alarms(
-    codes: dict[str, Compiled], hours: float, rng: np.random.Generator, *, varying: bool
-) -> dict[str, int]:
-    """Alarms of healthy motors by code; `varying`: with a random load and temperature that the filter does not know."""
+    codes: dict[tuple[str, str], Compiled], hours: float, rng: np.random.Generator
+) -> Iterator[list[str]]:
+    """A row of the table for the code of each arithmetic and rate: alarms of healthy motors."""
     block, counts = int(BLOCK_S * RATE_HZ), dict.fromkeys(codes, 0)
     blocks = round(hours * 3600.0 / BLOCK_S / CASES)
     for _ in range(CASES):
         x, monitors = np.zeros(2), {name: code.begun() for name, code in codes.items()}
         for _ in range(blocks):
-            volts, motor, load = duty(rng, block, HOLDS), heavy(INERTIA), None
-            if varying:
-                motor = warmed(motor, 10.0 * rng.standard_normal())
-                load = wandering(rng.standard_normal(block), 3e-3, BLOCK_S * RATE_HZ)
-            shown = current(motor, rng, volts, x, load)
+            volts = duty(rng, block, HOLDS)
+            shown = current(heavy(INERTIA), rng, volts, x)
             for name, code in codes.items():
                 counts[name] += code.run(monitors[name], shown, volts)[0]
-    return counts
+    for (arithmetic, rate), count in counts.items():
+        yield alarm_row(f"C, {arithmetic}; known motor, no load", rate, hours, count)
 
 
 class Belief(NamedTuple):
@@ -203,9 +201,9 @@ def likelihood_ratios(z: Floats, volts: Floats, healthy: Belief, faulty: Belief)
     return out
 
 
-def delays(codes: dict[str, Compiled], rng: np.random.Generator, *, least: float) -> list[dict[str, Any]]:
-    """Median delays in seconds of codes for one false alarm an hour, and of the best CUSUM."""
-    healthy, rows = Belief.of_motor(heavy(INERTIA)), []
+def delays(codes: dict[str, Compiled], rng: np.random.Generator, drive: str) -> Iterator[list[str]]:
+    """Median delays in seconds of codes for one false alarm an hour, and of the best CUSUM: a row a fault."""
+    healthy, least = Belief.of_motor(heavy(INERTIA)), DRIVES[drive]
     onset, n = int(HEALTHY_S * RATE_HZ), int(BLOCK_S * RATE_HZ)
     beliefs = cache(Belief.of_motor)
 
@@ -215,7 +213,7 @@ def delays(codes: dict[str, Compiled], rng: np.random.Generator, *, least: float
 
     volts = duty(rng, int(CALIBRATION_H * 3600.0 * RATE_HZ), HOLDS, least=least)
     usual = (current(heavy(INERTIA), rng, volts, np.zeros(2)), volts), CALIBRATION_H
-    for row, faulty, best in delays_by_fault(heavy(INERTIA), FAULTS, usual, ratios, onset):
+    for (kind, severity), faulty, best in delays_by_fault(heavy(INERTIA), FAULTS, usual, ratios, onset):
         found: list[list[float]] = []
         for _ in range(DELAYS):
             now, x = duty(rng, n, HOLDS, least=least), np.zeros(2)
@@ -229,36 +227,31 @@ def delays(codes: dict[str, Compiled], rng: np.random.Generator, *, least: float
                 samples.append(first + 1 if first >= 0 else np.inf)
             found.append([count / RATE_HZ for count in samples])
         medians = np.median(found, axis=0).tolist()
-        best_s, *ours_s = [value if np.isfinite(value) else None for value in medians]  # JSON has no infinity
-        rows.append(row | {"best_s": best_s, "delay_s": dict(zip(codes, ours_s, strict=True))})
-    return rows
+        shown = [f"{median:.3g}" if np.isfinite(median) else "never" for median in medians]
+        yield [drive, f"{kind} +{severity:.0%}", *shown, f"{medians[1] / medians[0]:.1f}"]
 
 
-def counted(folder: Path, hours: float) -> dict[str, Any]:
-    """Alarms and delays; each part has its own random numbers."""
-    first, second, third, fourth = (np.random.default_rng([77, 19, part]) for part in range(4))
-    codes = {
-        f"{arithmetic}, one a {rate}": exported(folder / f"{arithmetic}-{rate}", arithmetic, a_year)
-        for arithmetic in ("fixed", "float")
-        for rate, a_year in RATES.items()
-    }
-    rules = {name: exported(folder / name, "fixed", RATES["hour"], rule) for name, rule in RULES.items()}
-    return {
-        "hours": hours,
-        "alarms": false_alarms(codes, hours, first, varying=False),
-        "varying_hours": VARYING_H,
-        "alarms_varying": false_alarms(codes, VARYING_H, second, varying=True),
-        "delays_one_direction": delays(rules, third, least=0.1),
-        "delays_both_directions": delays(rules, fourth, least=-1.0),
-    }
-
-
-def main(*, hours: float = 50.0, out: Path | None = None) -> None:
-    """Write what was counted."""
+def main(*, hours: float = 50.0) -> None:
+    """Count alarms, measure delays, and keep the tables of docs/results/embedded.md."""
+    # Each part has its own random numbers.
+    counting, *driving = (np.random.default_rng([77, 19, part]) for part in (0, 2, 3))
     with tempfile.TemporaryDirectory() as name:
-        found = counted(Path(name), hours)
-    print(json.dumps(found))
-    write(found, out)
+        folder = Path(name)
+        codes = {
+            (arithmetic, rate): exported(folder / f"{arithmetic}-{rate}", arithmetic, a_year)
+            for arithmetic in ("fixed", "float")
+            for rate, a_year in RATES.items()
+        }
+        rules = {rule: exported(folder / rule, "fixed", RATES["hour"], RULES[rule]) for rule in RULES}
+        keep_table(
+            "embedded", "false alarms", ("monitor", *ALARM_HEADER), false_alarms(codes, hours, counting)
+        )
+        keep_table(
+            "embedded",
+            "delays",
+            ("duty cycle", "fault", "the best CUSUM", "bank", "`--shift 0.5`", "bank over best"),
+            (row for drive, rng in zip(DRIVES, driving, strict=True) for row in delays(rules, rng, drive)),
+        )
 
 
 if __name__ == "__main__":

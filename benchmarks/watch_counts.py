@@ -1,16 +1,14 @@
-"""Alarms and delays of monitors on simulated work: shared by watch, watch_delays, watch_c and watch_tables.
+"""Alarms and delays of monitors on simulated work: shared by watch_delays, watch_c and watch_other_physics.
 
-The textbook motor with more inertia and a random duty cycle, healthy or with a fault; the lesson of `motor-env watch`
-and what it says; alarms beside those that are due; delays beside the CUSUM that knows kind and size of the fault.
+The textbook motor with more inertia and a random duty cycle, healthy or with a fault; alarms beside those that are due;
+delays beside the CUSUM that knows kind and size of the fault.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numba import njit
@@ -20,33 +18,18 @@ from scipy.stats import poisson
 from motor_env import PAPER_MOTOR, Fault, FaultKind
 from motor_env.diagnosis.running.vigil import YEAR_S
 from motor_env.live.events import Event
-from motor_env.live.state import State
-from motor_env.live.watch import Lesson, Watch
 from motor_env.motor.faults import apply_fault
-from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import discretize
-from motor_env.motor.parameters import (
-    COPPER_PER_KELVIN,
-    FRICTION_PER_KELVIN,
-    MAGNET_PER_KELVIN,
-    MotorParameters,
-)
+from motor_env.motor.parameters import MotorParameters
 
 Floats = NDArray[np.float64]
 Samples = TypeVar("Samples")
 FLYWHEEL = 1000.0  # times the rotor's inertia
-VOLTS, NOISE_A, NOISE_RAD_S = 12.0, 0.02, 1.0
-WINDOW_S, LEARN_S = 600.0, 5 * 3600.0
-FAULTS = (
-    (FaultKind.BEARING, 0.25),
-    (FaultKind.BEARING, 0.5),
-    (FaultKind.BEARING, 1.0),
-    (FaultKind.WINDING_CONTACT, 0.1),
-    (FaultKind.WINDING_CONTACT, 0.25),
-)
+VOLTS = 12.0
 RATES = {"hour": YEAR_S / 3600.0, "day": YEAR_S / 86_400.0}
 """False alarms a year that are asked for."""
 NO_ALARM = ("window healthy", "window unusable")
+ALARM_HEADER = ("asked for", "hours", "alarms due", "1 to 99 % of Poisson's", "alarms")
 
 
 def heavy(inertia: float = FLYWHEEL) -> MotorParameters:
@@ -54,45 +37,13 @@ def heavy(inertia: float = FLYWHEEL) -> MotorParameters:
     return PAPER_MOTOR.scaled(inertia_kg_m2=inertia)
 
 
-def warmed(motor: MotorParameters, kelvin: float) -> MotorParameters:
-    """A copy of the motor at another temperature."""
-    magnets = 1.0 + MAGNET_PER_KELVIN * kelvin
-    return motor.scaled(
-        resistance_ohm=1.0 + COPPER_PER_KELVIN * kelvin,
-        back_emf_constant_v_s_per_rad=magnets,
-        torque_constant_n_m_per_a=magnets,
-        viscous_friction_n_m_s_per_rad=1.0 + FRICTION_PER_KELVIN * kelvin,
-    )
-
-
 @njit(cache=True)
-def wandering(shocks: Floats, sd: float, memory: float) -> Floats:
-    """An Ornstein-Uhlenbeck process: standard deviation, memory in samples."""
-    out, decay = np.empty_like(shocks), math.exp(-1.0 / memory)
-    value = sd * shocks[0]
-    for k in range(len(shocks)):
-        value = decay * value + sd * math.sqrt(1.0 - decay * decay) * shocks[k]
-        out[k] = value
-    return out
-
-
-@njit(cache=True)
-def moved(transition: Floats, gain: Floats, inputs: Floats, x: Floats) -> Floats:
+def moved(transition: Floats, gain: Floats, volts: Floats, x: Floats) -> Floats:
     """States after each sample; `x` is left as the last of them."""
-    out = np.empty((len(inputs), 2))
-    for k in range(len(inputs)):
-        i = (
-            transition[0, 0] * x[0]
-            + transition[0, 1] * x[1]
-            + gain[0, 0] * inputs[k, 0]
-            + gain[0, 1] * inputs[k, 1]
-        )
-        w = (
-            transition[1, 0] * x[0]
-            + transition[1, 1] * x[1]
-            + gain[1, 0] * inputs[k, 0]
-            + gain[1, 1] * inputs[k, 1]
-        )
+    out = np.empty((len(volts), 2))
+    for k in range(len(volts)):
+        i = transition[0, 0] * x[0] + transition[0, 1] * x[1] + gain[0] * volts[k]
+        w = transition[1, 0] * x[0] + transition[1, 1] * x[1] + gain[1] * volts[k]
         x[0], x[1] = i, w
         out[k] = x
     return out
@@ -105,18 +56,11 @@ def duty(rng: np.random.Generator, samples: int, holds: tuple[int, int], *, leas
     return levels
 
 
-def motion(motor: MotorParameters, dt_s: float, volts: Floats, load: Floats | None, x: Floats) -> Floats:
+def motion(motor: MotorParameters, dt_s: float, volts: Floats, x: Floats) -> Floats:
     """Current and speed after each sample; `x` is left as the last of them."""
     model = discretize(motor, dt_s)
-    inputs = np.stack([volts, np.zeros(len(volts)) if load is None else load], axis=1)
-    states: Floats = moved(model.transition, model.gain, inputs, x)
+    states: Floats = moved(model.transition, model.gain[:, 0], volts, x)
     return states
-
-
-def rows_of(rng: np.random.Generator, volts: Floats, states: Floats) -> Floats:
-    """Time, voltage, current, speed at 1 Hz as sensors show them, shape (n, 4)."""
-    shown = states + rng.standard_normal(states.shape) * (NOISE_A, NOISE_RAD_S)
-    return np.column_stack([np.arange(len(volts)) + 1.0, volts, shown])
 
 
 def lines(blocks: Iterable[Floats], form: bytes = b"%.0f,%.5g,%.5g,%.6g\n") -> Iterator[bytes]:
@@ -125,20 +69,6 @@ def lines(blocks: Iterable[Floats], form: bytes = b"%.0f,%.5g,%.5g,%.6g\n") -> I
     for block in blocks:
         for row in block.tolist():
             yield form % tuple(row)
-
-
-def taught(blocks: Iterable[Floats], *, steady: bool) -> Healthy:
-    """What the lesson of `watch` learns of a healthy motor at work, from what a device prints."""
-    watch = Watch(Lesson(WINDOW_S, LEARN_S, steady=steady), State(), false_alarms_per_year=1.0)
-    next(event for event in watch.events(lines(blocks)) if event.kind == "learned")
-    if watch.healthy is None:
-        raise TypeError("nothing was learned")
-    return watch.healthy
-
-
-def events(healthy: Healthy, blocks: Iterable[Floats], rate: str = "hour") -> Iterator[Event]:
-    """What `watch` says at one false alarm an hour, a day or a year."""
-    return Watch(healthy, State(), false_alarms_per_year=(RATES | {"year": 1.0})[rate]).events(lines(blocks))
 
 
 def alarms(said: Iterable[Event]) -> int:
@@ -193,8 +123,8 @@ def delays_by_fault(
     usual: tuple[Samples, float],
     ratios: Callable[[Samples, MotorParameters], Floats],
     onset: int,
-) -> Iterator[tuple[dict[str, Any], MotorParameters, Callable[[Samples], float]]]:
-    """For each fault: its row, the faulty motor, and the samples that the best CUSUM needs for a fault in a record.
+) -> Iterator[tuple[tuple[FaultKind, float], MotorParameters, Callable[[Samples], float]]]:
+    """For each fault: kind and size, the faulty motor, and the samples that the best CUSUM needs in a record.
 
     Args:
         motor: the healthy one.
@@ -212,10 +142,4 @@ def delays_by_fault(
             first = alarms_of(ratios(samples, faulty)[onset:], threshold)[1]
             return first + 1 if first >= 0 else math.inf
 
-        yield {"fault": str(kind), "severity": severity}, faulty, best
-
-
-def write(found: Any, out: Path | None) -> None:
-    """Write what was found, if it is to be kept."""
-    if out is not None:
-        out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        yield (kind, severity), faulty, best

@@ -22,7 +22,7 @@ from operation_simulator import PROFILES, SWITCHES, Motor, draw_motor, simulate
 from running_windows import UNDER, changed
 from scipy.stats import poisson
 from tables import keep_table
-from watch_counts import RATES, alarm_row, alarms, due, lines
+from watch_counts import ALARM_HEADER, RATES, alarm_row, alarms, due, lines
 
 from motor_env.live.state import State
 from motor_env.live.watch import Lesson, Watch
@@ -32,11 +32,7 @@ BLOCK_S, PAUSE_S = 100.0, 1.0
 PROMISES = {"tails": "if the fitted tails hold", "counting": "by counting alone", "nothing": "not compared"}
 HEADER = (
     "profile",
-    "asked for",
-    "hours",
-    "alarms due",
-    "1 to 99 % of Poisson's",
-    "alarms",
+    *ALARM_HEADER,
     "on one motor",
     "motors beyond 99 %",
     "unusable windows",
