@@ -16,8 +16,8 @@ from itertools import product
 import numpy as np
 from cyclopts import run
 from operation_simulator import Motor, draw_motor, simulate
-from tables import KEPT, keep_table
-from verdict_tables import Counts, How, Said, counted, words_of
+from tables import keep_table
+from verdict_tables import HERE, Counts, How, Said, counted, words_of
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, limits_of
 from motor_env.diagnosis.diagnose import diagnose
@@ -43,7 +43,6 @@ LONG = 10.0  # of the mechanical time constant
 SAMPLES, BITS = 2000, 10
 LOAD, SUPPLY, WARMEST_K = 0.15, 0.1, 40.0  # of the stall torque, of R, and how much warmer
 SURE = 2.576  # standard deviations: 99.5 %
-COUNTED = How(out=KEPT.parent / "loaded_starts.json")
 
 
 class Bench:
@@ -125,11 +124,11 @@ def rows(counts: Counts) -> Iterator[list[str]]:
             yield [change, load, str(sum(one.total() for one in both)), *map(words_of, both)]
 
 
-def main(*, motors: int = 216, seed: int = 0, how: How = COUNTED) -> None:
-    """Go on from the motors that benchmarks/results/loaded_starts.json has, and print the table.
+def main(*, motors: int = 216, seed: int = 0, how: How = HERE) -> None:
+    """Judge motors and keep the table.
 
     Args:
-        motors: in all.
+        motors: how many.
         seed: of all that is drawn.
         how: options of every table.
     """

@@ -13,12 +13,10 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cyclopts import Parameter
-from scipy.stats import beta
 
 Cell = tuple[str, ...]
 Said = list[tuple[Cell, str]]
@@ -26,21 +24,9 @@ Said = list[tuple[Cell, str]]
 _BETWEEN = "; "
 
 
-def shares(verdicts: Counter[str], level: float = 0.95) -> dict[str, tuple[float, float]]:
-    """The interval of Clopper and Pearson (1934) of each verdict's share."""
-    tail, total = 0.5 * (1.0 - level), verdicts.total()
-    return {
-        verdict: (
-            float(beta.ppf(tail, n, total - n + 1)) if n else 0.0,
-            float(beta.isf(tail, n + 1, total - n)) if n < total else 1.0,
-        )
-        for verdict, n in verdicts.items()
-    }
-
-
-def words_of(verdicts: Counter[str], *but: str) -> str:
+def words_of(verdicts: Counter[str]) -> str:
     """Verdicts and their numbers, the most frequent first."""
-    return ", ".join(f"{verdict} {n}" for verdict, n in verdicts.most_common() if verdict not in but)
+    return ", ".join(f"{verdict} {n}" for verdict, n in verdicts.most_common())
 
 
 @Parameter(name="*")
@@ -50,7 +36,7 @@ class How:
 
     Attributes:
         workers: processes.
-        out: file of the counts with the intervals of their shares, from which a run goes on.
+        out: file of the counts, from which a run goes on.
     """
 
     workers: int = 1
@@ -104,30 +90,17 @@ class Counts:
         kept = json.loads(path.read_bytes())
         if kept["of"] != dict(of):
             raise ValueError(f"{path} holds cases of {kept['of']}, not of {dict(of)}: name another file")
-        cells = {
-            tuple(cell.split(_BETWEEN)): Counter({verdict: each[0] for verdict, each in verdicts.items()})
-            for cell, verdicts in kept["cells"].items()
-        }
+        cells = {tuple(cell.split(_BETWEEN)): Counter(verdicts) for cell, verdicts in kept["cells"].items()}
         return cls(cells, kept["cases"], of)
 
     def write(self, path: Path) -> None:
-        """Write how often each verdict was given in each cell, and the 95 % interval of its share."""
-        cells = [
-            f" {_json(_BETWEEN.join(cell))}: {_json(_with_shares(verdicts))}"
+        """Write how often each verdict was given in each cell."""
+        cells = {
+            _BETWEEN.join(cell): dict(sorted(verdicts.items()))
             for cell, verdicts in sorted(self.cells.items())
-        ]
-        head = f'{{"cases": {self.cases}, "of": {_json(dict(self.of))}, "cells": {{'
-        path.write_text("\n".join([head, ",\n".join(cells), "}}", ""]), encoding="utf-8")
-
-
-_json = partial(json.dumps, ensure_ascii=False)
-
-
-def _with_shares(verdicts: Counter[str]) -> dict[str, list[float]]:
-    return {
-        verdict: [verdicts[verdict], *(round(end, 4) for end in ends)]
-        for verdict, ends in sorted(shares(verdicts).items())
-    }
+        }
+        kept = {"cases": self.cases, "of": dict(self.of), "cells": cells}
+        path.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def counted(

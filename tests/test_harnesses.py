@@ -1,7 +1,6 @@
 """The harnesses of tests and benchmarks bite: what they must not let pass fails, and a count that was cut goes on."""
 
 import sys
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from hostile import (
     refused,
     refused_or_same,
 )
-from verdict_tables import Counts, How, Said, counted, shares
+from verdict_tables import Counts, How, Said, counted
 
 from motor_env import InputError
 
@@ -115,15 +114,3 @@ def test_a_count_goes_on_from_its_file(tmp_path: Path) -> None:
     assert more.by(0) == {("of three",): {"even": 10, "odd": 10}}
     with pytest.raises(ValueError, match="name another file"):
         counted(judge, 20, How(out=out), of={"seed": 2})
-
-
-def test_intervals_of_shares() -> None:
-    """Clopper and Pearson: by the chances of a binomial number at the ends."""
-    low, high = shares(Counter({"healthy": 20}))["healthy"]
-    assert low == pytest.approx(0.025 ** (1.0 / 20.0))
-    assert high == 1.0
-    both = shares(Counter({"healthy": 19, "noise": 1}))
-    np.testing.assert_allclose(both["noise"], 1.0 - np.array(both["healthy"])[::-1])
-    low, high = both["noise"]  # at the ends one or more, and one or fewer, come with 2.5 %
-    assert 1.0 - (1.0 - low) ** 20 == pytest.approx(0.025)
-    assert (1.0 - high) ** 20 + 20.0 * high * (1.0 - high) ** 19 == pytest.approx(0.025)
