@@ -1,18 +1,17 @@
 """Score the baselines of the environments: designs and thresholds tuned on one seed, scores from others.
 
-python benchmarks/baselines.py --task Monitor-v0/medium --out out/baselines.json
+python benchmarks/baselines.py --task Monitor-v0/medium
 python benchmarks/baselines.py --task all --episodes 1000
 """
 
-import argparse
-import json
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, product
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
+from cyclopts import run
 from look_ahead import LookAhead, RatioTest
+from tables import print_table
 from tolerances import TolerancePolicy
 
 from motor_env.detection.rules import Cusum, Glr, MOfN, Rule, nis_rule
@@ -31,17 +30,23 @@ from motor_env.envs.monitor import MonitorVectorEnv
 from motor_env.envs.options import Drive
 from motor_env.envs.probe import ProbeVectorEnv
 from motor_env.envs.setup import Setup
-from motor_env.envs.tasks import TASKS, task_recipe
+from motor_env.envs.tasks import task_recipe
 from motor_env.envs.vector import MotorVectorEnv
 from motor_env.motor.parameters import FloatArray
 
-TASK_NAMES = (
-    *(f"Monitor-v0/{recipe}" for recipe in TASKS),
+Task = Literal[
+    "Monitor-v0/easy",
+    "Monitor-v0/medium",
+    "Monitor-v0/hard",
+    "Monitor-v0/small",
     "MonitorSpeedLoop-v0/medium",
     "Probe-v0/small",
     "Probe-v0/medium",
+]
+HEADER = (
+    *("policy", "design", "threshold", "return", "false alarms", "detected", "right kind"),
+    *("median delay", "probing", "too late"),
 )
-RETUNED = ("CUSUM", "GLR of a step", "bank of filters")
 N_THRESHOLDS = 24
 TUNING_SEED = 100
 EVALUATION_SEEDS = (1, 2, 3, 4, 5)
@@ -57,12 +62,8 @@ class Design(NamedTuple):
     level_v: float = 1.0
 
 
-class Entry(NamedTuple):
-    """A policy, the ways to build it, and where it is tuned if not where it acts."""
-
-    name: str
-    designs: Sequence[Design]
-    where: "Bench | None" = None
+Entry = tuple[str, Sequence[Design]]
+"""A policy, and the ways to build it."""
 
 
 class Tuned(NamedTuple):
@@ -180,41 +181,38 @@ class Bench:
         envs = self.vector(self.episodes, level_v)
         return joined([sweep(envs, policy, [threshold], seed)[0] for seed in EVALUATION_SEEDS])
 
-    def row(self, name: str, label: str, threshold: float, runs: Runs) -> dict[str, Any]:
-        """A line of the table, which it prints."""
-        found = score(self.envs, runs)
-        print(
-            f"| {name} | {label} | {threshold:.4g} | {found.mean_return:+.3f} ± {found.return_half_width:.3f} | "
-            f"{found.false_alarm_share:.1%} | {found.detected_share:.1%} | {found.isolated_share:.1%} | "
-            f"{1e3 * found.median_delay_s:.1f} ms | {found.probing_share:.1%} | {found.late_share:.1%} |",
-            flush=True,
-        )
-        task = f"{self.environment}/{self.recipe.name}"
-        return {"task": task, "policy": name, "design": label, "threshold": threshold, **found.as_row()}
-
-    def tuned_row(self, name: str, designs: Sequence[Design], where: "Bench | None" = None) -> dict[str, Any]:
-        """The best of the designs on the tuning seed, there or on another task, scored on the others."""
-        _, design, threshold = (where or self).tune(designs, 2 * self.episodes)[0]
+    def row(self, name: str, designs: Sequence[Design]) -> list[str]:
+        """A line of the table: the best of the designs on the tuning seed, scored on the others."""
+        _, design, threshold = self.tune(designs, 2 * self.episodes)[0]
         policy = design.build(self.vector(self.episodes, design.level_v).setup)
-        return self.row(name, design.label, threshold, self.evaluate(policy, threshold, design.level_v))
+        found = score(self.envs, self.evaluate(policy, threshold, design.level_v))
+        return [
+            name,
+            design.label,
+            f"{threshold:.4g}",
+            f"{found.mean_return:+.3f} ± {found.return_half_width:.3f}",
+            *(
+                f"{share:.1%}"
+                for share in (found.false_alarm_share, found.detected_share, found.isolated_share)
+            ),
+            f"{1e3 * found.median_delay_s:.1f} ms",
+            *(f"{share:.1%}" for share in (found.probing_share, found.late_share)),
+        ]
 
     def passive(self) -> Iterator[Entry]:
         """Policies that do not move the voltage."""
-        for name, designs in passive(self.envs.setup):
-            yield Entry(name, designs)
-            if self.drive is Drive.SPEED_LOOP and name in RETUNED:
-                yield Entry(f"{name}, solved open loop", designs, Bench("Monitor-v0/medium", self.episodes))
+        yield from passive(self.envs.setup)
         if self.drive is Drive.SPEED_LOOP:
             return  # no posterior: nobody is told what the controller does
         posterior = TolerancePolicy if self.recipe.name == "hard" else BayesPolicy
         test = WorthTest if self.environment == "Probe-v0" else posterior
-        yield Entry("Bayes posterior", [Design("", lambda setup: test(setup, 0.0), WORTHS)])
+        yield "Bayes posterior", [Design("", lambda setup: test(setup, 0.0), WORTHS)]
 
     def probing(self) -> Iterator[Entry]:
         """Policies that move the voltage: all bursts on few episodes at 1 V, the best of them at all levels on many."""
-        yield Entry("look ahead", [look_ahead(bonus) for bonus in (0.0006, 0.001, 0.0015, 0.003)])
+        yield "look ahead", [look_ahead(bonus) for bonus in (0.0006, 0.001, 0.0015, 0.003)]
         levels = (0.7, 1.0, 1.4)
-        yield Entry("on demand", [on_demand(p, level) for p in (0.03, 0.045, 0.06, 0.08) for level in levels])
+        yield "on demand", [on_demand(p, level) for p in (0.03, 0.045, 0.06, 0.08) for level in levels]
         tried = bursts(self.envs.options.n_steps)
         first = self.tune([open_loop(WorthTest, probe, WORTHS, 1.0) for probe in tried], self.episodes // 2)
         labels = {open_loop(WorthTest, probe, WORTHS, 1.0).label: probe for probe in tried}
@@ -223,38 +221,31 @@ class Bench:
             ("open loop, matched GLR", RatioTest, RATIOS),
             ("open loop, Bayes posterior", WorthTest, WORTHS),
         ):
-            yield Entry(
-                name, [open_loop(test, probe, thresholds, level) for probe in short for level in levels]
-            )
+            yield name, [open_loop(test, probe, thresholds, level) for probe in short for level in levels]
 
-    def rows(self, only: str | None) -> Iterator[dict[str, Any]]:
+    def rows(self, only: str | None) -> Iterator[list[str]]:
         """All lines of the task's table, or that of one policy."""
         probing = self.probing() if self.environment == "Probe-v0" else iter(())
-        for entry in chain(self.passive(), probing):
-            if only in (None, entry.name):
-                yield self.tuned_row(*entry)
-            if only == entry.name:
+        for name, designs in chain(self.passive(), probing):
+            if only in (None, name):
+                yield self.row(name, designs)
+            if only == name:
                 return
 
 
-def main() -> None:
-    """Print the tables and write them."""
-    parser = argparse.ArgumentParser(description="Score the baselines of the environments.")
-    parser.add_argument("--task", default="Monitor-v0/medium", choices=[*TASK_NAMES, "all"])
-    parser.add_argument("--episodes", type=int, default=1000, help="of each of the five evaluation seeds")
-    parser.add_argument("--policy", help="of this name alone, for example 'look ahead'")
-    parser.add_argument("--out", type=Path, default=Path("out/baselines.json"))
-    given = parser.parse_args()
-    rows: list[dict[str, Any]] = []
-    for task in TASK_NAMES if given.task == "all" else (given.task,):
-        print(
-            f"\n{task}\n\n| policy | design | threshold | return | false alarms | detected | right kind | "
-            "median delay | probing | too late |\n|---|---|---|---|---|---|---|---|---|---|"
-        )
-        rows.extend(Bench(task, given.episodes).rows(given.policy))
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    given.out.write_text(json.dumps(rows, indent=2) + "\n")
+def main(
+    *, task: Task | Literal["all"] = "Monitor-v0/medium", episodes: int = 1000, policy: str | None = None
+) -> None:
+    """Print the tables.
+
+    Args:
+        task: environment and recipe.
+        episodes: of each of the five evaluation seeds.
+        policy: the one of this name alone, for example "look ahead".
+    """
+    for name in get_args(Task) if task == "all" else (task,):
+        print_table(name, HEADER, Bench(name, episodes).rows(policy))
 
 
 if __name__ == "__main__":
-    main()
+    run(main)
