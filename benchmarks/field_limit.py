@@ -177,11 +177,8 @@ def figures(
         "network_behind_error": errors,
         "expected_accuracy": float(once.max(axis=1).mean()),
         "right": float((once.argmax(axis=1) == starts.class_index).mean()),
-        "network_right": float((of_network == starts.class_index).mean()),
         "expected_accuracy_of_runs": largest.mean(axis=1).tolist(),
-        "network_behind_of_runs": (largest - pair[:, rows, of_network[: len(again)]]).mean(axis=1).tolist(),
         "same_decision": float((decided[0] == decided[1]).mean()),
-        "difference_of_runs_rms": float(np.sqrt(np.square(pair[0] - pair[1]).mean())),
     }
 
 

@@ -119,15 +119,12 @@ def scored(name: str, label: str, make: Callable[[Any], Player], options: Any, e
     found = np.concatenate([returns_of(envs, policy, seed) for seed in SEEDS])
     mean, half = interval(found)
     error = float(found.std(ddof=1) / len(found) ** 0.5)
-    quarter, three = np.quantile(found, [0.25, 0.75])
-    middle = float(found[(found >= quarter) & (found <= three)].mean())
     return {
         "policy": label,
         "episodes": len(found),
         "return": mean,
         "half_width": half,
         "standard_error": error,
-        "middle_half": middle,
     }
 
 
