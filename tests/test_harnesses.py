@@ -19,7 +19,7 @@ from hostile import (
     refused,
     refused_or_same,
 )
-from verdict_tables import Counts, How, Said, counted
+from verdict_tables import How, Said, counted
 
 from motor_env import InputError
 
@@ -106,11 +106,12 @@ def judge(number: int) -> Said:
 
 
 def test_a_count_goes_on_from_its_file(tmp_path: Path) -> None:
-    out = tmp_path / "counts.json"
-    whole, first = counted(judge, 20), counted(judge, 7, How(out=out), of={"seed": 1})
-    assert (first.cases, whole["of three", "0"]) == (7, {"even": 4, "odd": 3})
-    more = counted(judge, 20, How(workers=2, out=out), of={"seed": 1})
-    assert more.cells == whole.cells == Counts.read(out, {"seed": 1}).cells
+    rows = tmp_path / "rows.jsonl"
+    whole, first = counted(judge, 20), counted(judge, 7, How(rows=rows), of={"seed": 1})
+    assert (len(rows.read_text().splitlines()), whole["of three", "0"]) == (7, {"even": 4, "odd": 3})
+    assert sum(verdicts.total() for verdicts in first.cells.values()) == 7
+    more = counted(judge, 20, How(workers=2, rows=rows), of={"seed": 1})
+    assert more.cells == whole.cells == counted(judge, 20, How(rows=rows), of={"seed": 1}).cells
     assert more.by(0) == {("of three",): {"even": 10, "odd": 10}}
     with pytest.raises(ValueError, match="name another file"):
-        counted(judge, 20, How(out=out), of={"seed": 2})
+        counted(judge, 20, How(rows=rows), of={"seed": 2})
