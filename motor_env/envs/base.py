@@ -39,7 +39,7 @@ def discrete_actions(setup: Setup) -> spaces.Discrete:
 
 def reward_parts(options: MonitorOptions) -> tuple[str, ...]:
     """Names under which the info has what a reward is made of: their sum is the reward."""
-    parts = ("reward_verdict", "reward_delay", "reward_probe")
+    parts = ("reward_verdict", "reward_delay", "reward_probe", "reward_energy")
     return parts if options.moves_voltage else parts[:2]
 
 
@@ -152,7 +152,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         lanes = empty_lanes(1, 1, options.precision)
         self._state, self._words, self._marks, _, self._drawn = lanes
         self._arrays = (*pack_task(numbers, options.precision), *lanes)
-        self._parts = np.empty((3, 1))
+        self._parts = np.empty((4, 1))
         self._truth: Info = {}
         self._offsets_v: list[float] = self.setup.offsets_v.tolist()
         self._declarations: list[int] = self.setup.declarations.tolist()
@@ -209,7 +209,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
             "reward_delay": parts[1],
         }
         if self._moves_voltage:
-            info["reward_probe"] = parts[2]
+            info["reward_probe"], info["reward_energy"] = parts[2], parts[3]
         return observation, reward, self._over, False, info
 
     def _now(self, field: str) -> Any:

@@ -243,3 +243,4 @@ def begin_state(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> No
     s.error_current[j] = current - p.initial[0]
     s.error_speed[j] = speed - p.initial[1]
     s.kind[j] = class_of(task.classes, lanes.marks[layout.CLASS_INDEX, n]).verdict
+    s.supply[j] = drawn.supply

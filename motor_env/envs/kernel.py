@@ -36,7 +36,7 @@ _STATISTICS = ("fast_current", "slow_current", "fast_speed", "slow_speed", "exce
 _TIMES = ("time", "next_change", "delay", "cost")  # in samples, and what a sample costs
 _MEASURED = ("measured_current", "measured_speed", "estimated_current", "estimated_speed")  # the last sample
 _STEP = ("innovation_current", "innovation_speed", "voltage")  # the last step; the innovation is white
-_EPISODE = ("onset", "level", "kind")
+_EPISODE = ("onset", "level", "kind", "supply")
 _FOR_BANK = ("old_current", "old_speed", "mismatch_0", "mismatch_1", "noise_current", "noise_speed", "power")
 _LOOP = ("drive", "held")  # what a speed loop adds to the voltage, and the speed that it holds
 _FIELDS = (*_MOTOR, *_STATE, *_STATISTICS, *_TIMES, *_MEASURED, *_STEP, *_EPISODE, *_FOR_BANK, *_LOOP)
@@ -98,13 +98,16 @@ class Constants(NamedTuple):
     into_excess: float
     n_channels: float
     horizon: float  # in samples, as `growth`
-    delay_cost: float  # a sample, as the price of a probe
+    delay_cost: float  # a sample, as the prices of probe and energy
     correct: float
     silent: float
     false_alarm: float
     wrong_kind: float
     miss: float
+    rest_voltage: float
+    rest_current: float
     probe_cost: float
+    energy_cost: float
     growth: float
     n_levels: float
     zero: float  # typed as the state is: a literal would make float64 of float32
@@ -219,7 +222,8 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
     s.excess[j] = slow * s.excess[j] + p.into_excess * (power - p.n_channels)
     cost = kept * s.cost[j] + s.delay[j]
     if full:
-        cost += p.probe_cost * u * u
+        taken = (u + d + p.rest_voltage) * s.supply[j] * (y0 + p.rest_current)
+        cost += p.probe_cost * u * u + p.energy_cost * abs(taken)
         s.old_current[j], s.old_speed[j] = x0, x1
         s.mismatch_0[j], s.mismatch_1[j] = m0, m1
         s.noise_current[j], s.power[j] = v0, power

@@ -131,6 +131,11 @@ class MonitorOptions:
         """Price of an offset: a monitor makes none."""
         return 0.0
 
+    @property
+    def energy_cost_per_j(self) -> float:
+        """Price of electrical energy: a monitor has no say in it."""
+        return 0.0
+
     def __post_init__(self) -> None:
         require_numbers(self)
         recipe = task_recipe(self.recipe) if isinstance(self.recipe, str | Path) else self.recipe

@@ -26,6 +26,7 @@ class ProbeOptions(MonitorOptions):
         offsets_v: what the actions of Probe-v0 add to the supply's voltage; the first is what a waiting agent does.
         max_offset_v: the largest offset, up or down, of ProbeContinuous-v0.
         probe_cost_per_v2_s: price of the disturbance, the square of the offset, for a second.
+        energy_cost_per_j: price of the electrical energy that the motor takes or gives.
         observe: names of the observed features, in this order; empty: all that the recipe's sensor gives, and the
             evidence for each kind.
     """
@@ -40,6 +41,7 @@ class ProbeOptions(MonitorOptions):
     offsets_v: tuple[float, ...] = (0.0, -1.0, 1.0)
     max_offset_v: float = 2.0
     probe_cost_per_v2_s: float = 2.0
+    energy_cost_per_j: float = 0.0
     moves_voltage: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -54,11 +56,12 @@ class ProbeOptions(MonitorOptions):
             self.max_offset_v <= LARGEST_V,
             f"max_offset_v must be at most {LARGEST_V:g}, got {self.max_offset_v:g}",
         )
-        require_positive("probe_cost_per_v2_s", self.probe_cost_per_v2_s, zero_allowed=True)
-        require(
-            self.probe_cost_per_v2_s <= LARGEST_REWARD,
-            f"probe_cost_per_v2_s must be at most {LARGEST_REWARD:g}, got {self.probe_cost_per_v2_s:g}",
-        )
+        for name in ("probe_cost_per_v2_s", "energy_cost_per_j"):
+            require_positive(name, getattr(self, name), zero_allowed=True)
+            require(
+                getattr(self, name) <= LARGEST_REWARD,
+                f"{name} must be at most {LARGEST_REWARD:g}, got {getattr(self, name):g}",
+            )
 
 
 class ProbeEnv(MotorEnv):
@@ -86,7 +89,7 @@ class ProbeEnv(MotorEnv):
     A declaration, or the horizon (200 steps of 2 ms), both as `terminated`.
 
     ## Info
-    As in `MonitorEnv`, with `reward_probe`.
+    As in `MonitorEnv`, with `reward_probe` and `reward_energy`.
 
     Args:
         options: the task; `ProbeOptions()` unless given.

@@ -130,7 +130,7 @@ def make_setup(options: MonitorOptions) -> Setup:
 def _numbers(
     options: MonitorOptions, belief: KalmanFilter, rest: FloatArray, view: FloatArray, right: list[int]
 ) -> TaskNumbers:
-    bank, constants = make_bank(options, belief.model, rest), _constants(options, belief)
+    bank, constants = make_bank(options, belief.model, rest), _constants(options, belief, float(rest[0]))
     evidence = np.arange(kernel.EVIDENCE, kernel.EVIDENCE + kernel.MAX_BANK)
     bank[~np.isin(evidence, view[:, kernel.FIELD])] = 0.0  # what nobody sees need not run
     constants[kernel.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
@@ -140,7 +140,7 @@ def _numbers(
     return numbers._replace(motors=motor_table(numbers))
 
 
-def _constants(options: MonitorOptions, belief: KalmanFilter) -> FloatArray:
+def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: float) -> FloatArray:
     channels = [(Channel.CURRENT, Channel.SPEED).index(channel) for channel in options.task.sensor.channels]
     gain, covariance = converged_gain(belief)
     full_gain, whitening = np.zeros((2, 2)), np.zeros((2, 2))
@@ -174,7 +174,10 @@ def _constants(options: MonitorOptions, belief: KalmanFilter) -> FloatArray:
         false_alarm=options.false_alarm_cost,
         wrong_kind=options.wrong_kind_cost,
         miss=options.miss_cost,
+        rest_voltage=float(options.task.supply.voltage_v),
+        rest_current=rest_current,
         probe_cost=options.probe_cost_per_v2_s * options.dt_s,
+        energy_cost=options.energy_cost_per_j * options.dt_s,
         growth=round(options.growth_s / options.dt_s),
         n_levels=options.n_levels,
         zero=0.0,

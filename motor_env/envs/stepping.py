@@ -165,7 +165,7 @@ def observe(observation: Float32Array, numbers: FloatArray, prior: FloatArray, *
 
 @inlined
 def _split_cost(s: Block, p: Constants, samples: int, parts: FloatArray, first: int, width: int) -> None:
-    """What the reward of a step in the middle of an episode is made of: verdict (none), delay, probe.
+    """What the reward of a step in the middle of an episode is made of: verdict (none), delay, probe, energy.
 
     A task that cannot move the voltage has the first two parts alone.
     """
@@ -174,12 +174,15 @@ def _split_cost(s: Block, p: Constants, samples: int, parts: FloatArray, first: 
         verdict[j] = 0.0
         delay[j] = -s.cost[j]
     if parts.shape[0] > 2:
-        probe = parts[2, first : first + width]
+        probe, energy = parts[2, first : first + width], parts[3, first : first + width]
         for j in range(width):
             u = s.voltage[j]
             acting = s.time[j] - s.onset[j]
+            cost = delay[j]
             delay[j] = -p.delay_cost * min(max(acting, p.zero), samples)
             probe[j] = -p.probe_cost * u * u * samples
+            rest = min(cost - delay[j] - probe[j], 0.0)
+            energy[j] = rest if p.energy_cost > 0.0 else 0.0
 
 
 @inlined
@@ -354,10 +357,10 @@ def step_single(
 ) -> tuple[float, bool, bool, tuple[float, ...]]:
     """A step of a single environment, which is lane 0 of a block of its own.
 
-    `parts` is written, shape (3, 1).
+    `parts` is written, shape (4, 1).
 
     Returns:
-        Reward, end, whether a fault acts, and the three parts of the reward.
+        Reward, end, whether a fault acts, and the four parts of the reward.
     """
     task, lanes = unpack_task(numbers, prior), Lanes(*arrays)
     p, s = Constants(*fixed_tuple(task.constants, N_CONSTANTS)), block_of(lanes.state, 0)
@@ -374,5 +377,5 @@ def step_single(
         reward,
         over,
         lanes.flags[layout.FAULT_ACTIVE, 0],
-        (parts[0, 0], parts[1, 0], parts[2, 0]),
+        (parts[0, 0], parts[1, 0], parts[2, 0], parts[3, 0]),
     )

@@ -53,9 +53,15 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
         "motor_env/Monitor-v0",
         {"recipe": "hard", "growth_s": 0.02, "growth_levels": 5, "mean_onset_s": 0.01, "horizon_s": 0.06},
     ),
-    "speed loop, confirmed": (
+    "speed loop, confirmed, other prices": (
         "motor_env/Probe-v0",
-        {"recipe": "hard", "drive": "speed_loop", "loop_time_s": 0.003, "confirm_steps": 2},
+        {
+            "recipe": "hard",  # a supply that is not the nominal one: energy counts it
+            "drive": "speed_loop",
+            "loop_time_s": 0.003,
+            "confirm_steps": 2,
+            "energy_cost_per_j": 0.7,
+        },
     ),
     "fast failures": (
         "motor_env/Drive-v0",

@@ -36,7 +36,11 @@ PAIRS: list[tuple[Any, Any, dict[str, Any]]] = [
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "drive": "speed_loop"}),
     (ProbeEnv, ProbeVectorEnv, {**SHORT, "samples_per_step": 5}),
     (ProbeEnv, ProbeVectorEnv, {**SHORT, "confirm_steps": 2, "drive": "speed_loop"}),
-    (ProbeContinuousEnv, ProbeContinuousVectorEnv, {**SHORT, "samples_per_step": 5}),
+    (
+        ProbeContinuousEnv,
+        ProbeContinuousVectorEnv,
+        {**SHORT, "samples_per_step": 5, "energy_cost_per_j": 0.5},
+    ),
 ]
 EXACT = (MonitorEnv, MonitorVectorEnv, {**SHORT, "samples_per_step": 4, "precision": "float64"})
 # Nothing else steps an environment alone in double precision: seven seconds of compiling.
