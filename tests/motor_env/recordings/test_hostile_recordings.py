@@ -149,13 +149,12 @@ def test_a_sine_is_not_a_thousand_starts() -> None:
 
 
 @pytest.mark.parametrize("prefix", ["", "data."])
-def test_structs_of_two_runs_are_not_merged(prefix: str) -> None:
+def test_structs_of_two_runs_are_not_merged(prefix: str, tmp_path: Path) -> None:
     """Each keeps its whole name where a short one is there twice."""
     runs: dict[str, Any] = {f"run{n}": {"time_s": TIME, "current_a": n * CURRENT} for n in (1, 2)}
     runs |= {"inputs": {"voltage_v": VOLTAGE}}
-    stream = io.BytesIO()
-    savemat(stream, {"data": runs} if prefix else runs)
-    read = array_parser.parse_matlab(stream.getvalue())
+    savemat(tmp_path / "a.mat", {"data": runs} if prefix else runs)
+    read = array_parser.parse_matlab((tmp_path / "a.mat").read_bytes())
     twice = [f"{prefix}run{n}.{name}" for n in (1, 2) for name in ("time_s", "current_a")]
     assert sorted(read) == sorted([*twice, "voltage_v"])
     np.testing.assert_allclose(read[f"{prefix}run2.current_a"], 2.0 * CURRENT)
