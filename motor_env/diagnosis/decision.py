@@ -179,7 +179,8 @@ def _with_alarm(
             return replace(found, reasons=(*found.reasons, *also))
     if gains and len(gains) == len(scales):
         probability = probabilities(first.difference, [*first.faults, *gains])
-        likeliest = max(gains, key=lambda gain: probability[gain.kind])
+        # Two that explain alike differ by rounding: the one that is named first counts.
+        likeliest = max(gains, key=lambda gain: round(probability[gain.kind], 9))
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
             found = _with_fault(healthy, reference, likeliest, probability, None)
             return replace(found, reasons=(*also, *found.reasons))
