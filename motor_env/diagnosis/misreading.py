@@ -91,7 +91,7 @@ def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, r
     missing = {"voltage"} if any("V" in name for name in names) else set()
     missing |= set() if {"K", "K/V"} & set(names) else {"speed"}
     sd, found = np.sqrt(np.diag(difference.covariance)), []
-    for column in POWERS.keys() - missing:
+    for column in sorted(POWERS.keys() - missing):  # a set's order changes from run to run
         direction = difference.exponents @ [POWERS[column].get(parameter, 0.0) for parameter in PARAMETERS]
         if not direction.any():  # a voltage, where nothing of it is compared
             continue

@@ -129,7 +129,7 @@ def _restore(
         InputError: one has no value at all.
     """
     untimed = missing[:, places["time"]] if "time" in places else np.zeros(len(missing), dtype=np.bool_)
-    for quantity in places.keys() - {"time"}:
+    for quantity in sorted(places.keys() - {"time"}):  # a set's order changes from run to run
         lost = missing[:, places[quantity]] | untimed
         if lost.any():
             values, origin, warning = found[quantity]
