@@ -407,5 +407,9 @@ def test_motors_of_a_machine_off_alike_are_told_together() -> None:
     both = [Difference(low_k, np.diag(sd**2), matrix(names), 60.0)] * 2
     assert together(both, names, 0.01).startswith("all of it is explained if the speed is 1.12 times")
     assert together(both[:1], names, 0.01) == ""
+    # Three gains, each either way, share the rate.
+    mild = [replace(both[0], log_ratios=low_k * np.log(1.10) / np.log(1.12))] * 2
+    assert together(mild, names, 0.03)
+    assert together(mild, names, 0.02) == ""
     other = Difference(-low_k, np.diag(sd**2), matrix(names), 60.0)
     assert together([both[0], other], names, 0.01) == ""
