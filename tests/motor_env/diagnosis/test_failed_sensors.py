@@ -237,12 +237,12 @@ LARGE = (("bearing", 3.0), ("winding_contact", 2.0), ("winding_short", 0.5), ("m
 
 @pytest.mark.parametrize("recipe", ["bench", "field", "operation"])
 def test_no_motor_is_taken_for_a_failed_sensor(recipe: str, request: pytest.FixtureRequest) -> None:
-    """A hundred each of healthy and faulty motors, of which none is."""
+    """350 each of healthy and faulty motors: more than a thousand, of which none is."""
     classes = (FaultClass(weight=4.0), *(FaultClass(FaultKind(name), size) for name, size in LARGE))
     drawn_from = changed_recipe(
         replace(RECIPES[recipe], classes=classes, healthy_starts=0), channels=("current", "speed")
     )
-    drawn = draw(drawn_from, 3, np.arange(100))
+    drawn = draw(drawn_from, 3, np.arange(350))
     readings = measure_draw(drawn, drawn_from, 3).astype(np.float64)
     is_log, time_s = drawn_from.duty is not None, drawn_from.timing.time_s
     physical = physical_of(replace(SHEET, parameters=drawn_from.motor))
@@ -300,9 +300,8 @@ def test_without_a_speed_current_and_voltage_may_both_be_it() -> None:
     assert found.verdict == "sensor"
     assert "if the current is 1.25 times too large" in found.reasons[0]
     assert "or if the voltage is 1.25 times too small" in found.reasons[0]
-    assert found.reasons[1].startswith(
-        "the current's scale is wrong"
-    )  # as likely as the voltage's, and first
+    # Both are as likely, and this one comes first.
+    assert found.reasons[1].startswith("the current's scale is wrong")
     assert re.search(r"\(probability \d+%, of winding_short \d%\)$", found.reasons[0])
     assert found.confidence is not None
     assert found.confidence > 0.9
