@@ -22,7 +22,8 @@ from motor_env.live.pieces import BLOCK_BYTES, NEW_FILE, Notice, Piece
 
 _PAUSE_S = 0.2
 _CHUNK = 1 << 16
-_MOST_WAITING = 1 << 16  # pieces, each of which an operating system's buffer of a port holds: 4 kB
+_MOST_WAITING_BYTES = 1 << 26
+_PIECE_BYTES = 100  # of a piece beside what is in it
 
 
 def identity(name: str | None) -> str:
@@ -211,8 +212,8 @@ class _Waiting(queue.Queue[Piece | None]):
     """Pieces that wait for a watch that lags behind; of what finds no room the watch is told how much it was."""
 
     def __init__(self) -> None:
-        super().__init__(_MOST_WAITING)
-        self._lost = 0
+        self._bytes, self._lost = 0, 0
+        super().__init__(_MOST_WAITING_BYTES)
 
     def offer(self, piece: Piece) -> None:
         """Put a piece in, if there is room."""
@@ -224,6 +225,22 @@ class _Waiting(queue.Queue[Piece | None]):
             self.put_nowait(piece)
         except queue.Full:
             self._lost += 1
+
+    def _put(self, item: Piece | None) -> None:
+        self._bytes += _size(item)
+        super()._put(item)
+
+    def _get(self) -> Piece | None:
+        item: Piece | None = super()._get()
+        self._bytes -= _size(item)
+        return item
+
+    def _qsize(self) -> int:
+        return self._bytes
+
+
+def _size(item: Piece | None) -> int:
+    return _PIECE_BYTES + (len(item) if isinstance(item, bytes) else 0)
 
 
 def _from(waiting: queue.Queue[Piece | None]) -> Iterator[Piece]:
