@@ -31,7 +31,7 @@ from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of, understood
 from motor_env.recordings.regime import Taken, taken_for
-from motor_env.recordings.splitting import chosen_starts
+from motor_env.recordings.splitting import chosen_starts, split_starts
 from motor_env.recordings.start import Circuit, prepare
 
 FEWEST_STARTS = 3
@@ -200,13 +200,8 @@ def commission(
     read = [recording_of(one, columns) for one in recordings]
     if regime == "auto" and window_s is not None:
         regime = "operation"
-    taken = tuple(dict.fromkeys(taken_for(recording, regime, start) for recording in read))
-    regimes = {one.regime for one in taken}
-    if len(regimes) > 1:
-        raise InputError(
-            f"some are starts, and some logs of a motor at work: give {word}s of one kind, or --regime"
-        )
-    if regimes == {"operation"}:
+    taken = _of_one_kind(read, [taken_for(recording, regime, start) for recording in read], word)
+    if taken[0].regime == "operation":
         given = {
             "start": start,
             "sensor-lag": None if circuit is None else circuit.sensor_lag_s or None,
@@ -238,6 +233,21 @@ def commission(
     promise = promise_of(motor, fits, temperature_c, false_alarm_rate)
     told = tuple(understood((one.path, one.columns) for one in read))
     return Commissioned(motor, fits, *promise, false_alarm_rate, taken, told)
+
+
+def _of_one_kind(read: Sequence[Recording], taken: Sequence[Taken], word: str) -> tuple[Taken, ...]:
+    """What recordings are taken for, each reason once: a motor that is switched on and off again is at work.
+
+    Raises:
+        InputError: some are single starts, and some are logs of a motor at work.
+    """
+    work = [one for one in taken if one.regime == "operation"]
+    starts = [recording for recording, one in zip(read, taken, strict=True) if one.regime == "start"]
+    if work and any(len(split_starts(recording)) == 1 for recording in starts):
+        raise InputError(
+            f"some are starts, and some logs of a motor at work: give {word}s of one kind, or --regime"
+        )
+    return tuple(dict.fromkeys(work or taken))
 
 
 def fit_starts(

@@ -16,6 +16,7 @@ from motor_env.fitting.starts.choice import NUISANCES, identify_best
 from motor_env.fitting.starts.commutation import ripple_quantities
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
+from motor_env.fitting.uncertainty import beyond
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.parameters import FloatArray
@@ -27,6 +28,7 @@ RECORD_SPREAD = np.array([0.01, 0.005, 0.01, 0.05])
 """Standard deviation of the logarithms of R, K, J and B from one record of a motor at work to the next, however long
 each lasts: the error of the model is much the same in all windows of a record."""
 PRIOR_WEIGHT = 4.0
+_FEW_BESIDE = 4  # times as many are of the usual drive
 _NOISE_SPREAD = 0.10
 _DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
 _SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm from start to start, and how many are odd
@@ -74,7 +76,9 @@ def next_sd(values: FloatArray, prior_sd: float) -> float:
     return math.sqrt(the_next(values[:, None], np.eye(1) * prior_sd**2)[1][0, 0])
 
 
-def next_piece(fits: Sequence[Fitted], prior_sd: float) -> tuple[FloatArray, FloatArray, float]:
+def next_piece(
+    fits: Sequence[Fitted], prior_sd: float, lent: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, float]:
     """Mean, covariance and degrees of freedom of the next healthy piece's logarithms.
 
     The fit's own error is white between pieces; it is the least that the next one will differ by.
@@ -82,21 +86,34 @@ def next_piece(fits: Sequence[Fitted], prior_sd: float) -> tuple[FloatArray, Flo
     Args:
         fits: healthy pieces with the same quantities.
         prior_sd: of each logarithm from piece to piece, as believed before any is seen.
+        lent: covariance of other pieces that is believed where it is larger.
     """
     logs = np.array([fit.log_values for fit in fits])
     error = np.mean([fit.white_covariance for fit in fits], axis=0)
-    return the_next(logs, np.eye(logs.shape[1]) * prior_sd**2 + error)
+    prior = np.eye(logs.shape[1]) * prior_sd**2 + error
+    return the_next(logs, prior if lent is None else prior + beyond(prior, lent))
 
 
-def next_window(fits: Sequence[Fitted], *, steady: bool) -> tuple[FloatArray, FloatArray, float]:
+def next_window(
+    fits: Sequence[Fitted], *, steady: bool, usual: Sequence[Fitted] = ()
+) -> tuple[FloatArray, FloatArray, float]:
     """Mean, covariance and degrees of freedom of the logarithms of R, K, J and B of a healthy window of another record.
 
     Args:
         fits: healthy windows.
         steady: nothing but a fault moves the motor, from record to record either.
+        usual: healthy windows of the usual drive, if these are few of another one. They scatter no less, as far as is
+            known: loads come and go.
     """
-    centre, covariance, freedom = next_piece(fits, 0.0)
+    lent = next_window(usual, steady=True)[1] if usual else None
+    centre, covariance, freedom = next_piece(fits, 0.0, lent)
     return centre, covariance if steady else covariance + np.diag(np.square(RECORD_SPREAD)), freedom
+
+
+def usual_beside(few: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
+    """Windows of the usual drive, if those of another one are few beside them; none otherwise."""
+    usual = max(drives, key=len)
+    return usual if len(usual) >= _FEW_BESIDE * len(few) else ()
 
 
 def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
@@ -104,10 +121,11 @@ def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     drives = () if healthy.windows is None else healthy.windows.drives
     alike = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
     others = [fits[n] for n in alike if n != number]
+    usual = [fits[n] for n in usual_beside(alike, [drive.pieces for drive in drives] or [alike])]
     if healthy.windows is None:
         centre, covariance, freedom = next_piece(others, START_SPREAD)
     else:
-        centre, covariance, freedom = next_window(others, steady=not healthy.temperature_k)
+        centre, covariance, freedom = next_window(others, steady=not healthy.temperature_k, usual=usual)
     return replace(
         healthy,
         pieces=len(others),

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.diagnosis.learning import RECORD_SPREAD, next_window
+from motor_env.diagnosis.learning import RECORD_SPREAD, next_window, usual_beside
 from motor_env.diagnosis.running.drives import FAR, NEEDED, driven, rms_volts, sorted_by_drive
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
 from motor_env.diagnosis.running.replay import replay
@@ -88,7 +88,8 @@ def learn_windows(
     if not steady:
         moved = np.array([driven(part) for part in parts])
         of, alike = sorted_by_drive(moved, times)
-        drives = tuple(_drive(np.flatnonzero(of == n), moved, found) for n in range(of.max() + 1))
+        groups = [np.flatnonzero(of == n).tolist() for n in range(of.max() + 1)]
+        drives = tuple(_drive(some, usual_beside(some, groups), moved, found) for some in groups)
     ratios = [fit.log_values - centre for fit in found]
     spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
     windows = Windows(
@@ -149,12 +150,14 @@ def told_by(
     return known, wanted, [fit_window(record, known, wanted, one_way=one_way) for record in records]
 
 
-def _drive(pieces: NDArray[np.intp], moved: FloatArray, found: Sequence[FittedWindow]) -> Drive:
-    """What windows that are driven alike teach, some of all."""
-    centre, covariance, freedom = next_window([found[n] for n in pieces], steady=False)
-    return Drive(
-        tuple(pieces.tolist()), moved[pieces[:: _every(pieces)]], np.exp(centre), covariance, freedom
+def _drive(
+    pieces: Sequence[int], usual: Sequence[int], moved: FloatArray, found: Sequence[FittedWindow]
+) -> Drive:
+    """What windows that are driven alike teach, some of all, beside those of the usual drive."""
+    centre, covariance, freedom = next_window(
+        [found[n] for n in pieces], steady=False, usual=[found[n] for n in usual]
     )
+    return Drive(tuple(pieces), moved[pieces[:: _every(pieces)]], np.exp(centre), covariance, freedom)
 
 
 def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float = 0.0) -> float:

@@ -43,6 +43,28 @@ def test_a_log_is_no_healthy_start(
     assert not toml.exists()
 
 
+def test_a_motor_that_is_switched_on_and_off_is_at_work(
+    healthy: list[str], log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its records may look like several starts, or like work: they go together, and with no single start."""
+    (start,) = captures(DEFECTS["none"], (), PAPER_MOTOR, 7, 1)
+    n = len(start.time_s)
+    again = replace(
+        start,
+        time_s=DT_S * np.arange(2 * n, dtype=np.float64),
+        voltage_v=np.tile(np.where(start.time_s > 0.0, 12.0, 0.0), 2),
+        current_a=np.tile(start.current_a, 2),
+    )
+    assert len(split_starts(again)) == 2
+    twice = write_recording(tmp_path / "twice.csv", again)
+    for together, said in (
+        ([twice, log], "the logs cannot be used: windows of a running motor are judged only where voltage"),
+        ([twice, log, healthy[0]], "some are starts, and some logs of a motor at work"),
+    ):
+        assert main(["commission", *together, "-o", str(tmp_path / "motor.toml")]) == 2
+        assert said in capsys.readouterr().err
+
+
 def test_a_log_without_a_speed_is_undecided(
     healthy: list[str], log: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from motor_env import Recording, commission
-from motor_env.diagnosis.learning import RECORD_SPREAD, promise_of, the_next, without
+from motor_env.diagnosis.learning import (
+    RECORD_SPREAD,
+    next_window,
+    promise_of,
+    the_next,
+    usual_beside,
+    without,
+)
 from motor_env.diagnosis.motor_files import motor_of_windows
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
@@ -21,6 +28,7 @@ from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of, windows_of
 from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting.recorded import from_recordings
+from motor_env.fitting.uncertainty import beyond
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 
@@ -103,6 +111,44 @@ def test_each_drive_teaches_its_own_values(learned: tuple[Healthy, list[FittedWi
         np.testing.assert_allclose(drive.log_covariance, covariance + np.diag(np.square(RECORD_SPREAD)))
         assert drive.degrees_of_freedom == freedom == 6.0
     assert not np.allclose(drives[0].values, drives[1].values, rtol=1e-3)
+
+
+def test_windows_of_a_rare_drive_scatter_no_less_than_those_of_the_usual_one() -> None:
+    """Two that agree by chance would call the third a fault, as where a load comes and goes."""
+    rng, error = np.random.default_rng(4), np.diag([1e-6, 1e-6, 1e-6, 4.0])
+    spread = np.array([0.01, 0.02, 0.03, 0.5])
+    usual = [FittedWindow(spread * rng.normal(size=4), error, np.zeros((1, 2))) for _ in range(8)]
+    rare = [FittedWindow(np.full(4, 1.0 + 0.001 * n), error, np.zeros((1, 2))) for n in range(2)]
+    logs = np.array([fit.log_values for fit in rare])
+    of_usual = next_window(usual, steady=True)[1]
+    believed = error + beyond(error, of_usual)
+    assert np.diag(believed)[0] == pytest.approx(of_usual[0, 0], rel=0.1)
+    assert believed[3, 3] > 4.0  # its own error is larger
+    centre, covariance, freedom = next_window(rare, steady=False, usual=usual)
+    expected = the_next(logs, believed)
+    np.testing.assert_allclose(centre, expected[0])
+    np.testing.assert_allclose(covariance, expected[1] + np.diag(np.square(RECORD_SPREAD)))
+    assert freedom == expected[2] == 5.0
+    assert usual_beside([8, 9], [range(8), [8, 9]]) == range(8)
+    assert len(usual_beside([7, 8], [range(7), [7, 8]])) == 0
+    assert len(usual_beside(range(8), [range(8), [8, 9]])) == 0
+
+
+def test_a_rare_drive_is_learned_beside_the_usual_one(
+    simulated: SimulatedMotor, logs: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, 1])
+    monkeypatch.setattr(lessons, "sorted_by_drive", lambda *_: (of, 1.0))
+    monkeypatch.setattr(lessons, "_with_scales", lambda healthy, *_: healthy.windows)
+    log = log_of(simulated, PROFILES[0], 8, usual=simulated, windows=10)
+    healthy, fits = learn_windows([log], WINDOW * 0.1 * simulated.mechanical_s)
+    assert healthy.windows is not None
+    usual, rare = healthy.windows.drives
+    np.testing.assert_allclose(usual.log_covariance, next_window(fits[:8], steady=False)[1])
+    np.testing.assert_allclose(rare.log_covariance, next_window(fits[8:], steady=False, usual=fits[:8])[1])
+    np.testing.assert_allclose(
+        without(healthy, fits, 9).log_covariance, next_window(fits[8:9], steady=False, usual=fits[:8])[1]
+    )
 
 
 def test_a_window_is_compared_with_those_that_are_driven_alike(
