@@ -24,8 +24,9 @@ from motor_env.filters.joint import joint_filter
 from motor_env.fitting import places
 from motor_env.fitting.fit import begins
 from motor_env.fitting.identify import Operation, identify_operation
+from motor_env.fitting.problem import motor_places
 from motor_env.fitting.terms import terms
-from motor_env.fitting.uncertainty import information_covariance, motor_places, secants
+from motor_env.fitting.uncertainty import information_covariance, secants
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
 from motor_env.recordings.defects import UnusableError
 

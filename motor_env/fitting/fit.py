@@ -57,7 +57,7 @@ def _smallest(record: Record) -> Solution:
     others = sorted(_behaviours(best, record), key=lambda one: one.penalised())
     if others and (other := _solved(others[0], [])).penalised() < best.penalised():
         best = _chosen(other)
-    return _grown(_shaped(_timely(best)))
+    return _grown(_shaped(_timely(best))).settled()
 
 
 def _timely(best: Solution) -> Solution:

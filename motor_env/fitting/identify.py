@@ -10,11 +10,11 @@ import numpy as np
 
 from motor_env.fitting import kernel, places
 from motor_env.fitting.fit import fit
-from motor_env.fitting.problem import Solution
+from motor_env.fitting.problem import Solution, motor_places
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.terms import NOISES, SHAPES
-from motor_env.fitting.uncertainty import covariance, motor_places
+from motor_env.fitting.uncertainty import covariance
 from motor_env.motor.parameters import FloatArray
 from motor_env.motor.threads import on_one_thread
 from motor_env.recordings.defects import UnusableError

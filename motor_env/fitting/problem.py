@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
-from motor_env.fitting.terms import Term, terms
+from motor_env.fitting.terms import NOISES, Term, terms
 from motor_env.motor.parameters import FloatArray
 
 _LEAST_LAG = 0.01  # of R dt: an L so small that the current follows at once
@@ -25,6 +25,10 @@ _LARGEST = 1e100  # of an innovation: its square is a number
 STEP = 1e-4
 _ENOUGH = 0.01
 """Of -2 log likelihood: a fit ends with a step that gains less. One standard error of a parameter costs 1."""
+WIDTHS = (1e-3, 0.1)
+"""Least and largest step over which the slope of residuals with kinks is taken."""
+_WORTH, _MOST_OUT = 1.0, 20
+"""Of -2 log likelihood: what wide slopes must promise for a fit to go on, and that must gain; evaluations."""
 
 
 @dataclass(frozen=True)
@@ -108,24 +112,36 @@ class Problem:
             moved[row, n] += steps[row]
         return moved, steps
 
-    def secant(self, theta: FloatArray, n: int, step: float) -> FloatArray:
-        """One column of it over a wide step in both directions, as far as the bounds allow.
+    def secants(self, theta: FloatArray, chosen: Sequence[int], steps: FloatArray) -> FloatArray:
+        """Some columns of it over wide steps in both directions, as far as the bounds allow.
 
         Where the motor starts and stops the residuals have kinks: what counts for an interval is their slope over
         its width.
         """
-        low = max(theta[n] - step, self.free[n].low)
-        high = min(theta[n] + step, self.free[n].high)
-        sides = np.tile(theta, (2, 1))
-        sides[:, n] += low - theta[n], high - theta[n]
-        below, above = self.residuals_each(sides)
-        slope: FloatArray = (above - below) / max(high - low, 1e-12)
-        return slope
+        low, high = self.bounds
+        rows, below = np.arange(len(chosen)), np.tile(theta, (len(chosen), 1))
+        above = below.copy()
+        below[rows, chosen] = np.maximum(theta[chosen] - steps, low[chosen])
+        above[rows, chosen] = np.minimum(theta[chosen] + steps, high[chosen])
+        widths = np.maximum((above - below)[rows, chosen], 1e-12)
+        residuals = self.residuals_each(np.vstack([above, below]))
+        slopes: FloatArray = ((residuals[: len(chosen)] - residuals[len(chosen) :]) / widths[:, None]).T
+        return slopes
 
-    def solve(self, theta: FloatArray, most: int = 40) -> Solution:
-        """The best unknowns from a beginning; never worse than that."""
-        low = np.array([term.low for term in self.free])
-        high = np.array([term.high for term in self.free])
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest value of each unknown."""
+        return np.array([term.low for term in self.free]), np.array([term.high for term in self.free])
+
+    def solve(self, theta: FloatArray, most: int = 40, steps: FloatArray | None = None) -> Solution:
+        """The best unknowns from a beginning; never worse than that.
+
+        Args:
+            theta: the beginning.
+            most: evaluations.
+            steps: of each unknown, over which the residuals' derivatives are taken, see `secants`.
+        """
+        low, high = self.bounds
         begin = np.clip(theta, low + 1e-9, high - 1e-9)
         # The first region of trust is as large as the unknowns are, whose zero means nothing: each begins at 1.
         zero = begin - 1.0
@@ -141,6 +157,8 @@ class Problem:
             return at(point.tobytes())
 
         def jacobian(point: FloatArray) -> FloatArray:
+            if steps is not None:
+                return self.secants(unknowns(point), range(len(steps)), steps)
             return self.jacobian(unknowns(point), residuals(point))
 
         found = least_squares(
@@ -198,6 +216,24 @@ class Solution:
         values[places.NOISE_I : places.WALK + 1] *= math.sqrt(left)
         return values
 
+    def settled(self) -> Solution:
+        """The fit; where it is caught in a notch, one that has gone on from it.
+
+        Where the motor starts or stops at another sample the likelihood jumps. In a notch between two such jumps
+        derivatives at a point see no way out. Those over steps as wide as the unknowns are uncertain may promise one.
+        """
+        problem, theta, places_ = self.problem, self.theta, motor_places(self.problem)
+        base, (low, high) = problem.residuals(theta), problem.bounds
+        size, slopes = float(base @ base) / problem.count, problem.jacobian(theta, base)
+        sd = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ slopes, hermitian=True)) * size)
+        steps = np.clip(sd, *WIDTHS)
+        wide = problem.secants(theta, places_, steps[places_])
+        ways = (low - theta)[places_], (high - theta)[places_]
+        if 2.0 * lsq_linear(wide, -base, ways).cost > (problem.count - _WORTH) * size:
+            return self
+        found = replace(problem.solve(theta, _MOST_OUT, steps), rivals=self.rivals)
+        return found.settled() if found.misfit < self.misfit - _WORTH else self
+
     def weighed(self) -> Problem:
         """The problem with the noise of each channel as large as what is left of it."""
         problem, known = self.problem, self.problem.known.copy()
@@ -228,6 +264,11 @@ class Solution:
     def penalised(self) -> float:
         """Bayesian information criterion (Schwarz 1978)."""
         return self.misfit + len(self.theta) * math.log(self.problem.count)
+
+
+def motor_places(problem: Problem) -> list[int]:
+    """Places of the unknowns that are no noises."""
+    return [n for n, name in enumerate(problem.names) if name not in NOISES]
 
 
 def r_squared(measured: FloatArray, left: FloatArray) -> float:

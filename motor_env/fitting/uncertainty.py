@@ -9,15 +9,13 @@ import numpy as np
 from scipy import fft
 
 from motor_env.fitting import places
-from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.problem import WIDTHS, Problem, Solution, motor_places
 from motor_env.fitting.score import candidates, lacking, rounded, score_tests
-from motor_env.fitting.terms import NOISES
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise
 
 _WIDEST = 1e3
 _ANYTHING_LOG_SD = 3.0
-_STEPS = (1e-3, 0.1)
 _PARTS = 20  # of a record, whose scores are compared
 _HARDLY = 1e-3  # of what tells an unknown, beside the one part that tells it
 _DUST = 1e-6  # of the largest reading
@@ -41,16 +39,9 @@ def secants(problem: Problem, theta: FloatArray) -> FloatArray:
     jacobian = problem.columns(theta, chosen, base)
     for _ in range(2):
         sd = np.sqrt(np.diag(_inverse(jacobian.T @ jacobian)) * float(base @ base) / problem.count)
-        steps = np.clip(sd, *_STEPS)
-        jacobian = np.stack(
-            [problem.secant(theta, n, step) for n, step in zip(chosen, steps, strict=True)], axis=1
-        )
+        steps = np.clip(sd, *WIDTHS)
+        jacobian = problem.secants(theta, chosen, steps)
     return jacobian
-
-
-def motor_places(problem: Problem) -> list[int]:
-    """Places of the unknowns that are no noises."""
-    return [n for n, name in enumerate(problem.names) if name not in NOISES]
 
 
 def covariance(best: Solution) -> FloatArray:

@@ -17,10 +17,10 @@ from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.identify import without_lines
 from motor_env.fitting.kernel import BEGIN
-from motor_env.fitting.problem import STEP, Problem, Solution
+from motor_env.fitting.problem import STEP, Problem, Solution, motor_places
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import NOISES, terms
-from motor_env.fitting.uncertainty import capped, information_covariance, motor_places, secants
+from motor_env.fitting.uncertainty import capped, information_covariance, secants
 from motor_env.motor.parameters import FloatArray
 from motor_env.motor.threads import on_one_thread
 

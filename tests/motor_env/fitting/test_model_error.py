@@ -11,10 +11,10 @@ from scipy.linalg import sqrtm
 
 from motor_env.fitting import fit as fitting, places, uncertainty
 from motor_env.fitting.fit import fit
-from motor_env.fitting.problem import Solution
+from motor_env.fitting.problem import Solution, motor_places
 from motor_env.fitting.record import Record
 from motor_env.fitting.score import lacking
-from motor_env.fitting.uncertainty import beyond, covariance, model_error, motor_places, normalised, sandwich
+from motor_env.fitting.uncertainty import beyond, covariance, model_error, normalised, sandwich
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: of a residual, white noise alone averages away.

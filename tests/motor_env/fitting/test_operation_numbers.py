@@ -22,7 +22,7 @@ from motor_env.diagnosis.motor_files import motor_of_log
 from motor_env.fitting import fit as fitting, kernel, places, uncertainty
 from motor_env.fitting.beginnings import _sign, beginnings
 from motor_env.fitting.identify import Operation, _drag, _refuse_poor, identify_operation, identify_record
-from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.problem import Problem, Solution, motor_places
 from motor_env.fitting.record import Hold, Record
 from motor_env.fitting.recorded import (
     at_terminals,
@@ -36,7 +36,6 @@ from motor_env.fitting.score import ScoreTest, candidates, score_tests
 from motor_env.fitting.terms import terms
 from motor_env.fitting.uncertainty import (
     information_covariance,
-    motor_places,
     normalised,
     sandwich,
     secants,
@@ -323,10 +322,12 @@ def test_slopes_of_the_fit_are_central_differences(small: Solution) -> None:
         exact = (problem.residuals(theta + side) - problem.residuals(theta - side)) / 2e-5
         size = np.abs(exact).max()
         np.testing.assert_allclose(jacobian[:, n], exact, atol=0.02 * size)
-        np.testing.assert_allclose(problem.secant(theta, n, 1e-5), exact, atol=1e-6 * size)
+        wide = problem.secants(theta, [n], np.array([1e-5]))[:, 0]
+        np.testing.assert_allclose(wide, exact, atol=1e-6 * size)
     high = np.array([0.0, 0.0, 0.0, 2.0])
     bound = problem.columns(high, [3], problem.residuals(high))[:, 0]
-    np.testing.assert_allclose(bound, problem.secant(high, 3, 1e-4), atol=0.02 * np.abs(bound).max())
+    wide = problem.secants(high, [2, 3], np.array([1e-3, 1e-4]))
+    np.testing.assert_allclose(bound, wide[:, 1], atol=0.02 * np.abs(bound).max())
 
 
 def test_a_fit_finds_what_made_the_record(small: Solution) -> None:

@@ -1,0 +1,74 @@
+"""A likelihood with jumps: fits that are caught in a notch go on from it, and no others."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded_motor import LOGS, solution, values, worked
+
+# Reaches in: a fit's own residuals are replaced by some with a notch.
+from motor_env.fitting import fit as fitting
+from motor_env.fitting.problem import Problem, Solution
+from motor_env.motor.parameters import FloatArray
+
+BEST = np.array([0.02, 0.03, 0.01, 0.04])
+DEPTH = 0.02
+"""By how much the squares are larger outside of the notch of each unknown, as a share."""
+
+
+@pytest.fixture
+def caught(monkeypatch: pytest.MonkeyPatch) -> Solution:
+    """R, K, J and a load, each known to 0.004; the smallest squares are far off, but the fit is in a notch at 0."""
+    one = solution(worked(values()), [*LOGS, "load_constant"], values())
+    readings = one.problem.count
+    rng = np.random.default_rng(3)
+    axes, _ = np.linalg.qr(rng.normal(size=(readings, 2 * len(BEST))))
+    slopes, rest = axes[:, : len(BEST)] / 0.004, axes[:, len(BEST) :] * np.sqrt(readings / len(BEST))
+
+    def residuals_each(_: Problem, thetas: FloatArray) -> FloatArray:
+        outside = np.sqrt(1.0 + DEPTH * (np.abs(thetas) > 5e-5))
+        found: FloatArray = outside @ rest.T + (thetas - BEST) @ slopes.T
+        return found
+
+    monkeypatch.setattr(Problem, "residuals_each", residuals_each)
+    at = np.zeros(len(BEST))
+    squares = float(np.sum(one.problem.residuals(at) ** 2))
+    return replace(one, theta=at, misfit=one.problem.misfit(squares), rivals=((at, 1.0),))
+
+
+def test_a_fit_leaves_a_notch(caught: Solution) -> None:
+    stuck = caught.problem.solve(caught.theta)
+    assert np.abs(stuck.theta).max() < 5e-5
+    found = caught.settled()
+    np.testing.assert_allclose(found.theta, BEST, atol=1e-4)
+    assert found.misfit < caught.misfit - 50.0
+    assert found.rivals == caught.rivals
+    assert found.settled() is found
+
+
+def test_a_fit_stays_where_hardly_anything_is_promised(
+    caught: Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One standard error off costs 1; and what lies beyond the bounds is no promise."""
+    tried: list[bool] = []
+    monkeypatch.setattr(Problem, "solve", lambda *_: tried.append(True) or caught)
+    for off, goes_on in ((0.0036, []), (0.0072, [True])):
+        one = replace(caught, theta=BEST - np.array([0.0, 0.0, off, 0.0]), misfit=-1e9)
+        assert one.settled() is one
+        assert tried == goes_on
+    bounded = tuple(replace(term, high=1e-3) for term in caught.problem.free)
+    one = replace(caught, problem=replace(caught.problem, free=bounded), theta=np.full(len(BEST), 1e-3))
+    assert one.settled() is one
+    assert tried == [True]
+
+
+def test_a_fit_that_gains_little_stays(caught: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    for gain, stays in ((0.9, True), (1.1, False)):
+        other = replace(caught, theta=BEST, misfit=caught.misfit - gain)
+        monkeypatch.setattr(Problem, "solve", lambda *_, found=other: found)
+        assert (caught.settled() is caught) is stays
+
+
+def test_the_smallest_model_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Solution, "settled", lambda one: replace(one, misfit=-1234.5))
+    assert fitting._smallest(worked(values())).misfit == -1234.5
