@@ -51,7 +51,12 @@ def test_a_fit_stays_where_hardly_anything_is_promised(
 ) -> None:
     """One standard error off costs 1; and what lies beyond the bounds is no promise."""
     tried: list[bool] = []
-    monkeypatch.setattr(Problem, "solve", lambda *_: tried.append(True) or caught)
+
+    def solve(*_: object) -> Solution:
+        tried.append(True)
+        return caught
+
+    monkeypatch.setattr(Problem, "solve", solve)
     for off, goes_on in ((0.0036, []), (0.0072, [True])):
         one = replace(caught, theta=BEST - np.array([0.0, 0.0, off, 0.0]), misfit=-1e9)
         assert one.settled() is one
