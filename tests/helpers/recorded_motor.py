@@ -79,8 +79,8 @@ class Line:
     def columns(self, _: FloatArray, chosen: list[int], __: FloatArray) -> FloatArray:
         return np.asarray(self.design[:, chosen])
 
-    def secant(self, _: FloatArray, n: int, __: float) -> FloatArray:
-        return np.asarray(self.design[:, n])
+    def secants(self, _: FloatArray, chosen: list[int], __: FloatArray) -> FloatArray:
+        return np.asarray(self.design[:, chosen])
 
     def values(self, _: FloatArray) -> FloatArray:
         return values()

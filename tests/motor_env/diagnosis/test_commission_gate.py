@@ -13,7 +13,8 @@ from simulated_captures import DEFECTS, captures
 from motor_env import PAPER_MOTOR, Recording
 from motor_env.cli import main
 
-# Reaches in: no public name tells how many starts a recording holds without a fit of each.
+# Reaches in: no public name tells how many starts a recording holds without a fit of each, nor what cannot be used.
+from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.splitting import split_starts
 
 DT_S = 1e-4
@@ -44,7 +45,11 @@ def test_a_log_is_no_healthy_start(
 
 
 def test_a_motor_that_is_switched_on_and_off_is_at_work(
-    healthy: list[str], log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    healthy: list[str],
+    log: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its records may look like several starts, or like work: they go together, and with no single start."""
     (start,) = captures(DEFECTS["none"], (), PAPER_MOTOR, 7, 1)
@@ -57,8 +62,13 @@ def test_a_motor_that_is_switched_on_and_off_is_at_work(
     )
     assert len(split_starts(again)) == 2
     twice = write_recording(tmp_path / "twice.csv", again)
+
+    def learn_windows(recordings: list[Recording], *_: object, **__: object) -> None:
+        raise UnusableError(f"{len(recordings)} came here")
+
+    monkeypatch.setattr("motor_env.diagnosis.commission.learn_windows", learn_windows)
     for together, said in (
-        ([twice, log], "the logs cannot be used: windows of a running motor are judged only where voltage"),
+        ([twice, log], "the logs cannot be used: 2 came here"),
         ([twice, log, healthy[0]], "some are starts, and some logs of a motor at work"),
     ):
         assert main(["commission", *together, "-o", str(tmp_path / "motor.toml")]) == 2

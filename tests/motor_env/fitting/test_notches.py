@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from recorded_motor import LOGS, solution, values, worked
 
-# Reaches in: a fit's own residuals are replaced by some with a notch.
 from motor_env.fitting import fit as fitting
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.motor.parameters import FloatArray
