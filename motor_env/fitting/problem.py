@@ -222,17 +222,22 @@ class Solution:
         Where the motor starts or stops at another sample the likelihood jumps. In a notch between two such jumps
         derivatives at a point see no way out. Those over steps as wide as the unknowns are uncertain may promise one.
         """
-        problem, theta, places_ = self.problem, self.theta, motor_places(self.problem)
+        problem, theta, motor = self.problem, self.theta, motor_places(self.problem)
         base, (low, high) = problem.residuals(theta), problem.bounds
         size, slopes = float(base @ base) / problem.count, problem.jacobian(theta, base)
         sd = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ slopes, hermitian=True)) * size)
         steps = np.clip(sd, *WIDTHS)
-        wide = problem.secants(theta, places_, steps[places_])
-        ways = (low - theta)[places_], (high - theta)[places_]
+        wide = problem.secants(theta, motor, steps[motor])
+        ways = (low - theta)[motor], (high - theta)[motor]
         if 2.0 * lsq_linear(wide, -base, ways).cost > (problem.count - _WORTH) * size:
             return self
-        found = replace(problem.solve(theta, _MOST_OUT, steps), rivals=self.rivals)
-        return found.settled() if found.misfit < self.misfit - _WORTH else self
+        found = problem.solve(theta, _MOST_OUT, steps)
+        if found.misfit > self.misfit - _WORTH:
+            return self
+        # Its rivals may be caught, too: they stay as far behind.
+        gain = found.misfit - self.misfit
+        rivals = tuple((other, misfit + gain) for other, misfit in self.rivals)
+        return replace(found, rivals=rivals).settled()
 
     def weighed(self) -> Problem:
         """The problem with the noise of each channel as large as what is left of it."""

@@ -41,7 +41,9 @@ def test_a_fit_leaves_a_notch(caught: Solution) -> None:
     found = caught.settled()
     np.testing.assert_allclose(found.theta, BEST, atol=1e-4)
     assert found.misfit < caught.misfit - 50.0
-    assert found.rivals == caught.rivals
+    ((theta, misfit),) = found.rivals
+    assert theta is caught.theta
+    assert misfit - found.misfit == pytest.approx(1.0 - caught.misfit)  # as far behind as before
     assert found.settled() is found
 
 
