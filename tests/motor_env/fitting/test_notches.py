@@ -17,17 +17,24 @@ DEPTH = 0.02
 
 @pytest.fixture
 def caught(monkeypatch: pytest.MonkeyPatch) -> Solution:
-    """R, K, J and a load, each known to 0.004; the smallest squares are far off, but the fit is in a notch at 0."""
+    """R, K, J and a load, each known to 0.004 beside noise of 2.
+
+    The smallest squares are far off, but the fit is in a notch at 0.
+    """
     one = solution(worked(values()), [*LOGS, "load_constant"], values())
+    free = tuple(replace(term, low=-1e-3) for term in one.problem.free)
+    one = replace(one, problem=replace(one.problem, free=free))
     readings = one.problem.count
     rng = np.random.default_rng(3)
     axes, _ = np.linalg.qr(rng.normal(size=(readings, 2 * len(BEST))))
     slopes, rest = axes[:, : len(BEST)] / 0.004, axes[:, len(BEST) :] * np.sqrt(readings / len(BEST))
 
-    def residuals_each(_: Problem, thetas: FloatArray) -> FloatArray:
+    def residuals_each(problem: Problem, thetas: FloatArray) -> FloatArray:
+        low, high = problem.bounds
+        assert np.all((low <= thetas) & (thetas <= high))
         outside = np.sqrt(1.0 + DEPTH * (np.abs(thetas) > 5e-5))
         found: FloatArray = outside @ rest.T + (thetas - BEST) @ slopes.T
-        return found
+        return 2.0 * found
 
     monkeypatch.setattr(Problem, "residuals_each", residuals_each)
     at = np.zeros(len(BEST))
@@ -53,7 +60,8 @@ def test_a_fit_stays_where_hardly_anything_is_promised(
     """One standard error off costs 1; and what lies beyond the bounds is no promise."""
     tried: list[bool] = []
 
-    def solve(*_: object) -> Solution:
+    def solve(_: Problem, theta: FloatArray, most: int, steps: FloatArray) -> Solution:
+        np.testing.assert_allclose(steps, 0.004, rtol=0.02)  # a standard error
         tried.append(True)
         return caught
 
@@ -73,6 +81,15 @@ def test_a_fit_that_gains_little_stays(caught: Solution, monkeypatch: pytest.Mon
         other = replace(caught, theta=BEST, misfit=caught.misfit - gain)
         monkeypatch.setattr(Problem, "solve", lambda *_, found=other: found)
         assert (caught.settled() is caught) is stays
+
+
+def test_a_fit_goes_on_until_nothing_is_promised(caught: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was found may be in another notch."""
+    halfway = replace(caught, theta=0.5 * BEST, misfit=caught.misfit - 2.0)
+    found = [replace(caught, theta=BEST, misfit=caught.misfit - 4.0), halfway]
+    monkeypatch.setattr(Problem, "solve", lambda *_: found.pop())
+    assert caught.settled().theta is BEST
+    assert not found
 
 
 def test_the_smallest_model_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
