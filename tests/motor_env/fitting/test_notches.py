@@ -106,6 +106,24 @@ def test_what_a_fit_in_a_notch_lacks_moves_it_as_wide_slopes_say(caught: Solutio
     assert np.abs(at_point.moves + lacked).max() > 5e-3
 
 
+@pytest.mark.parametrize(("size", "step"), [(1e-9, 0.1), (1e9, 0.001)])
+def test_wide_steps_stay_between_a_thousandth_and_a_tenth(
+    size: float, step: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unknowns of which nothing is known, or all."""
+    problem, taken = solution(worked(values()), LOGS, values()).problem, []
+    slopes = size * np.random.default_rng(5).normal(size=(len(problem.residuals(np.zeros(3))), 3))
+
+    def over(_: Problem, __: FloatArray, ___: list[int], steps: FloatArray) -> FloatArray:
+        taken.append(steps)
+        return slopes
+
+    monkeypatch.setattr(Problem, "columns", lambda *_: slopes)
+    monkeypatch.setattr(Problem, "secants", over)
+    secants(problem, np.zeros(3))
+    np.testing.assert_allclose(taken, step, rtol=1e-9)
+
+
 def test_the_smallest_model_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Solution, "settled", lambda one: replace(one, misfit=-1234.5))
     assert fitting._smallest(worked(values())).misfit == -1234.5
