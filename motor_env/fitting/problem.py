@@ -98,39 +98,35 @@ class Problem:
         return self.columns(theta, range(len(theta)), base)
 
     def columns(self, theta: FloatArray, chosen: Sequence[int], base: FloatArray) -> FloatArray:
-        """Some columns of it; the steps go away from the nearer bound."""
+        """Some columns of it."""
+        moved, steps = self.steps(theta, chosen)
+        slopes: FloatArray = ((self.residuals_each(moved) - base) / steps[:, None]).T
+        return slopes
+
+    def steps(self, theta: FloatArray, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Unknowns of which one has moved, shape (m, n_unknowns), and by how much, (m,): away from the nearer bound."""
         moved, steps = np.tile(theta, (len(chosen), 1)), np.empty(len(chosen))
         for row, n in enumerate(chosen):
             step = STEP * max(1.0, abs(theta[n]))
             steps[row] = -step if theta[n] + step > self.free[n].high else step
             moved[row, n] += steps[row]
-        slopes: FloatArray = ((self.residuals_each(moved) - base) / steps[:, None]).T
-        return slopes
+        return moved, steps
 
     def secants(self, theta: FloatArray, chosen: Sequence[int], steps: FloatArray) -> FloatArray:
-        """Some columns of it over wide steps in both directions.
+        """Some columns of it over wide steps in both directions, as far as the bounds allow.
 
         Where the motor starts and stops the residuals have kinks: what counts for an interval is their slope over
         its width.
         """
-        moved, widths = self.beside(theta, chosen, steps)
-        above, below = np.split(self.residuals_each(moved), 2)
-        slopes: FloatArray = ((above - below) / widths[:, None]).T
-        return slopes
-
-    def beside(
-        self, theta: FloatArray, chosen: Sequence[int], steps: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Unknowns of which one has moved, and how far those above are from those below, shape (m,).
-
-        First one moves up by its step, then down, as far as the bounds allow: shape (2 m, n_unknowns).
-        """
         low, high = self.bounds
-        rows, above = np.arange(len(chosen)), np.tile(theta, (len(chosen), 1))
-        below = above.copy()
-        above[rows, chosen] = np.minimum(theta[chosen] + steps, high[chosen])
+        rows, below = np.arange(len(chosen)), np.tile(theta, (len(chosen), 1))
+        above = below.copy()
         below[rows, chosen] = np.maximum(theta[chosen] - steps, low[chosen])
-        return np.vstack([above, below]), np.maximum((above - below)[rows, chosen], 1e-12)
+        above[rows, chosen] = np.minimum(theta[chosen] + steps, high[chosen])
+        widths = np.maximum((above - below)[rows, chosen], 1e-12)
+        residuals = self.residuals_each(np.vstack([above, below]))
+        slopes: FloatArray = ((residuals[: len(chosen)] - residuals[len(chosen) :]) / widths[:, None]).T
+        return slopes
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

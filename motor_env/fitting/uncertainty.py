@@ -56,8 +56,7 @@ def covariance(best: Solution) -> FloatArray:
     wide = secants(problem, best.theta)
     white, rows = normalised(problem, best.theta, wide, chosen)
     total, _ = sandwich(white, rows)
-    steps = np.clip(np.sqrt(np.diag(total)), *WIDTHS)
-    total += model_error(white, rows, total, states=states_of(best)) + _following(best, chosen, steps)
+    total += model_error(white, rows, total, states=states_of(best)) + _following(best, chosen)
     slopes = Slopes(best, wide)
     for name, test in score_tests(best, problem.every, candidates(best), slopes=slopes).items():
         occam = test.sd / math.hypot(test.sd, problem.every[name].usual)
@@ -79,7 +78,7 @@ def covariance(best: Solution) -> FloatArray:
     return total
 
 
-def _following(best: Solution, chosen: Sequence[int], steps: FloatArray) -> FloatArray:
+def _following(best: Solution, chosen: Sequence[int]) -> FloatArray:
     """Covariance by the error of the model that runs freely, of which no number of samples averages a share away.
 
     What no term says, as cogging, comes back whenever the motor moves alike, and looks like a part of what the terms
@@ -87,15 +86,14 @@ def _following(best: Solution, chosen: Sequence[int], steps: FloatArray) -> Floa
     which averages away, does not count.
     """
     problem, record = best.problem, best.problem.record
-    moved, widths = problem.beside(best.theta, chosen, steps)
+    moved, steps = problem.steps(best.theta, chosen)
     values = problem.values_each(np.vstack([best.theta, moved]))
     shown, *others = record.predict_each(values, learn=False, load=best.free[0][:, 4])[0][:, :, 2:4]
-    above, below = np.split(np.array(others), 2)
     information = np.diag([1.0 / min(problem.free[n].prior_sd, _WIDEST) ** 2 for n in chosen])
     for channel, told in enumerate(record.told.T):
         if record.seen[channel] > 0.0:
             left = (record.readings - shown)[told, channel]
-            slopes = (above - below)[:, told, channel] / widths[:, None]
+            slopes = (np.array(others) - shown)[:, told, channel] / steps[:, None]
             whole = float(np.mean(left**2)) + (_DUST * record.peaks[1 + channel]) ** 2
             white = difference_noise(left) ** 2 * (1.0 + _BY_CHANCE / math.sqrt(len(left)))
             size = max(whole - white, _NO_LESS * whole)

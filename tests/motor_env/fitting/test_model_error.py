@@ -111,9 +111,6 @@ def lossy(gear: float = 0.0, brushes: float = 0.0, noise: float = 1.0, knee: flo
     return replace(record, readings=shown)
 
 
-WIDE = np.array([0.2])  # a step
-
-
 def lacks(best: Solution) -> list[ScoreTest]:
     """What real motors have and the fit lacks."""
     return lacking(best, Slopes(best))
@@ -158,20 +155,17 @@ def test_a_share_of_what_no_term_says_never_averages_away() -> None:
         np.tile(once.marks, 2),
         once.hold,
     )
-    one, two = (
-        np.diag(uncertainty._following(solution(each, LOGS, p), [0, 1], WIDE)) for each in (once, twice)
-    )
+    one, two = (np.diag(uncertainty._following(solution(each, LOGS, p), [0, 1])) for each in (once, twice))
     np.testing.assert_allclose(two, one, rtol=0.02)
     best = solution(once.only(current=True, speed=False), ["R"], p)
     shown = best.free[1][:, 2]
-    ends = [best.problem.values(best.theta + step) for step in (*WIDE, *-WIDE)]
-    above, below = (best.problem.record.predict(end, learn=False)[0][:, 2] for end in ends)
+    moved = best.problem.record.predict(best.problem.values(best.theta + 1e-4), learn=False)[0][:, 2]
     left = once.readings[:, 0] - shown
     size = np.sqrt(np.mean(left**2) - difference_noise(left) ** 2 * (1.0 + 4.0 / np.sqrt(len(left))))
-    sd = 0.15 * size / np.sqrt(np.mean(np.square(0.5 * (above - below) / WIDE)))
-    assert np.sqrt(uncertainty._following(best, [0], WIDE)[0, 0]) == pytest.approx(sd, rel=1e-3)
+    sd = 0.15 * size / np.sqrt(np.mean(np.square((moved - shown) / 1e-4)))
+    assert np.sqrt(uncertainty._following(best, [0])[0, 0]) == pytest.approx(sd, rel=1e-3)
     right = solution(lossy(), ["R"], p)
-    assert uncertainty._following(right, [0], WIDE)[0, 0] < 0.1 * covariance(right)[0, 0]
+    assert uncertainty._following(right, [0])[0, 0] < 0.1 * covariance(right)[0, 0]
 
 
 def test_the_speed_alone_says_nothing_of_brushes_and_gears() -> None:
