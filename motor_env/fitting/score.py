@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motor_env.fitting import places
-from motor_env.fitting.problem import Problem, Solution, motor_places
+from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
 
@@ -41,20 +41,54 @@ class ScoreTest:
     moves: FloatArray
 
 
-class Slopes:
-    """The residuals of a fit and how they follow its unknowns: what a further column of slopes would tell.
+def candidates(best: Solution) -> list[str]:
+    """Terms that a record may tell and the model lacks."""
+    seen, names = best.problem.record.seen, best.problem.names
+    left = [name for name in _CANDIDATES if name not in names]
+    if "heating" in names and "cooling" not in names:
+        left.append("cooling")
+    if not seen[0]:
+        left = [name for name in left if name not in {"sensor_lag", "heating", "cooling", "load_square"}]
+    if not seen[1]:
+        left = [name for name in left if name != "speed_lag"]
+    if not seen.all():  # one of them alone cannot tell it from other friction
+        left = [name for name in left if name != "gear_loss"]
+    return left
+
+
+def score_tests(
+    best: Solution, every: dict[str, Term], tested: Sequence[str], sizes: Sequence[float] = ()
+) -> dict[str, ScoreTest]:
+    """A test of each of some terms, without fitting it.
 
     Args:
-        best: the fit.
-        wide: derivatives by the unknowns that are no noises, over wide steps. Those at a point, which stand in for
-            them, show where the likelihood jumps only the notch that the fit is in.
+        best: a fit without them.
+        every: all terms.
+        tested: names of those that are tested.
+        sizes: of each term over its usual one, of which the most telling counts; by default it is small.
     """
+    if not tested:
+        return {}
+    direction = _Direction(best)
+    found = {}
+    for name in tested:
+        term = every[name]
+        problem = best.problem.with_terms([term])
+        sides = np.array([min(size * term.usual, term.high) for size in sizes] or [term.slope_at])
+        moved = problem.residuals_each(np.column_stack([np.tile(best.theta, (len(sides), 1)), sides]))
+        moved = np.delete(moved, len(direction.base), axis=1)
+        test = direction.test(moved, sides, is_positive=term.low >= 0.0)
+        if test is not None:
+            found[name] = test
+    return found
 
-    def __init__(self, best: Solution, wide: FloatArray | None = None) -> None:
+
+class _Direction:
+    """The residuals of a fit and how they follow its unknowns: what a further column of slopes would tell."""
+
+    def __init__(self, best: Solution) -> None:
         self.base = best.problem.residuals(best.theta)
         self.jacobian = best.problem.jacobian(best.theta, self.base)
-        if wide is not None:
-            self.jacobian[:, motor_places(best.problem)] = wide
         self.variance = float(self.base @ self.base) / best.problem.count
         self.inverse = np.linalg.pinv(self.jacobian)
 
@@ -74,55 +108,7 @@ class Slopes:
         return ScoreTest(float(gains[most]), float(values[most]), sd, moves[:, most])
 
 
-def candidates(best: Solution) -> list[str]:
-    """Terms that a record may tell and the model lacks."""
-    seen, names = best.problem.record.seen, best.problem.names
-    left = [name for name in _CANDIDATES if name not in names]
-    if "heating" in names and "cooling" not in names:
-        left.append("cooling")
-    if not seen[0]:
-        left = [name for name in left if name not in {"sensor_lag", "heating", "cooling", "load_square"}]
-    if not seen[1]:
-        left = [name for name in left if name != "speed_lag"]
-    if not seen.all():  # one of them alone cannot tell it from other friction
-        left = [name for name in left if name != "gear_loss"]
-    return left
-
-
-def score_tests(
-    best: Solution,
-    every: dict[str, Term],
-    tested: Sequence[str],
-    sizes: Sequence[float] = (),
-    *,
-    slopes: Slopes | None = None,
-) -> dict[str, ScoreTest]:
-    """A test of each of some terms, without fitting it.
-
-    Args:
-        best: a fit without them.
-        every: all terms.
-        tested: names of those that are tested.
-        sizes: of each term over its usual one, of which the most telling counts; by default it is small.
-        slopes: of the fit; by default those at its point.
-    """
-    if not tested:
-        return {}
-    slopes = slopes or Slopes(best)
-    found = {}
-    for name in tested:
-        term = every[name]
-        problem = best.problem.with_terms([term])
-        sides = np.array([min(size * term.usual, term.high) for size in sizes] or [term.slope_at])
-        moved = problem.residuals_each(np.column_stack([np.tile(best.theta, (len(sides), 1)), sides]))
-        moved = np.delete(moved, len(slopes.base), axis=1)
-        test = slopes.test(moved, sides, is_positive=term.low >= 0.0)
-        if test is not None:
-            found[name] = test
-    return found
-
-
-def lacking(best: Solution, slopes: Slopes) -> list[ScoreTest]:
+def lacking(best: Solution) -> list[ScoreTest]:
     """What real motors have and no term says, each of the size that it usually has (1), at the fitted motion.
 
     Brushes whose resistance falls with the current (Holm 1967): a voltage that the fitted current tells. Where it
@@ -137,10 +123,10 @@ def lacking(best: Solution, slopes: Slopes) -> list[ScoreTest]:
         geared = problem.known.copy()
         geared[places.GEAR] = _GEAR
         lacked.append(replace(problem, known=geared))
-    return _of_size_one(best, slopes, lacked)
+    return _of_size_one(best, lacked)
 
 
-def rounded(best: Solution, slopes: Slopes) -> list[ScoreTest]:
+def rounded(best: Solution) -> list[ScoreTest]:
     """What converters do to the readings of each channel, by a standard deviation, where all of one sign err alike.
 
     Noise smaller than a step does not average it away, and a motor may stay within a few steps.
@@ -150,7 +136,7 @@ def rounded(best: Solution, slopes: Slopes) -> list[ScoreTest]:
         readings = record.readings.copy()
         readings[:, channel] += _CONVERTED * record.steps[channel] * np.sign(readings[:, channel])
         erred.append(replace(best.problem, record=replace(record, readings=readings)))
-    return _of_size_one(best, slopes, erred)
+    return _of_size_one(best, erred)
 
 
 def unmeasured(best: Solution) -> list[ScoreTest]:
@@ -161,8 +147,7 @@ def unmeasured(best: Solution) -> list[ScoreTest]:
     record, current = best.problem.record, best.free[0][:, 2]
     lost = _SAG * record.voltage_v * (current / np.abs(current).max()) ** 2
     sagged = replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
-    lost_by = [_behind_brushes(best, min(_KNEES), 1.0), sagged]
-    return _of_size_one(best, Slopes(best), lost_by, is_positive=True)
+    return _of_size_one(best, [_behind_brushes(best, min(_KNEES), 1.0), sagged], is_positive=True)
 
 
 def _behind_brushes(best: Solution, knee: float, size: float) -> Problem:
@@ -173,11 +158,11 @@ def _behind_brushes(best: Solution, knee: float, size: float) -> Problem:
     return replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
 
 
-def _of_size_one(
-    best: Solution, slopes: Slopes, lacked: Sequence[Problem], *, is_positive: bool = False
-) -> list[ScoreTest]:
+def _of_size_one(best: Solution, lacked: Sequence[Problem], *, is_positive: bool = False) -> list[ScoreTest]:
     """A test of each problem that has something of size 1 which that of the fit lacks."""
+    direction = _Direction(best)
     tests = [
-        slopes.test(each.residuals(best.theta)[None], np.ones(1), is_positive=is_positive) for each in lacked
+        direction.test(each.residuals(best.theta)[None], np.ones(1), is_positive=is_positive)
+        for each in lacked
     ]
     return [test for test in tests if test is not None]

@@ -10,7 +10,7 @@ from scipy import fft
 
 from motor_env.fitting import places
 from motor_env.fitting.problem import WIDTHS, Problem, Solution, motor_places
-from motor_env.fitting.score import Slopes, candidates, lacking, rounded, score_tests
+from motor_env.fitting.score import candidates, lacking, rounded, score_tests
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise
 
@@ -53,22 +53,20 @@ def covariance(best: Solution) -> FloatArray:
     `rounded`, and the model's error, in parts of the record and throughout.
     """
     problem, chosen = best.problem, motor_places(best.problem)
-    wide = secants(problem, best.theta)
-    white, rows = normalised(problem, best.theta, wide, chosen)
+    white, rows = normalised(problem, best.theta, secants(problem, best.theta), chosen)
     total, _ = sandwich(white, rows)
     total += model_error(white, rows, total, states=states_of(best)) + _following(best, chosen)
-    slopes = Slopes(best, wide)
-    for name, test in score_tests(best, problem.every, candidates(best), slopes=slopes).items():
+    for name, test in score_tests(best, problem.every, candidates(best)).items():
         occam = test.sd / math.hypot(test.sd, problem.every[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
         weight, moves = odds / (1.0 + odds), test.moves[chosen]
         total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
-    for test in lacking(best, slopes):
+    for test in lacking(best):
         # A size of 1 is believed; the record settles this share of it.
         known = 1.0 / (1.0 + test.sd**2)
         moves = test.moves[chosen]
         total += ((known * test.value) ** 2 + 1.0 - known) * np.outer(moves, moves)
-    for test in rounded(best, slopes):
+    for test in rounded(best):
         # It follows no law that the record could settle.
         total += np.outer(test.moves[chosen], test.moves[chosen])
     ahead = np.exp([0.5 * (best.misfit - misfit) for _, misfit in best.rivals])

@@ -82,9 +82,6 @@ class Line:
     def secants(self, _: FloatArray, chosen: list[int], __: FloatArray) -> FloatArray:
         return np.asarray(self.design[:, chosen])
 
-    def jacobian(self, _: FloatArray, __: FloatArray) -> FloatArray:
-        return self.design.copy()
-
     def values(self, _: FloatArray) -> FloatArray:
         return values()
 

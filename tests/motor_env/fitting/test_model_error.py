@@ -13,7 +13,7 @@ from motor_env.fitting import fit as fitting, places, uncertainty
 from motor_env.fitting.fit import fit
 from motor_env.fitting.problem import Solution, motor_places
 from motor_env.fitting.record import Record
-from motor_env.fitting.score import ScoreTest, Slopes, lacking
+from motor_env.fitting.score import lacking
 from motor_env.fitting.uncertainty import beyond, covariance, model_error, normalised, sandwich
 from motor_env.motor.parameters import FloatArray
 
@@ -111,15 +111,10 @@ def lossy(gear: float = 0.0, brushes: float = 0.0, noise: float = 1.0, knee: flo
     return replace(record, readings=shown)
 
 
-def lacks(best: Solution) -> list[ScoreTest]:
-    """What real motors have and the fit lacks."""
-    return lacking(best, Slopes(best))
-
-
 @pytest.mark.parametrize(("gear", "brushes"), [(0.0, 0.0), (0.035, 0.0), (0.0, 0.04)])
 def test_what_real_motors_have_is_found_at_its_size(gear: float, brushes: float) -> None:
-    found = lacks(solution(lossy(gear, brushes), LOGS, values()))
-    assert len(lacks(solution(lossy(gear, brushes), [*LOGS, "gear_loss"], values()))) == 2  # of the brushes
+    found = lacking(solution(lossy(gear, brushes), LOGS, values()))
+    assert len(lacking(solution(lossy(gear, brushes), [*LOGS, "gear_loss"], values()))) == 2  # of the brushes
     sizes = [(test.value, test.sd) for test in (found[0], found[2])]
     for (value, sd), true in zip(sizes, (brushes / 0.04, gear / 0.07), strict=True):
         assert sd < 0.2
@@ -127,7 +122,7 @@ def test_what_real_motors_have_is_found_at_its_size(gear: float, brushes: float)
 
 
 def test_brushes_that_resist_nearly_all_currents_alike_are_found_at_their_size() -> None:
-    found = lacks(solution(lossy(brushes=0.08, knee=1.0), LOGS, values()))
+    found = lacking(solution(lossy(brushes=0.08, knee=1.0), LOGS, values()))
     assert found[1].value == pytest.approx(1.0, abs=0.25)
     assert found[1].sd < 0.2
 
@@ -135,7 +130,7 @@ def test_brushes_that_resist_nearly_all_currents_alike_are_found_at_their_size()
 def test_what_real_motors_have_widens_the_errors_by_what_it_moves() -> None:
     wrong = solution(lossy(brushes=0.08), LOGS, values())
     spread = np.sqrt(np.diag(covariance(wrong)))
-    test = lacks(wrong)[0]
+    test = lacking(wrong)[0]
     assert test.value > 1.0
     assert abs(wrong.theta[0]) > 0.02  # R is off by more than 2 %
     assert spread[0] > 0.5 * abs(wrong.theta[0])
@@ -171,7 +166,7 @@ def test_a_share_of_what_no_term_says_never_averages_away() -> None:
 def test_the_speed_alone_says_nothing_of_brushes_and_gears() -> None:
     p = values()
     record = worked(p).only(current=False, speed=True)
-    assert lacks(solution(record, ["K", "J"], p)) == []
+    assert lacking(solution(record, ["K", "J"], p)) == []
 
 
 @pytest.mark.parametrize("chosen_on", [4000, 300])
@@ -234,7 +229,7 @@ def test_errors_allow_for_what_the_steps_of_a_reading_hide(
     wrong = solution(coarse, LOGS, values())
     at = wrong.names.index(told)
     allowed = abs(wrong.theta[at]) / math.sqrt(covariance(wrong)[at, at])
-    monkeypatch.setattr(uncertainty, "rounded", lambda *_: [])
+    monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
     monkeypatch.setattr(uncertainty, "_FOLLOWS", 1e-6)
     assert 1.0 < allowed < 1.5
     assert abs(wrong.theta[at]) > 3.0 * math.sqrt(covariance(wrong)[at, at])

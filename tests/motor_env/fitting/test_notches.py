@@ -8,8 +8,6 @@ from recorded_motor import LOGS, solution, values, worked
 
 from motor_env.fitting import fit as fitting
 from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.score import Slopes
-from motor_env.fitting.uncertainty import secants
 from motor_env.motor.parameters import FloatArray
 
 BEST = np.array([0.02, 0.03, 0.01, 0.04])
@@ -92,18 +90,6 @@ def test_a_fit_goes_on_until_nothing_is_promised(caught: Solution, monkeypatch: 
     monkeypatch.setattr(Problem, "solve", lambda *_: found.pop())
     assert caught.settled().theta is BEST
     assert not found
-
-
-def test_what_a_fit_in_a_notch_lacks_moves_it_as_wide_slopes_say(caught: Solution) -> None:
-    wide, lacked = secants(caught.problem, caught.theta), np.array([0.01, -0.02, 0.0, 0.03])
-    base = caught.problem.residuals(caught.theta)
-    moved = (base + wide @ lacked + np.random.default_rng(4).normal(scale=0.05, size=len(base)))[None]
-    over_steps = Slopes(caught, wide).test(moved, np.ones(1), is_positive=False)
-    at_point = Slopes(caught).test(moved, np.ones(1), is_positive=False)
-    assert over_steps is not None
-    assert at_point is not None
-    np.testing.assert_allclose(over_steps.moves, -lacked, atol=1e-3)
-    assert np.abs(at_point.moves + lacked).max() > 5e-3
 
 
 @pytest.mark.parametrize(("size", "step"), [(1e-9, 0.1), (1e9, 0.001)])

@@ -493,16 +493,16 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     line.every["delay"] = cast("Any", SimpleNamespace(usual=0.6))
     best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0, free=(None, np.zeros((600, 4))))
     monkeypatch.setattr(uncertainty, "_following", lambda *_: np.zeros((2, 2)))
-    monkeypatch.setattr(uncertainty, "score_tests", lambda *_, **__: {})
-    monkeypatch.setattr(uncertainty, "lacking", lambda *_: [])
-    monkeypatch.setattr(uncertainty, "rounded", lambda *_: [])
+    monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
+    monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
+    monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
     without = uncertainty.covariance(cast("Any", best))
-    monkeypatch.setattr(uncertainty, "score_tests", lambda *_, **__: tests)
+    monkeypatch.setattr(uncertainty, "score_tests", lambda *_: tests)
     added = uncertainty.covariance(cast("Any", best)) - without
     odds = 0.2 / math.hypot(0.2, 0.6) * math.exp(2.0)
     size = odds / (1.0 + odds) * (0.5**2 + 0.2**2)
     np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
-    monkeypatch.setattr(uncertainty, "score_tests", lambda *_, **__: {})
+    monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
     best.rivals = ((theta + np.array([0.2, 0.0, 5.0]), 12.0), (theta - np.array([0.0, 0.1, 5.0]), 11.0))
     added = uncertainty.covariance(cast("Any", best)) - without
     shares = np.exp([-1.0, -0.5])
@@ -510,14 +510,14 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     np.testing.assert_allclose(added, np.diag(shares * [0.04, 0.01]), rtol=1e-7, atol=1e-12)
     # What no term says is believed to be of size 1; the record settles a share of it.
     best.rivals = ()
-    monkeypatch.setattr(uncertainty, "lacking", lambda *_: [tests["delay"]])
+    monkeypatch.setattr(uncertainty, "lacking", lambda _: [tests["delay"]])
     added = uncertainty.covariance(cast("Any", best)) - without
     settled = 1.0 / (1.0 + 0.2**2)
     size = (settled * 0.5) ** 2 + settled * 0.2**2
     np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
     # What rounding moves counts in full, and what follows the unknowns throughout.
-    monkeypatch.setattr(uncertainty, "lacking", lambda *_: [])
-    monkeypatch.setattr(uncertainty, "rounded", lambda *_: [tests["delay"]])
+    monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
+    monkeypatch.setattr(uncertainty, "rounded", lambda _: [tests["delay"]])
     monkeypatch.setattr(uncertainty, "_following", lambda *_: np.diag([0.02, 0.03]))
     added = uncertainty.covariance(cast("Any", best)) - without
     moved = np.outer([0.1, -0.3], [0.1, -0.3]) + np.diag([0.02, 0.03])
