@@ -84,7 +84,11 @@ def score_tests(
 
 
 class _Direction:
-    """The residuals of a fit and how they follow its unknowns: what a further column of slopes would tell."""
+    """The residuals of a fit and how they follow its unknowns: what a further column of slopes would tell.
+
+    These are slopes at the point. Those over wide steps, one unknown at a time, tell dry friction from a load that only
+    standstill tells from it, and more records of one motor disagreed.
+    """
 
     def __init__(self, best: Solution) -> None:
         self.base = best.problem.residuals(best.theta)

@@ -8,6 +8,7 @@ from recorded_motor import LOGS, solution, values, worked
 
 from motor_env.fitting import fit as fitting
 from motor_env.fitting.problem import Problem, Solution
+from motor_env.fitting.uncertainty import secants
 from motor_env.motor.parameters import FloatArray
 
 BEST = np.array([0.02, 0.03, 0.01, 0.04])
