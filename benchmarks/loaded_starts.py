@@ -1,10 +1,11 @@
 """Verdicts on starts under a load that scatters, of warmer motors behind a resistance (docs/results/recordings.md).
 
 python benchmarks/loaded_starts.py --motors 216
+python benchmarks/loaded_starts.py --motors 108 --other-physics --rows out/starts_other_physics.jsonl
 
 Motors and sensors are those of operation_simulator.py: Stribeck friction, brush drop, ripple, 10 bits. Each motor is
 commissioned on five healthy starts, every other one is told what it draws without the load. Each start that is judged
-has a load and a temperature of its own.
+has a load and a temperature of its own. With --other-physics the motors have all of SWITCHES, and 8 bits.
 """
 
 from collections import Counter
@@ -15,7 +16,7 @@ from itertools import product
 
 import numpy as np
 from cyclopts import run
-from operation_simulator import Motor, draw_motor, simulate
+from operation_simulator import SWITCHES, Motor, draw_motor, simulate
 from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted, words_of
 
@@ -48,9 +49,9 @@ SURE = 2.576  # standard deviations: 99.5 %
 class Bench:
     """One motor with its load, its supply and its sensors."""
 
-    def __init__(self, seed: int, number: int) -> None:
+    def __init__(self, seed: int, number: int, *, other_physics: bool) -> None:
         self.rng = np.random.default_rng([seed, number])
-        self.healthy = draw_motor(self.rng)
+        self.healthy = draw_motor(self.rng, SWITCHES if other_physics else ())
         self.load, self.has_speed = LOADS[number % 3], number // 3 % 2 == 0
         self.spread = SPREADS[number // 6 % 3]
         self.supply_ohm = float(self.rng.uniform(0.0, SUPPLY)) * self.healthy.ohm
@@ -95,9 +96,9 @@ class Bench:
         return all(step @ inverse @ step > needed**2 for step, inverse in steps)
 
 
-def judge(number: int, seed: int) -> Said:
+def judge(number: int, seed: int, *, other_physics: bool) -> Said:
     """What one motor's starts are called, by load, channels, scatter, whether told, change, and whether it shows."""
-    bench = Bench(seed, number)
+    bench = Bench(seed, number, other_physics=other_physics)
     fits = fit_healthy([prepare(bench.start(bench.healthy, 0.0)) for _ in range(COMMISSIONED)])
     learned = learn_starts(fits)
     if bench.told:
@@ -124,17 +125,20 @@ def rows(counts: Counts) -> Iterator[list[str]]:
             yield [change, load, str(sum(one.total() for one in both)), *map(words_of, both)]
 
 
-def main(*, motors: int = 216, seed: int = 0, how: How = HERE) -> None:
+def main(*, motors: int = 216, seed: int = 0, other_physics: bool = False, how: How = HERE) -> None:
     """Judge motors and keep the table.
 
     Args:
         motors: how many.
         seed: of all that is drawn.
+        other_physics: motors with all switches.
         how: options of every table.
     """
-    counts = counted(partial(judge, seed=seed), motors, how, of={"seed": seed})
+    of = {"seed": seed} | ({"other_physics": True} if other_physics else {})
+    counts = counted(partial(judge, seed=seed, other_physics=other_physics), motors, how, of=of)
     header = ("one start with", "load", "starts", "verdicts where it shows", "elsewhere")
-    keep_table("recordings", "loaded-starts", header, rows(counts))
+    name = "loaded-starts-other-physics" if other_physics else "loaded-starts"
+    keep_table("recordings", name, header, rows(counts))
 
 
 if __name__ == "__main__":
