@@ -86,8 +86,8 @@ def score_tests(
 class _Direction:
     """The residuals of a fit and how they follow its unknowns: what a further column of slopes would tell.
 
-    These are slopes at the point. Those over wide steps, one unknown at a time, tell dry friction from a load that only
-    standstill tells from it, and more records of one motor disagreed.
+    These are slopes at the point. Wide steps of one unknown at a time make dry friction and a load look well told where
+    only standstill tells them apart: with them more records of one motor disagreed.
     """
 
     def __init__(self, best: Solution) -> None:
