@@ -76,7 +76,7 @@ def fit_window(
     at = np.ix_(*2 * [[rows.index(name) for name in _MOTOR]])
     factor = best.theta[problem.names.index("drag")]
     slope, noise = np.eye(len(_MOTOR)), 0.0
-    slope[-1, -1] = math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
+    slope[-1, -1] = per_log(factor)
     if one_way and values[places.WALK] > 0.0:
         moved = best.theta + STEP * np.eye(len(best.theta))[[problem.names.index(name) for name in _MOTOR]]
         whole, sd = _drags(problem, np.vstack([best.theta, moved]), values)
@@ -87,6 +87,11 @@ def fit_window(
     covariance[-1, -1] += noise**2
     whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
     return WindowFit(logs, capped(covariance), values, whitened, best.misfit)
+
+
+def per_log(factor: float) -> float:
+    """By how much the logarithm moves for each step of a factor, on its way from 1."""
+    return math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
 
 
 def _drags(problem: Problem, each: FloatArray, fitted: FloatArray) -> tuple[FloatArray, float]:

@@ -18,6 +18,7 @@ import numpy as np
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import alarm_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
+from motor_env.diagnosis.learning import off_others
 from motor_env.diagnosis.running.drives import FAR, driven, nearest, needed_columns, rms_volts
 from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.seen import Seen
@@ -27,7 +28,7 @@ from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import block_means, from_recordings, missing_blocks
-from motor_env.fitting.window import WindowFit, fit_window
+from motor_env.fitting.window import WindowFit, fit_window, per_log
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
@@ -125,6 +126,22 @@ class WindowJudge:
             return self
         return replace(self, reference=self.references[place])
 
+    def drive_spread(self, place: int, fit: FittedWindow) -> FloatArray:
+        """Standard deviation of the logarithms of R, K, J and B of a window that is driven otherwise, shape (4,).
+
+        It is nearest to one of the drives. The farther that one's R, K and J are off the others, the more the model
+        lacks there. What it lacks of the torque is added to the friction: going down, a logarithm moves by more.
+
+        Args:
+            place: of the drive.
+            fit: of the window.
+        """
+        logs = np.array([one.log_values for one in self.references or (self.reference,)])
+        times = float(np.sqrt(np.mean(np.square(off_others(logs)[place] / DRIVE_SPREAD)[:-1])))
+        spread = DRIVE_SPREAD * max(times, 1.0)
+        spread[-1] *= per_log(math.exp(fit.log_values[-1] - self.reference.log_values[-1]))
+        return spread
+
     def is_sampled_alike(self, recording: Recording) -> bool:
         """Whether the sampling interval is about that of the healthy windows."""
         return 1.0 / _REGIME <= recording.dt_s / self.windows.dt_s <= _REGIME
@@ -201,7 +218,7 @@ class WindowJudge:
         if not judged.verdict.is_fault:
             return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
         own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
-        drive = np.diag(np.square(DRIVE_SPREAD))
+        drive = np.diag(np.square(self.drive_spread(place, fit)))
         spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
         allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
         if allowed.verdict.is_fault and strange <= FAR:

@@ -11,7 +11,9 @@ import pytest
 from motor_env import Recording, commission
 from motor_env.diagnosis.learning import (
     RECORD_SPREAD,
+    between_records,
     next_window,
+    off_others,
     promise_of,
     the_next,
     usual_beside,
@@ -25,7 +27,7 @@ from motor_env.diagnosis.running.drives import sorted_by_drive
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.pieces import Pieces
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
-from motor_env.diagnosis.running.windows import WindowJudge, judge_of, windows_of
+from motor_env.diagnosis.running.windows import DRIVE_SPREAD, WindowJudge, judge_of, windows_of
 from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.uncertainty import beyond
@@ -101,14 +103,17 @@ def test_each_drive_teaches_its_own_values(learned: tuple[Healthy, list[FittedWi
     assert healthy.windows is not None
     drives = healthy.windows.drives
     assert [drive.pieces for drive in drives] == [(0, 1, 2), (3, 4, 5)]
-    for drive in drives:
+    more = between_records(np.log([drive.values for drive in drives]))
+    for drive, added in zip(drives, more, strict=True):
         some = [fits[n] for n in drive.pieces]
         centre, covariance, freedom = the_next(
             np.array([fit.log_values for fit in some]),
             np.mean([fit.white_covariance for fit in some], axis=0),
         )
         np.testing.assert_allclose(np.log(drive.values), centre)
-        np.testing.assert_allclose(drive.log_covariance, covariance + np.diag(np.square(RECORD_SPREAD)))
+        assert np.all(np.diag(added)[:3] > 0.0)
+        believed = covariance + np.diag(np.square(RECORD_SPREAD)) + added
+        np.testing.assert_allclose(drive.log_covariance, believed)
         assert drive.degrees_of_freedom == freedom == 6.0
     assert not np.allclose(drives[0].values, drives[1].values, rtol=1e-3)
 
@@ -144,11 +149,23 @@ def test_a_rare_drive_is_learned_beside_the_usual_one(
     healthy, fits = learn_windows([log], WINDOW * 0.1 * simulated.mechanical_s)
     assert healthy.windows is not None
     usual, rare = healthy.windows.drives
-    np.testing.assert_allclose(usual.log_covariance, next_window(fits[:8], steady=False)[1])
-    np.testing.assert_allclose(rare.log_covariance, next_window(fits[8:], steady=False, usual=fits[:8])[1])
-    np.testing.assert_allclose(
-        without(healthy, fits, 9).log_covariance, next_window(fits[8:9], steady=False, usual=fits[:8])[1]
-    )
+    more = between_records(np.log([usual.values, rare.values]))
+    np.testing.assert_allclose(usual.log_covariance, next_window(fits[:8], steady=False)[1] + more[0])
+    beside_usual = next_window(fits[8:], steady=False, usual=fits[:8])[1]
+    np.testing.assert_allclose(rare.log_covariance, beside_usual + more[1])
+    but_the_last = next_window(fits[8:9], steady=False, usual=fits[:8])[1]
+    np.testing.assert_allclose(without(healthy, fits, 9).log_covariance, but_the_last + more[1])
+
+
+def test_records_of_a_drive_differ_as_it_differs_from_the_others() -> None:
+    """By two fifths of the way to their median, in R, K and J; of one drive alone nothing is known."""
+    logs = np.array([[0.0, 0.0, 0.0, 0.3], [0.1, 0.0, 0.0, 0.3], [0.5, -0.2, 0.4, 3.0]])
+    off = off_others(logs)
+    np.testing.assert_allclose(off[0], [-0.3, 0.1, -0.2, -1.35])
+    np.testing.assert_allclose(off[2], [0.45, -0.2, 0.4, 2.7])
+    line = 0.4 * np.array([0.45, -0.2, 0.4, 0.0])
+    np.testing.assert_allclose(between_records(logs)[2], np.outer(line, line))
+    assert not between_records(logs[:1]).any()
 
 
 def test_a_window_is_compared_with_those_that_are_driven_alike(
@@ -271,3 +288,30 @@ def test_pieces_of_a_window_are_compared_with_their_own_drive(
     told = watch.alarm(other, 0.01)
     assert told is not None
     assert told.changes[0].ratio == pytest.approx(0.5, rel=0.05)
+
+
+def test_near_a_drive_that_is_off_the_others_a_strange_window_may_be_off_too(
+    learned: tuple[Healthy, list[FittedWindow]],
+) -> None:
+    """As many times as far; and friction that goes down moves by more in its logarithm."""
+    healthy, fits = learned
+    assert healthy.windows is not None
+    first, second = healthy.windows.drives
+    centre = np.log(healthy.values)
+    off = 0.5 * np.array([0.14, 0.036, 0.0, 3.0])  # between them R is 4 and K 2 times as far off as is usual
+    drives = (
+        replace(first, values=np.exp(centre - off)),
+        replace(second, values=np.exp(centre + off)),
+    )
+    apart = judge_of(replace(healthy, windows=replace(healthy.windows, drives=drives)))
+    usual = judge_of(replace(healthy, windows=replace(healthy.windows, drives=())))
+    at = replace(fits[0], log_values=centre)
+    times = np.sqrt((4.0**2 + 2.0**2) / 3.0)
+    for place in (0, 1):
+        np.testing.assert_allclose(apart.drive_spread(place, at), times * DRIVE_SPREAD)
+    np.testing.assert_allclose(usual.drive_spread(0, at), DRIVE_SPREAD)
+    down = replace(at, log_values=centre - np.array([0.0, 0.0, 0.0, np.log(4.0)]))
+    up = replace(at, log_values=centre + np.array([0.0, 0.0, 0.0, np.log(4.0)]))
+    factor = np.array([1.0, 1.0, 1.0, np.log(4.0) / 0.75])
+    np.testing.assert_allclose(usual.drive_spread(0, down), DRIVE_SPREAD * factor)
+    np.testing.assert_allclose(usual.drive_spread(0, up), DRIVE_SPREAD * factor / [1.0, 1.0, 1.0, 4.0])
