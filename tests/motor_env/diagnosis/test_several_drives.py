@@ -290,20 +290,27 @@ def test_pieces_of_a_window_are_compared_with_their_own_drive(
     assert told.changes[0].ratio == pytest.approx(0.5, rel=0.05)
 
 
+def with_drives_apart(healthy: Healthy, off: FloatArray) -> Healthy:
+    """Its two drives as far apart as the logarithms are given."""
+    assert healthy.windows is not None
+    centre = np.log(healthy.values)
+    drives = tuple(
+        replace(drive, values=np.exp(centre + side * off))
+        for side, drive in zip((-0.5, 0.5), healthy.windows.drives, strict=True)
+    )
+    return replace(healthy, windows=replace(healthy.windows, drives=drives))
+
+
 def test_near_a_drive_that_is_off_the_others_a_strange_window_may_be_off_too(
     learned: tuple[Healthy, list[FittedWindow]],
 ) -> None:
     """As many times as far; and friction that goes down moves by more in its logarithm."""
     healthy, fits = learned
     assert healthy.windows is not None
-    first, second = healthy.windows.drives
     centre = np.log(healthy.values)
-    off = 0.5 * np.array([0.14, 0.036, 0.0, 3.0])  # between them R is 4 and K 2 times as far off as is usual
-    drives = (
-        replace(first, values=np.exp(centre - off)),
-        replace(second, values=np.exp(centre + off)),
-    )
-    apart = judge_of(replace(healthy, windows=replace(healthy.windows, drives=drives)))
+    apart = judge_of(
+        with_drives_apart(healthy, np.array([0.14, 0.036, 0.0, 3.0]))
+    )  # 4 and 2 times as is usual
     usual = judge_of(replace(healthy, windows=replace(healthy.windows, drives=())))
     at = replace(fits[0], log_values=centre)
     times = np.sqrt((4.0**2 + 2.0**2) / 3.0)
@@ -315,3 +322,18 @@ def test_near_a_drive_that_is_off_the_others_a_strange_window_may_be_off_too(
     factor = np.array([1.0, 1.0, 1.0, np.log(4.0) / 0.75])
     np.testing.assert_allclose(usual.drive_spread(0, down), DRIVE_SPREAD * factor)
     np.testing.assert_allclose(usual.drive_spread(0, up), DRIVE_SPREAD * factor / [1.0, 1.0, 1.0, 4.0])
+
+
+def test_a_watch_allows_a_record_what_the_other_drives_ask_for(
+    learned: tuple[Healthy, list[FittedWindow]],
+) -> None:
+    """K that stays 3 % off is a fault where the drives agree on it, and none where they differ by 10 %."""
+    healthy, fits = learned
+    told = {}
+    for apart in (0.0, 0.1):
+        taught = with_drives_apart(healthy, np.array([0.0, apart, 0.0, 0.0]))
+        judge = judge_of(taught)
+        watch = Vigil(judge, taught, false_alarms_per_year=YEAR_S / (1000.0 * judge.windows.window_s))
+        stays = judge.references[0].log_values + np.array([0.0, 0.03, 0.0, 0.0])
+        told[apart] = any(watch.ended(replace(fits[0], log_values=stays)) for _ in range(30))
+    assert told == {0.0: True, 0.1: False}
