@@ -18,7 +18,7 @@ from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.uncertainty import beyond
 from motor_env.motor.data_sheet import Motor
-from motor_env.motor.healthy import Healthy, Starts
+from motor_env.motor.healthy import Drive, Healthy, Starts
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.start import Start
 
@@ -114,24 +114,26 @@ def next_window(
     return centre, covariance if steady else covariance + np.diag(np.square(RECORD_SPREAD)), freedom
 
 
-def off_others(logs: FloatArray) -> FloatArray:
-    """How far R, K, J and B of each drive are off the median of the others, all logarithms, shape (n_drives, 4)."""
-    n = len(logs)
-    if n < 2:
-        return np.zeros_like(logs)
-    return np.array([logs[k] - np.median(np.delete(logs, k, axis=0), axis=0) for k in range(n)])
+def off_others(drives: Sequence[Drive]) -> FloatArray:
+    """How far R, K, J and B of each drive are off the median of the others, all logarithms, shape (n_drives, 4).
+
+    It is 0 for a drive with more windows than all others together, as these tell nothing of it, and of none at all.
+    """
+    off = np.zeros((max(len(drives), 1), 4))
+    logs, counts = [np.log(drive.values) for drive in drives], [len(drive.pieces) for drive in drives]
+    for k, log in enumerate(logs):
+        if 2 * counts[k] <= sum(counts):
+            off[k] = log - np.median(logs[:k] + logs[k + 1 :], axis=0)
+    return off
 
 
-def between_records(logs: FloatArray) -> FloatArray:
+def between_records(drives: Sequence[Drive]) -> FloatArray:
     """Covariance of each drive's next record that its distance to the others asks for, shape (n_drives, 4, 4).
 
     R, K and J of a motor are the same, however it is driven. Where those of a drive are off the others, the model lacks
     something there. Another record under that drive moves along the same line: by more or by less of it.
-
-    Args:
-        logs: logarithms of R, K, J and B under each drive, shape (n_drives, 4).
     """
-    off = _OFF_OTHERS * off_others(logs)
+    off = _OFF_OTHERS * off_others(drives)
     return np.asarray(off[:, :, None] * off[:, None, :], dtype=np.float64)
 
 
@@ -153,7 +155,7 @@ def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     else:
         centre, covariance, freedom = next_window(others, steady=not healthy.temperature_k, usual=usual)
     if place is not None:
-        covariance = covariance + between_records(np.log([drive.values for drive in drives]))[place]
+        covariance = covariance + between_records(drives)[place]
     return replace(
         healthy,
         pieces=len(others),

@@ -89,7 +89,11 @@ def learn_windows(
         moved = np.array([driven(part) for part in parts])
         of, alike = sorted_by_drive(moved, times)
         groups = [np.flatnonzero(of == n).tolist() for n in range(of.max() + 1)]
-        drives = _drives(groups, moved, found)
+        drives = tuple(_drive(some, usual_beside(some, groups), moved, found) for some in groups)
+        drives = tuple(
+            replace(drive, log_covariance=drive.log_covariance + more)
+            for drive, more in zip(drives, between_records(drives), strict=True)
+        )
     ratios = [fit.log_values - centre for fit in found]
     spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
     windows = Windows(
@@ -150,23 +154,14 @@ def told_by(
     return known, wanted, [fit_window(record, known, wanted, one_way=one_way) for record in records]
 
 
-def _drives(
-    groups: Sequence[Sequence[int]], moved: FloatArray, found: Sequence[FittedWindow]
-) -> tuple[Drive, ...]:
-    """What windows that are driven alike teach, beside those of the usual drive and of the others."""
-    taught = [
-        next_window(
-            [found[n] for n in some],
-            steady=False,
-            usual=[found[n] for n in usual_beside(some, groups)],
-        )
-        for some in groups
-    ]
-    more = between_records(np.array([centre for centre, _, _ in taught]))
-    return tuple(
-        Drive(tuple(some), moved[some[:: _every(some)]], np.exp(centre), covariance + added, freedom)
-        for some, (centre, covariance, freedom), added in zip(groups, taught, more, strict=True)
+def _drive(
+    pieces: Sequence[int], usual: Sequence[int], moved: FloatArray, found: Sequence[FittedWindow]
+) -> Drive:
+    """What windows that are driven alike teach, some of all, beside those of the usual drive."""
+    centre, covariance, freedom = next_window(
+        [found[n] for n in pieces], steady=False, usual=[found[n] for n in usual]
     )
+    return Drive(tuple(pieces), moved[pieces[:: _every(pieces)]], np.exp(centre), covariance, freedom)
 
 
 def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float = 0.0) -> float:

@@ -73,7 +73,7 @@ class Vigil:
         untaught = untaught_scale(healthy.log_covariance, healthy.degrees_of_freedom, healthy.pieces)
         self.judge, self._may_stay = judge, healthy.temperature_k > 0.0
         self._scales = windows.scales or (untaught,)
-        self._between = between_records(judge.drive_logs)
+        self._between = between_records(windows.drives)
         self._along, self._healthy = directions(), self._scales[-1].healthy_windows
         self._detector = Detector(len(self._scales), self._along.weights)
         self._pieces = 2 ** self._scales[0].halvings

@@ -126,11 +126,6 @@ class WindowJudge:
             return self
         return replace(self, reference=self.references[place])
 
-    @property
-    def drive_logs(self) -> FloatArray:
-        """Logarithms of R, K, J and B under each drive, shape (n_drives, 4)."""
-        return np.array([one.log_values for one in self.references or (self.reference,)])
-
     def drive_spread(self, place: int, fit: FittedWindow) -> FloatArray:
         """Standard deviation of the logarithms of R, K, J and B of a window that is driven otherwise, shape (4,).
 
@@ -141,7 +136,7 @@ class WindowJudge:
             place: of the drive.
             fit: of the window.
         """
-        off = off_others(self.drive_logs)[place]
+        off = off_others(self.windows.drives)[place]
         times = float(np.sqrt(np.mean(np.square(off / DRIVE_SPREAD)[:-1])))
         spread = DRIVE_SPREAD * max(times, 1.0)
         spread[-1] *= per_log(math.exp(fit.log_values[-1] - self.reference.log_values[-1]))

@@ -31,7 +31,7 @@ from motor_env.diagnosis.running.windows import DRIVE_SPREAD, WindowJudge, judge
 from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.uncertainty import beyond
-from motor_env.motor.healthy import Healthy
+from motor_env.motor.healthy import Drive, Healthy
 from motor_env.motor.parameters import FloatArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -103,7 +103,7 @@ def test_each_drive_teaches_its_own_values(learned: tuple[Healthy, list[FittedWi
     assert healthy.windows is not None
     drives = healthy.windows.drives
     assert [drive.pieces for drive in drives] == [(0, 1, 2), (3, 4, 5)]
-    more = between_records(np.log([drive.values for drive in drives]))
+    more = between_records(drives)
     for drive, added in zip(drives, more, strict=True):
         some = [fits[n] for n in drive.pieces]
         centre, covariance, freedom = the_next(
@@ -149,7 +149,9 @@ def test_a_rare_drive_is_learned_beside_the_usual_one(
     healthy, fits = learn_windows([log], WINDOW * 0.1 * simulated.mechanical_s)
     assert healthy.windows is not None
     usual, rare = healthy.windows.drives
-    more = between_records(np.log([usual.values, rare.values]))
+    more = between_records((usual, rare))
+    assert not more[0].any()
+    assert more[1].any()
     np.testing.assert_allclose(usual.log_covariance, next_window(fits[:8], steady=False)[1] + more[0])
     beside_usual = next_window(fits[8:], steady=False, usual=fits[:8])[1]
     np.testing.assert_allclose(rare.log_covariance, beside_usual + more[1])
@@ -158,14 +160,24 @@ def test_a_rare_drive_is_learned_beside_the_usual_one(
 
 
 def test_records_of_a_drive_differ_as_it_differs_from_the_others() -> None:
-    """By two fifths of the way to their median, in R, K and J; of one drive alone nothing is known."""
-    logs = np.array([[0.0, 0.0, 0.0, 0.3], [0.1, 0.0, 0.0, 0.3], [0.5, -0.2, 0.4, 3.0]])
-    off = off_others(logs)
+    """By two fifths of the way to their median, in R, K and J; of a usual drive the others tell nothing."""
+    rows = [[0.0, 0.0, 0.0, 0.3], [0.1, 0.0, 0.0, 0.3], [0.5, -0.2, 0.4, 3.0]]
+
+    def with_windows(*counts: int) -> list[Drive]:
+        return [
+            Drive(tuple(range(n)), np.ones((1, 3, 17)), np.exp(row), np.eye(4), 5.0)
+            for n, row in zip(counts, rows, strict=False)
+        ]
+
+    off = off_others(with_windows(2, 2, 4))
     np.testing.assert_allclose(off[0], [-0.3, 0.1, -0.2, -1.35])
     np.testing.assert_allclose(off[2], [0.45, -0.2, 0.4, 2.7])
     line = 0.4 * np.array([0.45, -0.2, 0.4, 0.0])
-    np.testing.assert_allclose(between_records(logs)[2], np.outer(line, line))
-    assert not between_records(logs[:1]).any()
+    np.testing.assert_allclose(between_records(with_windows(2, 2, 4))[2], np.outer(line, line))
+    usual = off_others(with_windows(2, 2, 5))
+    np.testing.assert_array_equal(usual[:2], off[:2])
+    assert not usual[2].any()
+    assert not between_records(with_windows(4)).any()
 
 
 def test_a_window_is_compared_with_those_that_are_driven_alike(
