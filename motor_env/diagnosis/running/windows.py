@@ -130,7 +130,7 @@ class WindowJudge:
         """Standard deviation of the logarithms of R, K, J and B of a window that is driven otherwise, shape (4,).
 
         It is nearest to one of the drives. The farther that one's R, K and J are off the others, the more the model
-        lacks there. What it lacks of the torque is added to the friction: going down, a logarithm moves by more.
+        lacks there. What it lacks of the torque is added to the friction: going down, the logarithm moves by more.
 
         Args:
             place: of the drive.
@@ -139,7 +139,7 @@ class WindowJudge:
         off = off_others(self.windows.drives)[place]
         times = float(np.sqrt(np.mean(np.square(off / DRIVE_SPREAD)[:-1])))
         spread = DRIVE_SPREAD * max(times, 1.0)
-        spread[-1] *= per_log(math.exp(fit.log_values[-1] - self.reference.log_values[-1]))
+        spread[-1] *= max(per_log(math.exp(fit.log_values[-1] - self.reference.log_values[-1])), 1.0)
         return spread
 
     def is_sampled_alike(self, recording: Recording) -> bool:
