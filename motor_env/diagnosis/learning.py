@@ -18,7 +18,7 @@ from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.uncertainty import beyond
 from motor_env.motor.data_sheet import Motor
-from motor_env.motor.healthy import Drive, Healthy, Starts
+from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.start import Start
 
@@ -27,10 +27,6 @@ START_SPREAD = 0.02
 RECORD_SPREAD = np.array([0.01, 0.005, 0.01, 0.05])
 """Standard deviation of the logarithms of R, K, J and B from one record of a motor at work to the next, however long
 each lasts: the error of the model is much the same in all windows of a record."""
-_OFF_OTHERS = np.array([0.4, 0.4, 0.4, 0.0])
-"""Share of how far a drive is off the others, one standard deviation from record to record. In two sets of 24 simulated
-motors with stiction, cogging and an encoder of few edges it was 0.26 and 0.52. Friction differs from drive to drive
-anyhow: of it that says nothing."""
 PRIOR_WEIGHT = 4.0
 _FEW_BESIDE = 4  # times as many are of the usual drive
 _NOISE_SPREAD = 0.10
@@ -114,29 +110,6 @@ def next_window(
     return centre, covariance if steady else covariance + np.diag(np.square(RECORD_SPREAD)), freedom
 
 
-def off_others(drives: Sequence[Drive]) -> FloatArray:
-    """How far R, K, J and B of each drive are off the median of the others, all logarithms, shape (n_drives, 4).
-
-    It is 0 for a drive with more windows than all others together, as these tell nothing of it, and of none at all.
-    """
-    off = np.zeros((max(len(drives), 1), 4))
-    logs, counts = [np.log(drive.values) for drive in drives], [len(drive.pieces) for drive in drives]
-    for k, log in enumerate(logs):
-        if 2 * counts[k] <= sum(counts):
-            off[k] = log - np.median(logs[:k] + logs[k + 1 :], axis=0)
-    return off
-
-
-def between_records(drives: Sequence[Drive]) -> FloatArray:
-    """Covariance of each drive's next record that its distance to the others asks for, shape (n_drives, 4, 4).
-
-    R, K and J of a motor are the same, however it is driven. Where those of a drive are off the others, the model lacks
-    something there. Another record under that drive moves along the same line: by more or by less of it.
-    """
-    off = _OFF_OTHERS * off_others(drives)
-    return np.asarray(off[:, :, None] * off[:, None, :], dtype=np.float64)
-
-
 def usual_beside(few: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
     """Windows of the usual drive, if those of another one are few beside them; none otherwise."""
     usual = max(drives, key=len)
@@ -146,16 +119,13 @@ def usual_beside(few: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequenc
 def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     """What all healthy pieces but one teach, fitted with the same model; of windows those that are driven alike."""
     drives = () if healthy.windows is None else healthy.windows.drives
-    place = next((n for n, drive in enumerate(drives) if number in drive.pieces), None)
-    alike = range(len(fits)) if place is None else drives[place].pieces
+    alike = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
     others = [fits[n] for n in alike if n != number]
     usual = [fits[n] for n in usual_beside(alike, [drive.pieces for drive in drives] or [alike])]
     if healthy.windows is None:
         centre, covariance, freedom = next_piece(others, START_SPREAD)
     else:
         centre, covariance, freedom = next_window(others, steady=not healthy.temperature_k, usual=usual)
-    if place is not None:
-        covariance = covariance + between_records(drives)[place]
     return replace(
         healthy,
         pieces=len(others),

@@ -86,3 +86,16 @@ def sorted_by_drive(moved: FloatArray, times: float) -> tuple[NDArray[np.intp], 
     alike = times * max(ALIKE, float(others.min(axis=1).max()))
     _, drive = connected_components(distances <= alike, directed=False)
     return np.asarray(drive, dtype=np.intp), alike
+
+
+def off_others(drives: Sequence[Drive]) -> FloatArray:
+    """How far R, K, J and B of each drive are off the median of the others, all logarithms, shape (n_drives, 4).
+
+    It is 0 for a drive with more windows than all others together, as these tell nothing of it, and of none at all.
+    """
+    off = np.zeros((max(len(drives), 1), 4))
+    logs, counts = [np.log(drive.values) for drive in drives], [len(drive.pieces) for drive in drives]
+    for k, log in enumerate(logs):
+        if 2 * counts[k] <= sum(counts):
+            off[k] = log - np.median(logs[:k] + logs[k + 1 :], axis=0)
+    return off

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.diagnosis.learning import RECORD_SPREAD, between_records, next_window, usual_beside
+from motor_env.diagnosis.learning import RECORD_SPREAD, next_window, usual_beside
 from motor_env.diagnosis.running.drives import FAR, NEEDED, driven, rms_volts, sorted_by_drive
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
 from motor_env.diagnosis.running.replay import replay
@@ -90,10 +90,6 @@ def learn_windows(
         of, alike = sorted_by_drive(moved, times)
         groups = [np.flatnonzero(of == n).tolist() for n in range(of.max() + 1)]
         drives = tuple(_drive(some, usual_beside(some, groups), moved, found) for some in groups)
-        drives = tuple(
-            replace(drive, log_covariance=drive.log_covariance + more)
-            for drive, more in zip(drives, between_records(drives), strict=True)
-        )
     ratios = [fit.log_values - centre for fit in found]
     spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
     windows = Windows(

@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.learning import between_records
 from motor_env.diagnosis.running.counting import Counting, promised
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.learned import Learned
@@ -35,7 +34,7 @@ from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.errors import InputError
 from motor_env.fitting.recorded import from_recordings
-from motor_env.motor.healthy import Healthy, Scale
+from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.recording import Recording, cut
@@ -73,7 +72,6 @@ class Vigil:
         untaught = untaught_scale(healthy.log_covariance, healthy.degrees_of_freedom, healthy.pieces)
         self.judge, self._may_stay = judge, healthy.temperature_k > 0.0
         self._scales = windows.scales or (untaught,)
-        self._between = between_records(windows.drives)
         self._along, self._healthy = directions(), self._scales[-1].healthy_windows
         self._detector = Detector(len(self._scales), self._along.weights)
         self._pieces = 2 ** self._scales[0].halvings
@@ -159,14 +157,9 @@ class Vigil:
                     self._detector.add(n, row[0], together, row[1])
         return self._is_alarm()
 
-    def _scale(self, n: int) -> Scale:
-        """What is known by now of the pieces of one length, under the drive that the motor has."""
-        scale = self._learned.scale(n)
-        return replace(scale, wander=scale.wander + self._between[self._drive])
-
     def _scored(self, n: int, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
         """Normal scores of pieces and their reach; none in a state of which too little is known."""
-        scale = self._scale(n)
+        scale = self._learned.scale(n)
         found = calibrated(scale, pieces, self._along.along)
         scores = normal_scores(scale, pieces.states, found, self.windows)
         is_known = scale.counts[pieces.states] >= _FEWEST

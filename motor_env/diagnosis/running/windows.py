@@ -18,8 +18,7 @@ import numpy as np
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import alarm_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
-from motor_env.diagnosis.learning import off_others
-from motor_env.diagnosis.running.drives import FAR, driven, nearest, needed_columns, rms_volts
+from motor_env.diagnosis.running.drives import FAR, driven, nearest, needed_columns, off_others, rms_volts
 from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.seen import Seen
 from motor_env.diagnosis.verdict import Judgement, Verdict
@@ -129,8 +128,9 @@ class WindowJudge:
     def drive_spread(self, place: int, fit: FittedWindow) -> FloatArray:
         """Standard deviation of the logarithms of R, K, J and B of a window that is driven otherwise, shape (4,).
 
-        It is nearest to one of the drives. The farther that one's R, K and J are off the others, the more the model
-        lacks there. What it lacks of the torque is added to the friction: going down, the logarithm moves by more.
+        R, K and J of a motor are the same, however it is driven. The farther those of the nearest drive are off the
+        others, the more the model lacks there. What it lacks of the torque is added to the friction: going down, the
+        logarithm moves by more.
 
         Args:
             place: of the drive.
@@ -205,13 +205,15 @@ class WindowJudge:
         failed = self.failed_sensor(part)
         if failed is not None:
             return failed
+        place, strange = self.drive_of(part)
+        alike = self.under(place)
         try:
             record = from_recordings([part])
-            fit = self.fitted(record)
+            # From the mean of all drives it may go nowhere, where the model makes other motors of them.
+            fit = alike.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
-        place, strange = self.drive_of(part)
-        reference = self.under(place).reference if strange <= 1.0 else self.reference
+        reference = alike.reference if strange <= 1.0 else self.reference
         judged = decide(fit, reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
         if judged.verdict is Verdict.UNUSABLE or strange <= 1.0:
             return judged

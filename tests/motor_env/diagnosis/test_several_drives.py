@@ -11,9 +11,7 @@ import pytest
 from motor_env import Recording, commission
 from motor_env.diagnosis.learning import (
     RECORD_SPREAD,
-    between_records,
     next_window,
-    off_others,
     promise_of,
     the_next,
     usual_beside,
@@ -22,15 +20,18 @@ from motor_env.diagnosis.learning import (
 from motor_env.diagnosis.motor_files import motor_of_windows
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
-from motor_env.diagnosis.running import lessons
-from motor_env.diagnosis.running.drives import sorted_by_drive
+from motor_env.diagnosis.running import lessons, windows
+from motor_env.diagnosis.running.drives import off_others, sorted_by_drive
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.pieces import Pieces
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
 from motor_env.diagnosis.running.windows import DRIVE_SPREAD, WindowJudge, judge_of, windows_of
 from motor_env.diagnosis.views import FittedWindow
+from motor_env.fitting import places
+from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.uncertainty import beyond
+from motor_env.fitting.window import WindowFit, fit_window
 from motor_env.motor.healthy import Drive, Healthy
 from motor_env.motor.parameters import FloatArray
 
@@ -103,17 +104,14 @@ def test_each_drive_teaches_its_own_values(learned: tuple[Healthy, list[FittedWi
     assert healthy.windows is not None
     drives = healthy.windows.drives
     assert [drive.pieces for drive in drives] == [(0, 1, 2), (3, 4, 5)]
-    more = between_records(drives)
-    for drive, added in zip(drives, more, strict=True):
+    for drive in drives:
         some = [fits[n] for n in drive.pieces]
         centre, covariance, freedom = the_next(
             np.array([fit.log_values for fit in some]),
             np.mean([fit.white_covariance for fit in some], axis=0),
         )
         np.testing.assert_allclose(np.log(drive.values), centre)
-        assert np.all(np.diag(added)[:3] > 0.0)
-        believed = covariance + np.diag(np.square(RECORD_SPREAD)) + added
-        np.testing.assert_allclose(drive.log_covariance, believed)
+        np.testing.assert_allclose(drive.log_covariance, covariance + np.diag(np.square(RECORD_SPREAD)))
         assert drive.degrees_of_freedom == freedom == 6.0
     assert not np.allclose(drives[0].values, drives[1].values, rtol=1e-3)
 
@@ -149,18 +147,15 @@ def test_a_rare_drive_is_learned_beside_the_usual_one(
     healthy, fits = learn_windows([log], WINDOW * 0.1 * simulated.mechanical_s)
     assert healthy.windows is not None
     usual, rare = healthy.windows.drives
-    more = between_records((usual, rare))
-    assert not more[0].any()
-    assert more[1].any()
-    np.testing.assert_allclose(usual.log_covariance, next_window(fits[:8], steady=False)[1] + more[0])
-    beside_usual = next_window(fits[8:], steady=False, usual=fits[:8])[1]
-    np.testing.assert_allclose(rare.log_covariance, beside_usual + more[1])
-    but_the_last = next_window(fits[8:9], steady=False, usual=fits[:8])[1]
-    np.testing.assert_allclose(without(healthy, fits, 9).log_covariance, but_the_last + more[1])
+    np.testing.assert_allclose(usual.log_covariance, next_window(fits[:8], steady=False)[1])
+    np.testing.assert_allclose(rare.log_covariance, next_window(fits[8:], steady=False, usual=fits[:8])[1])
+    np.testing.assert_allclose(
+        without(healthy, fits, 9).log_covariance, next_window(fits[8:9], steady=False, usual=fits[:8])[1]
+    )
 
 
-def test_records_of_a_drive_differ_as_it_differs_from_the_others() -> None:
-    """By two fifths of the way to their median, in R, K and J; of a usual drive the others tell nothing."""
+def test_how_far_a_drive_is_off_the_others() -> None:
+    """Off their median; of a usual drive the others tell nothing."""
     rows = [[0.0, 0.0, 0.0, 0.3], [0.1, 0.0, 0.0, 0.3], [0.5, -0.2, 0.4, 3.0]]
 
     def with_windows(*counts: int) -> list[Drive]:
@@ -172,12 +167,11 @@ def test_records_of_a_drive_differ_as_it_differs_from_the_others() -> None:
     off = off_others(with_windows(2, 2, 4))
     np.testing.assert_allclose(off[0], [-0.3, 0.1, -0.2, -1.35])
     np.testing.assert_allclose(off[2], [0.45, -0.2, 0.4, 2.7])
-    line = 0.4 * np.array([0.45, -0.2, 0.4, 0.0])
-    np.testing.assert_allclose(between_records(with_windows(2, 2, 4))[2], np.outer(line, line))
     usual = off_others(with_windows(2, 2, 5))
     np.testing.assert_array_equal(usual[:2], off[:2])
     assert not usual[2].any()
-    assert not between_records(with_windows(4)).any()
+    assert off_others(with_windows(4)).tolist() == [[0.0] * 4]
+    assert off_others([]).tolist() == [[0.0] * 4]
 
 
 def test_a_window_is_compared_with_those_that_are_driven_alike(
@@ -336,16 +330,19 @@ def test_near_a_drive_that_is_off_the_others_a_strange_window_may_be_off_too(
     np.testing.assert_allclose(usual.drive_spread(0, up), DRIVE_SPREAD)
 
 
-def test_a_watch_allows_a_record_what_the_other_drives_ask_for(
-    learned: tuple[Healthy, list[FittedWindow]],
+def test_a_fit_begins_at_what_its_own_drive_has_taught(
+    simulated: SimulatedMotor, learned: tuple[Healthy, list[FittedWindow]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """K that stays 3 % off is a fault where the drives agree on it, and none where they differ by 10 %."""
-    healthy, fits = learned
-    told = {}
-    for apart in (0.0, 0.1):
-        taught = with_drives_apart(healthy, np.array([0.0, apart, 0.0, 0.0]))
-        judge = judge_of(taught)
-        watch = Vigil(judge, taught, false_alarms_per_year=YEAR_S / (1000.0 * judge.windows.window_s))
-        stays = judge.references[0].log_values + np.array([0.0, 0.03, 0.0, 0.0])
-        told[apart] = any(watch.ended(replace(fits[0], log_values=stays)) for _ in range(30))
-    assert told == {0.0: True, 0.1: False}
+    """From the mean of drives that are far apart it may end in a notch between them."""
+    taught = with_drives_apart(learned[0], np.array([0.0, 0.02, 0.0, 0.0]))
+    judge, begun = judge_of(taught), list[float]()
+
+    def spy(record: Record, known: FloatArray, *args: Any, **options: Any) -> WindowFit:
+        begun.append(float(known[places.K]))
+        return fit_window(record, known, *args, **options)
+
+    monkeypatch.setattr(windows, "fit_window", spy)
+    for place, profile in enumerate(PROFILES):
+        judge.judge(log_of(simulated, profile, 6, usual=simulated), 0.01)
+        own = float(np.exp(judge.references[place].log_values[1]))
+        assert begun[3 * place :] == pytest.approx([own] * 3)
