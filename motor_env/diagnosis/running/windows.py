@@ -209,7 +209,7 @@ class WindowJudge:
         alike = self.under(place)
         try:
             record = from_recordings([part])
-            # From the mean of all drives it may go nowhere, where the model makes other motors of them.
+            # From the mean of drives that are far apart it may stay in a notch between them.
             fit = alike.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
