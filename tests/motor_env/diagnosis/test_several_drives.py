@@ -314,9 +314,8 @@ def test_near_a_drive_that_is_off_the_others_a_strange_window_may_be_off_too(
     healthy, fits = learned
     assert healthy.windows is not None
     centre = np.log(healthy.values)
-    apart = judge_of(
-        with_drives_apart(healthy, np.array([0.14, 0.036, 0.0, 3.0]))
-    )  # 4 and 2 times as is usual
+    off = np.array([0.14, 0.036, 0.0, 3.0])  # R and K 4 and 2 times as far as is usual
+    apart = judge_of(with_drives_apart(healthy, off))
     usual = judge_of(replace(healthy, windows=replace(healthy.windows, drives=())))
     at = replace(fits[0], log_values=centre)
     times = np.sqrt((4.0**2 + 2.0**2) / 3.0)
@@ -328,6 +327,17 @@ def test_near_a_drive_that_is_off_the_others_a_strange_window_may_be_off_too(
     factor = np.array([1.0, 1.0, 1.0, np.log(4.0) / 0.75])
     np.testing.assert_allclose(usual.drive_spread(0, down), DRIVE_SPREAD * factor)
     np.testing.assert_allclose(usual.drive_spread(0, up), DRIVE_SPREAD)
+
+
+def test_a_fault_is_told_under_another_drive_where_the_drives_agree(
+    simulated: SimulatedMotor, learned: tuple[Healthy, list[FittedWindow]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where R of the nearest drive is far off that of the others, so may be that of this window."""
+    monkeypatch.setattr(WindowJudge, "drive_of", lambda *_: (0, 2.0))  # near the first one
+    worn = log_of(replace(simulated, ohm=1.5 * simulated.ohm), PROFILES[0], 6, usual=simulated)
+    for apart, verdict in ((0.0, "winding"), (0.7, "unusable")):
+        judge = judge_of(with_drives_apart(learned[0], np.array([apart, 0.0, 0.0, 0.0])))
+        assert {str(one.verdict) for one in judge.judge(worn, 0.01)[0]} == {verdict}
 
 
 def test_a_fit_begins_at_what_its_own_drive_has_taught(
