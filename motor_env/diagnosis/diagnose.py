@@ -151,8 +151,11 @@ def diagnose(
             recording, current_a=recording.voltage_v, voltage_v=recording.current_a, missing=lost
         )
         with suppress(InputError):
-            again = judged(swapped).telling
-            if again.verdict not in (Verdict.OTHER, Verdict.SENSOR) and not is_strange(again):
+            again = judged(swapped)
+            told = sum(
+                not is_strange(one) for one in again.pieces
+            )  # of the motor as it is: most pieces must be
+            if again.telling.verdict not in (Verdict.OTHER, Verdict.SENSOR) and 2 * told > len(again.pieces):
                 said = sensor_failed("swapped", SWAPPED)
                 each = (replace(said, begin_s=one.begin_s, duration_s=one.duration_s) for one in found.pieces)
                 return replace(found, pieces=tuple(each))
