@@ -152,9 +152,8 @@ def diagnose(
         )
         with suppress(InputError):
             again = judged(swapped)
-            told = sum(
-                not is_strange(one) for one in again.pieces
-            )  # of the motor as it is: most pieces must be
+            # One piece of many may be like this motor by chance.
+            told = sum(not is_strange(one) for one in again.pieces)
             if again.telling.verdict not in (Verdict.OTHER, Verdict.SENSOR) and 2 * told > len(again.pieces):
                 said = sensor_failed("swapped", SWAPPED)
                 each = (replace(said, begin_s=one.begin_s, duration_s=one.duration_s) for one in found.pieces)
