@@ -175,7 +175,8 @@ class WindowJudge:
                 f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
             )
         chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(sampled, parts)
-        return [self._judged(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen], len(parts)
+        judged = [self._judged(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen]
+        return _agreed(judged), len(parts)
 
     def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
         """Places of the windows that are judged, of many."""
@@ -224,12 +225,29 @@ class WindowJudge:
         spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
         allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
         if allowed.verdict.is_fault and strange <= FAR:
-            return allowed
-        why = (
-            f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
-        )
-        reasons = (f"{why} {judged.reasons[0]}",)
-        return replace(allowed, verdict=Verdict.UNUSABLE, reasons=reasons, severity=None, confidence=None)
+            return replace(allowed, reasons=(*allowed.reasons, DRIVEN_OTHERWISE))
+        return _untold(allowed, judged.reasons[0])
+
+
+def _untold(judged: Judgement, said: str) -> Judgement:
+    """A judgement on a window that is driven otherwise: what would be said of one that is not is no verdict."""
+    why = f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
+    return replace(
+        judged, verdict=Verdict.UNUSABLE, reasons=(f"{why} {said}",), severity=None, confidence=None
+    )
+
+
+def _agreed(judged: list[Judgement]) -> list[Judgement]:
+    """Judgements on the windows of a record: of those driven otherwise half must show a fault.
+
+    A fault moves all of them alike. What the model lacks does nearly so, and is beyond the wide limits in a few.
+    """
+    otherwise = [any(why.startswith(DRIVEN_OTHERWISE) for why in one.reasons) for one in judged]
+    faults = [is_other and one.verdict.is_fault for one, is_other in zip(judged, otherwise, strict=True)]
+    if 2 * sum(faults) >= sum(otherwise):
+        return judged
+    each = zip(judged, faults, strict=True)
+    return [_untold(one, one.reasons[0]) if is_fault else one for one, is_fault in each]
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
