@@ -25,7 +25,14 @@ from motor_env.diagnosis.running.drives import off_others, sorted_by_drive
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.running.pieces import Pieces
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
-from motor_env.diagnosis.running.windows import DRIVE_SPREAD, WindowJudge, judge_of, windows_of
+from motor_env.diagnosis.running.windows import (
+    DRIVE_SPREAD,
+    DRIVEN_OTHERWISE,
+    WindowJudge,
+    judge_of,
+    windows_of,
+)
+from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
@@ -337,7 +344,46 @@ def test_a_fault_is_told_under_another_drive_where_the_drives_agree(
     worn = log_of(replace(simulated, ohm=1.5 * simulated.ohm), PROFILES[0], 6, usual=simulated)
     for apart, verdict in ((0.0, "winding"), (0.7, "unusable")):
         judge = judge_of(with_drives_apart(learned[0], np.array([apart, 0.0, 0.0, 0.0])))
-        assert {str(one.verdict) for one in judge.judge(worn, 0.01)[0]} == {verdict}
+        judged = judge.judge(worn, 0.01)[0]
+        assert {str(one.verdict) for one in judged} == {verdict}
+        assert all(one.reasons[-1].startswith(DRIVEN_OTHERWISE) for one in judged)
+
+
+@pytest.mark.parametrize(
+    ("each", "said"),
+    [
+        ("healthy unusable winding", "healthy unusable unusable"),
+        ("winding healthy winding", "winding healthy winding"),
+        ("winding unusable", "winding unusable"),
+        ("winding", "winding"),
+        ("alike healthy unusable", "winding healthy unusable"),
+    ],
+)
+def test_half_of_the_windows_that_are_driven_otherwise_must_show_a_fault(
+    each: str,
+    said: str,
+    simulated: SimulatedMotor,
+    learned: tuple[Healthy, list[FittedWindow]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A fault of fewer is told as what would be said; that of a window that is driven alike stands alone."""
+    judged = [
+        Judgement(Verdict.WINDING, ("R is up",), severity=0.1, confidence=0.9)
+        if one == "alike"
+        else Judgement(Verdict(one), ("R is up", DRIVEN_OTHERWISE), severity=0.1, confidence=0.9)
+        for one in each.split()
+    ]
+    left = iter(judged)
+    monkeypatch.setattr(WindowJudge, "_judged", lambda *_: next(left))
+    log = log_of(simulated, PROFILES[0], 6, usual=simulated, windows=len(judged))
+    found = judge_of(learned[0]).judge(log, 0.01)[0]
+    assert " ".join(one.verdict for one in found) == said
+    for before, after in zip(judged, found, strict=True):
+        if after.verdict == before.verdict:
+            assert (after.reasons, after.severity) == (before.reasons, before.severity)
+        else:
+            assert after.reasons[0].endswith("driven as then, it would be said that R is up")
+            assert after.severity is after.confidence is None
 
 
 def test_a_fit_begins_at_what_its_own_drive_has_taught(
