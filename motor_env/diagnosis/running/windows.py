@@ -176,7 +176,7 @@ class WindowJudge:
             )
         chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(sampled, parts)
         judged = [self._judged(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen]
-        return _agreed(judged), len(parts)
+        return judged if len(self.references) < 2 else _agreed(judged), len(parts)
 
     def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
         """Places of the windows that are judged, of many."""
@@ -238,9 +238,10 @@ def _untold(judged: Judgement, said: str) -> Judgement:
 
 
 def _agreed(judged: list[Judgement]) -> list[Judgement]:
-    """Judgements on the windows of a record: of those driven otherwise half must show a fault.
+    """Judgements on the windows of a record, of a motor with several drives: a fault beside them all shows in half.
 
-    A fault moves all of them alike. What the model lacks does nearly so, and is beyond the wide limits in a few.
+    A window that is driven like none of them is compared with all together, and each of them is off in its own way. A
+    fault moves all such windows alike; what the model lacks is beyond the wide limits in a few.
     """
     otherwise = [any(why.startswith(DRIVEN_OTHERWISE) for why in one.reasons) for one in judged]
     faults = [is_other and one.verdict.is_fault for one, is_other in zip(judged, otherwise, strict=True)]

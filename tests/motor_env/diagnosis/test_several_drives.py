@@ -373,10 +373,18 @@ def test_half_of_the_windows_that_are_driven_otherwise_must_show_a_fault(
         else Judgement(Verdict(one), ("R is up", DRIVEN_OTHERWISE), severity=0.1, confidence=0.9)
         for one in each.split()
     ]
-    left = iter(judged)
-    monkeypatch.setattr(WindowJudge, "_judged", lambda *_: next(left))
     log = log_of(simulated, PROFILES[0], 6, usual=simulated, windows=len(judged))
-    found = judge_of(learned[0]).judge(log, 0.01)[0]
+
+    def judged_by(judge: WindowJudge) -> list[Judgement]:
+        left = iter(judged)
+        monkeypatch.setattr(WindowJudge, "_judged", lambda *_: next(left))
+        return judge.judge(log, 0.01)[0]
+
+    healthy = learned[0]
+    assert healthy.windows is not None
+    alone = judged_by(judge_of(replace(healthy, windows=replace(healthy.windows, drives=()))))
+    assert [one.verdict for one in alone] == [one.verdict for one in judged]
+    found = judged_by(judge_of(healthy))
     assert " ".join(one.verdict for one in found) == said
     for before, after in zip(judged, found, strict=True):
         if after.verdict == before.verdict:
