@@ -230,11 +230,9 @@ class WindowJudge:
 
 
 def _untold(judged: Judgement, said: str) -> Judgement:
-    """A judgement on a window that is driven otherwise: what would be said of one that is not is no verdict."""
+    """A judgement on a window that is driven otherwise: unusable, with what would be said of one that is not."""
     why = f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
-    return replace(
-        judged, verdict=Verdict.UNUSABLE, reasons=(f"{why} {said}",), severity=None, confidence=None
-    )
+    return replace(judged.as_other(f"{why} {said}"), verdict=Verdict.UNUSABLE, confidence=None)
 
 
 def _agreed(judged: list[Judgement]) -> list[Judgement]:

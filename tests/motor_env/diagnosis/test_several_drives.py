@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motor_env import Recording, commission
+from motor_env import FaultKind, Recording, commission
 from motor_env.diagnosis.learning import (
     RECORD_SPREAD,
     next_window,
@@ -367,10 +367,11 @@ def test_half_of_the_windows_that_are_driven_otherwise_must_show_a_fault(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A fault of fewer is told as what would be said; that of a window that is driven alike stands alone."""
+    told = Judgement(Verdict.OTHER, (), 0.1, (0.1, 0.2), 0.9, FaultKind.WINDING_CONTACT, 1.0)
     judged = [
-        Judgement(Verdict.WINDING, ("R is up",), severity=0.1, confidence=0.9)
+        replace(told, verdict=Verdict.WINDING, reasons=("R is up",))
         if one == "alike"
-        else Judgement(Verdict(one), ("R is up", DRIVEN_OTHERWISE), severity=0.1, confidence=0.9)
+        else replace(told, verdict=Verdict(one), reasons=("R is up", DRIVEN_OTHERWISE))
         for one in each.split()
     ]
     log = log_of(simulated, PROFILES[0], 6, usual=simulated, windows=len(judged))
@@ -391,7 +392,7 @@ def test_half_of_the_windows_that_are_driven_otherwise_must_show_a_fault(
             assert (after.reasons, after.severity) == (before.reasons, before.severity)
         else:
             assert after.reasons[0].endswith("driven as then, it would be said that R is up")
-            assert after.severity is after.confidence is None
+            assert after.severity is after.confidence is after.kind is None
 
 
 def test_a_fit_begins_at_what_its_own_drive_has_taught(
