@@ -392,7 +392,7 @@ def test_half_of_the_windows_that_are_driven_otherwise_must_show_a_fault(
             assert (after.reasons, after.severity) == (before.reasons, before.severity)
         else:
             assert after.reasons[0].endswith("driven as then, it would be said that R is up")
-            assert after.severity is after.confidence is after.kind is None
+            assert (after.severity, after.confidence, after.kind) == (None, None, None)
 
 
 def test_a_fit_begins_at_what_its_own_drive_has_taught(
