@@ -235,14 +235,16 @@ def test_columns_are_swapped_where_the_motor_is_judged_the_other_way_round(
     assert found.kind == (FaultKind("swapped") if said == "sensor" else None)
 
 
-@pytest.mark.parametrize(("windings", "said"), [(1, "unusable"), (2, "sensor")])
+@pytest.mark.parametrize(
+    ("windings", "of", "said"), [(1, 3, "unusable"), (1, 2, "unusable"), (2, 3, "sensor")]
+)
 def test_columns_are_swapped_where_most_windows_are_then_of_the_motor(
-    windings: int, said: str, monkeypatch: pytest.MonkeyPatch
+    windings: int, of: int, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One window of three that can be judged the other way round may be so by chance."""
     unusable, winding = (Judgement(Verdict(word), ("because",)) for word in ("unusable", "winding"))
-    pieces = [[unusable] * 3, [winding] * windings + [unusable] * (3 - windings)]
-    monkeypatch.setattr("motor_env.diagnosis.running.judge.judge_log", lambda *_, **__: (pieces.pop(0), 3))
+    pieces = [[unusable] * of, [winding] * windings + [unusable] * (of - windings)]
+    monkeypatch.setattr("motor_env.diagnosis.running.judge.judge_log", lambda *_, **__: (pieces.pop(0), of))
     assert diagnose(started(noise_v=0.01), "paper", regime="operation").verdict == said
 
 
