@@ -44,12 +44,6 @@ def power(rng: np.random.Generator, day: FloatArray, end: float, *, exponent: fl
     return np.asarray(REACH * (day / end) ** exponent)
 
 
-def steps(rng: np.random.Generator, day: FloatArray, end: float) -> FloatArray:
-    """Steps of 5 to 10 % at random times, 3.5 of them in the nominal life."""
-    rate = 3.5 * np.diff(day, prepend=0.0) / end
-    return np.cumsum((rng.random(len(day)) < rate) * rng.uniform(0.05, 0.10, len(day)))
-
-
 def random_walk(rng: np.random.Generator, day: FloatArray, end: float) -> FloatArray:
     """Chance alone: 8 % of the reference over the nominal life."""
     return np.cumsum(0.08 * np.sqrt(np.diff(day, prepend=0.0) / end) * rng.standard_normal(len(day)))
@@ -76,7 +70,6 @@ LAWS: dict[str, Law] = {
     "exponential": exponential,
     "power 2": partial(power, exponent=2.0),
     "power 0.5": partial(power, exponent=0.5),
-    "steps of 5 to 10 %": steps,
     "drift with a repair": repair,
     "random walk": random_walk,
     "season of ±12 K, no wear": season,

@@ -27,7 +27,6 @@ _LAWS = {  # exponent and growth of the clock; the laws are equally likely, and 
     "linear": ((1.0, 0.0),),
     "power": ((0.5, 0.0), (1.5, 0.0), (2.0, 0.0), (3.0, 0.0)),
     "exponential": ((1.0, 1.5), (1.0, 2.5), (1.0, 4.0), (1.0, 6.0)),
-    "steps": (),
     "chance": (),  # diffusion alone, from the first estimate on: no trend
 }
 NO_GROWTH = 1e-6

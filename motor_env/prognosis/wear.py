@@ -18,19 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import erfcx, expit, logsumexp, ndtr, softmax
+from scipy.special import erfcx, ndtr, softmax
 
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.prognosis.clocks import (
-    LOG_SCATTER,
-    NO_GROWTH,
-    PRIOR_LAW,
-    SCATTERS,
-    clock,
-    filtered,
-    hypotheses,
-)
-from motor_env.prognosis.steps import Steps, fit_steps
+from motor_env.prognosis.clocks import NO_GROWTH, clock, filtered, hypotheses
 
 TREND_PROBABILITY = 0.95
 """From this posterior probability on a quantity is said to trend to a limit."""
@@ -109,8 +100,6 @@ class Degradation:
         sign: +1 for a limit above, -1 for one below; levels and drifts are multiplied by it.
         probability_trend: posterior probability that there is wear, and that it goes to the limit.
         limit_variance: of the limit, shape (n,).
-        steps: the law of steps.
-        share_of_steps: its posterior probability, given that there is wear.
     """
 
     weights: FloatArray
@@ -126,15 +115,12 @@ class Degradation:
     sign: float
     probability_trend: float
     limit_variance: FloatArray
-    steps: Steps
-    share_of_steps: float
 
     @property
     def mean_drift(self) -> float:
         """Posterior mean of the drift at the last estimate, in the units of the estimates a unit of time."""
         rate = np.maximum(self.growth, NO_GROWTH)
-        pace = float(self.weights @ (self.drift * self.exponent * rate / -np.expm1(-rate)))
-        return self.sign * (pace + self.share_of_steps * (self.steps.mean_pace - pace))
+        return self.sign * float(self.weights @ (self.drift * self.exponent * rate / -np.expm1(-rate)))
 
     @property
     def mean_level(self) -> float:
@@ -174,17 +160,13 @@ class Degradation:
         """Probability that the level lies beyond a share of the way from 1 to the limit."""
         border = self.sign * (1.0 + share * (self.limit - 1.0))
         spread = self.covariance[:, 0, 0] + share**2 * self.limit_variance
-        found = float(self.weights @ ndtr((self.level - border) / np.sqrt(spread)))
-        by_steps = float(self.steps.probability_beyond(border, np.zeros(1))[0])
-        return found + self.share_of_steps * (by_steps - found)
+        return float(self.weights @ ndtr((self.level - border) / np.sqrt(spread)))
 
     def passage(self, life: FloatArray) -> FloatArray:
         """Probability that the limit is reached within each of some times after the last estimate."""
         *normal, weights, place = self._nodes()
         ahead = np.clip(self._clock_ahead(life), 1e-9 * life[-1], 1e50)[..., place]
-        found = first_passage_cdf(ahead, *normal) @ weights
-        by_steps = self.steps.probability_beyond(self.sign * self.limit, life)
-        return found + self.share_of_steps * (by_steps - found)
+        return np.asarray(first_passage_cdf(ahead, *normal) @ weights)
 
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
         """Median and central interval of the time until the limit is first reached; the level lies between 0 and 1."""
@@ -208,9 +190,6 @@ class Degradation:
             + self.diffusion**2 * moved
         )
         centre, square = mean @ self.weights, (spread + mean**2) @ self.weights
-        first, second = self.steps.moments(times)
-        centre = centre + self.share_of_steps * (first - centre)
-        square = square + self.share_of_steps * (second - square)
         return self.sign * centre, np.sqrt(np.maximum(square - centre**2, 0.0))
 
 
@@ -252,22 +231,10 @@ def degradation(
     level_std, seen = 10.0 * (distance + width), towards * estimate
     grid = hypotheses(time, typical, distance)
     log_likelihood, moments = filtered(seen, errors**2, grid, level_std)
-    log_steps, steps = fit_steps(
-        time,
-        seen,
-        errors**2,
-        (SCATTERS * typical, np.exp(LOG_SCATTER)),
-        beginning=towards * beginning,
-        distance=distance,
-        level_std=level_std,
-        limit_errors=limit_errors,
-    )
-    log_steps += math.log(PRIOR_LAW)
-    log_weight = log_likelihood + grid.log_prior
-    log_clocks, log_no_trend = logsumexp(log_weight[:-2]), logsumexp(log_weight[-2:])
-    by_clocks, by_steps, _ = softmax([log_clocks, log_steps, log_no_trend]).tolist()
+    weight = softmax(log_likelihood + grid.log_prior)[:-2].ravel()
+    wears = float(weight.sum())
+    weight /= wears
     # The fewest hypotheses that hold all but a negligible part of the weight.
-    weight = softmax(log_weight[:-2].ravel())
     order = np.argsort(weight)[::-1]
     kept = order[: int(np.searchsorted(np.cumsum(weight[order]), 1.0 - _NEGLIGIBLE)) + 1]
     weights = weight[kept] / weight[kept].sum()
@@ -286,8 +253,6 @@ def degradation(
         covariance=np.moveaxis(np.array([[p00, p01], [p01, p11]]), -1, 0),
         limit=float(limit),
         sign=towards,
-        probability_trend=by_clocks * float(weights @ ndtr(drift / np.sqrt(p11))) + by_steps,
+        probability_trend=wears * float(weights @ ndtr(drift / np.sqrt(p11))),
         limit_variance=limit_errors**2 * (float(np.median(errors)) ** 2 + scatter**2),
-        steps=steps,
-        share_of_steps=float(expit(log_steps - log_clocks)),
     )

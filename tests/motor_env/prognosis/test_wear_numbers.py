@@ -11,8 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm, toeplitz
-from scipy.stats import gamma, invgauss, norm
+from scipy.stats import invgauss, norm
 
 from motor_env import InputError
 from motor_env.cli import main
@@ -22,7 +21,6 @@ from motor_env.prognosis.clocks import clock
 from motor_env.prognosis.estimates import Series, build_series, read_estimates
 from motor_env.prognosis.files import Trends
 from motor_env.prognosis.laws import at_one_temperature, last_jump, withheld
-from motor_env.prognosis.steps import Steps, fit_steps
 from motor_env.prognosis.trend import Forecast, describe, judge
 from motor_env.prognosis.wear import Degradation, RemainingLife, degradation
 from motor_env.recordings.start import Start
@@ -30,10 +28,6 @@ from motor_env.recordings.start import Start
 
 def array(*values: float) -> FloatArray:
     return np.array(values)
-
-
-NONE = array(0.0)
-NO_STEPS = Steps(np.zeros((1, 128)), np.zeros((1, 129), complex), np.arange(128.0), NONE, NONE, 0.0)
 
 
 def wear(
@@ -65,8 +59,6 @@ def wear(
         sign=sign,
         probability_trend=1.0,
         limit_variance=np.zeros(n),
-        steps=NO_STEPS,
-        share_of_steps=0.0,
     )
 
 
@@ -91,8 +83,8 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
     prior_d = 1.0 / (1.0 + (sizes / 0.25) ** 2)
     prior_s = 1.0 / (1.0 + scatters**2)
     powers, growths = {0.5: 0.25, 1.0: 1.0, 1.5: 0.25, 2.0: 0.25, 3.0: 0.25}, (1.5, 2.5, 4.0, 6.0)
-    laws = [(lambda u, p=p: u**p, share / 5.0) for p, share in powers.items()]
-    laws += [(lambda u, g=g: np.expm1(g * u) / math.expm1(g), 1.0 / 20.0) for g in growths]
+    laws = [(lambda u, p=p: u**p, share / 4.0) for p, share in powers.items()]
+    laws += [(lambda u, g=g: np.expm1(g * u) / math.expm1(g), 1.0 / 16.0) for g in growths]
     drifting = [(law, k, d, s) for law in laws for k in range(n - 1) for d in range(9) for s in range(7)]
     chance = [(None, 0, d, s) for d in range(9) for s in range(7)]
     for law, onset, d, s in [*drifting, *chance, *((None, n, -1, s) for s in range(7))]:
@@ -105,7 +97,7 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
             slope_sd = 0.7 * distance / span
             diffusion = sizes[d] * distance / math.sqrt(time[-1] - time[0])
         elif onset == 0:  # diffusion without a drift
-            prior *= prior_d[d] / prior_d.sum() / 5.0
+            prior *= prior_d[d] / prior_d.sum() / 4.0
             elapsed, diffusion = time - time[0], sizes[d] * distance / math.sqrt(time[-1] - time[0])
         signal = sd0**2 + slope_sd**2 * np.outer(elapsed, elapsed)
         signal += diffusion**2 * np.minimum.outer(elapsed, elapsed)
@@ -119,81 +111,20 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
         log = -0.5 * (off @ np.linalg.solve(joint, off) + np.linalg.slogdet(2.0 * math.pi * joint)[1])
         rows.append((prior, log, law is not None, *mean, both[0, 0], both[0, 1], both[1, 1]))
     prior, log, moves, level, drift, p00, _, p11 = np.array(rows).T
-    log_steps, _ = fit_steps(
-        time,
-        y,
-        error**2,
-        (scatters * typical, prior_s / prior_s.sum()),
-        beginning=-value[:3].mean(),
-        distance=distance,
-        level_std=sd0,
-        limit_errors=0.0,
-    )
-    every = np.append(prior * np.exp(log - log.max()), np.exp(log_steps - log.max()) / 10.0)
-    every /= every.sum()
-    weight, of_steps = np.where(moves > 0.0, every[:-1], 0.0), every[-1]
-    by_clocks = weight.sum()
-    assert found.share_of_steps == pytest.approx(of_steps / (of_steps + by_clocks), rel=1e-6)
+    every = prior * np.exp(log - log.max())
+    weight = np.where(moves > 0.0, every, 0.0) / every.sum()
+    wears = weight.sum()
     # Grid points that hold together less than 0.01 of the weight are left out.
     order = np.argsort(weight)[::-1]
-    kept = order[: int(np.searchsorted(np.cumsum(weight[order]) / by_clocks, 1.0 - 0.01)) + 1]
+    kept = order[: int(np.searchsorted(np.cumsum(weight[order]) / wears, 1.0 - 0.01)) + 1]
     assert len(found.weights) == len(kept)
     w = weight[kept] / weight[kept].sum()
     np.testing.assert_allclose(np.sort(found.weights), np.sort(w), rtol=1e-5)
     towards = w @ norm.cdf(drift[kept] / np.sqrt(p11[kept]))
-    assert found.probability_trend == pytest.approx(by_clocks * towards + of_steps, rel=1e-6)
-    alone = replace(found, share_of_steps=0.0)
-    mean, sd = alone.forecast(0.0)
+    assert found.probability_trend == pytest.approx(wears * towards, rel=1e-6)
+    mean, sd = found.forecast(0.0)
     assert mean == pytest.approx(-(w @ level[kept]), rel=1e-8)
     assert sd == pytest.approx(math.sqrt(w @ (p00[kept] + (level[kept] - w @ level[kept]) ** 2)), rel=1e-4)
-
-
-def test_the_law_of_steps_is_a_compound_poisson_process() -> None:
-    """Transitions by the exponential of the generator on the same grid, hypothesis by hypothesis."""
-    time, y = array(0.0, 1.0, 2.0, 5.0), array(1.0, 1.01, 1.08, 1.07)
-    variance, scatter = np.full(4, 0.01**2), (array(0.0, 0.02), array(0.7, 0.3))
-    log_evidence, found = fit_steps(
-        time, y, variance, scatter, beginning=1.0, distance=0.2, level_std=2.0, limit_errors=0.0
-    )
-    grid = 1.0 + 0.2 * np.linspace(-0.6, 1.4, 128)
-    width, after, evidence = grid[1] - grid[0], 3.0, 0.0
-    ends, later = np.zeros(128), np.zeros(128)
-    for rate in np.geomspace(0.5, 8.0, 5) / 5.0:
-        for size in array(0.2, 0.4) * 0.2:
-            edges = np.maximum(np.arange(129) - 0.5, 0.0) * width
-            jump = np.diff(gamma(4.0, scale=size / 4.0).cdf(edges))
-            generator = rate * (toeplitz(jump, np.zeros(128)) - np.eye(128))
-            moves = {step: expm(step * generator) for step in (1.0, 3.0)}
-            for extra, prior in zip(*scatter, strict=True):
-                sd = np.sqrt(variance + extra**2 + width**2 / 12.0)
-                density = norm(1.0, 2.0).pdf(grid) * width * prior / 10.0 * norm(y[0], sd[0]).pdf(grid)
-                for i in (1, 2, 3):
-                    density = moves[time[i] - time[i - 1]] @ density * norm(y[i], sd[i]).pdf(grid)
-                evidence += density.sum()
-                ends, later = ends + density, later + moves[after] @ density
-    assert log_evidence == pytest.approx(math.log(evidence), abs=1e-6)
-    mean, square = found.moments(array(0.0))
-    assert mean[0] == pytest.approx(ends @ grid / evidence, rel=1e-6)
-    assert square[0] == pytest.approx(ends @ grid**2 / evidence, rel=1e-6)
-    within = later @ norm.cdf((1.2 - grid) / (0.3 * width)) / evidence
-    assert found.probability_beyond(1.2, array(after))[0] == pytest.approx(1.0 - within, rel=1e-6)
-    # The mean wear ahead is rate times size, and its variance rate times the mean square of a step.
-    mean, square = found.moments(array(0.0, 2.0))
-    share = found.density.sum(axis=1)
-    assert mean[1] - mean[0] == pytest.approx(2.0 * found.mean_pace, rel=1e-9)
-    assert len(share) == 10
-
-
-def test_steps_ahead_widen_the_level_by_what_they_and_their_rates_scatter() -> None:
-    """Two rates and sizes that are equally likely: at 5 now, 0.3 and 0.1 a day, by hand."""
-    density = np.zeros((2, 128))
-    density[[0, 1], 0] = 0.5
-    none = np.zeros((2, 129), complex)
-    one = Steps(density, none, 5.0 + np.arange(128.0), array(0.3, 0.1), array(0.2, 0.6), 0.0)
-    mean, square = one.moments(array(0.0, 4.0))
-    np.testing.assert_allclose(mean, [5.0, 5.8])
-    each = array(6.2, 5.4) ** 2 + 4.0 * array(0.2, 0.6)
-    np.testing.assert_allclose(square, [25.0, each.mean()])
 
 
 @pytest.mark.parametrize(("exponent", "growth"), [(2.0, 0.0), (0.5, 0.0), (1.0, 3.0)])
@@ -226,13 +157,9 @@ def test_wear_downwards_is_wear_upwards_in_a_mirror() -> None:
     value = 0.4 + np.cumsum(0.15 * (rng.random(30) < 0.15)) + error * rng.standard_normal(30)
     up, down = degradation(time, value, error, 2.0), degradation(time, -value, error, -2.0)
     assert (up.sign, down.sign) == (1.0, -1.0)
-    assert up.share_of_steps > 0.5
-    assert down.share_of_steps == pytest.approx(up.share_of_steps)
     np.testing.assert_allclose(down.level, up.level)
-    # The grid of levels lies about the beginning.
-    levels = up.steps.grid
-    assert levels[0] < value[:3].mean() < levels[-1]
-    np.testing.assert_allclose(down.steps.grid, levels)
+    np.testing.assert_allclose(down.drift, up.drift)
+    assert down.probability_trend == pytest.approx(up.probability_trend)
 
 
 def test_the_typical_error_is_the_larger_of_what_is_said_and_what_neighbours_show() -> None:
@@ -293,13 +220,6 @@ def test_the_limit_is_as_uncertain_as_the_estimates_that_it_is_relative_to() -> 
     for share in (0.8, 1.0):
         expected = norm.cdf((1.0 - (1.0 + 0.5 * share)) / (0.2 * share))
         assert unsure.probability_beyond(share) == pytest.approx(expected, rel=1e-6)
-    # By steps it has the error of one estimate, what scatters beyond its standard error included.
-    time, y, variance = array(0.0, 1.0, 2.0, 5.0), array(1.0, 1.01, 1.08, 1.07), np.full(4, 0.01**2)
-    law = {"beginning": 1.0, "distance": 0.2, "level_std": 2.0}
-    _, by_steps = fit_steps(time, y, variance, (array(0.02), array(1.0)), limit_errors=0.5, **law)
-    assert by_steps.limit_error == pytest.approx(0.5 * math.hypot(0.01, 0.02))
-    certain = replace(by_steps, limit_error=0.0).probability_beyond(1.2, array(0.0))[0]
-    assert by_steps.probability_beyond(1.2, array(0.0))[0] > 2.0 * certain
 
 
 def test_a_forecast_is_the_mixture_of_its_hypotheses() -> None:
