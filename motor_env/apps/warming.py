@@ -1,37 +1,116 @@
-"""Compiling ahead: all that commands and environments use, for this machine, so that nobody has to wait for it later.
+"""Compile ahead all that commands and environments use, so that nothing has to wait for it later.
 
-Each room has a module `small_calls`: calls that have everything compiled which a part of it needs.
+A part is a small call that has everything compiled which it needs.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from importlib import import_module
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
-_HOMES = {
-    "Monitor and Probe": "envs.offline",
-    "logs of a motor at work": "diagnosis",
-    "starts": "diagnosis",
-    "data sets and classifiers": "inference",
-    "Drive": "envs.offline",
-    "policies": "envs.offline",
-    "Maintain": "envs.offline",
-    "lab": "apps",
+import gymnasium as gym
+import numpy as np
+
+from motor_env.apps import lab
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.identify import identify
+from motor_env.envs.offline.behaviours import TASKS, Behaviour
+from motor_env.envs.offline.recording import episodes_of
+from motor_env.inference.features import physical_features
+from motor_env.inference.posterior import class_probabilities
+from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.inference.work_features import work_features
+from motor_env.motor.compiled import in_silence
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.model import State
+from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
+from motor_env.recordings.recording import Recording
+from motor_env.simulation.drawing import draw, measure_draw
+from motor_env.simulation.named_recipes import RECIPES
+from motor_env.simulation.simulate import simulate_states
+
+_LEVEL_V, _STEP_S, _NOISE = 12.0, 1e-3, np.array([0.02, 0.5])
+
+
+def _step(*names: str) -> None:
+    """Take a step of each environment, alone and in a vector."""
+    for name in names:
+        for env in (gym.make(f"motor_env/{name}-v0"), gym.make_vec(f"motor_env/{name}-v0", num_envs=2)):
+            env.reset(seed=0)
+            space = env.action_space
+            env.step(np.zeros(space.shape or (), dtype=space.dtype))
+            env.close()
+
+
+def _play_policies() -> None:
+    """Play an episode of each task's rule and of its best policy."""
+    for task in TASKS:
+        for behaviour in (Behaviour.RULE, Behaviour.BEST):
+            episodes_of(task, behaviour, 1, 0)
+
+
+def _draw_recipes() -> None:
+    """Draw three cases of each named recipe, and compute what classifiers ask of them."""
+    for recipe in RECIPES.values():
+        measured = measure_draw(draw(recipe, 0, np.arange(3)), recipe, 0)
+        if recipe.duty is not None:
+            work_features(recipe, measured.astype(np.float64))
+        else:
+            physical_features(recipe, measured)
+        if recipe.field is None:
+            class_probabilities(recipe, measured)
+            severity_posterior(recipe, SeverityPrior(FaultKind.BEARING), measured)
+
+
+def _recorded(voltage_v: FloatArray) -> Recording:
+    """Simulate what a scope shows of the paper's motor."""
+    time_s: FloatArray = _STEP_S * np.arange(len(voltage_v), dtype=np.float64)
+    states = simulate_states(PAPER_MOTOR, voltage_v, _STEP_S)
+    states = states + np.random.default_rng(0).normal(size=states.shape) * _NOISE
+    return Recording(Path("warm-up"), time_s, states[:, State.CURRENT], voltage_v, states[:, State.SPEED])
+
+
+def _diagnose_start() -> None:
+    start = _recorded(np.repeat([0.0, _LEVEL_V], [50, 250]))
+    diagnose(replace(start, speed_rad_s=None), "paper")
+
+
+def _identify_log() -> None:
+    identify(_recorded(np.repeat([_LEVEL_V, -_LEVEL_V, 4.0, 8.0, 2.0, -6.0], 60)), regime="operation")
+
+
+def _show_lab() -> None:
+    """Simulate a start under each of the lab's rules."""
+    for rule in lab.RULES:
+        lab.simulated(lab.Settings(rule=rule))
+        lab.roc(lab.Settings(rule=rule))
+
+
+_CALLS: dict[str, Callable[[], None]] = {
+    "Monitor and Probe": partial(_step, "Monitor", "Probe", "ProbeContinuous"),
+    "logs of a motor at work": _identify_log,
+    "starts": _diagnose_start,
+    "data sets and classifiers": _draw_recipes,
+    "Drive": partial(_step, "Drive"),
+    "policies": _play_policies,
+    "Maintain": partial(_step, "Maintain"),
+    "lab": _show_lab,
 }
-"""Parts, and the room whose module has the small calls of each."""
 
-PARTS = tuple(_HOMES)
+PARTS = tuple(_CALLS)
 """Names of the parts, those that take longest first."""
 
 
 def warm_up(
-    parts: Sequence[str] | None = None, said: Callable[[str, float], None] = lambda part, seconds: None
+    parts: Sequence[str] = PARTS, said: Callable[[str, float], None] = lambda part, seconds: None
 ) -> dict[str, float]:
     """Compile parts into numba's cache; what stands there already is only loaded.
 
     Args:
-        parts: names out of `PARTS`; all of them by default. Processes may share them: each compiles its own.
+        parts: names out of `PARTS`. Processes may share them: each compiles its own.
         said: called after each part with its name and its seconds.
 
     Returns:
@@ -40,16 +119,13 @@ def warm_up(
     Raises:
         ValueError: there is no such part.
     """
-    wanted = PARTS if parts is None else tuple(parts)
-    if unknown := [part for part in wanted if part not in _HOMES]:
+    if unknown := [part for part in parts if part not in _CALLS]:
         raise ValueError(f"there is no part {unknown[0]!r}; there are {', '.join(PARTS)}")
-    from motor_env.motor.compiled import in_silence
-
     seconds = {}
-    for part in wanted:
+    for part in parts:
         begin = time.perf_counter()
         with in_silence():
-            import_module(f"motor_env.{_HOMES[part]}.small_calls").CALLS[part]()
+            _CALLS[part]()
         seconds[part] = time.perf_counter() - begin
         said(part, seconds[part])
     return seconds
