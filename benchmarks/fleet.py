@@ -27,12 +27,11 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
 from motor_env.diagnosis.learning import START_SPREAD, next_piece
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import NAMES, FittedWindow
-from motor_env.fleet.first import Reading
-from motor_env.fleet.fits import fit_fleet, second_log
+from motor_env.fleet.fits import fit_fleet, processes, second_log
+from motor_env.fleet.initial_fit import Reading
 from motor_env.fleet.learning import BELIEVED, directions_of
-from motor_env.fleet.mapping import processes
-from motor_env.fleet.own import with_own
 from motor_env.fleet.population import Core, Motors, learn_core
+from motor_env.fleet.unit_update import with_own
 from motor_env.motor import identifiable
 from motor_env.motor.healthy import Fleet, Healthy, Starts
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray

@@ -14,8 +14,8 @@ from typing import cast
 from motor_env import diagnose
 from motor_env.diagnosis.shown.page import _bars, _currents, reference_current
 from motor_env.diagnosis.verdict import Verdict
-from motor_env.fleet.picture import picture
-from motor_env.fleet.sister import Sister
+from motor_env.fleet.judging import picture
+from motor_env.fleet.unit import Sister
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"

@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from motor_env.apps import lab_shelf
 from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.files import diagnose_files
@@ -26,8 +25,82 @@ from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import CATALOGUE, FloatArray, SensorParameters
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, read_recording
 from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate, simulate_states
+
+LARGEST_UPLOAD_BYTES = 20_000_000
+_MOST_STARTS = 20
+OWN_MOTOR, HEALTHY_STARTS = "own motor", "healthy starts"
+
+
+class Shelf:
+    """Files in a temporary folder; what cannot be read is not kept."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="motor-env-lab-")
+        self.motor: Path | None = None
+        self.healthy: list[Path] = []
+
+    def clear(self) -> None:
+        """Delete all of it."""
+        self._folder.cleanup()
+
+    def keep(self, kind: str, name: str, content: bytes) -> dict[str, str | int]:
+        """Take in a motor file or one healthy start; the answer says what is there to compare with.
+
+        Raises:
+            InputError: too many, or not readable; the sentence speaks of the page's name.
+        """
+        shown = shown_name(name)
+        if kind not in ("motor", "healthy"):
+            raise InputError(f"kind must be motor or healthy, got {kind[:40]!r}")
+        if len(self.healthy) >= _MOST_STARTS:
+            raise InputError(f"at most {_MOST_STARTS} healthy starts can be compared with")
+        ending = ".toml" if kind == "motor" else ending_of(shown)
+        path = Path(self._folder.name) / f"{kind}-{len(self.healthy)}{ending}"
+        path.write_bytes(content)
+        try:
+            if kind == "motor":
+                load_motor(path)
+                self.motor = path
+            else:
+                read_recording(path)
+                self.healthy.append(path)
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), shown)) from None
+        return {
+            "name": shown,
+            "reference": OWN_MOTOR if kind == "motor" else HEALTHY_STARTS,
+            "healthy": len(self.healthy),
+        }
+
+    def reference(self, wanted: str) -> tuple[str | None, list[Path]]:
+        """Motor and healthy starts to compare with, for what the page has chosen.
+
+        Raises:
+            InputError: nothing of the kind was handed in, or there is no such motor.
+        """
+        if wanted == HEALTHY_STARTS and self.healthy:
+            return None, self.healthy
+        if wanted == OWN_MOTOR and self.motor is not None:
+            return str(self.motor), []
+        if wanted in (OWN_MOTOR, HEALTHY_STARTS):
+            raise InputError(f"no {wanted} handed in yet")
+        if wanted not in ("", *CATALOGUE):
+            raise InputError(f"motor must be one of {', '.join(CATALOGUE)}, got {wanted[:40]!r}")
+        return wanted or None, []
+
+
+def shown_name(name: str) -> str:
+    """A file's name as the page shows it."""
+    return "".join(character for character in name if character.isprintable())[:80] or "recording"
+
+
+def ending_of(shown: str) -> str:
+    """The ending by which its format is told."""
+    suffix = Path(shown).suffix.lower()
+    return suffix if suffix[1:].isalnum() and len(suffix) <= 9 else ".csv"
+
 
 ROC_STARTS = 200
 AVERAGED = 50  # samples: 5 ms
@@ -197,7 +270,7 @@ def recording_verdict(
     content: bytes,
     motor: str,
     voltage_v: float | None,
-    shelf: lab_shelf.Shelf,
+    shelf: Shelf,
 ) -> dict[str, Any]:
     """Diagnosis of a dropped recording. Its bytes are data: parsed as a table, kept in a temporary folder meanwhile.
 
@@ -212,9 +285,9 @@ def recording_verdict(
         InputError: unknown motor, or not readable; the sentence speaks of the page's name.
     """
     known, healthy = shelf.reference(motor)
-    shown = lab_shelf.shown_name(name)
+    shown = shown_name(name)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"recording{lab_shelf.ending_of(shown)}"
+        path = Path(folder) / f"recording{ending_of(shown)}"
         path.write_bytes(content)
         (outcome,) = diagnose_files([path], motor=known, healthy=healthy, voltage_v=voltage_v)
         if outcome.diagnosis is None:
@@ -254,5 +327,5 @@ def options() -> dict[str, Any]:
         "rules": [{"name": key, "label": label} for key, (label, _) in RULES.items()],
         "ranges": RANGES,
         "defaults": {field.name: field.default for field in fields(Settings)},
-        "largest_upload_bytes": lab_shelf.LARGEST_UPLOAD_BYTES,
+        "largest_upload_bytes": LARGEST_UPLOAD_BYTES,
     }

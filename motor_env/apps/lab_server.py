@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from motor_env.apps import lab
-from motor_env.apps.lab_shelf import LARGEST_UPLOAD_BYTES, Shelf
+from motor_env.apps.lab import LARGEST_UPLOAD_BYTES, Shelf
 from motor_env.errors import InputError
 from motor_env.motor.toml_files import from_dict
 

@@ -12,7 +12,7 @@ from motor_env.console import ExitStatus, printable
 from motor_env.errors import InputError
 
 if TYPE_CHECKING:
-    from motor_env.fleet.first import Reading
+    from motor_env.fleet.initial_fit import Reading
 
 
 def identify(
@@ -78,7 +78,7 @@ def _beside_sisters(
     json_: bool,
 ) -> int:
     """`identify` with the file of a fleet as the prior."""
-    from motor_env.fleet.own import learn_own, quantities_of
+    from motor_env.fleet.unit_update import learn_own, quantities_of
     from motor_env.motor.data_sheet import load_motor, save_motor
 
     found = learn_own(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
@@ -200,7 +200,7 @@ def _of_sisters(
 ) -> str:
     """`commission` with sisters: of a fleet, or of one motor beside the fleet's file; what was learned, in words."""
     from motor_env.fleet.learning import learn_fleet
-    from motor_env.fleet.own import learn_own
+    from motor_env.fleet.unit_update import learn_own
     from motor_env.motor.data_sheet import load_motor, save_motor
     from motor_env.recordings.recording import read_recording, understood
 

@@ -15,7 +15,7 @@ from motor_env.console import json_text, printable
 from motor_env.errors import InputError
 
 if TYPE_CHECKING:
-    from motor_env.fleet import first
+    from motor_env.fleet import initial_fit
     from motor_env.recordings.profiles import Profile
 
 
@@ -113,13 +113,13 @@ class Measurement(Reading):
         """Arguments of the functions behind the commands."""
         return self.chosen.options | {"start": self.start}
 
-    def of_fleet(self, regime: str) -> first.Reading:
+    def of_fleet(self, regime: str) -> initial_fit.Reading:
         """How the records of a fleet are read: each has one piece, so that none is asked for."""
-        from motor_env.fleet import first
+        from motor_env.fleet import initial_fit
 
         if self.start is not None:
             raise InputError("--start does not go with a fleet: give each start in a file of its own")
-        return first.Reading(regime=regime, **self.chosen.options)
+        return initial_fit.Reading(regime=regime, **self.chosen.options)
 
 
 @Parameter(name="*")
@@ -153,9 +153,9 @@ class Sisters:
     kept: Path | None = None
 
     @contextmanager
-    def fitted(self, files: list[Path], reading: first.Reading) -> Iterator[dict[str, Any]]:
+    def fitted(self, files: list[Path], reading: initial_fit.Reading) -> Iterator[dict[str, Any]]:
         """Arguments of the functions that fit a fleet, as long as its workers and a bar on the terminal last."""
-        from motor_env.fleet.mapping import processes
+        from motor_env.fleet.fits import processes
 
         with (
             console.progress_bar(2 * len(files), "fitting") as advance,

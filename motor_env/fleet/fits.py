@@ -10,26 +10,28 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from motor_env.diagnosis.running.windows import over_speed
 from motor_env.diagnosis.views import Fitted, FittedWindow
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_extra
 from motor_env.fitting import places
 from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.starts.choice import NUISANCES
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.window import WindowFit, fit_window
-from motor_env.fleet.first import REASONS, First, Reading, first_fit, first_look
-from motor_env.fleet.kept import Kept
-from motor_env.fleet.mapping import Map
+from motor_env.fleet.initial_fit import REASONS, First, Kept, Reading, first_fit, first_look
 from motor_env.motor.healthy import Windows
+from motor_env.processes import end_with_parent
 from motor_env.recordings.recording import understood
 
 _LOADS = ("load_constant", "load_square", "load_walk")
@@ -186,3 +188,31 @@ def second_log(reading: Reading, windows: Windows, path: Path) -> FittedWindow |
     """That fit, with the drag over the speed."""
     fit = _log_fit(reading, windows, path)
     return fit if isinstance(fit, str) else over_speed(fit, windows.physical, windows.speed_rad_s)
+
+
+Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
+"""As the built-in `map`."""
+
+
+@contextmanager
+def processes(workers: int, scheduler: str | None = None) -> Iterator[Map]:
+    """What maps a function over files: here, in processes, or on the workers of a Dask cluster.
+
+    Args:
+        workers: processes, without a cluster.
+        scheduler: address of the cluster's scheduler.
+    """
+    if scheduler is not None:
+        require_extra("distributed", "dask")
+        from distributed import Client
+
+        with Client(scheduler) as client:
+            yield lambda job, files: (future.result() for future in client.map(job, list(files), pure=False))
+    elif workers > 1:
+        pool = ProcessPoolExecutor(workers, initializer=end_with_parent)
+        try:
+            yield pool.map
+        finally:
+            pool.shutdown(cancel_futures=True)
+    else:
+        yield map

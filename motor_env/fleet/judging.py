@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,16 +17,16 @@ from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.explanations import Difference
 from motor_env.diagnosis.misreading import as_sentence, wrong_scales
+from motor_env.diagnosis.verdict import Verdict
 from motor_env.errors import InputError, require_options
-from motor_env.fleet.first import Reading
+from motor_env.fleet.fits import Map
+from motor_env.fleet.initial_fit import Reading
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
-from motor_env.fleet.mapping import Map
-from motor_env.fleet.names import Place
-from motor_env.fleet.picture import picture
 from motor_env.fleet.population import Core
-from motor_env.fleet.sister import Sister
+from motor_env.fleet.unit import Place, Sister
 from motor_env.motor import identifiable
 from motor_env.pages.html import render
+from motor_env.pages.svg import Axis, Chart
 
 _GAINS = 3  # of voltage, current and speed
 
@@ -105,7 +106,7 @@ def diagnose_fleet(
         group: regular expression that reads machine, motor and repeat from a file's name.
         reading: how the files are read.
         false_alarm_rate: how often a healthy motor may be called faulty.
-        each: what maps over files, see `motor_env.fleet.mapping.processes`.
+        each: what maps over files, see `motor_env.fleet.fits.processes`.
         kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
         progress: told each file, twice.
 
@@ -168,3 +169,51 @@ def _apart(fleet: LearnedFleet, core: Core, place: Place) -> Difference | None:
         identifiable.matrix(fleet.fits.quantities),
         core.degrees_of_freedom,
     )
+
+
+_FARTHEST = 6.0  # standard deviations that the picture shows
+_USUAL = 2.0
+_JITTER = (0.0, 0.12, -0.12, 0.06, -0.06, 0.18, -0.18)  # of a column: dots that would hide each other
+_ROW = 13.0  # pixels between two names
+
+
+def picture(names: Sequence[str], sisters: Sequence[Sister]) -> str:
+    """The markup: deviations from the healthy core, in standard deviations of another healthy motor.
+
+    Args:
+        names: of the quantities.
+        sisters: the motors, the oddest first.
+    """
+    columns = Axis("", -0.5, len(names) - 0.5)
+    rows = Axis("", -_FARTHEST, _FARTHEST, (-6, -4, -2, 0, 2, 4, 6), number="{:g}".format)
+    chart = Chart(
+        columns,
+        rows,
+        size=(480.0, 380.0),  # so narrow that its names can be read on a phone
+        margins=(36.0, 72.0, 14.0, 34.0),
+        label=f"{len(sisters)} motors, each quantity in standard deviations from the healthy core",
+    )
+    top, height = chart.y(_USUAL), chart.y(-_USUAL) - chart.y(_USUAL)
+    chart.shape("rect", "usual", x=chart.left, y=top, width=chart.right - chart.left, height=height)
+    chart.y_numbers()
+    named: dict[int, list[tuple[float, float, str]]] = {}
+    for place, sister in enumerate(reversed(sisters)):  # the oddest last, on top
+        # What a failed sensor has read tells nothing of the motor.
+        is_odd = sister.verdict.is_fault and sister.verdict is not Verdict.SENSOR
+        for column, name in enumerate(names):
+            if name not in sister.off:
+                continue
+            off = sister.off[name]
+            at = (chart.x(column + _JITTER[place % len(_JITTER)]), chart.y(off))
+            title = f"{sister.place.name}: {name} {sister.ratios[name] - 1.0:+.0%}"
+            chart.dot("odd" if is_odd else "sister", at, 5.0 if is_odd else 3.5, title)
+            if is_odd and abs(off) > _USUAL:
+                named.setdefault(column, []).append((at[1] + 4.0, at[0] + 9.0, sister.place.name))
+    for labels in named.values():
+        below = -math.inf
+        for line, x, label in sorted(labels):
+            below = max(line, below + _ROW)
+            chart.text((x, below), label, "name")
+    for column, name in enumerate(names):
+        chart.text((chart.x(column), chart.bottom + 22.0), name, "tick", "middle")
+    return chart.svg()

@@ -18,11 +18,10 @@ from motor_env.diagnosis.running.windows import viscous
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.starts.identified import Identified
-from motor_env.fleet.first import Reading
-from motor_env.fleet.fits import FleetFits, fit_fleet
-from motor_env.fleet.mapping import Map
-from motor_env.fleet.names import Place, places_of
+from motor_env.fleet.fits import FleetFits, Map, fit_fleet
+from motor_env.fleet.initial_fit import Reading
 from motor_env.fleet.population import Core, Motors, learn_core
+from motor_env.fleet.unit import Place, places_of
 from motor_env.motor import identifiable
 from motor_env.motor.data_sheet import Motor, Tolerance
 from motor_env.motor.faults import motor_kinds
@@ -213,7 +212,7 @@ def learn_fleet(
         files: recordings; each of another motor, unless names tell otherwise.
         group: regular expression that reads machine, motor and repeat from a file's name, see `places_of`.
         reading: how the files are read.
-        each: what maps over files, see `motor_env.fleet.mapping.processes`.
+        each: what maps over files, see `motor_env.fleet.fits.processes`.
         kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
         progress: told each file, twice.
 

@@ -33,9 +33,9 @@ from motor_env import (
     simulate,
     simulate_states,
 )
-from motor_env.apps import lab, lab_shelf
+from motor_env.apps import lab
+from motor_env.apps.lab import LARGEST_UPLOAD_BYTES
 from motor_env.apps.lab_server import _Handler, make_server  # its reading is tested without a connection
-from motor_env.apps.lab_shelf import LARGEST_UPLOAD_BYTES
 from motor_env.cli import main
 from motor_env.motor.faults import BUILT_IN_KINDS, SENSOR_KINDS
 from motor_env.motor.parameters import CATALOGUE
@@ -270,8 +270,8 @@ def test_a_verdict_shows_the_start_from_just_before_it() -> None:
 
 
 def test_names_and_sizes_of_files_end_where_they_say(tmp_path: Path) -> None:
-    assert lab_shelf.shown_name("a" * 90) == "a" * 80
-    assert lab_shelf.shown_name("\n\x00") == "recording"
+    assert lab.shown_name("a" * 90) == "a" * 80
+    assert lab.shown_name("\n\x00") == "recording"
     endings = {
         "a.CSV": ".csv",
         "a.z": ".z",
@@ -280,8 +280,8 @@ def test_names_and_sizes_of_files_end_where_they_say(tmp_path: Path) -> None:
         "a.b-c": ".csv",
         "a": ".csv",
     }
-    assert {name: lab_shelf.ending_of(name) for name in endings} == endings
-    shelf, own = lab_shelf.Shelf(), Path("examples/motor.toml").read_bytes()
+    assert {name: lab.ending_of(name) for name in endings} == endings
+    shelf, own = lab.Shelf(), Path("examples/motor.toml").read_bytes()
     shelf.healthy = [tmp_path] * 19
     assert shelf.keep("motor", "m.csv", own) == {"name": "m.csv", "reference": "own motor", "healthy": 19}
     shelf.healthy = [tmp_path] * 20

@@ -19,13 +19,11 @@ from motor_env.diagnosis.verdict import Verdict
 from motor_env.diagnosis.views import FittedWindow
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
-from motor_env.fleet.first import First, Reading
-from motor_env.fleet.fits import fit_fleet
+from motor_env.fleet.fits import fit_fleet, processes
+from motor_env.fleet.initial_fit import First, Kept, Reading
 from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet, together
-from motor_env.fleet.kept import Kept
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
-from motor_env.fleet.mapping import processes
-from motor_env.fleet.names import Place
+from motor_env.fleet.unit import Place
 from motor_env.motor.data_sheet import Motor, save_motor
 
 # Reaches in: fits, and how far a motor lies off, are made by hand.

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from motor_env.errors import InputError
-from motor_env.fleet.names import Place, places_of
+from motor_env.fleet.unit import Place, places_of
 
 GROUP = r"(?P<machine>\d+)(_(?P<repeat>[a-z]+))?_(?P<motor>left|right)"
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from motor_env.fleet.fits import processes
 from motor_env.fleet.judging import diagnose_fleet
-from motor_env.fleet.mapping import processes
 
 recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")
 GROUP = r"(?P<machine>\d+)(_(?P<repeat>[a-z]+))?_(?P<motor>left|right)"

@@ -14,10 +14,10 @@ from trend_laws import verdicts
 
 from motor_env import InputError
 from motor_env.cli import main
+from motor_env.prognosis.degradation import degradation, first_passage_cdf
 from motor_env.prognosis.estimates import Series, date_of, read_estimates
 from motor_env.prognosis.files import Trends
 from motor_env.prognosis.trend import judge, parse_limits
-from motor_env.prognosis.wear import degradation, first_passage_cdf
 
 
 def array(*values: float) -> np.ndarray:

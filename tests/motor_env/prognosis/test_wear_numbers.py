@@ -17,12 +17,10 @@ from motor_env import InputError
 from motor_env.cli import main
 from motor_env.motor.parameters import FloatArray
 from motor_env.prognosis import files
-from motor_env.prognosis.clocks import clock
+from motor_env.prognosis.degradation import Degradation, RemainingLife, clock, degradation
 from motor_env.prognosis.estimates import Series, build_series, read_estimates
 from motor_env.prognosis.files import Trends
-from motor_env.prognosis.laws import at_one_temperature, last_jump, withheld
-from motor_env.prognosis.trend import Forecast, describe, judge
-from motor_env.prognosis.wear import Degradation, RemainingLife, degradation
+from motor_env.prognosis.trend import Forecast, at_one_temperature, describe, judge, last_jump, withheld
 from motor_env.recordings.start import Start
 
 

@@ -20,7 +20,7 @@ from motor_env.diagnosis.learning import PRIOR_WEIGHT
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.diagnosis.views import Fitted
 from motor_env.errors import InputError
-from motor_env.fleet.first import Reading
+from motor_env.fleet.initial_fit import Reading
 from motor_env.fleet.learning import at_centre
 from motor_env.fleet.population import at_least
 from motor_env.motor.data_sheet import Motor
