@@ -27,11 +27,11 @@ from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
 from motor_env.diagnosis.learning import START_SPREAD, next_piece
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import NAMES, FittedWindow
-from motor_env.fleet.fits import fit_fleet, processes, second_log
+from motor_env.fleet.fits import fit_fleet, fit_log, processes
 from motor_env.fleet.initial_fit import Reading
-from motor_env.fleet.learning import BELIEVED, directions_of
-from motor_env.fleet.population import Core, Motors, learn_core
-from motor_env.fleet.unit_update import with_own
+from motor_env.fleet.learning import PRIOR_SPREAD, directions_of
+from motor_env.fleet.population import HealthyPopulation, Motors, learn_population
+from motor_env.fleet.unit_update import combine_with_records
 from motor_env.motor import identifiable
 from motor_env.motor.healthy import Fleet, Healthy, Starts
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
@@ -53,7 +53,9 @@ GAINS = {
     "voltage gain": np.array([1.0, 1.0, 1.0, 1.0]),
 }
 BELIEF = (
-    identifiable.matrix(NAMES) @ identifiable.tolerance_covariance(BELIEVED) @ identifiable.matrix(NAMES).T
+    identifiable.matrix(NAMES)
+    @ identifiable.tolerance_covariance(PRIOR_SPREAD)
+    @ identifiable.matrix(NAMES).T
 )
 WAYS = directions_of(identifiable.matrix(NAMES))
 
@@ -82,14 +84,14 @@ def drawn(rng: np.random.Generator, count: int) -> FloatArray:
     return CENTRE + rng.multivariate_normal(np.zeros(4), TOTAL + ERROR, count)
 
 
-def core_of(logs: FloatArray) -> Core:
+def core_of(logs: FloatArray) -> HealthyPopulation:
     """What a fleet teaches by its fits, one a motor."""
     n = len(logs)
     errors, places = np.tile(ERROR, (n, 1, 1)), np.zeros(n, dtype=np.intp)
-    return learn_core(Motors(logs, errors, np.arange(n), places, BELIEF, np.eye(4) * 0.02**2, WAYS))
+    return learn_population(Motors(logs, errors, np.arange(n), places, BELIEF, np.eye(4) * 0.02**2, WAYS))
 
 
-def judged(logs: FloatArray, core: Core) -> Judgement:
+def judged(logs: FloatArray, core: HealthyPopulation) -> Judgement:
     """One motor by a core."""
     reference = Reference(
         "sisters",
@@ -102,7 +104,7 @@ def judged(logs: FloatArray, core: Core) -> Judgement:
     return decide(FittedWindow(logs, ERROR), reference, RATE)
 
 
-ORACLE = Core(CENTRE[None], np.zeros((1, 4, 4)), BETWEEN, WITHIN, 1e6, np.ones(1))
+ORACLE = HealthyPopulation(CENTRE[None], np.zeros((1, 4, 4)), BETWEEN, WITHIN, 1e6, np.ones(1))
 
 
 class Cell(NamedTuple):
@@ -153,7 +155,7 @@ def checked(count: int, workers: int) -> Iterator[list[str]]:
         with processes(workers) as each:
             shared = fit_fleet(files[:_LEARNED], Reading(), each=each).windows
             assert shared is not None
-            fits = list(each(partial(second_log, Reading(regime="operation"), shared), files))
+            fits = list(each(partial(fit_log, Reading(regime="operation"), shared), files))
     off = np.array([fit.log_values for fit in fits]) - truths
     squares = np.square(off) / np.array([np.diag(fit.log_covariance) for fit in fits])
     for name, column in zip(NAMES, squares.T, strict=True):
@@ -184,7 +186,7 @@ def log(rng: np.random.Generator, spread: FloatArray) -> pd.DataFrame:
 def smallest_faults(motors: int) -> Iterator[list[str]]:
     """Median smallest bearing and winding fault by the number of own healthy records, and by what else is known."""
     rng = np.random.default_rng(33)
-    sisters = Healthy(
+    units = Healthy(
         30,
         33.0,
         NAMES,
@@ -199,7 +201,7 @@ def smallest_faults(motors: int) -> Iterator[list[str]]:
         for own in CENTRE + rng.multivariate_normal(np.zeros(4), BETWEEN, motors):
             logs = own + rng.multivariate_normal(np.zeros(4), WITHIN + ERROR, count + 1)
             today, records = FittedWindow(logs[0], ERROR), [FittedWindow(one, ERROR) for one in logs[1:]]
-            known = with_own(sisters, logs[1:], np.tile(ERROR, (count, 1, 1))) if count else sisters
+            known = combine_with_records(units, logs[1:], np.tile(ERROR, (count, 1, 1))) if count else units
             reference = reference_of_pieces(known, NAMES, "this motor")
             assert reference is not None
             found["sisters"].append(decide(today, reference, RATE).smallest_changes)

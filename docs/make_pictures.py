@@ -15,7 +15,7 @@ from motor_env import diagnose
 from motor_env.diagnosis.shown.page import _bars, _currents, reference_current
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.fleet.judging import picture
-from motor_env.fleet.unit import Sister
+from motor_env.fleet.unit import FleetUnit
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
@@ -55,16 +55,16 @@ def verdict() -> str:
 
 def fleet() -> str:
     """The picture of the fleet of docs/fleet.md, from what `motor-env diagnose --fleet ... --json` said of it."""
-    sisters = [
+    units = [
         SimpleNamespace(
-            place=SimpleNamespace(name=one["motor"]),
+            unit_id=SimpleNamespace(name=one["motor"]),
             verdict=Verdict(one["verdict"]),
             ratios=one["ratios"],
-            off=one["standard_deviations"],
+            deviations=one["standard_deviations"],
         )
         for one in json.loads((IMAGES / "fleet.json").read_bytes())
     ]
-    chart = picture(("R", "K", "J", "B"), cast("list[Sister]", sisters))
+    chart = picture(("R", "K", "J", "B"), cast("list[FleetUnit]", units))
     ground = f'<style>{FLEET}</style><rect width="100%" height="100%" fill="white"/>'
     return (
         chart.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).replace(">", f">{ground}", 1)

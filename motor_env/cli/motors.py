@@ -78,11 +78,11 @@ def _beside_sisters(
     json_: bool,
 ) -> int:
     """`identify` with the file of a fleet as the prior."""
-    from motor_env.fleet.unit_update import learn_own, quantities_of
+    from motor_env.fleet.unit_update import unit_quantities, update_unit
     from motor_env.motor.data_sheet import load_motor, save_motor
 
-    found = learn_own(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
-    rows = quantities_of(found)
+    found = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
+    rows = unit_quantities(found)
     if output is not None:
         save_motor(found, output)
     lines = [
@@ -122,7 +122,7 @@ def commission(
     name: str = "commissioned motor",
     fleet: bool = False,
     motor: Path | None = None,
-    sisters: options.Sisters = options.SISTERS,
+    sisters: options.FleetOptions = options.FLEET,
 ) -> int:
     """Learn a motor from three or more healthy starts, or from logs of it at work, for `motor-env diagnose --motor`.
 
@@ -192,7 +192,7 @@ def _of_sisters(
     files: list[Path],
     output: Path,
     reading: Reading,
-    sisters: options.Sisters,
+    sisters: options.FleetOptions,
     *,
     name: str,
     motor: Path | None,
@@ -200,12 +200,12 @@ def _of_sisters(
 ) -> str:
     """`commission` with sisters: of a fleet, or of one motor beside the fleet's file; what was learned, in words."""
     from motor_env.fleet.learning import learn_fleet
-    from motor_env.fleet.unit_update import learn_own
+    from motor_env.fleet.unit_update import update_unit
     from motor_env.motor.data_sheet import load_motor, save_motor
     from motor_env.recordings.recording import read_recording, understood
 
     if motor is not None:
-        learned = learn_own(files, load_motor(motor), name, reading=reading)
+        learned = update_unit(files, load_motor(motor), name, reading=reading)
         read = [(path, read_recording(path, reading.columns).columns) for path in files]
         text = "\n".join([f"{_recordings(files, 'own ')} beside the sisters of {motor}", *understood(read)])
     else:

@@ -136,7 +136,7 @@ class StartMeasurement(Measurement):
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
-class Sisters:
+class FleetOptions:
     """Which motors of a fleet the files are of, and where they are fitted.
 
     Attributes:
@@ -170,4 +170,4 @@ class Sisters:
             }
 
 
-READING, MEASUREMENT, START, SISTERS = Reading(), Measurement(), StartMeasurement(), Sisters()
+READING, MEASUREMENT, START, FLEET = Reading(), Measurement(), StartMeasurement(), FleetOptions()

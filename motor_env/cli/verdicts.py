@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from motor_env import console
-from motor_env.cli.options import READING, SISTERS, START, Reading, Sisters, StartMeasurement, refuse, show
+from motor_env.cli.options import FLEET, READING, START, FleetOptions, Reading, StartMeasurement, refuse, show
 from motor_env.console import printable
 from motor_env.errors import InputError
 
@@ -27,7 +27,7 @@ def diagnose(
     verbose: bool = False,
     json_: bool = False,
     fleet: bool = False,
-    sisters: Sisters = SISTERS,
+    sisters: FleetOptions = FLEET,
 ) -> int:
     """Verdict on recordings: healthy, sensor, bearing, winding, magnet, noise, other, no_reference or unusable.
 

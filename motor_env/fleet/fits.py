@@ -29,7 +29,7 @@ from motor_env.fitting.starts.choice import NUISANCES
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.identify import identify
 from motor_env.fitting.window import WindowFit, fit_window
-from motor_env.fleet.initial_fit import REASONS, First, Kept, Reading, first_fit, first_look
+from motor_env.fleet.initial_fit import REASONS, FitCache, InitialFit, Reading, classify_record, fit_record
 from motor_env.motor.healthy import Windows
 from motor_env.processes import end_with_parent
 from motor_env.recordings.recording import understood
@@ -37,7 +37,7 @@ from motor_env.recordings.recording import understood
 _LOADS = ("load_constant", "load_square", "load_walk")
 _DRY = (0.0, 0.35, 0.7, 1.0)  # shares of dry friction that are tried
 _MOST_TRIED = 12  # records
-_SHARED_NOT = [places.HEATING, places.COOLING, places.WALK, places.LOAD, places.SQUARE]
+_NOT_COMMON = [places.HEATING, places.COOLING, places.WALK, places.LOAD, places.SQUARE]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,18 +45,18 @@ class FleetFits:
     """The records of a fleet that a motor explains, fitted with one model.
 
     Attributes:
-        seconds: their fits, by file.
+        by_file: their fits, by file.
         quantities: that they tell.
         windows: how they were fitted, of motors at work; None for starts.
-        troubles: why each other record is not among them, by its file.
+        failures: why each other record is not among them, by its file.
         reading: how they were read; its regime is start or operation.
         read: how their columns were understood, in words.
     """
 
-    seconds: dict[Path, Fitted]
+    by_file: dict[Path, Fitted]
     quantities: tuple[str, ...]
     windows: Windows | None
-    troubles: dict[Path, str]
+    failures: dict[Path, str]
     reading: Reading
     read: tuple[str, ...] = ()
 
@@ -81,58 +81,58 @@ def fit_fleet(
     Raises:
         InputError: no record can be used, or the file of kept fits is another's.
     """
-    looks = list(each(partial(first_look, reading), files))
+    looks = list(each(partial(classify_record, reading), files))
     kinds = {kind for kind, _ in looks}
     # A start is a short log, too; a log is no start.
     reading = replace(reading, regime="operation" if "operation" in kinds else "start")
-    with Kept(kept, reading) as known:
+    with FitCache(kept, reading) as known:
         missing = [path for path in files if path not in known]
-        for path, one in zip(missing, each(partial(first_fit, reading), missing), strict=True):
+        for path, one in zip(missing, each(partial(fit_record, reading), missing), strict=True):
             known.add(path, one)
             progress(path)
-    firsts = {path: known[path] for path in files}
-    troubles = {path: one.trouble for path, one in firsts.items() if one.trouble}
-    good = {path: one for path, one in firsts.items() if not one.trouble}
+    initial_fits = {path: known[path] for path in files}
+    failures = {path: one.trouble for path, one in initial_fits.items() if one.trouble}
+    good = {path: one for path, one in initial_fits.items() if not one.trouble}
     if not good:
-        raise InputError(f"no record of the fleet can be used: {next(iter(troubles.values()))}")
+        raise InputError(f"no record of the fleet can be used: {next(iter(failures.values()))}")
     quantities = Counter(one.quantities for one in good.values()).most_common(1)[0][0]
     for path in [path for path, one in good.items() if one.quantities != quantities]:
-        troubles[path] = "it was recorded with other columns than most"
+        failures[path] = "it was recorded with other columns than most"
         del good[path]
     job: Callable[[Path], Fitted | str]
     if reading.regime == "start":
         windows = None
-        job = partial(_second_start, reading, *_shared_by_starts(list(good.values()), quantities))
+        job = partial(_fit_start, reading, *_common_start_model(list(good.values()), quantities))
     else:
-        windows = _shared_by_logs(good, reading)
-        job = partial(second_log, reading, windows)
-    seconds: dict[Path, Fitted] = {}
+        windows = _common_log_model(good, reading)
+        job = partial(fit_log, reading, windows)
+    by_file: dict[Path, Fitted] = {}
     for path, again in zip(good, each(job, list(good)), strict=True):
         if isinstance(again, str):
-            troubles[path] = again
+            failures[path] = again
         else:
-            seconds[path] = again
+            by_file[path] = again
         progress(path)
     read = tuple(understood((path, notes) for path, (_, notes) in zip(files, looks, strict=True)))
-    return FleetFits(seconds, quantities, windows, troubles, reading, read)
+    return FleetFits(by_file, quantities, windows, failures, reading, read)
 
 
-def _wanted(firsts: Sequence[First]) -> list[str]:
+def _majority_terms(initial_fits: Sequence[InitialFit]) -> list[str]:
     """Terms that more than half of the records want."""
-    count = Counter(name for one in firsts for name in one.names)
-    return [name for name, seen in count.items() if seen > 0.5 * len(firsts)]
+    count = Counter(name for one in initial_fits for name in one.names)
+    return [name for name, seen in count.items() if seen > 0.5 * len(initial_fits)]
 
 
-def _shared_by_starts(
-    firsts: Sequence[First], quantities: tuple[str, ...]
+def _common_start_model(
+    initial_fits: Sequence[InitialFit], quantities: tuple[str, ...]
 ) -> tuple[tuple[str, ...], dict[str, float]]:
     """The model of starts, and the typical values of their quantities."""
-    wanted = _wanted(firsts)
-    middle = np.exp(np.median([one.values for one in firsts], axis=0)).tolist()
+    wanted = _majority_terms(initial_fits)
+    middle = np.exp(np.median([one.values for one in initial_fits], axis=0)).tolist()
     return tuple(name for name in NUISANCES if name in wanted), dict(zip(quantities, middle, strict=True))
 
 
-def _second_start(
+def _fit_start(
     reading: Reading, model: tuple[str, ...], typical: dict[str, float], path: Path
 ) -> Identified | str:
     try:
@@ -141,17 +141,17 @@ def _second_start(
         return str(error)
 
 
-def _shared_by_logs(firsts: dict[Path, First], reading: Reading) -> Windows:
+def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) -> Windows:
     """What the logs share; which part of the drag is dry friction, by what explains some of them best."""
-    every = list(firsts.values())
+    every = list(initial_fits.values())
     known = np.median([one.values for one in every], axis=0)
-    known[_SHARED_NOT] = 0.0
+    known[_NOT_COMMON] = 0.0
     speed = float(np.median([one.speed_rad_s for one in every]))
     drag = float(np.median([_drag(one) for one in every])) * speed
     hold = Counter(one.hold for one in every).most_common(1)[0][0]
     windows = Windows(
         window_s=min(one.duration_s for one in every),
-        terms=tuple(name for name in _wanted(every) if name not in _LOADS),
+        terms=tuple(name for name in _majority_terms(every) if name not in _LOADS),
         physical=known,
         hold=hold,  # type: ignore[arg-type]  # a literal that went through a counter
         dt_s=float(np.median([one.dt_s for one in every])),
@@ -159,23 +159,23 @@ def _shared_by_logs(firsts: dict[Path, First], reading: Reading) -> Windows:
         rms_volts=(min(one.rms_volts for one in every), max(one.rms_volts for one in every)),
         peaks=tuple(np.median([one.peaks for one in every], axis=0).tolist()),
     )
-    some = list(firsts)[:: -(-len(firsts) // _MOST_TRIED)]
+    some = list(initial_fits)[:: -(-len(initial_fits) // _MOST_TRIED)]
     tried = []
     for share in _DRY:
         known = known.copy()
         known[[places.B, places.COULOMB]] = (1.0 - share) * drag / speed, share * drag
         tried.append(replace(windows, physical=known))
-    fits = [[_log_fit(reading, one, path) for path in some] for one in tried]
+    fits = [[_fit_window(reading, one, path) for path in some] for one in tried]
     misfits = [sum(math.inf if isinstance(fit, str) else fit.misfit for fit in each) for each in fits]
     return tried[int(np.argmin(misfits))]
 
 
-def _drag(first: First) -> float:
+def _drag(first: InitialFit) -> float:
     """Drag over the speed."""
     return float(first.values[places.B] + first.values[places.COULOMB] / first.speed_rad_s)
 
 
-def _log_fit(reading: Reading, windows: Windows, path: Path) -> WindowFit | str:
+def _fit_window(reading: Reading, windows: Windows, path: Path) -> WindowFit | str:
     """The fit of a log with what all share, or why there is none."""
     try:
         record = replace(from_recordings([reading.log(path)]), hold=windows.hold)
@@ -184,9 +184,9 @@ def _log_fit(reading: Reading, windows: Windows, path: Path) -> WindowFit | str:
         return str(error)
 
 
-def second_log(reading: Reading, windows: Windows, path: Path) -> FittedWindow | str:
+def fit_log(reading: Reading, windows: Windows, path: Path) -> FittedWindow | str:
     """That fit, with the drag over the speed."""
-    fit = _log_fit(reading, windows, path)
+    fit = _fit_window(reading, windows, path)
     return fit if isinstance(fit, str) else over_speed(fit, windows.physical, windows.speed_rad_s)
 
 

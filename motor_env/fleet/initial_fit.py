@@ -64,7 +64,7 @@ class Reading:
         return averaged(recording, len(recording.time_s) * recording.dt_s)
 
 
-class First(NamedTuple):
+class InitialFit(NamedTuple):
     """The first fit of a record; `trouble` says why there is none.
 
     Attributes:
@@ -90,7 +90,7 @@ class First(NamedTuple):
     peaks: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
-def first_look(reading: Reading, path: Path) -> tuple[str, tuple[str, ...]]:
+def classify_record(reading: Reading, path: Path) -> tuple[str, tuple[str, ...]]:
     """What a file is, start or operation, and how its columns were understood."""
     try:
         recording = recording_of(path, reading.columns)
@@ -99,22 +99,22 @@ def first_look(reading: Reading, path: Path) -> tuple[str, tuple[str, ...]]:
         return "start", ()  # the first fit says why it cannot be read
 
 
-def first_fit(reading: Reading, path: Path) -> First:
+def fit_record(reading: Reading, path: Path) -> InitialFit:
     """The first fit of a file, or why there is none."""
     try:
         if reading.regime == "start":
             fit = identify_best(reading.start(path), NUISANCES)
             reason = unusable_reason(fit)
             if reason is not None:
-                return First(reason)
-            return First("", fit.model, fit.quantity_names, tuple(fit.log_values.tolist()))
+                return InitialFit(reason)
+            return InitialFit("", fit.model, fit.quantity_names, tuple(fit.log_values.tolist()))
         log = reading.log(path)
         found = identify_operation([log])
     except REASONS as error:
-        return First(str(error).removeprefix(f"{path}: "))
+        return InitialFit(str(error).removeprefix(f"{path}: "))
     if not found.record.seen.all() or found.r2_current is None:
-        return First("the current tells no motor")
-    return First(
+        return InitialFit("the current tells no motor")
+    return InitialFit(
         names=found.solution.names,
         quantities=NAMES,
         values=tuple(known_of(found.solution).tolist()),
@@ -129,10 +129,10 @@ def first_fit(reading: Reading, path: Path) -> First:
 
 _MARK = "motor-env fleet"
 _LARGEST_BYTES = 2_000_000_000
-_FIRST: TypeAdapter[First] = TypeAdapter(First)
+_FIRST: TypeAdapter[InitialFit] = TypeAdapter(InitialFit)
 
 
-class Kept:
+class FitCache:
     """First fits by file, in memory and, where a path is given, in a file of JSON lines.
 
     A fit counts only as long as its file has the size and the time that it had, and is read as it was.
@@ -148,7 +148,7 @@ class Kept:
     def __init__(self, path: Path | None, reading: Reading) -> None:
         self.path = path
         self.reading = sha256(repr(reading).encode()).hexdigest()[:16]
-        self.found: dict[str, First] = {}
+        self.found: dict[str, InitialFit] = {}
         self.file: IO[str] | None = None
         if path is not None and path.exists():
             self._read(path)
@@ -172,7 +172,7 @@ class Kept:
     def _head(self) -> str:
         return json.dumps({"kept by": _MARK, "reading": self.reading})
 
-    def __enter__(self) -> Kept:
+    def __enter__(self) -> FitCache:
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.file = self.path.open("a", encoding="utf-8")
@@ -187,10 +187,10 @@ class Kept:
     def __contains__(self, path: Path) -> bool:
         return _record(path) in self.found
 
-    def __getitem__(self, path: Path) -> First:
+    def __getitem__(self, path: Path) -> InitialFit:
         return self.found[_record(path)]
 
-    def add(self, path: Path, first: First) -> None:
+    def add(self, path: Path, first: InitialFit) -> None:
         """Keep a fit."""
         self.found[_record(path)] = first
         if self.file is not None:

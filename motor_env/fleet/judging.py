@@ -1,4 +1,4 @@
-"""Each motor of a fleet judged by its sisters: `motor-env diagnose --fleet`."""
+"""Judge each motor of a fleet by all others, and show the fleet: `motor-env diagnose --fleet`."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from motor_env.errors import InputError, require_options
 from motor_env.fleet.fits import Map
 from motor_env.fleet.initial_fit import Reading
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
-from motor_env.fleet.population import Core
-from motor_env.fleet.unit import Place, Sister
+from motor_env.fleet.population import HealthyPopulation
+from motor_env.fleet.unit import FleetUnit, UnitId
 from motor_env.motor import identifiable
 from motor_env.pages.html import render
 from motor_env.pages.svg import Axis, Chart
@@ -36,32 +36,32 @@ class FleetDiagnosis:
     """A fleet, judged.
 
     Attributes:
-        sisters: the motors, the oddest first.
+        units: the motors, the oddest first.
         quantities: that were compared.
         false_alarm_rate: of each healthy motor.
     """
 
-    sisters: tuple[Sister, ...]
+    units: tuple[FleetUnit, ...]
     quantities: tuple[str, ...]
     false_alarm_rate: float
 
     @property
     def status(self) -> ExitStatus:
         """Exit status: that of the worst motor."""
-        return worst(sister.verdict.status for sister in self.sisters)
+        return worst(unit.verdict.status for unit in self.units)
 
     def to_json(self) -> list[dict[str, Any]]:
         """An object a motor, the oddest first."""
-        return [sister.to_json() for sister in self.sisters]
+        return [unit.to_json() for unit in self.units]
 
     @property
     def summary(self) -> str:
         """How many are odd, and how many would be by chance."""
-        odd = sum(sister.verdict.is_fault for sister in self.sisters)
-        chance = self.false_alarm_rate * len(self.sisters)
+        odd = sum(unit.verdict.is_fault for unit in self.units)
+        chance = self.false_alarm_rate * len(self.units)
         stand, share = "stands" if odd == 1 else "stand", 1.0 / self.false_alarm_rate
         return (
-            f"{odd} of {len(self.sisters)} motors {stand} out."
+            f"{odd} of {len(self.units)} motors {stand} out."
             f" If all were healthy, about {chance:.1f} motors would stand out by chance (1 in {share:.0f})."
         )
 
@@ -70,10 +70,10 @@ class FleetDiagnosis:
 
     def text(self) -> str:
         """A table, the oddest motor first."""
-        width = max(len(sister.place.name) for sister in self.sisters)
+        width = max(len(unit.unit_id.name) for unit in self.units)
         rows = [
-            f"{sister.place.name:<{width}}  {sister.verdict:<12} {sister.shown_severity:>6}  {sister.shown}"
-            for sister in self.sisters
+            f"{unit.unit_id.name:<{width}}  {unit.verdict:<12} {unit.shown_severity:>6}  {unit.shown}"
+            for unit in self.units
         ]
         return "\n".join([self.summary, *rows])
 
@@ -84,8 +84,8 @@ class FleetDiagnosis:
             "fleet.html.j2",
             title="A motor among its sisters",
             summary=self.summary,
-            chart=picture(self.quantities, self.sisters),
-            sisters=self.sisters,
+            chart=picture(self.quantities, self.units),
+            units=self.units,
         )
 
 
@@ -115,54 +115,58 @@ def diagnose_fleet(
     """
     require_options(false_alarm_rate=false_alarm_rate)
     fleet = learn_fleet(files, group=group, reading=reading, each=each, kept=kept, progress=progress)
-    machines = list(dict.fromkeys(place.machine for place in fleet.every.values()))
-    job = partial(_of_machine, fleet, false_alarm_rate)
-    found = [sister for sisters in each(job, machines) for sister in sisters]
+    machines = list(dict.fromkeys(unit_id.machine for unit_id in fleet.unit_of.values()))
+    job = partial(_diagnose_machine, fleet, false_alarm_rate)
+    found = [unit for units in each(job, machines) for unit in units]
     found.sort(key=lambda one: (not one.verdict.is_fault, 0.0 if one.p_value is None else one.p_value))
     return FleetDiagnosis(tuple(found), fleet.fits.quantities, false_alarm_rate)
 
 
-def _of_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Sister]:
+def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[FleetUnit]:
     """The motors of a machine, judged by those of all others."""
     core, found = fleet.core_without(machine), []
-    for place in dict.fromkeys(one for one in fleet.every.values() if one.machine == machine):
-        if place.motor not in fleet.positions:
+    for unit_id in dict.fromkeys(one for one in fleet.unit_of.values() if one.machine == machine):
+        if unit_id.motor not in fleet.positions:
             raise InputError(
-                f"no motor of the place {place.motor} can be fitted: nothing judges {place.name}"
+                f"no motor of the place {unit_id.motor} can be fitted: nothing judges {unit_id.name}"
             )
-        own = [path for path, one in fleet.every.items() if one == place]
-        motor = fleet.motor("a healthy one", core, place.motor)
+        own = [path for path, one in fleet.unit_of.items() if one == unit_id]
+        motor = fleet.motor("a healthy one", core, unit_id.motor)
         records = {
             path: diagnose(path, motor, false_alarm_rate=rate / len(own), **fleet.fits.reading.options)
             for path in own
         }
-        found.append(Sister(place, records, fleet.fits.quantities, _apart(fleet, core, place)))
-    alike = together([one.apart for one in found if one.apart is not None], fleet.fits.quantities, rate)
-    return [replace(one, together=alike) for one in found]
+        found.append(
+            FleetUnit(unit_id, records, fleet.fits.quantities, _difference_from(fleet, core, unit_id))
+        )
+    alike = common_cause(
+        [one.difference for one in found if one.difference is not None], fleet.fits.quantities, rate
+    )
+    return [replace(one, common_cause=alike) for one in found]
 
 
-def together(apart: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
+def common_cause(difference: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
     """What the motors of a machine show together: one sensor or supply at a wrong scale; empty for nothing.
 
     Each motor may be too little off by itself.
     """
-    if len(apart) < 2:
+    if len(difference) < 2:
         return ""
-    off = np.mean([one.log_ratios for one in apart], axis=0)
-    spread = np.mean([one.covariance for one in apart], axis=0) / len(apart)
-    limit = -float(stdtrit(apart[0].degrees_of_freedom, rate / (2.0 * _GAINS)))
-    mean = replace(apart[0], log_ratios=off, covariance=spread)
+    deviations = np.mean([one.log_ratios for one in difference], axis=0)
+    spread = np.mean([one.covariance for one in difference], axis=0) / len(difference)
+    limit = -float(stdtrit(difference[0].degrees_of_freedom, rate / (2.0 * _GAINS)))
+    mean = replace(difference[0], log_ratios=deviations, covariance=spread)
     return as_sentence([one for one in wrong_scales(mean, names, limit, rate) if one.gain is not None])
 
 
-def _apart(fleet: LearnedFleet, core: Core, place: Place) -> Difference | None:
+def _difference_from(fleet: LearnedFleet, core: HealthyPopulation, unit_id: UnitId) -> Difference | None:
     """How far a motor lies from the core; None where no fit tells."""
-    if place not in fleet.motors:
+    if unit_id not in fleet.motors:
         return None
-    number = fleet.motors.index(place)
+    number = fleet.motors.index(unit_id)
     kept = np.array([n == number for n in range(len(fleet.motors))])
-    logs, errors = fleet.records.only(kept).means(core.within)
-    at = fleet.positions.index(place.motor)
+    logs, errors = fleet.records.subset(kept).means(core.within)
+    at = fleet.positions.index(unit_id.motor)
     return Difference(
         logs[0] - core.centres[at],
         core.next_motor(at) + errors[0],
@@ -177,12 +181,12 @@ _JITTER = (0.0, 0.12, -0.12, 0.06, -0.06, 0.18, -0.18)  # of a column: dots that
 _ROW = 13.0  # pixels between two names
 
 
-def picture(names: Sequence[str], sisters: Sequence[Sister]) -> str:
+def picture(names: Sequence[str], units: Sequence[FleetUnit]) -> str:
     """The markup: deviations from the healthy core, in standard deviations of another healthy motor.
 
     Args:
         names: of the quantities.
-        sisters: the motors, the oddest first.
+        units: the motors, the oddest first.
     """
     columns = Axis("", -0.5, len(names) - 0.5)
     rows = Axis("", -_FARTHEST, _FARTHEST, (-6, -4, -2, 0, 2, 4, 6), number="{:g}".format)
@@ -191,24 +195,24 @@ def picture(names: Sequence[str], sisters: Sequence[Sister]) -> str:
         rows,
         size=(480.0, 380.0),  # so narrow that its names can be read on a phone
         margins=(36.0, 72.0, 14.0, 34.0),
-        label=f"{len(sisters)} motors, each quantity in standard deviations from the healthy core",
+        label=f"{len(units)} motors, each quantity in standard deviations from the healthy core",
     )
     top, height = chart.y(_USUAL), chart.y(-_USUAL) - chart.y(_USUAL)
     chart.shape("rect", "usual", x=chart.left, y=top, width=chart.right - chart.left, height=height)
     chart.y_numbers()
     named: dict[int, list[tuple[float, float, str]]] = {}
-    for place, sister in enumerate(reversed(sisters)):  # the oddest last, on top
+    for unit_id, unit in enumerate(reversed(units)):  # the oddest last, on top
         # What a failed sensor has read tells nothing of the motor.
-        is_odd = sister.verdict.is_fault and sister.verdict is not Verdict.SENSOR
+        is_odd = unit.verdict.is_fault and unit.verdict is not Verdict.SENSOR
         for column, name in enumerate(names):
-            if name not in sister.off:
+            if name not in unit.deviations:
                 continue
-            off = sister.off[name]
-            at = (chart.x(column + _JITTER[place % len(_JITTER)]), chart.y(off))
-            title = f"{sister.place.name}: {name} {sister.ratios[name] - 1.0:+.0%}"
+            deviations = unit.deviations[name]
+            at = (chart.x(column + _JITTER[unit_id % len(_JITTER)]), chart.y(deviations))
+            title = f"{unit.unit_id.name}: {name} {unit.ratios[name] - 1.0:+.0%}"
             chart.dot("odd" if is_odd else "sister", at, 5.0 if is_odd else 3.5, title)
-            if is_odd and abs(off) > _USUAL:
-                named.setdefault(column, []).append((at[1] + 4.0, at[0] + 9.0, sister.place.name))
+            if is_odd and abs(deviations) > _USUAL:
+                named.setdefault(column, []).append((at[1] + 4.0, at[0] + 9.0, unit.unit_id.name))
     for labels in named.values():
         below = -math.inf
         for line, x, label in sorted(labels):

@@ -20,16 +20,16 @@ from motor_env.fitting import places
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fleet.fits import FleetFits, Map, fit_fleet
 from motor_env.fleet.initial_fit import Reading
-from motor_env.fleet.population import Core, Motors, learn_core
-from motor_env.fleet.unit import Place, places_of
+from motor_env.fleet.population import HealthyPopulation, Motors, learn_population
+from motor_env.fleet.unit import UnitId, unit_ids
 from motor_env.motor import identifiable
 from motor_env.motor.data_sheet import Motor, Tolerance
 from motor_env.motor.faults import motor_kinds
 from motor_env.motor.healthy import Fleet, Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 
-FEWEST_SISTERS = 5
-BELIEVED = Tolerance(
+FEWEST_UNITS = 5
+PRIOR_SPREAD = Tolerance(
     supply=0.01,
     resistance=0.075,
     inductance=0.10,
@@ -43,7 +43,9 @@ docs/fleet.md). One that is too small costs false alarms in small fleets, one th
 _MANY = 500
 _GAINS = ("voltage", "current", "speed")
 _NONE = 1e-6
-_LOST = 0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
+_LEAST_PROBABILITY = (
+    0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
+)
 
 
 @dataclass(frozen=True)
@@ -52,16 +54,16 @@ class LearnedFleet:
 
     Attributes:
         fits: of its records.
-        every: all files with their motors, those that no motor explains too.
+        unit_of: motor of each file, those that no motor explains too.
     """
 
     fits: FleetFits
-    every: dict[Path, Place]
+    unit_of: dict[Path, UnitId]
 
     @cached_property
-    def motors(self) -> list[Place]:
+    def motors(self) -> list[UnitId]:
         """Whose records were fitted."""
-        return list(dict.fromkeys(self.every[path] for path in self.fits.seconds))
+        return list(dict.fromkeys(self.unit_of[path] for path in self.fits.by_file))
 
     @property
     def positions(self) -> list[str]:
@@ -71,33 +73,34 @@ class LearnedFleet:
     @cached_property
     def records(self) -> Motors:
         """What the records tell."""
-        exponents, seconds = identifiable.matrix(self.fits.quantities), self.fits.seconds
+        exponents, by_file = identifiable.matrix(self.fits.quantities), self.fits.by_file
         return Motors(
-            np.array([one.log_values for one in seconds.values()]),
-            np.array([one.log_covariance for one in seconds.values()]),
-            np.array([self.motors.index(self.every[path]) for path in seconds]),
+            np.array([one.log_values for one in by_file.values()]),
+            np.array([one.log_covariance for one in by_file.values()]),
+            np.array([self.motors.index(self.unit_of[path]) for path in by_file]),
             np.array([self.positions.index(motor.motor) for motor in self.motors]),
-            exponents @ identifiable.tolerance_covariance(BELIEVED) @ exponents.T + _least(exponents),
+            exponents @ identifiable.tolerance_covariance(PRIOR_SPREAD) @ exponents.T
+            + _regulariser(exponents),
             np.eye(len(exponents)) * START_SPREAD**2,
             directions_of(exponents),
         )
 
     @cached_property
-    def core(self) -> Core:
+    def core(self) -> HealthyPopulation:
         """The healthy core of all motors."""
-        return learn_core(self.records)
+        return learn_population(self.records)
 
-    def core_without(self, machine: str) -> Core:
+    def core_without(self, machine: str) -> HealthyPopulation:
         """The core of all other machines."""
         if len({motor.machine for motor in self.motors}) > _MANY:
             return self.core  # one machine of so many moves nothing
         kept = np.array([motor.machine != machine for motor in self.motors])
-        others = self.records.only(kept)
+        others = self.records.subset(kept)
         if len(np.unique(others.position)) < len(self.positions):
             raise InputError(f"no other machine than {machine} has a motor in the same place")
-        return learn_core(others, begin=self.core)
+        return learn_population(others, begin=self.core)
 
-    def motor(self, name: str, core: Core | None = None, position: str | None = None) -> Motor:
+    def motor(self, name: str, core: HealthyPopulation | None = None, position: str | None = None) -> Motor:
         """The healthy motor, as motor files hold it.
 
         Args:
@@ -109,11 +112,11 @@ class LearnedFleet:
         if self.fits.windows is not None:
             volts = (self.fits.windows.peaks or (None,))[0]
             return replace(motor_of_windows(healthy, name), nominal_voltage_v=volts)
-        return to_motor(self._good, name, healthy=healthy)
+        return to_motor(self._healthy_starts, name, healthy=healthy)
 
-    def _healthy(self, core: Core, position: str | None = None) -> Healthy:
+    def _healthy(self, core: HealthyPopulation, position: str | None = None) -> Healthy:
         """What a core teaches of another motor."""
-        centre, covariance = self._next(core, position)
+        centre, covariance = self._predictive(core, position)
         count = len(core.probability)
         return Healthy(
             count,
@@ -123,17 +126,17 @@ class LearnedFleet:
             covariance,
             0.0,
             windows=None if self.fits.windows is None else at_centre(self.fits.windows, centre),
-            starts=None if self.fits.windows is not None else learn_starts(self._good).starts,
+            starts=None if self.fits.windows is not None else learn_starts(self._healthy_starts).starts,
             fleet=Fleet(count, core.within),
         )
 
     @cached_property
-    def _good(self) -> list[Identified]:
+    def _healthy_starts(self) -> list[Identified]:
         """Starts of motors that seem healthy."""
-        seen = zip(self.fits.seconds.values(), self.core.probability[self.records.motor], strict=True)
-        return [one for one, sure in seen if isinstance(one, Identified) and sure > _LOST]
+        seen = zip(self.fits.by_file.values(), self.core.probability[self.records.motor], strict=True)
+        return [one for one, sure in seen if isinstance(one, Identified) and sure > _LEAST_PROBABILITY]
 
-    def _next(self, core: Core, position: str | None) -> tuple[FloatArray, FloatArray]:
+    def _predictive(self, core: HealthyPopulation, position: str | None) -> tuple[FloatArray, FloatArray]:
         """Centre and covariance of another healthy motor's record."""
         if position is not None:
             at = self.positions.index(position)
@@ -145,15 +148,15 @@ class LearnedFleet:
     def text(self, rate: float) -> str:
         """What was learned, with the interval of the next healthy motor."""
         one = self._healthy(self.core)
-        sick = int(np.sum(self.core.probability < _LOST))
+        sick = int(np.sum(self.core.probability < _LEAST_PROBABILITY))
         seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
         lines = [
-            f"{len(self.motors)} motors with {len(self.fits.seconds)} records; {sick} of them {seem} nothing",
+            f"{len(self.motors)} motors with {len(self.fits.by_file)} records; {sick} of them {seem} nothing",
             f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t, {one.degrees_of_freedom:.0f} degrees)",
             *interval_lines(intervals(one, one.log_covariance, rate)),
             *self._positions(),
             *self.fits.read,
-            *(f"  not used: {path} ({reason})" for path, reason in self.fits.troubles.items()),
+            *(f"  not used: {path} ({reason})" for path, reason in self.fits.failures.items()),
         ]
         return "\n".join(lines)
 
@@ -183,7 +186,7 @@ def directions_of(exponents: FloatArray) -> FloatArray:
     return np.array([one for one in (*gains, *faults) if np.linalg.norm(one) > _NONE])
 
 
-def _least(exponents: FloatArray) -> FloatArray:
+def _regulariser(exponents: FloatArray) -> FloatArray:
     """So that the covariance of quantities which share their parameters has an inverse."""
     return np.eye(len(exponents)) * 1e-4**2
 
@@ -210,7 +213,7 @@ def learn_fleet(
 
     Args:
         files: recordings; each of another motor, unless names tell otherwise.
-        group: regular expression that reads machine, motor and repeat from a file's name, see `places_of`.
+        group: regular expression that reads machine, motor and repeat from a file's name, see `unit_ids`.
         reading: how the files are read.
         each: what maps over files, see `motor_env.fleet.fits.processes`.
         kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
@@ -222,10 +225,10 @@ def learn_fleet(
     files = [Path(path) for path in files]
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a record of the fleet is given twice: it would count as two motors")
-    every = dict(zip(files, places_of(files, group), strict=True))
+    every = dict(zip(files, unit_ids(files, group), strict=True))
     fits = fit_fleet(files, reading or Reading(), each=each, kept=kept, progress=progress)
     learned = LearnedFleet(fits, every)
     count = len(learned.motors)
-    if count < FEWEST_SISTERS:
-        raise InputError(f"a fleet needs at least {FEWEST_SISTERS} motors that can be fitted, got {count}")
+    if count < FEWEST_UNITS:
+        raise InputError(f"a fleet needs at least {FEWEST_UNITS} motors that can be fitted, got {count}")
     return learned

@@ -21,12 +21,12 @@ from motor_env.diagnosis.learning import PRIOR_WEIGHT
 from motor_env.motor.parameters import FloatArray
 
 _SICK_SPREAD = 10.0  # of a sick motor, over what is believed of healthy ones
-_TIGHTEST = 0.75  # of the motors, from which the core grows
+_INITIAL_SHARE = 0.75  # of the motors, from which the core grows
 _STEPS = 20
 _SICK, _SICK_OF = 1.0, 10.0  # prior: one motor in ten
 _MAD = 1.4826  # of a normal distribution
 _MOST_WITHIN = 0.8  # of the variance of another motor's record
-_ROUNDS, _SETTLED = 200, 1e-6
+_ROUNDS, _CONVERGED = 200, 1e-6
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Motors:
         along = [size * np.outer(axis, axis) for size, axis in zip(sizes.tolist(), axes, strict=True)]
         return [*along, _SICK_SPREAD**2 * np.diag(self.between.diagonal())]
 
-    def only(self, kept: NDArray[np.bool_]) -> Motors:
+    def subset(self, kept: NDArray[np.bool_]) -> Motors:
         """Those motors alone, `kept` of shape (n_motors,)."""
         records = kept[self.motor]
         number = np.cumsum(kept) - 1
@@ -73,21 +73,23 @@ class Motors:
             position=self.position[kept],
         )
 
-    def spread_of_records(self) -> FloatArray:
+    def within_covariance(self) -> FloatArray:
         """Covariance from record to record of one motor, by those that are repeated, shape (p, p).
 
         The median of their deviations counts: a record may be wrong, and few motors are repeated.
         """
-        off, told = [], 0
+        residual, freedom_of_records = [], 0
         for motor in np.flatnonzero(np.bincount(self.motor) > 1):
             own = self.logs[self.motor == motor]
-            off.append((own - own.mean(axis=0)) * math.sqrt(len(own) / (len(own) - 1.0)))
-            told += len(own) - 1
-        if not off:
+            residual.append((own - own.mean(axis=0)) * math.sqrt(len(own) / (len(own) - 1.0)))
+            freedom_of_records += len(own) - 1
+        if not residual:
             return self.within
         error = np.median(self.errors.diagonal(axis1=1, axis2=2), axis=0)
-        seen = np.maximum(np.square(_MAD * np.median(np.abs(np.concatenate(off)), axis=0)) - error, 0.0)
-        return (told * np.diag(seen) + PRIOR_WEIGHT * self.within) / (told + PRIOR_WEIGHT)
+        seen = np.maximum(np.square(_MAD * np.median(np.abs(np.concatenate(residual)), axis=0)) - error, 0.0)
+        return (freedom_of_records * np.diag(seen) + PRIOR_WEIGHT * self.within) / (
+            freedom_of_records + PRIOR_WEIGHT
+        )
 
     def means(self, within: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Each motor's own logarithms and their covariance, shapes (n_motors, p) and (n_motors, p, p).
@@ -106,7 +108,7 @@ class Motors:
 
 
 @dataclass(frozen=True, slots=True)
-class Core:
+class HealthyPopulation:
     """The healthy core of a population.
 
     Attributes:
@@ -131,7 +133,7 @@ class Core:
         return found
 
 
-def learn_core(motors: Motors, begin: Core | None = None) -> Core:
+def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> HealthyPopulation:
     """Find the healthy core of some motors.
 
     Records are taken by themselves, those of one motor together as one: their spread is that of another motor's
@@ -145,27 +147,30 @@ def learn_core(motors: Motors, begin: Core | None = None) -> Core:
     share = 1.0 / repeats[motors.motor]
     if begin is None:
         # Few healthy motors have a tight half by chance; of many with sick ones among them the tight one is likelier.
-        ends = [_settled(first, motors, share) for first in (_tightest(motors), _tightest(motors, 1.0))]
+        ends = [
+            _run_em(first, motors, share)
+            for first in (_initial_population(motors), _initial_population(motors, 1.0))
+        ]
         core, _ = max(ends, key=lambda end: end[1])
     else:
         at_once = replace(begin, between=begin.between + begin.within, probability=np.ones(len(motors.logs)))
-        core, _ = _settled(at_once, motors, share)
-    total, of_records = core.between, motors.spread_of_records()
+        core, _ = _run_em(at_once, motors, share)
+    total, of_records = core.between, motors.within_covariance()
     within = np.diag(np.minimum(of_records.diagonal(), _MOST_WITHIN * total.diagonal()))
     return replace(
         core,
-        between=at_least(total - within, (1.0 - _MOST_WITHIN) * total),
+        between=floor_covariance(total - within, (1.0 - _MOST_WITHIN) * total),
         within=within,
         probability=np.bincount(motors.motor, core.probability) / repeats,
     )
 
 
-def _settled(core: Core, motors: Motors, share: FloatArray) -> tuple[Core, float]:
+def _run_em(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
     """Where the rounds end, and the logarithm of its posterior probability."""
     for _ in range(_ROUNDS):
-        before, (core, likelihood) = core, _updated(core, motors, share)
+        before, (core, likelihood) = core, _em_round(core, motors, share)
         moved = max(np.abs(core.centres - before.centres).max(), np.abs(core.between - before.between).max())
-        if moved < _SETTLED:
+        if moved < _CONVERGED:
             break
     log_size = float(np.linalg.slogdet(core.between)[1])
     believed = (
@@ -174,7 +179,7 @@ def _settled(core: Core, motors: Motors, share: FloatArray) -> tuple[Core, float
     return core, likelihood + believed
 
 
-def _tightest(motors: Motors, part: float = _TIGHTEST) -> Core:
+def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> HealthyPopulation:
     """Where to begin: at a part of the records that lies closest together (Rousseeuw & Van Driessen 1999).
 
     The spread of these is less than that of all of a normal distribution, by a known factor.
@@ -187,11 +192,11 @@ def _tightest(motors: Motors, part: float = _TIGHTEST) -> Core:
     error = np.median(errors.diagonal(axis1=1, axis2=2), axis=0)
     healthy = np.ones(count)
     centres = np.stack([np.median(logs[position == n], axis=0) for n in range(places)])
-    off = logs - centres[position]
-    scatter = np.square(_MAD * np.median(np.abs(off), axis=0)) - error
+    residual = logs - centres[position]
+    scatter = np.square(_MAD * np.median(np.abs(residual), axis=0)) - error
     between = np.diag(np.maximum(scatter, motors.between.diagonal() / PRIOR_WEIGHT))
     for _ in range(_STEPS):
-        distance = np.einsum("np,npq,nq->n", off, np.linalg.inv(between + errors), off)
+        distance = np.einsum("np,npq,nq->n", residual, np.linalg.inv(between + errors), residual)
         before, healthy = healthy, np.zeros(count)
         healthy[np.argsort(distance, kind="stable")[:kept]] = 1.0
         if np.array_equal(before, healthy):
@@ -200,17 +205,17 @@ def _tightest(motors: Motors, part: float = _TIGHTEST) -> Core:
         centres = np.stack(
             [logs[one].mean(axis=0) if one.any() else centres[n] for n, one in enumerate(some)]
         )
-        off = logs - centres[position]
-        inside = off[healthy > 0.0]
+        residual = logs - centres[position]
+        inside = residual[healthy > 0.0]
         scatter = factor * (inside.T @ inside) - kept * np.diag(error)
-        between = at_least(
+        between = floor_covariance(
             (scatter + PRIOR_WEIGHT * motors.between) / (kept + PRIOR_WEIGHT), motors.between / count
         )
     zeros = np.zeros((places, p, p))
-    return Core(centres, zeros, between, motors.within, PRIOR_WEIGHT, healthy)
+    return HealthyPopulation(centres, zeros, between, motors.within, PRIOR_WEIGHT, healthy)
 
 
-def at_least(covariance: FloatArray, least: FloatArray) -> FloatArray:
+def floor_covariance(covariance: FloatArray, least: FloatArray) -> FloatArray:
     """A covariance that is at least another one in each direction (of an estimate that may be negative)."""
     root = np.linalg.cholesky(least)
     inverse = np.linalg.inv(root)
@@ -219,29 +224,29 @@ def at_least(covariance: FloatArray, least: FloatArray) -> FloatArray:
     return found
 
 
-def _log_density(off: FloatArray, covariance: FloatArray) -> FloatArray:
+def _log_density(residual: FloatArray, covariance: FloatArray) -> FloatArray:
     """Logarithms of normal densities without their constant; shapes (n, p) and (n, p, p)."""
     root = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(root, off[..., None])[..., 0]
+    white = np.linalg.solve(root, residual[..., None])[..., 0]
     size = np.log(root.diagonal(axis1=-2, axis2=-1)).sum(axis=-1)
     found: FloatArray = -0.5 * np.square(white).sum(axis=-1) - size
     return found
 
 
-def _updated(core: Core, motors: Motors, share: FloatArray) -> tuple[Core, float]:
+def _em_round(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
     """One round: probabilities, centres, and the spread; and the log likelihood before it.
 
     Each record counts by its share of its motor, shape (n_records,).
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
-    off, spread = logs - core.centres[position], core.between + errors
-    well = _log_density(off, spread)
-    every = [_log_density(off, spread + way) for way in motors.sick]
-    ill = np.logaddexp.reduce(every, axis=0) - math.log(len(every))
+    residual, spread = logs - core.centres[position], core.between + errors
+    log_healthy = _log_density(residual, spread)
+    every = [_log_density(residual, spread + way) for way in motors.sick]
+    log_sick = np.logaddexp.reduce(every, axis=0) - math.log(len(every))
     sick = (_SICK + float(share @ (1.0 - core.probability))) / (_SICK_OF + float(share.sum()))
-    healthy = 1.0 / (1.0 + sick / (1.0 - sick) * np.exp(np.clip(ill - well, -500.0, 500.0)))
+    healthy = 1.0 / (1.0 + sick / (1.0 - sick) * np.exp(np.clip(log_sick - log_healthy, -500.0, 500.0)))
     counts = share * healthy
-    likelihood = float(share @ np.logaddexp(well + math.log1p(-sick), ill + math.log(sick)))
+    likelihood = float(share @ np.logaddexp(log_healthy + math.log1p(-sick), log_sick + math.log(sick)))
     weights = np.linalg.inv(spread) * counts[:, None, None]
     centres, covariances = [], []
     for n in range(len(core.centres)):
@@ -249,9 +254,9 @@ def _updated(core: Core, motors: Motors, share: FloatArray) -> tuple[Core, float
         covariance = np.linalg.inv(weights[here].sum(axis=0))
         centres.append(covariance @ np.einsum("npq,nq->p", weights[here], logs[here]))
         covariances.append(covariance)
-    off = logs - np.stack(centres)[position]
+    residual = logs - np.stack(centres)[position]
     gain = core.between @ np.linalg.inv(spread)
-    own = np.einsum("npq,nq->np", gain, off)
+    own = np.einsum("npq,nq->np", gain, residual)
     left = core.between - gain @ core.between
     scatter = np.einsum("n,npq->pq", counts, own[:, :, None] * own[:, None, :] + left)
     freedom = max(float(counts.sum()) - len(centres), 0.0) + PRIOR_WEIGHT

@@ -19,7 +19,7 @@ from motor_env.motor import identifiable
 _GROUPS = ("machine", "motor", "repeat")
 
 
-class Place(NamedTuple):
+class UnitId(NamedTuple):
     """Machine, motor and repeat whose record a file is.
 
     Attributes:
@@ -36,7 +36,7 @@ class Place(NamedTuple):
         return f"{self.machine} {self.motor}".strip()
 
 
-def places_of(files: Sequence[Path], group: str | None) -> list[Place]:
+def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
     """Machine and motor of each file.
 
     Args:
@@ -48,7 +48,7 @@ def places_of(files: Sequence[Path], group: str | None) -> list[Place]:
         InputError: no regular expression, one without these groups, or a name that it does not match.
     """
     if group is None:
-        return [Place(path.stem) for path in files]
+        return [UnitId(path.stem) for path in files]
     try:
         pattern = re.compile(group)
     except re.error as error:
@@ -66,7 +66,7 @@ def places_of(files: Sequence[Path], group: str | None) -> list[Place]:
         parts = match.groupdict(default="")
         # Motors without machines are machines of one motor each.
         machine = parts.get("machine") or parts.get("motor", "")
-        found.append(Place(machine, parts.get("motor", "") if "machine" in known else ""))
+        found.append(UnitId(machine, parts.get("motor", "") if "machine" in known else ""))
     return found
 
 
@@ -76,45 +76,47 @@ _ALONE = re.compile(",? and nothing else moved")
 
 
 @dataclass(frozen=True, slots=True)
-class Sister:
+class FleetUnit:
     """A motor of the fleet, judged by the others.
 
     Attributes:
-        place: machine and motor.
+        unit_id: machine and motor.
         records: diagnosis of each of its files.
         quantities: that the fleet's records tell.
-        apart: how far it lies from the core of its sisters, as healthy motors scatter; None where no fit tells.
-        together: what all motors of its machine show together; empty for nothing.
+        difference: from the healthy population of the other motors; None without a fit.
+        common_cause: what all motors of its machine show together; empty for nothing.
     """
 
-    place: Place
+    unit_id: UnitId
     records: dict[Path, Diagnosis]
     quantities: tuple[str, ...]
-    apart: Difference | None = None
-    together: str = ""
+    difference: Difference | None = None
+    common_cause: str = ""
 
     @property
     def ratios(self) -> dict[str, float]:
         """Its quantities over those of a healthy sister; none where no fit tells."""
-        if self.apart is None:
+        if self.difference is None:
             return {}
-        return dict(zip(self.quantities, np.exp(self.apart.log_ratios).tolist(), strict=True))
+        return dict(zip(self.quantities, np.exp(self.difference.log_ratios).tolist(), strict=True))
 
     @property
-    def off(self) -> dict[str, float]:
+    def deviations(self) -> dict[str, float]:
         """How far each lies from the core, in standard deviations of another healthy motor."""
-        if self.apart is None:
+        if self.difference is None:
             return {}
-        sd = np.sqrt(np.diag(self.apart.covariance))
-        return dict(zip(self.quantities, (self.apart.log_ratios / sd).tolist(), strict=True))
+        sd = np.sqrt(np.diag(self.difference.covariance))
+        return dict(zip(self.quantities, (self.difference.log_ratios / sd).tolist(), strict=True))
 
     @property
     def p_value(self) -> float | None:
         """Share of healthy sisters that are as odd (Hotelling)."""
-        if self.apart is None:
+        if self.difference is None:
             return None
-        off = self.apart.log_ratios
-        return self.apart.p_value(float(off @ np.linalg.solve(self.apart.covariance, off)), len(off))
+        deviations = self.difference.log_ratios
+        return self.difference.p_value(
+            float(deviations @ np.linalg.solve(self.difference.covariance, deviations)), len(deviations)
+        )
 
     @property
     def telling(self) -> Diagnosis:
@@ -137,16 +139,16 @@ class Sister:
 
     @property
     def _far(self) -> list[str]:
-        off = self.off
-        far = sorted(off, key=lambda name: -abs(off[name]))[:_MOST_ODD]
-        return [name for name in far if abs(off[name]) > _CLEAR]
+        deviations = self.deviations
+        far = sorted(deviations, key=lambda name: -abs(deviations[name]))[:_MOST_ODD]
+        return [name for name in far if abs(deviations[name]) > _CLEAR]
 
     def to_json(self) -> dict[str, Any]:
         """One object for programs."""
         one = self.telling
         return {
-            "motor": self.place.name,
-            "machine": self.place.machine,
+            "motor": self.unit_id.name,
+            "machine": self.unit_id.machine,
             "files": [str(path) for path in self.records],
             "verdict": str(one.verdict),
             "kind": None if one.kind is None else str(one.kind),
@@ -155,9 +157,9 @@ class Sister:
             "confidence": one.confidence,
             "p_value": self.p_value,
             "ratios": self.ratios,
-            "standard_deviations": self.off,
+            "standard_deviations": self.deviations,
             "reasons": list(one.reasons),
-            "together": self.together or None,
+            "together": self.common_cause or None,
         }
 
     @property
@@ -169,12 +171,14 @@ class Sister:
     @property
     def why(self) -> str:
         """The first reason of a verdict that is not healthy, and what the machine's motors show together."""
-        own = "" if self.verdict is Verdict.HEALTHY else self._own
-        both = f"all motors of {self.place.machine} together: {self.together}" if self.together else ""
+        own = "" if self.verdict is Verdict.HEALTHY else self._reason
+        both = (
+            f"all motors of {self.unit_id.machine} together: {self.common_cause}" if self.common_cause else ""
+        )
         return "; ".join(filter(None, (own, both)))
 
     @property
-    def _own(self) -> str:
+    def _reason(self) -> str:
         """The verdict's first reason; where the table names other quantities beside those of the fault, it says so."""
         reason, kind, far = self.telling.reasons[0], self.telling.telling.fault_kind, self._far
         if kind is None or not far:

@@ -1,4 +1,4 @@
-r"""Wear over many starts: trend, remaining life, simulated runs to failure.
+r"""Judge how a motor's quantities move over many starts: trend, and remaining life until a limit.
 
 Example:
     >>> from pathlib import Path

@@ -1,13 +1,13 @@
-"""Wear as a Wiener process with drift on a clock of its own; the time until it first reaches a limit.
+"""Wear as a Wiener process with drift on a time scale of its own; the time until it first reaches a limit.
 
     x(t) = x0                                      before the onset
-    dx   = drift dc + diffusion dW(c)              after it, c the clock (Whitmore 1995; Si, Wang, Hu & Zhou 2011)
+    dx   = drift dc + diffusion dW(c)              after it, c the time scale (Whitmore 1995; Si, Wang, Hu & Zhou 2011)
     y_i  = x(t_i) + e_i,  var e_i = se_i^2 + scatter^2
 
-docs/trend.md has the clocks, the priors and what follows. For a given clock, onset, diffusion and scatter a Kalman
-filter of [level, drift] gives both and the likelihood exactly. These four are summed over a grid. The first passage is
-inverse Gaussian in the clock, in closed form for a Gaussian drift (Whitmore & Schenkelberg 1997). The level is
-integrated by quadrature. A drift may lead away from the limit: then it may never be reached.
+docs/trend.md has the time scales and the priors. Given time scale, onset, diffusion and scatter, a Kalman filter of
+[level, drift] is exact; these four are summed over a grid. The first passage is inverse Gaussian in the time scale, in
+closed form for a Gaussian drift (Whitmore & Schenkelberg 1997). The level is integrated by quadrature. A drift may lead
+away from the limit: then it may never be reached.
 """
 
 from __future__ import annotations
@@ -18,45 +18,40 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import erfcx, log_softmax, ndtr, softmax
+from scipy.special import erfcx, expit, log_softmax, logsumexp, ndtr, softmax
 
 from motor_env.motor.parameters import FloatArray, require
 
 _DIFFUSIONS = np.geomspace(0.01, 2.0, 9)  # in units of distance to the limit / sqrt(time observed)
 _DIFFUSION_SCALE = 0.25  # above it the prior, even in the logarithm, falls
 _DRIFT_SCALE = 0.7  # prior standard deviation of the drift, in distances to the limit / time since the onset
-SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])
-"""Scatter from start to start beyond the standard errors, in units of the typical one."""
-LOG_SCATTER: FloatArray = log_softmax(-np.log1p(SCATTERS**2))
-"""Log prior of each of these: half-Cauchy."""
+_SCATTERS = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)])  # beyond the standard errors, in typical ones
 _MOST_ONSETS = 20
 _PRIOR_STEADY = 0.5
 _PRIOR_FIRST = 0.5  # that wear began before the first estimate
-_LAWS = {  # exponent and growth of the clock; the laws are equally likely, and so are the shapes of each
+_LAWS = {  # exponent and growth of the time scale; the laws are equally likely, and so are the shapes of each
     "linear": ((1.0, 0.0),),
     "power": ((0.5, 0.0), (1.5, 0.0), (2.0, 0.0), (3.0, 0.0)),
     "exponential": ((1.0, 1.5), (1.0, 2.5), (1.0, 4.0), (1.0, 6.0)),
     "chance": (),  # diffusion alone, from the first estimate on: no trend
 }
-NO_GROWTH = 1e-6
-"""Growth of a clock that is a power."""
-PRIOR_LAW = (1.0 - _PRIOR_STEADY) / len(_LAWS)
-"""Prior probability of each law."""
+_NO_GROWTH = 1e-6  # growth of a time scale that is a power
+_PRIOR_LAW = (1.0 - _PRIOR_STEADY) / len(_LAWS)
 
 
-def clock(elapsed: FloatArray, exponent: FloatArray, growth: FloatArray) -> FloatArray:
-    """What the wear's own clock shows; it runs from 0 at the onset to 1 at the last estimate, as `elapsed` does."""
-    rate = np.maximum(growth, NO_GROWTH)  # the limit of no growth is the power itself
+def time_scale(elapsed: FloatArray, exponent: FloatArray, growth: FloatArray) -> FloatArray:
+    """Compute a law's time scale; it runs from 0 at the onset to 1 at the last estimate, as `elapsed` does."""
+    rate = np.maximum(growth, _NO_GROWTH)  # the limit of no growth is the power itself
     return np.asarray(np.expm1(np.minimum(rate * elapsed**exponent, 300.0)) / np.expm1(rate))
 
 
 class Grid(NamedTuple):
-    """Hypotheses: c clocks times s sizes of diffusion and scatter.
+    """Hypotheses: c time scales times s sizes of diffusion and scatter.
 
-    The last two clocks have no drift: chance alone, and a steady motor, whose clock stands still.
+    The last two time scales have no drift: chance alone, and a steady motor, whose time scale stands still.
 
     Attributes:
-        elapsed: what each clock shows at each estimate, in units of its span, shape (n, c).
+        elapsed: what each time scale shows at each estimate, in units of its span, shape (n, c).
         span: shape (c, 1).
         exponent: shape (c, 1).
         growth: shape (c, 1).
@@ -77,7 +72,7 @@ class Grid(NamedTuple):
 
 
 def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid:
-    """All combinations of clock, onset, diffusion and scatter, and their log priors.
+    """All combinations of time scale, onset, diffusion and scatter, and their log priors.
 
     Onsets after the first estimate are equally likely; the drift is Gaussian about 0; the diffusion is even in the
     logarithm up to its scale; the scatter is half-Cauchy (Gelman 2006).
@@ -88,12 +83,12 @@ def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid
     exponent, growth, prior = np.repeat(np.array(shapes), len(onsets), axis=0).T
     span = times[-1] - np.tile(times[onsets], len(shapes))
     share = np.maximum(times[:, None] - (times[-1] - span), 0.0) / span
-    shown = span * clock(share, exponent, growth)
+    shown = span * time_scale(share, exponent, growth)
     first = np.tile(onsets == 0, len(shapes))
     prior = prior * np.where(first, _PRIOR_FIRST, (1.0 - _PRIOR_FIRST) / max(len(onsets) - 1, 1))
     log_diffusion = log_softmax(-np.log1p((_DIFFUSIONS / _DIFFUSION_SCALE) ** 2))
-    log_sizes = np.add.outer(log_diffusion, LOG_SCATTER).ravel()
-    diffusion, scatter = np.reshape(np.meshgrid(_DIFFUSIONS, SCATTERS, indexing="ij"), (2, -1))
+    log_sizes = np.add.outer(log_diffusion, log_softmax(-np.log1p(_SCATTERS**2))).ravel()
+    diffusion, scatter = np.reshape(np.meshgrid(_DIFFUSIONS, _SCATTERS, indexing="ij"), (2, -1))
     alone = (times - times[0])[:, None]
     return Grid(
         np.hstack([shown, alone, np.zeros_like(alone)]),
@@ -103,11 +98,11 @@ def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid
         np.append(_DRIFT_SCALE * distance / span, [0.0, 0.0])[:, None],
         diffusion * distance / math.sqrt(times[-1] - times[0]),
         scatter * typical_error,
-        np.log(np.append(prior * PRIOR_LAW, [PRIOR_LAW, _PRIOR_STEADY]))[:, None] + log_sizes,
+        np.log(np.append(prior * _PRIOR_LAW, [_PRIOR_LAW, _PRIOR_STEADY]))[:, None] + log_sizes,
     )
 
 
-def filtered(
+def run_filters(
     estimate: FloatArray, variance: FloatArray, grid: Grid, level_std: float
 ) -> tuple[FloatArray, FloatArray]:
     """Kalman filter of [level, drift] for every hypothesis.
@@ -197,14 +192,14 @@ class Degradation:
     """What the estimates tell about the wear, as a weighted grid of Gaussians; the upward direction is to the limit.
 
     Attributes:
-        weights: posterior probability of each grid point, given a drift by a clock, shape (n,).
+        weights: posterior probability of each grid point, given a drift by a time scale, shape (n,).
         span: time from the onset to the last estimate, shape (n,).
-        exponent: of the clock, shape (n,).
-        growth: of the clock, over `span`; 0 for a power, shape (n,).
-        diffusion: a root unit of the clock, shape (n,).
+        exponent: of the time scale, shape (n,).
+        growth: of the time scale, over `span`; 0 for a power, shape (n,).
+        diffusion: a root unit of the time scale, shape (n,).
         scatter: start-to-start scatter beyond the standard errors, shape (n,).
         level: posterior mean of the level at the last estimate, shape (n,).
-        drift: posterior mean of the drift, a unit of the clock, shape (n,).
+        drift: posterior mean of the drift, a unit of the time scale, shape (n,).
         covariance: of [level, drift], shape (n, 2, 2).
         limit: the limit.
         sign: +1 for a limit above, -1 for one below; levels and drifts are multiplied by it.
@@ -229,7 +224,7 @@ class Degradation:
     @property
     def mean_drift(self) -> float:
         """Posterior mean of the drift at the last estimate, in the units of the estimates a unit of time."""
-        rate = np.maximum(self.growth, NO_GROWTH)
+        rate = np.maximum(self.growth, _NO_GROWTH)
         return self.sign * float(self.weights @ (self.drift * self.exponent * rate / -np.expm1(-rate)))
 
     @property
@@ -237,10 +232,10 @@ class Degradation:
         """Posterior mean of the level at the last estimate."""
         return float(self.forecast(0.0)[0])
 
-    def _clock_ahead(self, times: FloatArray) -> FloatArray:
-        """By how much each clock moves, in units of `span`, within times after the last estimate, shape (..., n)."""
+    def _scale_ahead(self, times: FloatArray) -> FloatArray:
+        """Compute how far time scales move in times after the last estimate, in units of `span`, shape (..., n)."""
         ahead = 1.0 + times[..., None] / self.span
-        return self.span * (clock(ahead, self.exponent, self.growth) - 1.0)
+        return self.span * (time_scale(ahead, self.exponent, self.growth) - 1.0)
 
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
         """Distance, drift given the level, its variance, diffusion, weight and grid point of every quadrature node.
@@ -275,7 +270,7 @@ class Degradation:
     def passage(self, life: FloatArray) -> FloatArray:
         """Probability that the limit is reached within each of some times after the last estimate."""
         *normal, weights, place = self._nodes()
-        ahead = np.clip(self._clock_ahead(life), 1e-9 * life[-1], 1e50)[..., place]
+        ahead = np.clip(self._scale_ahead(life), 1e-9 * life[-1], 1e50)[..., place]
         return np.asarray(first_passage_cdf(ahead, *normal) @ weights)
 
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
@@ -291,7 +286,7 @@ class Degradation:
     def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of the level at times after the last estimate, each the shape of `ahead`."""
         times = np.asarray(ahead, dtype=np.float64)
-        moved = self._clock_ahead(times)
+        moved = self._scale_ahead(times)
         mean = self.level + self.drift * moved
         spread = (
             self.covariance[:, 0, 0]
@@ -303,7 +298,7 @@ class Degradation:
         return self.sign * centre, np.sqrt(np.maximum(square - centre**2, 0.0))
 
 
-def degradation(
+def fit_degradation(
     time: FloatArray,
     estimate: FloatArray,
     standard_error: FloatArray,
@@ -340,22 +335,22 @@ def degradation(
     errors = np.maximum(standard_error, _LEAST_ERROR * typical)
     level_std, seen = 10.0 * (distance + width), towards * estimate
     grid = hypotheses(time, typical, distance)
-    log_likelihood, moments = filtered(seen, errors**2, grid, level_std)
-    weight = softmax(log_likelihood + grid.log_prior)[:-2].ravel()
-    wears = float(weight.sum())
-    weight /= wears
+    log_likelihood, moments = run_filters(seen, errors**2, grid, level_std)
+    log_weight = log_likelihood + grid.log_prior
+    wears = float(expit(logsumexp(log_weight[:-2]) - logsumexp(log_weight[-2:])))
+    weight = softmax(log_weight[:-2].ravel())
     # The fewest hypotheses that hold all but a negligible part of the weight.
     order = np.argsort(weight)[::-1]
     kept = order[: int(np.searchsorted(np.cumsum(weight[order]), 1.0 - _NEGLIGIBLE)) + 1]
     weights = weight[kept] / weight[kept].sum()
-    clocks, sizes = np.divmod(kept, len(grid.scatter))
+    scales, sizes = np.divmod(kept, len(grid.scatter))
     level, drift, p00, p01, p11 = moments.reshape(5, -1)[:, kept]
     scatter = grid.scatter[sizes]
     return Degradation(
         weights=weights,
-        span=grid.span[clocks, 0],
-        exponent=grid.exponent[clocks, 0],
-        growth=grid.growth[clocks, 0],
+        span=grid.span[scales, 0],
+        exponent=grid.exponent[scales, 0],
+        growth=grid.growth[scales, 0],
         diffusion=grid.diffusion[sizes],
         scatter=scatter,
         level=level,

@@ -54,7 +54,7 @@ def _is_table(path: Path) -> bool:
     return "current" not in head
 
 
-def _readable(
+def _read_recordings(
     paths: Sequence[Path],
     columns: Sequence[ColumnChoice],
     date: Literal["name", "modified"],
@@ -80,7 +80,7 @@ def _readable(
     return recordings
 
 
-def _fitted(
+def _fit_recordings(
     recordings: Sequence[tuple[float, Recording]],
     voltage_v: float | None,
     notes: list[str],
@@ -137,7 +137,7 @@ class Trends:
                 "estimates": len(trend.series.time),
                 "time_unit": trend.series.unit,
                 "first_date": None if trend.series.start is None else trend.series.start.isoformat(),
-                "limits": [_of_limit(trend, forecast) for forecast in trend.forecasts],
+                "limits": [_limit_json(trend, forecast) for forecast in trend.forecasts],
             }
             for trend in self.trends
         ]
@@ -152,11 +152,13 @@ class Trends:
 
     def page(self) -> str:
         """A self-contained HTML page with a picture a quantity, those that reach or trend to a limit first."""
-        rows = [_row(trend) for trend in sorted(self.trends, key=lambda one: list(_STATES).index(one.state))]
+        rows = [
+            _page_row(trend) for trend in sorted(self.trends, key=lambda one: list(_STATES).index(one.state))
+        ]
         return render("motor_env.prognosis", "trend.html.j2", title="Trends", rows=rows, notes=self.notes)
 
 
-def _of_limit(trend: Trend, forecast: Forecast) -> dict[str, Any]:
+def _limit_json(trend: Trend, forecast: Forecast) -> dict[str, Any]:
     life = {
         name: number if math.isfinite(number) else None
         for name, number in zip(("low", "median", "high", "level"), forecast.life, strict=False)
@@ -212,7 +214,7 @@ def trend(
     if len(several) == 1 and _is_table(several[0]):
         series = read_estimates(several[0])
     else:
-        series = _fitted(_readable(several, columns, date, notes), voltage_v, notes, progress)
+        series = _fit_recordings(_read_recordings(several, columns, date, notes), voltage_v, notes, progress)
     named = {one.name: one for one in series}
     temperature = named.pop(TEMPERATURE, None)
     if unknown := [name for name in limits or {} if name not in named]:
@@ -226,7 +228,7 @@ def trend(
     )
 
 
-def _row(trend: Trend) -> dict[str, str]:
+def _page_row(trend: Trend) -> dict[str, str]:
     """What the page says of a quantity."""
     series, chosen = trend.series, trend.leading
     when = f" since {series.start:%Y-%m-%d}" if series.start else ""
@@ -239,11 +241,11 @@ def _row(trend: Trend) -> dict[str, str]:
         else describe(chosen, series.unit),
         "sentence": trend.sentence,
         "basis": f"{len(series.time)} estimates{when}; mean of the first {trend.reference:.4g}",
-        "chart": _chart(trend),
+        "chart": _draw_chart(trend),
     }
 
 
-def _chart(trend: Trend) -> str:
+def _draw_chart(trend: Trend) -> str:
     """Estimates, limits, and where it trends the fan and the interval of the time to the limit."""
     series = trend.series
     relative = series.estimate / trend.reference

@@ -21,7 +21,7 @@ from motor_env.prognosis.degradation import (
     TREND_PROBABILITY,
     Degradation,
     RemainingLife,
-    degradation,
+    fit_degradation,
 )
 from motor_env.prognosis.estimates import Series
 
@@ -134,11 +134,11 @@ def judge(
     for factor in factors:
         # A jump away from the limit is a repair; one towards it is wear in a step.
         away = last_jump(relative, -math.copysign(1.0, factor - 1.0))
-        recent = relative if away is None else since(relative, away[0])
+        recent = relative if away is None else starting_at(relative, away[0])
         counts.append(len(recent.time))
         if len(recent.time) < FEWEST_ESTIMATES:
             continue
-        wear = degradation(
+        wear = fit_degradation(
             recent.time,
             recent.estimate,
             recent.standard_error,
@@ -156,7 +156,9 @@ def judge(
                 trends=trends,
                 wear=wear,
                 life=life,
-                withheld=withheld(recent, wear, knows_temperature=temperature is not None) if trends else "",
+                withheld=reason_withheld(recent, wear, knows_temperature=temperature is not None)
+                if trends
+                else "",
             )
         )
     found = Trend(series, reference, tuple(forecasts), "")
@@ -296,7 +298,7 @@ def last_jump(series: Series, sign: float = 0.0) -> tuple[int, float] | None:
     return (_FEWEST + int(peaks[-1]), float(height[peaks[-1]])) if len(peaks) else None
 
 
-def since(series: Series, first: int) -> Series:
+def starting_at(series: Series, first: int) -> Series:
     """The estimates from one on."""
     return replace(
         series,
@@ -306,7 +308,7 @@ def since(series: Series, first: int) -> Series:
     )
 
 
-def withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> str:
+def reason_withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> str:
     """Why no remaining life is told, in words; empty where the law holds.
 
     Args:

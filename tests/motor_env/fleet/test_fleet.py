@@ -20,10 +20,10 @@ from motor_env.diagnosis.views import FittedWindow
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.fits import fit_fleet, processes
-from motor_env.fleet.initial_fit import First, Kept, Reading
-from motor_env.fleet.judging import FleetDiagnosis, diagnose_fleet, together
+from motor_env.fleet.initial_fit import FitCache, InitialFit, Reading
+from motor_env.fleet.judging import FleetDiagnosis, common_cause, diagnose_fleet
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
-from motor_env.fleet.unit import Place
+from motor_env.fleet.unit import UnitId
 from motor_env.motor.data_sheet import Motor, save_motor
 
 # Reaches in: fits, and how far a motor lies off, are made by hand.
@@ -96,14 +96,14 @@ def found(starts: list[Path], learned: LearnedFleet) -> FleetDiagnosis:
 
 
 def test_the_sick_motor_leads_the_table(found: FleetDiagnosis) -> None:
-    worst = found.sisters[0]
-    assert worst.place.name == "3 left"
+    worst = found.units[0]
+    assert worst.unit_id.name == "3 left"
     assert worst.verdict == "bearing"
     assert worst.ratios["B"] == pytest.approx(10.0, rel=0.3)
-    assert worst.off["B"] > 3.0
+    assert worst.deviations["B"] > 3.0
     assert worst.p_value is not None
     assert worst.p_value < 0.01
-    assert {one.verdict for one in found.sisters[1:]} == {"healthy"}
+    assert {one.verdict for one in found.units[1:]} == {"healthy"}
     assert found.status == 1
 
 
@@ -124,24 +124,24 @@ def test_table_json_and_page_say_the_same(found: FleetDiagnosis) -> None:
 
 
 def test_other_changes_beside_the_fault_are_not_denied(found: FleetDiagnosis) -> None:
-    worst = found.sisters[0]
+    worst = found.units[0]
     names = worst.quantities
     off = np.zeros(len(names))
     off[names.index("B")] = 9.0
-    alone = replace(worst, apart=Difference(off, np.eye(len(names)), matrix(names), 9.0))
+    alone = replace(worst, difference=Difference(off, np.eye(len(names)), matrix(names), 9.0))
     assert alone.odd.startswith("B +")
     assert alone.why == FaultKind.BEARING.finding
     off[names.index("R")] = 3.0
-    both = replace(worst, apart=Difference(off, np.eye(len(names)), matrix(names), 9.0))
+    both = replace(worst, difference=Difference(off, np.eye(len(names)), matrix(names), 9.0))
     assert "R +" in both.odd
     assert both.why == "mostly, friction is up: look at the bearings, the lubricant and the load"
 
 
 def test_how_far_a_motor_is_off_by_hand(found: FleetDiagnosis) -> None:
     names = ("R", "K")
-    apart = Difference(np.array([0.2, -0.6]), np.diag([0.04, 0.09]), matrix(names), 9.0)
-    one = replace(found.sisters[0], quantities=names, apart=apart)
-    assert one.off == pytest.approx({"R": 1.0, "K": -2.0})
+    difference = Difference(np.array([0.2, -0.6]), np.diag([0.04, 0.09]), matrix(names), 9.0)
+    one = replace(found.units[0], quantities=names, difference=difference)
+    assert one.deviations == pytest.approx({"R": 1.0, "K": -2.0})
     assert one.p_value == pytest.approx(fisher(2, 9).sf(2.5))
 
 
@@ -149,11 +149,11 @@ def test_the_records_of_a_motor_share_its_rate(
     starts: list[Path], learned: LearnedFleet, found: FleetDiagnosis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rates = {}
-    more = replace(learned, every=learned.every | {Path("1_left_b.csv"): Place("1", "left")})
+    more = replace(learned, unit_of=learned.unit_of | {Path("1_left_b.csv"): UnitId("1", "left")})
 
     def noted(path: Path, _: Motor, *, false_alarm_rate: float, **reading: object) -> Diagnosis:
         rates[path.stem] = false_alarm_rate
-        return found.sisters[-1].telling
+        return found.units[-1].telling
 
     monkeypatch.setattr("motor_env.fleet.judging.learn_fleet", lambda *_, **__: more)
     monkeypatch.setattr("motor_env.fleet.judging.diagnose", noted)
@@ -162,14 +162,14 @@ def test_the_records_of_a_motor_share_its_rate(
 
 
 def test_a_motor_is_told_by_the_surest_of_its_faults(found: FleetDiagnosis) -> None:
-    healthy, worst = found.sisters[-1].telling, found.sisters[0].telling
+    healthy, worst = found.units[-1].telling, found.units[0].telling
 
     def record(verdict: Verdict, confidence: float) -> Diagnosis:
         return replace(worst, pieces=(replace(worst.telling, verdict=verdict, confidence=confidence),))
 
     faults = [record(Verdict.WINDING, 0.6), record(Verdict.BEARING, 0.9), record(Verdict.WINDING, 0.7)]
     records = {Path(str(n)): one for n, one in enumerate([healthy, *faults])}
-    assert replace(found.sisters[0], records=records).verdict is Verdict.BEARING
+    assert replace(found.units[0], records=records).verdict is Verdict.BEARING
 
 
 def test_a_fleet_says_once_how_it_was_read(learned: LearnedFleet) -> None:
@@ -284,11 +284,11 @@ def test_options_that_do_not_go_together(
 def test_one_own_record_is_one_recording(
     starts: list[Path], learned: LearnedFleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sisters = tmp_path / "sisters.toml"
-    save_motor(learned.motor("sisters"), sisters)
+    units = tmp_path / "sisters.toml"
+    save_motor(learned.motor("sisters"), units)
     own = str(starts[0])
-    assert main(["identify", own, "--motor", str(sisters)]) == 0
-    assert main(["commission", own, "--motor", str(sisters), "-o", str(tmp_path / "own.toml")]) == 0
+    assert main(["identify", own, "--motor", str(units)]) == 0
+    assert main(["commission", own, "--motor", str(units), "-o", str(tmp_path / "own.toml")]) == 0
     said = capsys.readouterr().out
     assert "1 recording beside the sisters" in said
     assert "1 own recording beside the sisters" in said
@@ -326,18 +326,18 @@ def test_a_kept_fit_counts_only_for_the_file_as_it_was(tmp_path: Path) -> None:
     record, kept = tmp_path / "one.csv", tmp_path / "fits.jsonl"
     record.write_text("as it was")
     then_ns = record.stat().st_mtime_ns
-    with Kept(kept, Reading()) as known:
-        known.add(record, First("no motor"))
-    assert Kept(kept, Reading())[record] == First("no motor")
+    with FitCache(kept, Reading()) as known:
+        known.add(record, InitialFit("no motor"))
+    assert FitCache(kept, Reading())[record] == InitialFit("no motor")
     for text, later_ns in (("as it was then", 0), ("as it is!", 1_000_000)):
         record.write_text(text)
         os.utime(record, ns=(then_ns + later_ns, then_ns + later_ns))
-        assert record not in Kept(kept, Reading())
+        assert record not in FitCache(kept, Reading())
 
 
 def test_a_record_with_more_columns_than_most_is_left_out() -> None:
     files = [Path(f"{n}.csv") for n in range(4)]
-    few = First(names=("R",), quantities=("R", "K^2/J"), values=(1.0, 2.0))
+    few = InitialFit(names=("R",), quantities=("R", "K^2/J"), values=(1.0, 2.0))
     more = few._replace(quantities=("R", "K", "J"), values=(1.0, 2.0, 3.0))
     steps: list[Any] = [
         [("start", ())] * 4,
@@ -347,13 +347,13 @@ def test_a_record_with_more_columns_than_most_is_left_out() -> None:
     told = iter(steps)
     fits = fit_fleet(files, Reading(), each=lambda job, given: next(told))
     assert fits.quantities == few.quantities
-    assert list(fits.seconds) == [files[0], files[1], files[3]]
-    assert fits.troubles == {files[2]: "it was recorded with other columns than most"}
+    assert list(fits.by_file) == [files[0], files[1], files[3]]
+    assert fits.failures == {files[2]: "it was recorded with other columns than most"}
 
 
 def test_one_log_among_starts_makes_all_of_them_logs() -> None:
     """A start is a short log, too; a log is no start."""
-    steps: list[Any] = [[("start", ()), ("operation", ()), ("start", ())], [First("no motor")] * 3]
+    steps: list[Any] = [[("start", ()), ("operation", ()), ("start", ())], [InitialFit("no motor")] * 3]
     told, jobs = iter(steps), list[Any]()
 
     def each(job: Any, given: Any) -> Any:
@@ -403,11 +403,11 @@ def test_motors_of_a_machine_off_alike_are_told_together() -> None:
     low_k = np.array([0.0, -np.log(1.12), -2.0 * np.log(1.12), -2.0 * np.log(1.12)])
     names = ("R", "K", "J", "B")
     both = [Difference(low_k, np.diag(sd**2), matrix(names), 60.0)] * 2
-    assert together(both, names, 0.01).startswith("all of it is explained if the speed is 1.12 times")
-    assert together(both[:1], names, 0.01) == ""
+    assert common_cause(both, names, 0.01).startswith("all of it is explained if the speed is 1.12 times")
+    assert common_cause(both[:1], names, 0.01) == ""
     # Three gains, each either way, share the rate.
     mild = [replace(both[0], log_ratios=low_k * np.log(1.10) / np.log(1.12))] * 2
-    assert together(mild, names, 0.03)
-    assert together(mild, names, 0.02) == ""
+    assert common_cause(mild, names, 0.03)
+    assert common_cause(mild, names, 0.02) == ""
     other = Difference(-low_k, np.diag(sd**2), matrix(names), 60.0)
-    assert together([both[0], other], names, 0.01) == ""
+    assert common_cause([both[0], other], names, 0.01) == ""

@@ -5,30 +5,30 @@ from pathlib import Path
 import pytest
 
 from motor_env.errors import InputError
-from motor_env.fleet.unit import Place, places_of
+from motor_env.fleet.unit import UnitId, unit_ids
 
 GROUP = r"(?P<machine>\d+)(_(?P<repeat>[a-z]+))?_(?P<motor>left|right)"
 
 
 def test_each_file_is_a_machine_without_a_group() -> None:
-    assert places_of([Path("a/one.csv"), Path("b/two.csv")], None) == [Place("one"), Place("two")]
+    assert unit_ids([Path("a/one.csv"), Path("b/two.csv")], None) == [UnitId("one"), UnitId("two")]
 
 
 @pytest.mark.parametrize(
     ("name", "place"),
     [
-        ("robot_07_left.csv", Place("07", "left")),
-        ("robot_07_b_left.csv", Place("07", "left")),
-        ("robot_86_dagmar_right.csv", Place("86", "right")),
+        ("robot_07_left.csv", UnitId("07", "left")),
+        ("robot_07_b_left.csv", UnitId("07", "left")),
+        ("robot_86_dagmar_right.csv", UnitId("86", "right")),
     ],
 )
-def test_a_repeat_is_the_same_motor(name: str, place: Place) -> None:
-    assert places_of([Path(name)], GROUP) == [place]
+def test_a_repeat_is_the_same_motor(name: str, place: UnitId) -> None:
+    assert unit_ids([Path(name)], GROUP) == [place]
     assert place.name == f"{place.machine} {place.motor}"
 
 
 def test_motors_alone_are_machines_of_one_motor() -> None:
-    assert places_of([Path("pump_3_b.csv")], r"_(?P<motor>\d)_(?P<repeat>[a-z])") == [Place("3")]
+    assert unit_ids([Path("pump_3_b.csv")], r"_(?P<motor>\d)_(?P<repeat>[a-z])") == [UnitId("3")]
 
 
 @pytest.mark.parametrize(
@@ -43,4 +43,4 @@ def test_motors_alone_are_machines_of_one_motor() -> None:
 )
 def test_what_cannot_be_read_is_refused(group: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        places_of([Path("robot_07_left.csv")], group)
+        unit_ids([Path("robot_07_left.csv")], group)

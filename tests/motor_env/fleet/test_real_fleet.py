@@ -25,7 +25,7 @@ def test_the_motors_that_draw_too_much_lead_and_no_dead_sensor_is_a_fault_of_a_m
     files = sorted((Path(recordings_path or "") / "regbot").glob("*.csv"))
     assert len(files) == 78
     with processes(2) as each:
-        found = {one.place.name: one for one in diagnose_fleet(files, group=GROUP, each=each).sisters}
+        found = {one.unit_id.name: one for one in diagnose_fleet(files, group=GROUP, each=each).units}
     for name in (*DEAD, "11 right"):
         assert found[name].verdict not in ("healthy", "winding", "bearing", "magnet"), name
     told = [

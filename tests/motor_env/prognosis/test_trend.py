@@ -14,7 +14,7 @@ from trend_laws import verdicts
 
 from motor_env import InputError
 from motor_env.cli import main
-from motor_env.prognosis.degradation import degradation, first_passage_cdf
+from motor_env.prognosis.degradation import first_passage_cdf, fit_degradation
 from motor_env.prognosis.estimates import Series, date_of, read_estimates
 from motor_env.prognosis.files import Trends
 from motor_env.prognosis.trend import judge, parse_limits
@@ -55,10 +55,10 @@ def test_first_passage_keeps_its_digits_for_a_small_diffusion() -> None:
 
 def test_a_certain_line_reaches_the_limit_when_it_says() -> None:
     time = np.arange(30.0)
-    life = degradation(time, 1.0 + 0.01 * time, np.full(30, 1e-4), 1.5).remaining_life()
+    life = fit_degradation(time, 1.0 + 0.01 * time, np.full(30, 1e-4), 1.5).remaining_life()
     assert life.low < 21.0 < life.high
     assert abs(life.median - 21.0) < 0.3
-    down = degradation(time, 1.0 - 0.01 * time, np.full(30, 1e-4), 0.5)
+    down = fit_degradation(time, 1.0 - 0.01 * time, np.full(30, 1e-4), 0.5)
     np.testing.assert_allclose(down.remaining_life().median, life.median, rtol=1e-9)
     assert down.mean_drift == pytest.approx(-0.01, rel=0.01)
 
@@ -249,9 +249,9 @@ def test_names_of_quantities_are_text_on_the_page() -> None:
 
 def test_estimates_are_checked() -> None:
     with pytest.raises(ValueError, match="must be finite"):
-        degradation(np.arange(5.0), array(1.0, 1.0, math.inf, 1.0, 1.0), np.ones(5), 1.5)
+        fit_degradation(np.arange(5.0), array(1.0, 1.0, math.inf, 1.0, 1.0), np.ones(5), 1.5)
     with pytest.raises(ValueError, match="limit must differ from the first level, got 1"):
-        degradation(np.arange(5.0), np.ones(5), np.ones(5), 1.0)
+        fit_degradation(np.arange(5.0), np.ones(5), np.ones(5), 1.0)
 
 
 def test_estimates_that_never_move_have_no_trend_and_no_jump() -> None:

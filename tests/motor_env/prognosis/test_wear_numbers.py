@@ -17,10 +17,17 @@ from motor_env import InputError
 from motor_env.cli import main
 from motor_env.motor.parameters import FloatArray
 from motor_env.prognosis import files
-from motor_env.prognosis.degradation import Degradation, RemainingLife, clock, degradation
+from motor_env.prognosis.degradation import Degradation, RemainingLife, fit_degradation, time_scale
 from motor_env.prognosis.estimates import Series, build_series, read_estimates
 from motor_env.prognosis.files import Trends
-from motor_env.prognosis.trend import Forecast, at_one_temperature, describe, judge, last_jump, withheld
+from motor_env.prognosis.trend import (
+    Forecast,
+    at_one_temperature,
+    describe,
+    judge,
+    last_jump,
+    reason_withheld,
+)
 from motor_env.recordings.start import Start
 
 
@@ -70,7 +77,7 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
     time = np.cumsum(rng.uniform(0.5, 2.0, 9)) + 3.0
     value = 1.0 - 0.012 * (time - time[0]) + 0.01 * rng.standard_normal(9)
     error, limit, n = rng.uniform(0.004, 0.012, 9), 0.8, 9
-    found = degradation(time, value, error, limit)
+    found = fit_degradation(time, value, error, limit)
 
     distance = abs(limit - value[:3].mean())
     typical = max(np.median(error), 0.3 * np.median(np.abs(np.diff(value))) / 0.954)
@@ -129,7 +136,7 @@ def test_the_fit_is_the_posterior_of_its_grid_by_brute_force() -> None:
 def test_a_clock_that_bends_takes_the_life_with_it(exponent: float, growth: float) -> None:
     """A drift without chance reaches the limit where its curve does."""
     elapsed = array(0.0, 0.5, 1.0, 1.7)
-    shown = clock(elapsed, np.full(4, exponent), np.full(4, growth))
+    shown = time_scale(elapsed, np.full(4, exponent), np.full(4, growth))
     curve = elapsed**exponent if growth == 0.0 else np.expm1(growth * elapsed) / math.expm1(growth)
     np.testing.assert_allclose(shown, curve, rtol=2e-6)
     reach = 0.01 * 20.0 * (curve[-1] - 1.0)
@@ -144,7 +151,7 @@ def test_many_estimates_have_twenty_onsets_and_the_first_tenth_sets_the_distance
     value = np.concatenate([np.full(3, 1.2), np.ones(57)]) + 1e-3 * np.random.default_rng(1).standard_normal(
         60
     )
-    found = degradation(np.arange(60.0), value, np.full(60, 1e-3), 1.05)
+    found = fit_degradation(np.arange(60.0), value, np.full(60, 1e-3), 1.05)
     assert set(59.0 - found.span) <= set(np.linspace(0.0, 58.0, 20).round())
     assert found.sign == -1.0  # the first six lie at 1.1 in the mean
 
@@ -153,7 +160,7 @@ def test_wear_downwards_is_wear_upwards_in_a_mirror() -> None:
     rng = np.random.default_rng(4)
     time, error = np.arange(30.0), np.full(30, 0.02)
     value = 0.4 + np.cumsum(0.15 * (rng.random(30) < 0.15)) + error * rng.standard_normal(30)
-    up, down = degradation(time, value, error, 2.0), degradation(time, -value, error, -2.0)
+    up, down = fit_degradation(time, value, error, 2.0), fit_degradation(time, -value, error, -2.0)
     assert (up.sign, down.sign) == (1.0, -1.0)
     np.testing.assert_allclose(down.level, up.level)
     np.testing.assert_allclose(down.drift, up.drift)
@@ -164,7 +171,7 @@ def test_the_typical_error_is_the_larger_of_what_is_said_and_what_neighbours_sho
     """Scatters are multiples of it; the least that is not none is 0.35 of it."""
     value = 1.0 + 0.1 * (-1.0) ** np.arange(8.0) * np.linspace(1.0, 1.01, 8)
     for said, typical in ((0.5, 0.5), (1e-4, 0.3 * np.median(np.abs(np.diff(value))) / 0.954)):
-        found = degradation(np.arange(8.0), value, np.full(8, said), 1.5).scatter
+        found = fit_degradation(np.arange(8.0), value, np.full(8, said), 1.5).scatter
         steps = np.concatenate([[0.0], np.geomspace(0.35, 8.0, 6)]) * typical
         assert np.abs(found[:, None] - steps).min(axis=1).max() < 1e-12
 
@@ -301,9 +308,9 @@ def test_a_change_that_30_kelvin_explain_is_withheld() -> None:
             one = wear(
                 level=array(sign * given.estimate[-1] + given.estimate[:3].mean() * sign - sign), sign=sign
             )
-            said = withheld(given, one, knows_temperature=False)
+            said = reason_withheld(given, one, knows_temperature=False)
             assert ("temperature by 30 K" in said) is is_withheld
-            assert "temperature" not in withheld(given, one, knows_temperature=True)
+            assert "temperature" not in reason_withheld(given, one, knows_temperature=True)
 
 
 def test_a_trend_is_said_from_95_percent_on() -> None:
