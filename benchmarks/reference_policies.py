@@ -1,6 +1,6 @@
 """What plays in the table of reference scores: for each id a textbook policy and the best known, and a bound.
 
-Designs and thresholds were tuned by baselines.py, drive_scores.py and maintain.py beside this file, on seeds that the
+Designs and thresholds were tuned by sweeps, and by drive_scores.py and maintain.py beside this file, on seeds that the
 table does not use.
 """
 

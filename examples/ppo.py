@@ -54,7 +54,7 @@ def make(task: str, count: int, **options: Any) -> MotorVectorEnv:
 
 
 def textbook(task: str) -> tuple[MotorVectorEnv, Policy]:
-    """The best textbook policy, as tuned by benchmarks/baselines.py, and where it acts: after every sample."""
+    """The best textbook policy, tuned on other episodes, and where it acts: after every sample."""
     if task == "probe":
         envs: MotorVectorEnv = ProbeVectorEnv(EPISODES, observe=OBSERVED)
         return envs, OnDemand(WorthTest(envs.setup, 0.97), 0.08)

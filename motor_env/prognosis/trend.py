@@ -148,6 +148,7 @@ def judge(
         )
         life = wear.remaining_life(level)
         trends = wear.probability_trend >= TREND_PROBABILITY
+        reason = reason_withheld(recent, wear, knows_temperature=temperature is not None)
         forecasts.append(
             Forecast(
                 factor,
@@ -156,9 +157,7 @@ def judge(
                 trends=trends,
                 wear=wear,
                 life=life,
-                withheld=reason_withheld(recent, wear, knows_temperature=temperature is not None)
-                if trends
-                else "",
+                withheld=reason if trends else "",
             )
         )
     found = Trend(series, reference, tuple(forecasts), "")
