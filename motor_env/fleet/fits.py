@@ -118,7 +118,7 @@ def fit_fleet(
 
 
 def _majority_terms(initial_fits: Sequence[InitialFit]) -> list[str]:
-    """Terms that more than half of the records want."""
+    """List the terms that more than half of the records want."""
     count = Counter(name for one in initial_fits for name in one.names)
     return [name for name, seen in count.items() if seen > 0.5 * len(initial_fits)]
 
@@ -126,7 +126,7 @@ def _majority_terms(initial_fits: Sequence[InitialFit]) -> list[str]:
 def _common_start_model(
     initial_fits: Sequence[InitialFit], quantities: tuple[str, ...]
 ) -> tuple[tuple[str, ...], dict[str, float]]:
-    """The model of starts, and the typical values of their quantities."""
+    """Choose the model of starts, and the typical values of their quantities."""
     wanted = _majority_terms(initial_fits)
     middle = np.exp(np.median([one.values for one in initial_fits], axis=0)).tolist()
     return tuple(name for name in NUISANCES if name in wanted), dict(zip(quantities, middle, strict=True))
@@ -142,7 +142,7 @@ def _fit_start(
 
 
 def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) -> Windows:
-    """What the logs share; which part of the drag is dry friction, by what explains some of them best."""
+    """Choose what logs share, and which part of the drag is dry friction by the least misfit of some."""
     every = list(initial_fits.values())
     known = np.median([one.values for one in every], axis=0)
     known[_NOT_COMMON] = 0.0
@@ -171,12 +171,12 @@ def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) ->
 
 
 def _drag(first: InitialFit) -> float:
-    """Drag over the speed."""
+    """Divide the drag by the speed."""
     return float(first.values[places.B] + first.values[places.COULOMB] / first.speed_rad_s)
 
 
 def _fit_window(reading: Reading, windows: Windows, path: Path) -> WindowFit | str:
-    """The fit of a log with what all share, or why there is none."""
+    """Fit a log with what all share, or say why not."""
     try:
         record = replace(from_recordings([reading.log(path)]), hold=windows.hold)
         return fit_window(record, windows.physical, windows.terms)
@@ -185,7 +185,7 @@ def _fit_window(reading: Reading, windows: Windows, path: Path) -> WindowFit | s
 
 
 def fit_log(reading: Reading, windows: Windows, path: Path) -> FittedWindow | str:
-    """That fit, with the drag over the speed."""
+    """Fit a log, with the drag over the speed."""
     fit = _fit_window(reading, windows, path)
     return fit if isinstance(fit, str) else over_speed(fit, windows.physical, windows.speed_rad_s)
 
@@ -196,11 +196,12 @@ Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @contextmanager
 def processes(workers: int, scheduler: str | None = None) -> Iterator[Map]:
-    """What maps a function over files: here, in processes, or on the workers of a Dask cluster.
+    """Offer what maps a function over files: here, in processes, or on the workers of a Dask cluster.
 
-    Args:
-        workers: processes, without a cluster.
-        scheduler: address of the cluster's scheduler.
+        Args:
+            workers: processes, without a cluster.
+            scheduler: address of the cluster's scheduler.
+
     """
     if scheduler is not None:
         require_extra("distributed", "dask")

@@ -50,32 +50,33 @@ class Reading:
 
     @property
     def options(self) -> dict[str, Any]:
-        """These as arguments of `motor_env.diagnose`."""
+        """Return these as arguments of `motor_env.diagnose`."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def start(self, path: Path) -> Start:
-        """The first start of a file, as it is fitted."""
+        """Read the first start of a file."""
         (part,) = chosen_starts(recording_of(path, self.columns), 1)
         return prepare(part, self.voltage_v, self.circuit)
 
     def log(self, path: Path) -> Recording:
-        """A log, with neighbours averaged where it is long."""
+        """Read a log; average neighbours where it is long."""
         recording = at_terminals(recording_of(path, self.columns), self.voltage_v, self.circuit)
         return averaged(recording, len(recording.time_s) * recording.dt_s)
 
 
 class InitialFit(NamedTuple):
-    """The first fit of a record; `trouble` says why there is none.
+    """First fit of a record; `trouble` says why there is none.
 
-    Attributes:
-        names: of the terms.
-        quantities: that it tells.
-        values: physical values, or the quantities' logarithms of a start.
-        hold: of the voltage.
-        speed_rad_s: effective speed.
-        rms_volts: effective voltage.
-        duration_s, dt_s: of the record, and of its samples.
-        peaks: largest voltage, current and speed.
+        Attributes:
+            names: of the terms.
+            quantities: that it tells.
+            values: physical values, or the quantities' logarithms of a start.
+            hold: of the voltage.
+            speed_rad_s: effective speed.
+            rms_volts: effective voltage.
+            duration_s, dt_s: of the record, and of its samples.
+            peaks: largest voltage, current and speed.
+
     """
 
     trouble: str = ""
@@ -91,7 +92,7 @@ class InitialFit(NamedTuple):
 
 
 def classify_record(reading: Reading, path: Path) -> tuple[str, tuple[str, ...]]:
-    """What a file is, start or operation, and how its columns were understood."""
+    """Say whether a file is a start or operation, and how its columns were understood."""
     try:
         recording = recording_of(path, reading.columns)
         return taken_for(recording, reading.regime).regime, recording.columns
@@ -100,7 +101,7 @@ def classify_record(reading: Reading, path: Path) -> tuple[str, tuple[str, ...]]
 
 
 def fit_record(reading: Reading, path: Path) -> InitialFit:
-    """The first fit of a file, or why there is none."""
+    """Fit a file by itself."""
     try:
         if reading.regime == "start":
             fit = identify_best(reading.start(path), NUISANCES)
@@ -133,16 +134,17 @@ _FIRST: TypeAdapter[InitialFit] = TypeAdapter(InitialFit)
 
 
 class FitCache:
-    """First fits by file, in memory and, where a path is given, in a file of JSON lines.
+    """First fits by file, in memory and in a file of JSON lines.
 
-    A fit counts only as long as its file has the size and the time that it had, and is read as it was.
+        A fit counts as long as its file has the same size and time, and is read in the same way.
 
-    Args:
-        path: of the file; None for none.
-        reading: how the records are read.
+        Args:
+            path: of the file; None for memory alone.
+            reading: how the records are read.
 
-    Raises:
-        InputError: the file is another's, or damaged before its last line.
+        Raises:
+            InputError: the file is another's, or damaged before its last line.
+
     """
 
     def __init__(self, path: Path | None, reading: Reading) -> None:
@@ -199,7 +201,7 @@ class FitCache:
 
 
 def _record(path: Path) -> str:
-    """A file's name, size and time."""
+    """Name a file by path, size and time."""
     try:
         stat = path.stat()
     except OSError:

@@ -33,12 +33,13 @@ _GAINS = 3  # of voltage, current and speed
 
 @dataclass(frozen=True, slots=True)
 class FleetDiagnosis:
-    """A fleet, judged.
+    """Verdicts on the motors of a fleet.
 
-    Attributes:
-        units: the motors, the oddest first.
-        quantities: that were compared.
-        false_alarm_rate: of each healthy motor.
+        Attributes:
+            units: the motors, the oddest first.
+            quantities: that were compared.
+            false_alarm_rate: of each healthy motor.
+
     """
 
     units: tuple[FleetUnit, ...]
@@ -47,16 +48,16 @@ class FleetDiagnosis:
 
     @property
     def status(self) -> ExitStatus:
-        """Exit status: that of the worst motor."""
+        """Return the exit status of the worst motor."""
         return worst(unit.verdict.status for unit in self.units)
 
     def to_json(self) -> list[dict[str, Any]]:
-        """An object a motor, the oddest first."""
+        """Build an object a motor, the oddest first."""
         return [unit.to_json() for unit in self.units]
 
     @property
     def summary(self) -> str:
-        """How many are odd, and how many would be by chance."""
+        """Say how many are odd, and how many would be by chance."""
         odd = sum(unit.verdict.is_fault for unit in self.units)
         chance = self.false_alarm_rate * len(self.units)
         stand, share = "stands" if odd == 1 else "stand", 1.0 / self.false_alarm_rate
@@ -69,7 +70,7 @@ class FleetDiagnosis:
         return self.text()
 
     def text(self) -> str:
-        """A table, the oddest motor first."""
+        """Print a table, the oddest motor first."""
         width = max(len(unit.unit_id.name) for unit in self.units)
         rows = [
             f"{unit.unit_id.name:<{width}}  {unit.verdict:<12} {unit.shown_severity:>6}  {unit.shown}"
@@ -78,7 +79,7 @@ class FleetDiagnosis:
         return "\n".join([self.summary, *rows])
 
     def page(self) -> str:
-        """A self-contained HTML page: a picture of the fleet, and the table."""
+        """Render a self-contained HTML page: a picture of the fleet, and the table."""
         return render(
             "motor_env.fleet",
             "fleet.html.j2",
@@ -123,7 +124,7 @@ def diagnose_fleet(
 
 
 def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[FleetUnit]:
-    """The motors of a machine, judged by those of all others."""
+    """Judge the motors of a machine by those of all others."""
     core, found = fleet.core_without(machine), []
     for unit_id in dict.fromkeys(one for one in fleet.unit_of.values() if one.machine == machine):
         if unit_id.motor not in fleet.positions:
@@ -146,9 +147,10 @@ def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Fl
 
 
 def common_cause(difference: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
-    """What the motors of a machine show together: one sensor or supply at a wrong scale; empty for nothing.
+    """Find one sensor or supply at a wrong scale that the motors of a machine share; empty for nothing.
 
-    Each motor may be too little off by itself.
+        Each motor may be too little off by itself.
+
     """
     if len(difference) < 2:
         return ""
@@ -160,7 +162,7 @@ def common_cause(difference: Sequence[Difference], names: tuple[str, ...], rate:
 
 
 def _difference_from(fleet: LearnedFleet, core: HealthyPopulation, unit_id: UnitId) -> Difference | None:
-    """How far a motor lies from the core; None where no fit tells."""
+    """Compare a motor with the population; None without a fit."""
     if unit_id not in fleet.motors:
         return None
     number = fleet.motors.index(unit_id)
@@ -182,11 +184,14 @@ _ROW = 13.0  # pixels between two names
 
 
 def picture(names: Sequence[str], units: Sequence[FleetUnit]) -> str:
-    """The markup: deviations from the healthy core, in standard deviations of another healthy motor.
+    """Draw the fleet: each quantity's column has a dot a motor, and the names of odd ones.
 
-    Args:
-        names: of the quantities.
-        units: the motors, the oddest first.
+        Heights are standard deviations of another healthy motor.
+
+        Args:
+            names: of the quantities.
+            units: the motors, the oddest first.
+
     """
     columns = Axis("", -0.5, len(names) - 0.5)
     rows = Axis("", -_FARTHEST, _FARTHEST, (-6, -4, -2, 0, 2, 4, 6), number="{:g}".format)

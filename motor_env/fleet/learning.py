@@ -1,4 +1,4 @@
-"""What sisters teach about a healthy motor: `motor-env commission --fleet`."""
+"""Learn a healthy motor from a fleet: `motor-env commission --fleet`."""
 
 from __future__ import annotations
 
@@ -50,11 +50,12 @@ _LEAST_PROBABILITY = (
 
 @dataclass(frozen=True)
 class LearnedFleet:
-    """A fleet, and the healthy core of its motors.
+    """A fleet, and the healthy population of its motors.
 
-    Attributes:
-        fits: of its records.
-        unit_of: motor of each file, those that no motor explains too.
+        Attributes:
+            fits: of its records.
+            unit_of: motor of each file, with or without a fit.
+
     """
 
     fits: FleetFits
@@ -62,17 +63,17 @@ class LearnedFleet:
 
     @cached_property
     def motors(self) -> list[UnitId]:
-        """Whose records were fitted."""
+        """List the motors whose records were fitted."""
         return list(dict.fromkeys(self.unit_of[path] for path in self.fits.by_file))
 
     @property
     def positions(self) -> list[str]:
-        """Places in a machine, such as left and right."""
+        """List the places in a machine, such as left and right."""
         return sorted({motor.motor for motor in self.motors})
 
     @cached_property
     def records(self) -> Motors:
-        """What the records tell."""
+        """Collect what the records tell."""
         exponents, by_file = identifiable.matrix(self.fits.quantities), self.fits.by_file
         return Motors(
             np.array([one.log_values for one in by_file.values()]),
@@ -87,11 +88,11 @@ class LearnedFleet:
 
     @cached_property
     def core(self) -> HealthyPopulation:
-        """The healthy core of all motors."""
+        """Learn the healthy population of all motors."""
         return learn_population(self.records)
 
     def core_without(self, machine: str) -> HealthyPopulation:
-        """The core of all other machines."""
+        """Learn that of all other machines."""
         if len({motor.machine for motor in self.motors}) > _MANY:
             return self.core  # one machine of so many moves nothing
         kept = np.array([motor.machine != machine for motor in self.motors])
@@ -101,12 +102,13 @@ class LearnedFleet:
         return learn_population(others, begin=self.core)
 
     def motor(self, name: str, core: HealthyPopulation | None = None, position: str | None = None) -> Motor:
-        """The healthy motor, as motor files hold it.
+        """Make the healthy motor, as motor files hold it.
 
-        Args:
-            name: of it.
-            core: of the motors; that of all unless given.
-            position: place in the machine; without it, a motor of any place.
+                Args:
+                    name: of it.
+                    core: population; that of all motors unless given.
+                    position: place in the machine; without it, a motor of any place.
+
         """
         healthy = self._healthy(self.core if core is None else core, position)
         if self.fits.windows is not None:
@@ -115,7 +117,7 @@ class LearnedFleet:
         return to_motor(self._healthy_starts, name, healthy=healthy)
 
     def _healthy(self, core: HealthyPopulation, position: str | None = None) -> Healthy:
-        """What a core teaches of another motor."""
+        """Predict another healthy motor."""
         centre, covariance = self._predictive(core, position)
         count = len(core.probability)
         return Healthy(
@@ -132,12 +134,12 @@ class LearnedFleet:
 
     @cached_property
     def _healthy_starts(self) -> list[Identified]:
-        """Starts of motors that seem healthy."""
+        """List the starts of motors that seem healthy."""
         seen = zip(self.fits.by_file.values(), self.core.probability[self.records.motor], strict=True)
         return [one for one, sure in seen if isinstance(one, Identified) and sure > _LEAST_PROBABILITY]
 
     def _predictive(self, core: HealthyPopulation, position: str | None) -> tuple[FloatArray, FloatArray]:
-        """Centre and covariance of another healthy motor's record."""
+        """Return centre and covariance of another healthy motor's record."""
         if position is not None:
             at = self.positions.index(position)
             return core.centres[at], core.next_motor(at) + core.within
@@ -146,7 +148,7 @@ class LearnedFleet:
         return centre, core.between + core.centre_covariances.mean(axis=0) + apart + core.within
 
     def text(self, rate: float) -> str:
-        """What was learned, with the interval of the next healthy motor."""
+        """Say what was learned, with the interval of the next healthy motor."""
         one = self._healthy(self.core)
         sick = int(np.sum(self.core.probability < _LEAST_PROBABILITY))
         seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
@@ -174,10 +176,11 @@ class LearnedFleet:
 
 
 def directions_of(exponents: FloatArray) -> FloatArray:
-    """In which directions faults and gains of sensors move quantities, shape (m, p).
+    """List the directions in which faults and gains of sensors move quantities, shape (m, p).
 
-    Args:
-        exponents: of (R, L, K, J, B, V) in each quantity, shape (p, 6).
+        Args:
+            exponents: of (R, L, K, J, B, V) in each quantity, shape (p, 6).
+
     """
     gains = [
         exponents @ [POWERS[column].get(name, 0.0) for name in identifiable.PARAMETERS] for column in _GAINS
@@ -187,12 +190,12 @@ def directions_of(exponents: FloatArray) -> FloatArray:
 
 
 def _regulariser(exponents: FloatArray) -> FloatArray:
-    """So that the covariance of quantities which share their parameters has an inverse."""
+    """Return a covariance that lets quantities which share their parameters have an inverse."""
     return np.eye(len(exponents)) * 1e-4**2
 
 
 def at_centre(windows: Windows, centre: FloatArray) -> Windows:
-    """How windows are fitted, about a motor of these logarithms of R, K, J and the drag over the speed."""
+    """Set the windows' parameters to logarithms of R, K, J and the drag over the speed."""
     known = windows.physical.copy()
     drag = math.exp(centre[3]) / viscous(known, windows.speed_rad_s)
     known[[places.R, places.K, places.J]] = np.exp(centre[:3])
@@ -209,18 +212,19 @@ def learn_fleet(
     kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> LearnedFleet:
-    """Learn a healthy motor from sisters, of which some may be sick.
+    """Learn a healthy motor from motors of one make, of which some may be sick.
 
-    Args:
-        files: recordings; each of another motor, unless names tell otherwise.
-        group: regular expression that reads machine, motor and repeat from a file's name, see `unit_ids`.
-        reading: how the files are read.
-        each: what maps over files, see `motor_env.fleet.fits.processes`.
-        kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
-        progress: told each file, twice.
+        Args:
+            files: recordings; each of another motor, unless names tell otherwise.
+            group: regular expression that reads machine, motor and repeat from a file's name, see `unit_ids`.
+            reading: how the files are read.
+            each: what maps over files, see `motor_env.fleet.fits.processes`.
+            kept: file that keeps first fits, so that a stopped run goes on.
+            progress: told each file, twice.
 
-    Raises:
-        InputError: too few motors, or records that cannot be used together.
+        Raises:
+            InputError: too few motors, or records that cannot be used together.
+
     """
     files = [Path(path) for path in files]
     if len({path.resolve() for path in files}) < len(files):

@@ -62,7 +62,7 @@ class Motors:
         return [*along, _SICK_SPREAD**2 * np.diag(self.between.diagonal())]
 
     def subset(self, kept: NDArray[np.bool_]) -> Motors:
-        """Those motors alone, `kept` of shape (n_motors,)."""
+        """Select motors by `kept`, shape (n_motors,)."""
         records = kept[self.motor]
         number = np.cumsum(kept) - 1
         return replace(
@@ -111,13 +111,14 @@ class Motors:
 class HealthyPopulation:
     """The healthy core of a population.
 
-    Attributes:
-        centres: mean logarithms for each position, shape (n_positions, p).
-        centre_covariances: their errors, shape (n_positions, p, p).
-        between: covariance from motor to motor, shape (p, p).
-        within: covariance from record to record of one motor, shape (p, p).
-        degrees_of_freedom: of their sum.
-        probability: that each motor is of the core, shape (n_motors,).
+        Attributes:
+            centres: mean logarithms for each position, shape (n_positions, p).
+            centre_covariances: their errors, shape (n_positions, p, p).
+            between: covariance from motor to motor, shape (p, p).
+            within: covariance from record to record of one motor, shape (p, p).
+            degrees_of_freedom: of their sum.
+            probability: that each motor is of the core, shape (n_motors,).
+
     """
 
     centres: FloatArray
@@ -128,7 +129,7 @@ class HealthyPopulation:
     probability: FloatArray
 
     def next_motor(self, position: int = 0) -> FloatArray:
-        """Covariance of another healthy motor about the centre, without errors of records, shape (p, p)."""
+        """Return the covariance of another healthy motor, without errors of records, shape (p, p)."""
         found: FloatArray = self.between + self.centre_covariances[position]
         return found
 
@@ -166,7 +167,7 @@ def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> 
 
 
 def _run_em(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
-    """Where the rounds end, and the logarithm of its posterior probability."""
+    """Repeat rounds until they settle; also return the logarithm of the posterior probability."""
     for _ in range(_ROUNDS):
         before, (core, likelihood) = core, _em_round(core, motors, share)
         moved = max(np.abs(core.centres - before.centres).max(), np.abs(core.between - before.between).max())
@@ -216,7 +217,7 @@ def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> Healthy
 
 
 def floor_covariance(covariance: FloatArray, least: FloatArray) -> FloatArray:
-    """A covariance that is at least another one in each direction (of an estimate that may be negative)."""
+    """Raise a covariance to at least another one in each direction."""
     root = np.linalg.cholesky(least)
     inverse = np.linalg.inv(root)
     sizes, axes = np.linalg.eigh(inverse @ covariance @ inverse.T)
@@ -225,7 +226,7 @@ def floor_covariance(covariance: FloatArray, least: FloatArray) -> FloatArray:
 
 
 def _log_density(residual: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Logarithms of normal densities without their constant; shapes (n, p) and (n, p, p)."""
+    """Compute logarithms of normal densities without their constant; shapes (n, p) and (n, p, p)."""
     root = np.linalg.cholesky(covariance)
     white = np.linalg.solve(root, residual[..., None])[..., 0]
     size = np.log(root.diagonal(axis1=-2, axis2=-1)).sum(axis=-1)

@@ -20,11 +20,12 @@ _GROUPS = ("machine", "motor", "repeat")
 
 
 class UnitId(NamedTuple):
-    """Machine, motor and repeat whose record a file is.
+    """Name a motor of a fleet.
 
-    Attributes:
-        machine: that the motor is part of.
-        motor: its place in the machine, such as left or right; empty where machines have one motor each.
+        Attributes:
+            machine: that the motor is part of.
+            motor: its place in the machine, such as left or right; empty where machines have one motor each.
+
     """
 
     machine: str
@@ -32,20 +33,21 @@ class UnitId(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Both, as tables show it."""
+        """Join both, as tables show it."""
         return f"{self.machine} {self.motor}".strip()
 
 
 def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
-    """Machine and motor of each file.
+    """Read machine and motor from each file's name.
 
-    Args:
-        files: recordings.
-        group: regular expression that is searched in each file's name, without its ending. Its named groups machine,
-            motor and repeat tell machine, place of the motor and repeat; without it each file is a machine of its own.
+        Args:
+            files: recordings.
+            group: regular expression searched in a file's name without its ending, with named groups machine, motor and
+                repeat; without it each file is a machine of its own.
 
-    Raises:
-        InputError: no regular expression, one without these groups, or a name that it does not match.
+        Raises:
+            InputError: no regular expression, one without these groups, or a name that it does not match.
+
     """
     if group is None:
         return [UnitId(path.stem) for path in files]
@@ -95,14 +97,14 @@ class FleetUnit:
 
     @property
     def ratios(self) -> dict[str, float]:
-        """Its quantities over those of a healthy sister; none where no fit tells."""
+        """Divide its quantities by those of a healthy motor; empty without a fit."""
         if self.difference is None:
             return {}
         return dict(zip(self.quantities, np.exp(self.difference.log_ratios).tolist(), strict=True))
 
     @property
     def deviations(self) -> dict[str, float]:
-        """How far each lies from the core, in standard deviations of another healthy motor."""
+        """Count standard deviations of another healthy motor between each quantity and the population."""
         if self.difference is None:
             return {}
         sd = np.sqrt(np.diag(self.difference.covariance))
@@ -110,7 +112,7 @@ class FleetUnit:
 
     @property
     def p_value(self) -> float | None:
-        """Share of healthy sisters that are as odd (Hotelling)."""
+        """Compute the share of healthy motors that lie as far off (Hotelling)."""
         if self.difference is None:
             return None
         deviations = self.difference.log_ratios
@@ -120,7 +122,7 @@ class FleetUnit:
 
     @property
     def telling(self) -> Diagnosis:
-        """The record that the verdict rests on: the surest of those with a fault."""
+        """Choose the record that the verdict rests on: the surest of those with a fault."""
         faults = [one for one in self.records.values() if one.verdict.is_fault]
         calm = [one for one in self.records.values() if one.verdict is Verdict.HEALTHY]
         rest = next(iter([*calm, *self.records.values()]))
@@ -133,7 +135,7 @@ class FleetUnit:
 
     @property
     def odd(self) -> str:
-        """What is odd: the quantities that lie farthest from the core's."""
+        """List the quantities that lie farthest from the population."""
         ratios = self.ratios
         return ", ".join(f"{name} {ratios[name] - 1.0:+.0%}" for name in self._far)
 
@@ -144,7 +146,7 @@ class FleetUnit:
         return [name for name in far if abs(deviations[name]) > _CLEAR]
 
     def to_json(self) -> dict[str, Any]:
-        """One object for programs."""
+        """Build one object for programs."""
         one = self.telling
         return {
             "motor": self.unit_id.name,
@@ -164,13 +166,13 @@ class FleetUnit:
 
     @property
     def shown_severity(self) -> str:
-        """Severity of its fault as the table shows it; empty without one."""
+        """Format the severity of its fault; empty without one."""
         severity = self.telling.severity
         return f"{severity:+.0%}" if severity and self.verdict.is_fault else ""
 
     @property
     def why(self) -> str:
-        """The first reason of a verdict that is not healthy, and what the machine's motors show together."""
+        """Give the first reason of a verdict that is not healthy, and what the machine's motors show together."""
         own = "" if self.verdict is Verdict.HEALTHY else self._reason
         both = (
             f"all motors of {self.unit_id.machine} together: {self.common_cause}" if self.common_cause else ""
@@ -179,7 +181,7 @@ class FleetUnit:
 
     @property
     def _reason(self) -> str:
-        """The verdict's first reason; where the table names other quantities beside those of the fault, it says so."""
+        """Give the verdict's first reason, without denying other quantities that the table names."""
         reason, kind, far = self.telling.reasons[0], self.telling.telling.fault_kind, self._far
         if kind is None or not far:
             return reason
@@ -189,5 +191,5 @@ class FleetUnit:
 
     @property
     def shown(self) -> str:
-        """What the table on the screen says of it; of a sensor that failed, quantities say nothing."""
+        """Describe it in a line on the screen; of a failed sensor, quantities say nothing."""
         return self.why if self.verdict is Verdict.SENSOR else self.odd or self.why

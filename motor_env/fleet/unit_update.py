@@ -1,8 +1,7 @@
-"""A motor between its sisters and its own healthy records: `motor-env commission --motor fleet.toml`.
+"""Update a fleet's motor by a motor's own healthy records: `motor-env commission --motor fleet.toml`.
 
-The sisters are the prior of where the motor lies (mean and spread from motor to motor), and of how far its records
-scatter. Each record of its own adds what it tells (Gelman et al. 2013, ch. 5): after the first the healthy values lie
-where sisters and record agree, after ten they are the motor's own.
+The fleet is the prior of where the motor lies and of how far its records scatter. Each record adds what it tells
+(Gelman et al. 2013, ch. 5): after ten the healthy values are the motor's own.
 """
 
 from __future__ import annotations
@@ -31,16 +30,17 @@ from motor_env.motor.parameters import FloatArray
 def update_unit(
     files: Sequence[str | Path], fleet_motor: Motor, name: str, *, reading: Reading | None = None
 ) -> Motor:
-    """The healthy motor that own records and sisters teach together.
+    """Learn the healthy motor from its records and its fleet.
 
-    Args:
-        files: healthy records of this motor.
-        fleet_motor: motor that was learned from a fleet, or by this function before.
-        name: of the motor.
-        reading: how the files are read.
+        Args:
+            files: healthy records of this motor.
+            fleet_motor: motor that was learned from a fleet, or by this function before.
+            name: of the motor.
+            reading: how the files are read.
 
-    Raises:
-        InputError: the motor was not learned from a fleet, or a record cannot be used.
+        Raises:
+            InputError: the motor was not learned from a fleet, or a record cannot be used.
+
     """
     healthy = fleet_motor.healthy
     if healthy is None or healthy.fleet is None:
@@ -55,10 +55,11 @@ def update_unit(
 
 
 def unit_quantities(motor: Motor) -> dict[str, dict[str, Any]]:
-    """What is known of a motor by its sisters and its own records: value, interval (95 %) and unit by quantity.
+    """List value, interval (95 %) and unit of each quantity.
 
-    Args:
-        motor: that `update_unit` has given.
+        Args:
+            motor: that `update_unit` has given.
+
     """
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was learned
@@ -67,12 +68,13 @@ def unit_quantities(motor: Motor) -> dict[str, dict[str, Any]]:
 
 
 def combine_with_records(healthy: Healthy, logs: FloatArray, errors: FloatArray) -> Healthy:
-    """What sisters and own records teach together.
+    """Combine a fleet's motor with records.
 
-    Args:
-        healthy: what the fleet teaches.
-        logs: logarithms of the quantities of each own record, shape (n, p).
-        errors: their covariance by the fit, shape (n, p, p).
+        Args:
+            healthy: what the fleet teaches.
+            logs: logarithms of the quantities of each record, shape (n, p).
+            errors: their covariance by the fit, shape (n, p, p).
+
     """
     assert healthy.fleet is not None  # noqa: S101  # the callers have seen to it
     within = _within_covariance(logs, errors, healthy.fleet)
@@ -94,10 +96,11 @@ def combine_with_records(healthy: Healthy, logs: FloatArray, errors: FloatArray)
 
 
 def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
-    """The fits of a record's pieces.
+    """Fit a record's pieces.
 
-    Raises:
-        InputError: it has none, or they tell other quantities than the sisters' records.
+        Raises:
+            InputError: it has none, or they tell other quantities than the fleet's records.
+
     """
     found = diagnose(path, fleet_motor, **reading.options)
     fits = [one.fit for one in found.pieces if one.fit is not None and one.verdict is not Verdict.UNUSABLE]
@@ -110,7 +113,7 @@ def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
 
 
 def _within_covariance(logs: FloatArray, errors: FloatArray, fleet: Fleet) -> FloatArray:
-    """How far records of the motor scatter: as the fleet's, and as its own, which count by their number."""
+    """Estimate the scatter from record to record; own records count by their number."""
     off = logs - logs.mean(axis=0)
     seen = off.T @ off - max(len(logs) - 1, 0) * errors.mean(axis=0)
     spread = (seen + PRIOR_WEIGHT * fleet.log_within) / (len(logs) - 1 + PRIOR_WEIGHT)
