@@ -198,10 +198,9 @@ Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 def processes(workers: int, scheduler: str | None = None) -> Iterator[Map]:
     """Offer what maps a function over files: here, in processes, or on the workers of a Dask cluster.
 
-        Args:
-            workers: processes, without a cluster.
-            scheduler: address of the cluster's scheduler.
-
+    Args:
+        workers: processes, without a cluster.
+        scheduler: address of the cluster's scheduler.
     """
     if scheduler is not None:
         require_extra("distributed", "dask")

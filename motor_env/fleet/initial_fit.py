@@ -67,16 +67,15 @@ class Reading:
 class InitialFit(NamedTuple):
     """First fit of a record; `trouble` says why there is none.
 
-        Attributes:
-            names: of the terms.
-            quantities: that it tells.
-            values: physical values, or the quantities' logarithms of a start.
-            hold: of the voltage.
-            speed_rad_s: effective speed.
-            rms_volts: effective voltage.
-            duration_s, dt_s: of the record, and of its samples.
-            peaks: largest voltage, current and speed.
-
+    Attributes:
+        names: of the terms.
+        quantities: that it tells.
+        values: physical values, or the quantities' logarithms of a start.
+        hold: of the voltage.
+        speed_rad_s: effective speed.
+        rms_volts: effective voltage.
+        duration_s, dt_s: of the record, and of its samples.
+        peaks: largest voltage, current and speed.
     """
 
     trouble: str = ""
@@ -136,15 +135,14 @@ _FIRST: TypeAdapter[InitialFit] = TypeAdapter(InitialFit)
 class FitCache:
     """First fits by file, in memory and in a file of JSON lines.
 
-        A fit counts as long as its file has the same size and time, and is read in the same way.
+    A fit counts as long as its file has the same size and time, and is read in the same way.
 
-        Args:
-            path: of the file; None for memory alone.
-            reading: how the records are read.
+    Args:
+        path: of the file; None for memory alone.
+        reading: how the records are read.
 
-        Raises:
-            InputError: the file is another's, or damaged before its last line.
-
+    Raises:
+        InputError: the file is another's, or damaged before its last line.
     """
 
     def __init__(self, path: Path | None, reading: Reading) -> None:

@@ -35,11 +35,10 @@ _GAINS = 3  # of voltage, current and speed
 class FleetDiagnosis:
     """Verdicts on the motors of a fleet.
 
-        Attributes:
-            units: the motors, the oddest first.
-            quantities: that were compared.
-            false_alarm_rate: of each healthy motor.
-
+    Attributes:
+        units: the motors, the oddest first.
+        quantities: that were compared.
+        false_alarm_rate: of each healthy motor.
     """
 
     units: tuple[FleetUnit, ...]
@@ -149,8 +148,7 @@ def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Fl
 def common_cause(difference: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
     """Find one sensor or supply at a wrong scale that the motors of a machine share; empty for nothing.
 
-        Each motor may be too little off by itself.
-
+    Each motor may be too little off by itself.
     """
     if len(difference) < 2:
         return ""
@@ -186,12 +184,11 @@ _ROW = 13.0  # pixels between two names
 def picture(names: Sequence[str], units: Sequence[FleetUnit]) -> str:
     """Draw the fleet: each quantity's column has a dot a motor, and the names of odd ones.
 
-        Heights are standard deviations of another healthy motor.
+    Heights are standard deviations of another healthy motor.
 
-        Args:
-            names: of the quantities.
-            units: the motors, the oddest first.
-
+    Args:
+        names: of the quantities.
+        units: the motors, the oddest first.
     """
     columns = Axis("", -0.5, len(names) - 0.5)
     rows = Axis("", -_FARTHEST, _FARTHEST, (-6, -4, -2, 0, 2, 4, 6), number="{:g}".format)

@@ -52,10 +52,9 @@ _LEAST_PROBABILITY = (
 class LearnedFleet:
     """A fleet, and the healthy population of its motors.
 
-        Attributes:
-            fits: of its records.
-            unit_of: motor of each file, with or without a fit.
-
+    Attributes:
+        fits: of its records.
+        unit_of: motor of each file, with or without a fit.
     """
 
     fits: FleetFits
@@ -104,11 +103,10 @@ class LearnedFleet:
     def motor(self, name: str, core: HealthyPopulation | None = None, position: str | None = None) -> Motor:
         """Make the healthy motor, as motor files hold it.
 
-                Args:
-                    name: of it.
-                    core: population; that of all motors unless given.
-                    position: place in the machine; without it, a motor of any place.
-
+        Args:
+            name: of it.
+            core: population; that of all motors unless given.
+            position: place in the machine; without it, a motor of any place.
         """
         healthy = self._healthy(self.core if core is None else core, position)
         if self.fits.windows is not None:
@@ -178,9 +176,8 @@ class LearnedFleet:
 def directions_of(exponents: FloatArray) -> FloatArray:
     """List the directions in which faults and gains of sensors move quantities, shape (m, p).
 
-        Args:
-            exponents: of (R, L, K, J, B, V) in each quantity, shape (p, 6).
-
+    Args:
+        exponents: of (R, L, K, J, B, V) in each quantity, shape (p, 6).
     """
     gains = [
         exponents @ [POWERS[column].get(name, 0.0) for name in identifiable.PARAMETERS] for column in _GAINS
@@ -214,17 +211,16 @@ def learn_fleet(
 ) -> LearnedFleet:
     """Learn a healthy motor from motors of one make, of which some may be sick.
 
-        Args:
-            files: recordings; each of another motor, unless names tell otherwise.
-            group: regular expression that reads machine, motor and repeat from a file's name, see `unit_ids`.
-            reading: how the files are read.
-            each: what maps over files, see `motor_env.fleet.fits.processes`.
-            kept: file that keeps first fits, so that a stopped run goes on.
-            progress: told each file, twice.
+    Args:
+        files: recordings; each of another motor, unless names tell otherwise.
+        group: regular expression that reads machine, motor and repeat from a file's name, see `unit_ids`.
+        reading: how the files are read.
+        each: what maps over files, see `motor_env.fleet.fits.processes`.
+        kept: file that keeps first fits, so that a stopped run goes on.
+        progress: told each file, twice.
 
-        Raises:
-            InputError: too few motors, or records that cannot be used together.
-
+    Raises:
+        InputError: too few motors, or records that cannot be used together.
     """
     files = [Path(path) for path in files]
     if len({path.resolve() for path in files}) < len(files):

@@ -111,14 +111,13 @@ class Motors:
 class HealthyPopulation:
     """The healthy core of a population.
 
-        Attributes:
-            centres: mean logarithms for each position, shape (n_positions, p).
-            centre_covariances: their errors, shape (n_positions, p, p).
-            between: covariance from motor to motor, shape (p, p).
-            within: covariance from record to record of one motor, shape (p, p).
-            degrees_of_freedom: of their sum.
-            probability: that each motor is of the core, shape (n_motors,).
-
+    Attributes:
+        centres: mean logarithms for each position, shape (n_positions, p).
+        centre_covariances: their errors, shape (n_positions, p, p).
+        between: covariance from motor to motor, shape (p, p).
+        within: covariance from record to record of one motor, shape (p, p).
+        degrees_of_freedom: of their sum.
+        probability: that each motor is of the core, shape (n_motors,).
     """
 
     centres: FloatArray

@@ -20,12 +20,11 @@ _GROUPS = ("machine", "motor", "repeat")
 
 
 class UnitId(NamedTuple):
-    """Name a motor of a fleet.
+    """Machine and place of a motor.
 
-        Attributes:
-            machine: that the motor is part of.
-            motor: its place in the machine, such as left or right; empty where machines have one motor each.
-
+    Attributes:
+        machine: that the motor is part of.
+        motor: its place in the machine, such as left or right; empty where machines have one motor each.
     """
 
     machine: str
@@ -40,14 +39,13 @@ class UnitId(NamedTuple):
 def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
     """Read machine and motor from each file's name.
 
-        Args:
-            files: recordings.
-            group: regular expression searched in a file's name without its ending, with named groups machine, motor and
-                repeat; without it each file is a machine of its own.
+    Args:
+        files: recordings.
+        group: regular expression searched in a file's name without its ending, with named groups machine, motor and
+            repeat; without it each file is a machine of its own.
 
-        Raises:
-            InputError: no regular expression, one without these groups, or a name that it does not match.
-
+    Raises:
+        InputError: no regular expression, one without these groups, or a name that it does not match.
     """
     if group is None:
         return [UnitId(path.stem) for path in files]

@@ -32,15 +32,14 @@ def update_unit(
 ) -> Motor:
     """Learn the healthy motor from its records and its fleet.
 
-        Args:
-            files: healthy records of this motor.
-            fleet_motor: motor that was learned from a fleet, or by this function before.
-            name: of the motor.
-            reading: how the files are read.
+    Args:
+        files: healthy records of this motor.
+        fleet_motor: motor that was learned from a fleet, or by this function before.
+        name: of the motor.
+        reading: how the files are read.
 
-        Raises:
-            InputError: the motor was not learned from a fleet, or a record cannot be used.
-
+    Raises:
+        InputError: the motor was not learned from a fleet, or a record cannot be used.
     """
     healthy = fleet_motor.healthy
     if healthy is None or healthy.fleet is None:
@@ -57,9 +56,8 @@ def update_unit(
 def unit_quantities(motor: Motor) -> dict[str, dict[str, Any]]:
     """List value, interval (95 %) and unit of each quantity.
 
-        Args:
-            motor: that `update_unit` has given.
-
+    Args:
+        motor: that `update_unit` has given.
     """
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was learned
@@ -70,11 +68,10 @@ def unit_quantities(motor: Motor) -> dict[str, dict[str, Any]]:
 def combine_with_records(healthy: Healthy, logs: FloatArray, errors: FloatArray) -> Healthy:
     """Combine a fleet's motor with records.
 
-        Args:
-            healthy: what the fleet teaches.
-            logs: logarithms of the quantities of each record, shape (n, p).
-            errors: their covariance by the fit, shape (n, p, p).
-
+    Args:
+        healthy: what the fleet teaches.
+        logs: logarithms of the quantities of each record, shape (n, p).
+        errors: their covariance by the fit, shape (n, p, p).
     """
     assert healthy.fleet is not None  # noqa: S101  # the callers have seen to it
     within = _within_covariance(logs, errors, healthy.fleet)
@@ -98,9 +95,8 @@ def combine_with_records(healthy: Healthy, logs: FloatArray, errors: FloatArray)
 def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
     """Fit a record's pieces.
 
-        Raises:
-            InputError: it has none, or they tell other quantities than the fleet's records.
-
+    Raises:
+        InputError: it has none, or they tell other quantities than the fleet's records.
     """
     found = diagnose(path, fleet_motor, **reading.options)
     fits = [one.fit for one in found.pieces if one.fit is not None and one.verdict is not Verdict.UNUSABLE]
