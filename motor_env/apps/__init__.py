@@ -1,1 +1,1 @@
-"""Programs on top of the library: the paper reproduced, the laboratory page."""
+"""Programs on top of the rooms: the paper reproduced, the laboratory page, compiling ahead."""

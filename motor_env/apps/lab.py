@@ -1,6 +1,6 @@
-"""What the lab shows: a simulated start, the filter's residual, a rule's statistic with its threshold, the verdict.
+"""Compute what the lab shows: a simulated start, the filter's residual, a rule's statistic and threshold, the verdict.
 
-Every function here takes plain numbers from the page and gives a dictionary for JSON; the server is `lab_server`.
+Functions take plain numbers from the page and give a dictionary for JSON; the server is `lab_server`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Shelf:
         self._folder.cleanup()
 
     def keep(self, kind: str, name: str, content: bytes) -> dict[str, str | int]:
-        """Take in a motor file or one healthy start; the answer says what is there to compare with.
+        """Keep a motor file or one healthy start; the answer says what is there to compare with.
 
         Raises:
             InputError: too many, or not readable; the sentence speaks of the page's name.
@@ -75,7 +75,7 @@ class Shelf:
         }
 
     def reference(self, wanted: str) -> tuple[str | None, list[Path]]:
-        """Motor and healthy starts to compare with, for what the page has chosen.
+        """Return motor and healthy starts to compare with, as the page has chosen.
 
         Raises:
             InputError: nothing of the kind was handed in, or there is no such motor.
@@ -92,12 +92,12 @@ class Shelf:
 
 
 def shown_name(name: str) -> str:
-    """A file's name as the page shows it."""
+    """Clean a file's name for the page."""
     return "".join(character for character in name if character.isprintable())[:80] or "recording"
 
 
 def ending_of(shown: str) -> str:
-    """The ending by which its format is told."""
+    """Find the ending by which its format is told."""
     suffix = Path(shown).suffix.lower()
     return suffix if suffix[1:].isalnum() and len(suffix) <= 9 else ".csv"
 
@@ -144,7 +144,7 @@ class Settings:
 
     @property
     def sensor(self) -> SensorParameters:
-        """The sensor, as it is and as the filter believes it to be."""
+        """Return the sensor, as it is and as the filter believes it to be."""
         return SensorParameters(current_noise_a=1e-3 * self.noise_ma)
 
     def __post_init__(self) -> None:
@@ -170,13 +170,13 @@ RANGES: dict[str, tuple[float, float]] = {
 
 
 def fault_names() -> tuple[str, ...]:
-    """Healthy and the kinds of faults to choose from: of the sensors, those of the current, the only one here."""
+    """List healthy and the kinds of faults to choose from: of the sensors, those of the current."""
     kinds = (kind for kind in FaultKind if not kind.is_sensor or kind.startswith("current_"))
     return (HEALTHY, *map(str, kinds))
 
 
 def start_of(settings: Settings) -> Transients:
-    """The simulated start: the truth, and what the sensor saw of it."""
+    """Simulate the start: the truth, and what the sensor saw of it."""
     return simulate(_scenario(settings), settings.seed, [0])
 
 
@@ -196,7 +196,7 @@ def _belief(settings: Settings) -> KalmanFilter:
 
 
 def simulated(settings: Settings) -> dict[str, Any]:
-    """Curves of one start: measured and expected current, residual, statistic, threshold, alarm."""
+    """Simulate one start: measured and expected current, residual, statistic, threshold, alarm."""
     start = start_of(settings)
     filtered = run_filter(_belief(settings), start.measurements[0], start.voltage_v[0])
     expected = simulate_states(CATALOGUE[settings.motor], start.voltage_v[0], TIMING.dt_s)[:, 0]
@@ -228,7 +228,7 @@ def _threshold(rule: str, rate: float) -> float:
 
 
 def roc(settings: Settings) -> dict[str, Any]:
-    """The rule's ROC for this fault at this noise: share of starts that alarm, healthy nominal ones and faulty ones."""
+    """Count how many healthy nominal starts alarm, and how many with this fault at this noise, by threshold."""
     healthy = replace(settings, kind=HEALTHY, resistance_percent=0.0, friction_percent=0.0)
     largest = [np.sort(_largest_statistics(one)) for one in (healthy, settings)]
     thresholds = np.quantile(largest[0], np.linspace(0.0, 1.0, 101))
@@ -243,7 +243,7 @@ def roc(settings: Settings) -> dict[str, Any]:
 
 
 def _largest_statistics(settings: Settings) -> FloatArray:
-    """Largest value of the rule's statistic in each of many starts, shape (n_starts,)."""
+    """Compute the largest statistic of each of many starts, shape (n_starts,)."""
     starts = simulate(_scenario(settings), settings.seed, range(ROC_STARTS))
     whitened = run_filter(_belief(settings), starts.measurements, starts.voltage_v).whitened
     out: FloatArray = RULES[settings.rule][1].statistic(whitened).max(axis=-1)
@@ -255,7 +255,7 @@ def _short(values: FloatArray) -> list[float]:
 
 
 def verdict(settings: Settings) -> dict[str, Any]:
-    """The model-based diagnosis of the simulated start, as `motor-env diagnose` makes it of a recording.
+    """Diagnose the simulated start as `motor-env diagnose` does a recording.
 
     It sees time, current and voltage, and the catalogue motor; not the fault, nor this motor's own tolerances.
     """
@@ -272,7 +272,7 @@ def recording_verdict(
     voltage_v: float | None,
     shelf: Shelf,
 ) -> dict[str, Any]:
-    """Diagnosis of a dropped recording. Its bytes are data: parsed as a table, kept in a temporary folder meanwhile.
+    """Diagnose a dropped recording. Its bytes are data: parsed as a table, kept in a temporary folder meanwhile.
 
     Args:
         name: the file's name on the page; only its ending is used, to tell the format.
@@ -298,7 +298,7 @@ def recording_verdict(
 
 
 def _as_document(diagnosis: Diagnosis) -> dict[str, Any]:
-    """The diagnosis as JSON, its headline, and the curves to draw."""
+    """Convert a diagnosis to JSON with its headline and the curves to draw."""
     document = as_json(diagnosis)
     document["headline"] = headline(diagnosis.telling)
     document["curves"] = None
@@ -320,7 +320,7 @@ def _as_document(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def options() -> dict[str, Any]:
-    """What the page offers."""
+    """List what the page offers."""
     return {
         "motors": list(CATALOGUE),
         "kinds": list(fault_names()),

@@ -1,4 +1,4 @@
-"""The lab's server: the standard library's, on the loopback interface only, with a page of its own.
+"""Serve the lab by the standard library's server, on the loopback interface only.
 
 Nobody else can use it: it binds to 127.0.0.1, refuses requests whose Host is another name (DNS rebinding) or whose
 Origin is another page, and the page may load nothing from elsewhere (Content-Security-Policy).
@@ -52,7 +52,7 @@ class _Server(ThreadingHTTPServer):
 
 
 def make_server(port: int = 0) -> ThreadingHTTPServer:
-    """A server that listens and does not serve yet; port 0 takes a free one (`server.server_port`).
+    """Open a server that does not serve yet; port 0 takes a free one (`server.server_port`).
 
     Raises:
         InputError: the port is taken, or out of range.
@@ -66,7 +66,7 @@ def make_server(port: int = 0) -> ThreadingHTTPServer:
 
 
 def address(server: ThreadingHTTPServer) -> str:
-    """The page's address."""
+    """Return the page's address."""
     return f"http://{HOST}:{server.server_port}/"
 
 

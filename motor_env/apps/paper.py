@@ -1,4 +1,4 @@
-"""The source paper's numbers beside ours, and the places where it is wrong; every number is computed here.
+"""Compute the source paper's numbers beside ours, and show where it is wrong.
 
 The paper: "Simulation of Incipient Fault Detection, Confirmation and Diagnosis Using Kalman Filter". It prints a
 table of parameters, a pair of discrete matrices, two faulty resistances and two faulty frictions; no curve's numbers.
@@ -86,7 +86,7 @@ class Comparison(NamedTuple):
 
     @property
     def ours_text(self) -> str:
-        """Ours, rounded to what is shown."""
+        """Round ours to what is shown."""
         return f"{self.ours:.{self.decimals}f}"
 
     @property
@@ -113,19 +113,19 @@ class Slip(NamedTuple):
 
 
 def faulty(fault: Fault | None) -> MotorParameters:
-    """The paper's motor with one of the paper's faults."""
+    """Apply one of the paper's faults to its motor."""
     return PAPER_MOTOR if fault is None else apply_fault(PAPER_MOTOR, fault)
 
 
 def level_name(fault: Fault | None) -> str:
-    """Name of a fault level: healthy, bearing 10 %, ..."""
+    """Name a fault level: healthy, bearing 10 %, ..."""
     if fault is None:
         return "healthy"
     return f"{str(fault.kind).replace('_', ' ')} {100.0 * float(fault.severity):g} %"
 
 
 def start_up(parameters: MotorParameters) -> StartUp:
-    """Peak, peak time, settling time and final values of the start under 12 V.
+    """Simulate the start under 12 V: peak, peak time, settling time and final values.
 
     The states are exact at every microsecond; between two samples the peak is a parabola's, the settling a line's.
     """
@@ -150,7 +150,7 @@ def start_up(parameters: MotorParameters) -> StartUp:
 
 
 def comparisons() -> list[Comparison]:
-    """Every number that the paper prints or whose curve it shows, beside ours."""
+    """Compute every number that the paper prints or whose curve it shows, beside ours."""
     healthy, table = start_up(PAPER_MOTOR), "table, 12 V"
     # The paper gives no final value of its simulation; 4850 rpm is how it names the motor.
     return [
@@ -213,7 +213,7 @@ def _start_ups() -> list[Comparison]:
 
 
 def slips() -> list[Slip]:
-    """The places where the paper is wrong, each with the number that shows it."""
+    """List the places where the paper is wrong, each with the number that shows it."""
     return [*_slips_of_the_model(), *_slips_of_the_faults()]
 
 

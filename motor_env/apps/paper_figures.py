@@ -1,6 +1,6 @@
-"""The paper's figures 4 and 8 to 13, and the error covariance that its text promises.
+"""Draw the paper's figures 4 and 8 to 13, and the error covariance that its text promises.
 
-The paper prints neither Q nor R nor the variance of its noise fault; what is taken here stands in the constants below.
+The paper prints neither Q nor R nor the variance of its noise fault; what is taken stands in the constants below.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ class PaperFigure(NamedTuple):
 
 
 def _start(case: int, *faults: Fault, **options: Any) -> Transients:
-    """A start-up of the motor with these faults, seen by the sensor."""
+    """Simulate a start-up with these faults, seen by the sensor."""
     return simulate(
         Scenario(PAPER_MOTOR, faults=faults, sensor=SENSOR, timing=TIMING, **options), SEED, cases=[case]
     )
 
 
 def _noisy_start() -> Transients:
-    """The start-up of the motor with the incipient noise fault."""
+    """Simulate the start-up with the incipient noise fault."""
     return _start(0, NOISE_FAULT, process_noise_std=PROCESS_NOISE_STD)
 
 
@@ -191,7 +191,7 @@ def estimated_states() -> Figure:
 
 
 def error_covariance() -> Figure:
-    """The error covariance of the filter, and the error that it makes in fact."""
+    """Draw the error covariance of the filter, and the error that it makes in fact."""
     start_std = np.asarray(UNKNOWN_START_STD)
     errors, covariance = _errors_of_many_runs(_belief(initial_std=UNKNOWN_START_STD), start_std)
     time_ms = _MS * TIMING.time_s
@@ -219,7 +219,7 @@ def error_covariance() -> Figure:
 
 
 def _errors_of_many_runs(belief: KalmanFilter, start_std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Estimation errors over runs whose start and process noise are drawn from what the filter believes."""
+    """Simulate estimation errors; start and process noise are drawn from what the filter believes."""
     rng = np.random.default_rng(SEED)
     shape = (N_RUNS, TIMING.n_samples)
     states = simulate_states(
@@ -235,7 +235,7 @@ def _errors_of_many_runs(belief: KalmanFilter, start_std: FloatArray) -> tuple[F
 
 
 def faulty_start(fault: Fault) -> Figure:
-    """Figures 10 to 13: the current of a faulty motor beside the healthy one, its start and its end."""
+    """Draw figures 10 to 13: the current of a faulty motor beside the healthy one, its start and its end."""
     figure, (top, bottom) = subplots(2, height_in=7.0, height_ratios=(3, 2), sharex=False)
     pairs = ((None, COLOUR["healthy"], "-"), (fault, COLOUR[str(fault.kind)], "--"))
     for index, (motor, curve_colour, dashes) in enumerate(pairs):
@@ -285,7 +285,7 @@ def _level_figures() -> list[PaperFigure]:
 
 
 def paper_figures() -> list[PaperFigure]:
-    """All figures, in the order of the paper."""
+    """List all figures, in the order of the paper."""
     return [
         PaperFigure(
             "figure_04",

@@ -1,4 +1,4 @@
-"""The command `motor-env reproduce`: the paper's figures and numbers beside ours, as a page and as JSON.
+"""Write the paper's figures and numbers beside ours as a page and as JSON: the command `motor-env reproduce`.
 
 A folder that it writes holds `index.html` and `paper.md` (the same page), `images/` and `reproduce.json`. Both pages
 are made from one list of blocks.
@@ -54,7 +54,7 @@ def _choices() -> str:
 
 
 def page() -> list[Block]:
-    """The whole page, its numbers computed now."""
+    """Build the whole page, its numbers computed now."""
     return [
         Block("heading", "The paper, reproduced"),
         Block(
@@ -89,7 +89,7 @@ def _number_rows() -> tuple[tuple[str, ...], ...]:
 
 
 def markdown(blocks: Sequence[Block]) -> str:
-    """The page as Markdown."""
+    """Write the page as Markdown."""
     parts = []
     for block in blocks:
         match block.kind:
@@ -110,7 +110,7 @@ def markdown(blocks: Sequence[Block]) -> str:
 
 
 def record() -> dict[str, Any]:
-    """The figures' numbers for machines; `paper` is null where the paper prints no number."""
+    """Collect the figures' numbers for machines; `paper` is null where the paper prints no number."""
     return {
         "made_by": MADE_BY,
         "numbers": [

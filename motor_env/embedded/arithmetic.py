@@ -1,4 +1,4 @@
-"""Numbers of a monitor as a controller computes with them, in single precision or in fixed point.
+"""Convert a monitor's numbers to a controller's arithmetic: single precision, or fixed point.
 
 Fixed point: a value is an integer times a unit. The unit of a state is one count of the sensor over a power of two, so
 that a reading needs one multiplication. A sum of products is made in 64 bits, rounded, and clamped.
@@ -31,12 +31,12 @@ _UNITS = Readings(1.0, 1.0, 1.0)
 
 
 def clamped(values: Values) -> Values:
-    """Values of fixed point, as they fit."""
+    """Clamp values of fixed point."""
     return np.clip(values, -LARGEST, LARGEST)
 
 
 def rounded(values: Values, dtype: type[np.generic]) -> Values:
-    """Values as numbers of a type."""
+    """Convert values to a type."""
     return (np.rint(values) if dtype == np.int64 else values).astype(dtype)
 
 
@@ -48,7 +48,7 @@ class Row:
     shift: int | None = None
 
     def total(self, values: Sequence[Values]) -> Values:
-        """The sum over the first values, from left to right."""
+        """Sum over the first values, from left to right."""
         products = (factor * value for factor, value in zip(self.factors, values, strict=False))
         total = np.asarray(sum(products))
         return total if self.shift is None else clamped(((total >> (self.shift - 1)) + 1) >> 1)
@@ -96,12 +96,12 @@ class Numbers:
 
 
 def floating(monitor: Monitor, dtype: type[np.float32 | np.float64] = np.float32) -> Numbers:
-    """Numbers in floating point."""
+    """Convert to floating point."""
     return _numbers(monitor, dtype, _UNITS, unit=1.0, row=lambda rows: Row(rows.astype(dtype)), steps=_UNITS)
 
 
 def fixed_point(monitor: Monitor, steps: Readings) -> Numbers:
-    """Numbers in fixed point, for readings that are counts of `steps`.
+    """Convert to fixed point, for readings that are counts of `steps`.
 
     Raises:
         ValueError: a step is not positive, or so small or large that the range does not fit.

@@ -1,4 +1,4 @@
-"""What runs on a controller: a filter with known gains, a rule and its threshold, a watch on the sensors."""
+"""Build what runs on a controller: a filter with known gains, a rule and its threshold, a check of the sensors."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _OVERLAP = 12.0
 
 
 class Readings(NamedTuple):
-    """A magnitude of each reading: the largest that is one, or what one count is worth."""
+    """One number for each reading: its largest magnitude, or what one count is worth."""
 
     current_a: float
     speed_rad_s: float
     voltage_v: float
 
     def counts(self, *given: float | None) -> Self:
-        """What one count is worth: as given, else powers of ten of which 1e7 to 1e8 make these largest readings."""
+        """Return what one count is worth: as given, else powers of ten of which 1e7 to 1e8 make these readings."""
         tens = [10.0 ** (math.floor(math.log10(most)) - 7) for most in self]
         chosen = zip(tens, given or 3 * [None], strict=True)
         return type(self)(*(ten if count is None else count for ten, count in chosen))
@@ -44,9 +44,9 @@ class CusumBank:
 
     The filter knows the sign before the sample, so the product is as white as the innovation, and each sum has its
     exact threshold. Friction moves the current with the sign of the speed, averaged over the mechanical time constant.
-    A resistance moves it against that of the current less such an average. Their rates of false alarms add up, but for
-    those alarms that two sums give at once: a share of 12 / sqrt(ARL0), by simulation (6.5 % of 5,654 at an ARL0 of
-    36,000 samples, 2.2 % of 1,383 at 360,000).
+    A resistance moves it against that of the current less such an average. Rates of false alarms add up, but for alarms
+    that two sums give at once: a share of 12 / sqrt(ARL0), by simulation (6.5 % of 5,654 at an ARL0 of 36,000 samples,
+    2.2 % of 1,383 at 360,000).
 
     Attributes:
         friction: shifts looked for with the first sign, in standard deviations of a sample.
@@ -58,11 +58,11 @@ class CusumBank:
 
     @property
     def shifts(self) -> tuple[float, ...]:
-        """Shift of each sum."""
+        """List the shift of each sum."""
         return (*self.friction, *self.winding)
 
     def thresholds_for(self, arl0: float) -> tuple[float, ...]:
-        """Threshold of each sum; all have an equal share of the false alarms."""
+        """Solve the threshold of each sum; all have an equal share of the false alarms."""
         overlap = min(_OVERLAP / math.sqrt(arl0), 0.1) if len(self.shifts) > 1 else 0.0
         alone = arl0 * len(self.shifts) * (1.0 - overlap)
         return tuple(Cusum(shift, two_sided=True).threshold_for(arl0=alone).value for shift in self.shifts)
@@ -89,14 +89,14 @@ class Monitor:
     stuck_after: int = 100
 
     def gains(self) -> tuple[FloatArray, FloatArray]:
-        """Steady Kalman gain (2, m), and what turns the current's innovation into shares of the thresholds (p, 1)."""
+        """Return steady Kalman gain (2, m), and what scales the current's innovation to the thresholds (p, 1)."""
         steps = settled(self.kalman)
         white = np.linalg.inv(np.linalg.cholesky(steps.innovation_covariance[-1]))
         return steps.gain[-1], white[:1, :1] / np.array(self.thresholds)[:, None]
 
 
 def settled(kalman: KalmanFilter) -> Schedule:
-    """Gains from the begin until they no longer change."""
+    """Compute gains until they no longer change."""
     for power in range(8, 21):
         steps = schedule(kalman, 2**power)
         if steps.held_from < 2**power:
@@ -107,7 +107,7 @@ def settled(kalman: KalmanFilter) -> Schedule:
 def sensor_of(
     motor: Motor, current_noise_a: float | None = None, speed_noise_rad_s: float | None = None
 ) -> SensorParameters:
-    """The current sensor, and the speed sensor where its noise is given.
+    """Describe the current sensor, and the speed sensor where its noise is given.
 
     Raises:
         ValueError: neither the motor file nor the caller says how large the noise of the current is.
@@ -130,7 +130,7 @@ def monitor_of(
     false_alarms_per_year: float = 1.0,
     stuck_after: int = 100,
 ) -> Monitor:
-    """Monitor of a motor that is known exactly and carries no load but its own friction.
+    """Build the monitor of a motor that is known exactly and carries no load but its own friction.
 
     Args:
         motor: as its file says.

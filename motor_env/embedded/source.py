@@ -1,4 +1,4 @@
-"""C99 source of a monitor from Jinja2 templates: library, self test, CMake and Arduino files."""
+"""Write a monitor as C99 from Jinja2 templates: library, self test, CMake and Arduino files."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
 
 
 def literal(value: Any) -> str:
-    """A number as C source; single precision keeps every bit.
+    """Write a number as C source; single precision keeps every bit.
 
     Raises:
         InputError: it is no number of 32 bits.
@@ -144,7 +144,7 @@ def literal(value: Any) -> str:
 
 
 def checks(monitor: Monitor, n: Numbers) -> list[Check]:
-    """Samples of a healthy start, then of a current that is off by so much that it alarms, then one out of range."""
+    """Make samples of a healthy start, then of a current so far off that it alarms, then one out of range."""
     model, sensor, voltage_v = (
         monitor.kalman.model,
         monitor.kalman.observation,

@@ -1,4 +1,4 @@
-"""The C source's twin: the same operations in the same order, on NumPy's floats or integers.
+"""Compute as the C source does: the same operations in the same order, on NumPy's floats or integers.
 
 Current and speed grow by small amounts. In single precision what is lost when an amount is added is kept for the next
 one (Kahan 1965); without that the statistics drift off by more than the noise of the sum.
@@ -42,7 +42,7 @@ class Answers(NamedTuple):
 
 
 def readings_of(numbers: Numbers, measurements: ArrayLike, voltage_v: ArrayLike) -> Values:
-    """What the controller reads: measurements (n_cases, m, n_samples) and voltage (n_samples,) as floats or counts.
+    """Convert measurements (n_cases, m, n_samples) and voltage (n_samples,) to what the controller reads.
 
     Returns:
         Shape (n_cases, m + 1, n_samples): current, speed where measured, voltage.
@@ -70,7 +70,7 @@ class _Twin:
         self.hidden = np.zeros(n_cases, np.int64)
 
     def step(self, readings: Values) -> NDArray[np.int64]:
-        """Verdicts on a sample of each case, shape (n_cases,); its readings are (n_cases, m + 1)."""
+        """Judge a sample of each case, shape (n_cases,); its readings are (n_cases, m + 1)."""
         numbers, m = self.numbers, self.numbers.n_channels
         inside = np.abs(readings) <= numbers.ranges[[*range(m), 2]]
         self.voltage = np.where(inside[:, m], readings[:, m] * numbers.scales[2], self.voltage)
@@ -94,7 +94,7 @@ class _Twin:
         return np.where(used, fault, sensor)
 
     def _dead(self, growth: Values, reading: Values, wrong: Any) -> NDArray[np.bool_]:
-        """Where the current reads nothing whenever the model has much; so it stays until one is read again."""
+        """Find where the current reads nothing whenever the model has much; so it stays until one is read."""
         numbers, predicted = self.numbers, np.abs(self.state[0] + growth[0])
         predicted = clamped(predicted) if numbers.is_fixed else predicted
         shown = np.abs(reading * numbers.scales[0])
@@ -123,7 +123,7 @@ class _Twin:
             self.lost = (self.state - before) - rest
 
     def _forward(self, growth: Values) -> Values:
-        """Values by whose signs the innovation is multiplied, for windings and for friction."""
+        """Return values by whose signs the innovation is multiplied, for windings and for friction."""
         is_fixed, predicted = self.numbers.is_fixed, self.state + growth
         predicted = clamped(predicted) if is_fixed else predicted
         shared = np.floor_divide if is_fixed else np.divide
@@ -131,7 +131,7 @@ class _Twin:
         return np.array([predicted[0] - self.slow[0], self.slow[1]])
 
     def _decided(self, white: Values, forward: Values, used: NDArray[np.bool_]) -> Values:
-        """The statistic, where the sample is used."""
+        """Update the statistic, where the sample is used."""
         numbers = self.numbers
         sign = np.repeat(forward[::-1], [numbers.n_friction, len(white) - numbers.n_friction], axis=0)
         signed = np.where(sign < 0, -white, white)

@@ -1,4 +1,4 @@
-"""Text from Jinja2 templates: in HTML values are escaped, a missing value is an error, a page needs no other file."""
+"""Render text from Jinja2 templates: HTML is escaped, a missing value is an error, a page needs no other file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def render(
     filters: Mapping[str, Callable[..., str]] | None = None,
     **values: Any,
 ) -> str:
-    """A page of a package's folder `templates`; it may extend `base.html.j2`, which holds colours and common style.
+    """Render a template of a package's folder `templates`; it may extend `base.html.j2`, which holds the common style.
 
     Args:
         package: import name of the package.

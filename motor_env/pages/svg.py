@@ -1,4 +1,4 @@
-"""Charts as inline SVG: data in, pixels out. Shapes carry CSS classes, so colours follow the page, light or dark."""
+"""Draw charts as inline SVG: data in, pixels out. Shapes carry CSS classes, so colours follow the page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Values = Sequence[float] | NDArray[np.float64]
 
 
 def percent(share: float) -> str:
-    """A share in per cent, to three digits."""
+    """Format a share in per cent, to three digits."""
     return f"{100 * share:.3g} %"
 
 
@@ -41,7 +41,7 @@ class Axis(NamedTuple):
     is_reversed: bool = False
 
     def place(self, value: float) -> float:
-        """From 0 at the begin to 1 at the end; values beyond stay on the edge."""
+        """Scale a value from 0 at the begin to 1 at the end; values beyond stay on the edge."""
         low, high, at = self.low, self.high, min(max(value, self.low), self.high)
         if self.is_log:
             low, high, at = np.log([low, high, at])
@@ -50,7 +50,7 @@ class Axis(NamedTuple):
 
 
 def round_ticks(low: float, high: float, most: int = 5) -> list[float]:
-    """Multiples of 1, 2 or 5 times a power of ten in a range, about `most` of them or fewer."""
+    """List multiples of 1, 2 or 5 times a power of ten in a range, at most about `most`."""
     span = max(high - low, 1e-12)
     power = 10.0 ** np.floor(np.log10(span / most))
     step = next((power * f for f in (1.0, 2.0, 5.0) if span / (power * f) <= most), 10.0 * power)
@@ -85,15 +85,15 @@ class Chart:
         self._parts = [f'<svg viewBox="{view}" role="img" aria-label="{escape(label)}">']
 
     def x(self, value: float) -> float:
-        """Pixels from the left."""
+        """Convert to pixels from the left."""
         return self.left + (self.right - self.left) * self.x_axis.place(value)
 
     def y(self, value: float) -> float:
-        """Pixels from above."""
+        """Convert to pixels from above."""
         return self.bottom - (self.bottom - self.top) * self.y_axis.place(value)
 
     def shape(self, tag: str, style: str = "", content: str = "", **attributes: float | str) -> None:
-        """An element with its attributes; `content` is markup."""
+        """Add an element with its attributes; `content` is markup."""
         named = "".join(
             f' {name}="{value if isinstance(value, str) else format(value, ".1f")}"'
             for name, value in attributes.items()
@@ -103,54 +103,54 @@ class Chart:
 
     @contextmanager
     def group(self, style: str, title: str = "") -> Iterator[None]:
-        """Shapes that share a style, and a text that shows when they are pointed at."""
+        """Group shapes that share a style, and a text that shows when they are pointed at."""
         self._parts.append(f'<g class="{escape(style)}">' + _title(title))
         yield
         self._parts.append("</g>")
 
     def text(self, at: Point, content: str, style: str = "tick", anchor: str = "start") -> None:
-        """A line of text; `anchor` is start, middle or end."""
+        """Add a line of text; `anchor` is start, middle or end."""
         self.shape("text", style, escape(content), **{"text-anchor": anchor}, x=at[0], y=at[1])
 
     def line(self, style: str, begin: Point, end: Point) -> None:
-        """A straight line."""
+        """Add a straight line."""
         self.shape("line", style, x1=begin[0], y1=begin[1], x2=end[0], y2=end[1])
 
     def dot(self, style: str, at: Point, radius: float, title: str = "") -> None:
-        """A filled circle."""
+        """Add a filled circle."""
         self.shape("circle", style, _title(title), cx=at[0], cy=at[1], r=radius)
 
     def curve(self, style: str, xs: Values, ys: Values) -> None:
-        """A line through points given in data coordinates."""
+        """Add a line through points given in data coordinates."""
         self.shape("polyline", style, points=self.points(xs, ys))
 
     def points(self, xs: Values, ys: Values) -> str:
-        """Points in data coordinates, as SVG writes them."""
+        """Write points in data coordinates as SVG does."""
         return " ".join(f"{self.x(x):.1f},{self.y(y):.1f}" for x, y in zip(xs, ys, strict=True))
 
     def across(self, style: str, y: float) -> None:
-        """A horizontal line at a value."""
+        """Add a horizontal line at a value."""
         self.line(style, (self.left, self.y(y)), (self.right, self.y(y)))
 
     def upright(self, style: str, x: float) -> None:
-        """A vertical line at a value."""
+        """Add a vertical line at a value."""
         self.line(style, (self.x(x), self.top), (self.x(x), self.bottom))
 
     def x_numbers(self, *, grid: bool = False) -> None:
-        """Numbers below the ticks of the x axis."""
+        """Add numbers below the ticks of the x axis."""
         for tick in self.x_axis.ticks:
             if grid:
                 self.upright("grid", tick)
             self.text((self.x(tick), self.bottom + 18), self.x_axis.number(tick), anchor="middle")
 
     def y_numbers(self) -> None:
-        """Grid lines at the ticks of the y axis, and numbers beside them."""
+        """Add grid lines at the ticks of the y axis, and numbers beside them."""
         for tick in self.y_axis.ticks:
             self.across("grid", tick)
             self.text((self.left - 6, self.y(tick) + 4), self.y_axis.number(tick), anchor="end")
 
     def svg(self) -> str:
-        """The markup."""
+        """Return the markup."""
         return "".join(self._parts) + "</svg>"
 
 

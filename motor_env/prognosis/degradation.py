@@ -1,4 +1,4 @@
-"""Wear as a Wiener process with drift on a time scale of its own; the time until it first reaches a limit.
+"""Degradation as a Wiener process with drift on a time scale of its own; the time until it first reaches a limit.
 
     x(t) = x0                                      before the onset
     dx   = drift dc + diffusion dW(c)              after it, c the time scale (Whitmore 1995; Si, Wang, Hu & Zhou 2011)
@@ -51,13 +51,10 @@ class Grid(NamedTuple):
     The last two time scales have no drift: chance alone, and a steady motor, whose time scale stands still.
 
     Attributes:
-        elapsed: what each time scale shows at each estimate, in units of its span, shape (n, c).
-        span: shape (c, 1).
-        exponent: shape (c, 1).
-        growth: shape (c, 1).
+        elapsed: value of each time scale at each estimate, in units of its span, shape (n, c).
+        span, exponent, growth: shape (c, 1).
         drift_std: prior standard deviation of the drift, shape (c, 1).
-        diffusion: shape (s,).
-        scatter: shape (s,).
+        diffusion, scatter: shape (s,).
         log_prior: shape (c, s).
     """
 
@@ -72,7 +69,7 @@ class Grid(NamedTuple):
 
 
 def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid:
-    """All combinations of time scale, onset, diffusion and scatter, and their log priors.
+    """Combine all time scales, onsets, diffusions and scatters with their log priors.
 
     Onsets after the first estimate are equally likely; the drift is Gaussian about 0; the diffusion is even in the
     logarithm up to its scale; the scatter is half-Cauchy (Gelman 2006).
@@ -105,7 +102,7 @@ def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid
 def run_filters(
     estimate: FloatArray, variance: FloatArray, grid: Grid, level_std: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Kalman filter of [level, drift] for every hypothesis.
+    """Run a Kalman filter of [level, drift] for every hypothesis.
 
     Returns:
         Log-likelihood, shape (c, s); level, drift, and their covariances, shape (5, c, s).
@@ -168,10 +165,10 @@ def first_passage_cdf(
     drift_variance: FloatArray,
     diffusion: FloatArray,
 ) -> FloatArray:
-    """Probability that a Wiener process with Gaussian drift has come `distance` up within `life`; arrays broadcast.
+    """Compute the probability that a Wiener process with Gaussian drift has come `distance` up within `life`.
 
-    Whitmore & Schenkelberg (1997), eq. for a random drift, rewritten with exp(z^2) erfc(z): the two large exponents of
-    the textbook form cancel by hand, so that a small diffusion loses no digits.
+    Arrays broadcast. Whitmore & Schenkelberg (1997), eq. for a random drift, rewritten with exp(z^2) erfc(z): the two
+    large exponents of the textbook form cancel by hand, so that a small diffusion loses no digits.
     """
     spread = drift_variance * life * life + diffusion**2 * life
     root = np.sqrt(spread)
@@ -189,10 +186,10 @@ def first_passage_cdf(
 
 @dataclass(frozen=True, slots=True)
 class Degradation:
-    """What the estimates tell about the wear, as a weighted grid of Gaussians; the upward direction is to the limit.
+    """Posterior of the degradation: a weighted grid of Gaussians; the upward direction is to the limit.
 
     Attributes:
-        weights: posterior probability of each grid point, given a drift by a time scale, shape (n,).
+        weights: posterior probability of each grid point, given a drift, shape (n,).
         span: time from the onset to the last estimate, shape (n,).
         exponent: of the time scale, shape (n,).
         growth: of the time scale, over `span`; 0 for a power, shape (n,).
@@ -203,7 +200,7 @@ class Degradation:
         covariance: of [level, drift], shape (n, 2, 2).
         limit: the limit.
         sign: +1 for a limit above, -1 for one below; levels and drifts are multiplied by it.
-        probability_trend: posterior probability that there is wear, and that it goes to the limit.
+        probability_trend: posterior probability of degradation towards the limit.
         limit_variance: of the limit, shape (n,).
     """
 
@@ -223,13 +220,13 @@ class Degradation:
 
     @property
     def mean_drift(self) -> float:
-        """Posterior mean of the drift at the last estimate, in the units of the estimates a unit of time."""
+        """Average the drift at the last estimate, in the units of the estimates a unit of time."""
         rate = np.maximum(self.growth, _NO_GROWTH)
         return self.sign * float(self.weights @ (self.drift * self.exponent * rate / -np.expm1(-rate)))
 
     @property
     def mean_level(self) -> float:
-        """Posterior mean of the level at the last estimate."""
+        """Average the level at the last estimate."""
         return float(self.forecast(0.0)[0])
 
     def _scale_ahead(self, times: FloatArray) -> FloatArray:
@@ -238,9 +235,9 @@ class Degradation:
         return self.span * (time_scale(ahead, self.exponent, self.growth) - 1.0)
 
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
-        """Distance, drift given the level, its variance, diffusion, weight and grid point of every quadrature node.
+        """List distance, drift given the level, its variance, diffusion, weight and grid point of each quadrature node.
 
-        Of more grid points than 300 those at 300 even steps of the cumulated weight are taken.
+        Of more than 300 grid points those at 300 even steps of the cumulated weight are taken.
         """
         some, share = np.arange(len(self.weights)), self.weights
         if len(some) > _MOST_PASSAGES:
@@ -262,19 +259,19 @@ class Degradation:
         )
 
     def probability_beyond(self, share: float) -> float:
-        """Probability that the level lies beyond a share of the way from 1 to the limit."""
+        """Compute the probability that the level lies beyond a share of the way from 1 to the limit."""
         border = self.sign * (1.0 + share * (self.limit - 1.0))
         spread = self.covariance[:, 0, 0] + share**2 * self.limit_variance
         return float(self.weights @ ndtr((self.level - border) / np.sqrt(spread)))
 
     def passage(self, life: FloatArray) -> FloatArray:
-        """Probability that the limit is reached within each of some times after the last estimate."""
+        """Compute the probability that the limit is reached within times after the last estimate."""
         *normal, weights, place = self._nodes()
         ahead = np.clip(self._scale_ahead(life), 1e-9 * life[-1], 1e50)[..., place]
         return np.asarray(first_passage_cdf(ahead, *normal) @ weights)
 
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
-        """Median and central interval of the time until the limit is first reached; the level lies between 0 and 1."""
+        """Find median and central interval of the time until the limit is first reached; 0 < level < 1."""
         reach = self.sign * self.limit - self.sign * self.mean_level
         pace = abs(self.mean_drift) + 1e-3 * abs(reach) / float(self.span.max())
         axis = np.geomspace(1e-4, 1e3, _LIFE_POINTS) * max(abs(reach) / pace, 1e-3 * float(self.span.max()))
@@ -284,7 +281,7 @@ class Degradation:
         return RemainingLife(low, median, high, level, self.probability_beyond(1.0), float(cdf[-1]))
 
     def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of the level at times after the last estimate, each the shape of `ahead`."""
+        """Predict mean and standard deviation of the level at times after the last estimate."""
         times = np.asarray(ahead, dtype=np.float64)
         moved = self._scale_ahead(times)
         mean = self.level + self.drift * moved
@@ -307,7 +304,7 @@ def fit_degradation(
     sign: float | None = None,
     limit_errors: float = 0.0,
 ) -> Degradation:
-    """Fit the laws of wear to a sequence of five estimates or more.
+    """Fit the laws of degradation to five estimates or more.
 
     Args:
         time: rising, any unit, shape (n,).

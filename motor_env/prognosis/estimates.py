@@ -1,4 +1,4 @@
-"""Estimates of a motor's quantities over time: read from a table, sorted into series."""
+"""Read estimates of a motor's quantities over time from a table, and sort them into series."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ _Row = tuple[str, Any, str, Any, Any, str]
 
 
 def date_of(text: str) -> float | None:
-    """Days since 1970 of a file name or a cell with a date: 2026-01-31, 2026-01-31T11:00:14, Jan-15-2022_11-00-14."""
+    """Find a date, in days since 1970: 2026-01-31, 2026-01-31T11:00:14, Jan-15-2022_11-00-14."""
     match = _ISO.search(text) or _MONTH_FIRST.search(text)
     if match is None:
         return None
@@ -163,10 +163,10 @@ def _number(where: str, name: str, value: Any) -> float:
 def build_series(
     estimates: Mapping[str, Sequence[tuple[float, float, float]]], unit: str | None = None
 ) -> list[Series]:
-    """Series from (time, estimate, standard error) of each quantity, in any order.
+    """Build series from (time, estimate, standard error) of each quantity, in any order.
 
-    Estimates of the same time are averaged with their precisions as weights. Times without a unit are dates, in days
-    since 1970; the series count from the first one of all.
+    Estimates of the same time are averaged by precision. Times without a unit are dates, in days since 1970; the series
+    count from the first one of all.
     """
     origin = min(entry[0] for entries in estimates.values() for entry in entries) if unit is None else 0.0
     start = datetime.fromtimestamp(origin * SECONDS_PER_DAY, tz=UTC) if unit is None else None

@@ -1,4 +1,4 @@
-"""From files to trends, and what is said of them: text, JSON, and one self-contained HTML page with pictures."""
+"""Make trends of files, and show them: text, JSON, and one self-contained HTML page with pictures."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _STATES = {
 
 
 def _is_table(path: Path) -> bool:
-    """A table of estimates has a column named time or date, or is JSON; a recording has `time_s` and a current."""
+    """Tell a table of estimates (time or date, or JSON) from a recording (`time_s` and a current)."""
     if path.suffix.lower() == ".json" or not path.is_file():
         return path.is_file()
     with path.open("rb") as file:
@@ -60,7 +60,7 @@ def _read_recordings(
     date: Literal["name", "modified"],
     notes: list[str],
 ) -> list[tuple[float, Recording]]:
-    """Recordings of a folder or a list and their days, in the order of time; notes say which cannot be read."""
+    """Read recordings and their days in the order of time; notes say which cannot be read."""
     files: list[Path] = []
     for path in paths:
         files += sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
@@ -86,7 +86,7 @@ def _fit_recordings(
     notes: list[str],
     progress: Callable[[Path], None],
 ) -> list[Series]:
-    """Fit every recording with one model, the one that the first three prefer: a change of model would be a jump."""
+    """Fit every recording with the model that the first three prefer: a change of model would be a jump."""
     model: tuple[str, ...] | None = None
     estimates: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     for number, (day, recording) in enumerate(recordings):
@@ -122,11 +122,11 @@ class Trends:
 
     @property
     def verdict(self) -> str:
-        """The most urgent of `reached`, `trending`, `close`, `unknown` (too few estimates, no limit) and `steady`."""
+        """Return the most urgent of `reached`, `trending`, `close`, `unknown` and `steady`."""
         return min((trend.state for trend in self.trends), key=list(_STATES).index)
 
     def to_json(self) -> list[dict[str, Any]]:
-        """One object a quantity; infinite times are null."""
+        """Build one object a quantity; infinite times are null."""
         return [
             {
                 "quantity": trend.series.name,
@@ -146,12 +146,12 @@ class Trends:
         return self.text()
 
     def text(self) -> str:
-        """A line a quantity."""
+        """Write a line a quantity."""
         width = max(len(trend.series.name) for trend in self.trends)
         return "\n".join(f"{trend.series.name:<{width}}  {trend.sentence}" for trend in self.trends)
 
     def page(self) -> str:
-        """A self-contained HTML page with a picture a quantity, those that reach or trend to a limit first."""
+        """Render a self-contained HTML page with a picture a quantity, the most urgent first."""
         rows = [
             _page_row(trend) for trend in sorted(self.trends, key=lambda one: list(_STATES).index(one.state))
         ]
@@ -229,7 +229,7 @@ def trend(
 
 
 def _page_row(trend: Trend) -> dict[str, str]:
-    """What the page says of a quantity."""
+    """Collect what the page says of a quantity."""
     series, chosen = trend.series, trend.leading
     when = f" since {series.start:%Y-%m-%d}" if series.start else ""
     return {
@@ -246,7 +246,7 @@ def _page_row(trend: Trend) -> dict[str, str]:
 
 
 def _draw_chart(trend: Trend) -> str:
-    """Estimates, limits, and where it trends the fan and the interval of the time to the limit."""
+    """Draw estimates and limits, and where it trends the forecast and the interval of the time to the limit."""
     series = trend.series
     relative = series.estimate / trend.reference
     error = _Z90 * series.standard_error / abs(trend.reference)
@@ -290,7 +290,7 @@ def _change(factor: float) -> str:
 
 
 def _draw_forecast(chart: Chart, told: Forecast, last: float, ahead: FloatArray) -> None:
-    """The levels expected after the last estimate, and on the limit the interval of the time until it is reached."""
+    """Draw the expected levels, and on the limit the interval of the time until it is reached."""
     mean, std = told.wear.forecast(ahead)
     time, upper, lower = last + ahead, mean + _Z90 * std, mean - _Z90 * std
     chart.shape("polygon", points=chart.points([*time, *time[::-1]], [*upper, *lower[::-1]]))

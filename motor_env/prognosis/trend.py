@@ -1,6 +1,6 @@
-"""Trends of a motor's parameters over its starts: judging them against limits, saying what follows.
+"""Judge trends of a motor's quantities against limits, and say what follows.
 
-Each quantity is set in relation to its reference, the mean of its first estimates, and judged by `degradation`.
+Each quantity is relative to the mean of its first estimates. A history must hold no repair and one temperature.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ CLOSE_PROBABILITY = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """How a quantity stands to one limit.
+    """One quantity and one limit.
 
     Attributes:
         factor: the limit over the reference.
         reached: whether the last level lies beyond it, with a probability of at least one half.
-        close: whether the last level lies beyond 80 % of the way to it, with a probability of at least a quarter.
-        trends: whether there is wear towards it (posterior probability at least 95 %).
+        close: whether it lies beyond 80 % of the way to it, with a probability of at least a quarter.
+        trends: whether it degrades towards the limit (posterior probability at least 95 %).
         wear: the fitted degradation of estimate / reference.
         life: remaining life; it means something only where `trends` and nothing is withheld.
         withheld: why no remaining life is told, in words; empty where it is.
@@ -84,7 +84,7 @@ class Trend:
 
     @property
     def leading(self) -> Forecast | None:
-        """The limit that matters: reached, or trended to, or close, the earliest first."""
+        """Choose the limit that matters: reached, trended to, or close; the earliest first."""
         return min(
             (one for one in self.forecasts if one.reached or one.trends or one.close),
             key=lambda one: (not one.reached, not one.trends, one.life.median),
@@ -93,7 +93,7 @@ class Trend:
 
     @property
     def state(self) -> str:
-        """`reached`, `trending`, `close`, `steady`, or `unknown` with too few estimates or no limit."""
+        """Return `reached`, `trending`, `close`, `steady`, or `unknown` with too few estimates or no limit."""
         if (one := self.leading) is not None:
             return "reached" if one.reached else "trending" if one.trends else "close"
         return "steady" if self.forecasts else "unknown"
@@ -171,7 +171,7 @@ def judge(
 
 
 def _jump(relative: Series, factors: Sequence[float]) -> str:
-    """The last jump in words, and what it means for limits that it led away from."""
+    """Describe the last jump, and what it means for limits that it led away from."""
     jump = last_jump(relative)
     if jump is None:
         return ""
@@ -210,7 +210,7 @@ def _sentence(found: Trend) -> str:
 
 
 def describe(forecast: Forecast, unit: str) -> str:
-    """The remaining life in words, or why none is told."""
+    """Describe the remaining life, or why none is told."""
     life, share = forecast.life, f"{100.0 * forecast.life.level:.0f} %"
     if forecast.withheld:
         return f"no remaining life is told, for {forecast.withheld}"
@@ -228,7 +228,7 @@ def _percent(value: float, digits: int = 0) -> str:
 
 
 def parse_limits(options: Iterable[str]) -> dict[str, tuple[float, ...]]:
-    """Limits from options such as `B/J=1.5` or `R=0.9,1.1`.
+    """Parse limits from options such as `B/J=1.5` or `R=0.9,1.1`.
 
     Raises:
         InputError: an option of another form.
@@ -261,19 +261,19 @@ _KNOWN = {
 
 
 def at_one_temperature(series: Series, temperature: Series) -> Series:
-    """The estimates as they would be at the first temperature, by copper, magnets and friction."""
+    """Correct estimates to the first temperature, by copper, magnets and friction."""
     kelvin = np.interp(series.time, temperature.time, temperature.estimate)
     factor = np.exp(-_per_kelvin(series.name) * (kelvin - kelvin[0]))
     return replace(series, estimate=series.estimate * factor, standard_error=series.standard_error * factor)
 
 
 def _per_kelvin(name: str) -> float:
-    """By how much the logarithm of a quantity moves a kelvin; 0 of one that is not known."""
+    """Return by how much the logarithm of a quantity moves a kelvin; 0 of one that is not known."""
     return float(identifiable.warmth_direction(identifiable.matrix((name,)))[0]) if name in _KNOWN else 0.0
 
 
 def last_jump(series: Series, sign: float = 0.0) -> tuple[int, float] | None:
-    """Index of the first estimate after the last jump, and its size; None without one. A sign asks for its direction.
+    """Find the first estimate after the last jump, and its size; None without one. A sign asks for its direction.
 
     At each interval a straight line with a step is fitted to the eight estimates on either side. A jump is a step of
     six robust standard deviations of all steps.
@@ -298,7 +298,7 @@ def last_jump(series: Series, sign: float = 0.0) -> tuple[int, float] | None:
 
 
 def starting_at(series: Series, first: int) -> Series:
-    """The estimates from one on."""
+    """Select the estimates from one on."""
     return replace(
         series,
         time=series.time[first:],
@@ -308,7 +308,7 @@ def starting_at(series: Series, first: int) -> Series:
 
 
 def reason_withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> str:
-    """Why no remaining life is told, in words; empty where the law holds.
+    """Say why no remaining life is told; empty where the law holds.
 
     Args:
         series: relative to the reference, without jumps.
