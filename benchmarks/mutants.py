@@ -13,38 +13,35 @@ Messages, pictures' styles and annotations are left out: nothing is decided ther
 `draw` keeps what is in the list already. Where the line of a change no longer stands in the code, another change is
 drawn in its place. A change that no test can notice carries the reason as `equivalent`.
 
-Each change is made in a copy of the working tree. First the room's own quick tests run. What survives them runs against
-all quick tests: first all survivors at once, then each alone with the tests that failed, last each alone with
-everything. The first copy runs all tests unchanged, so that what it compiles serves the others.
+Each change is made in a copy of the working tree, in which all tests have passed without one. First the room's own
+quick tests run, then all.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import hashlib
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from queue import SimpleQueue
 
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 LIST = ROOT / "benchmarks" / "mutants.json"
 WORK = ROOT / "out" / "mutants"
+TREE = WORK / "tree"
 PACKAGES = {"motor_env": "", "motor_datasets": "datasets", "motor_classifiers": "classifiers"}
 SEED = 30
 A_ROOM = 4
 KEPT = {"__pycache__", ".pytest_cache"}
 LIMIT_S = 1800.0
+Results = dict[str, dict[str, object]]
 QUANTILE = re.compile(r"quantile|percentile|ppf|isf|ndtri|chdtri|gammaincc?inv|stdtrit", re.IGNORECASE)
 LEVEL = re.compile(r"LEVEL|RATE|QUANTILE|CONFIDENCE|COVERAGE|POSTERIOR|CERTAIN|SURE|SHARE|CHANCE|rate|level")
 REWARD = re.compile(r"reward|cost|penalt|charge|loss|score")
@@ -293,8 +290,8 @@ def draw(path: Path, seed: int) -> None:
     print(f"{len(chosen)} changes in {len(sources())} rooms: {path}")
 
 
-def copy_tree(target: Path) -> str:
-    """Copy the tracked and new files of the working tree; what was compiled there stays. Returns a digest of them."""
+def copy_tree(target: Path) -> None:
+    """Copy the tracked and new files of the working tree; what was compiled there stays."""
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
     names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True, text=True).stdout.split("\0")
     present = {
@@ -307,29 +304,18 @@ def copy_tree(target: Path) -> str:
         path = target / name
         if not path.exists() or path.read_bytes() != content:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.unlink(missing_ok=True)  # other trees hold links to it
             path.write_bytes(content)
             path.chmod((ROOT / name).stat().st_mode)
-    return hashlib.sha256(b"\0".join(name.encode() + b"\0" + present[name] for name in present)).hexdigest()
 
 
 def run_tests(tree: Path, tests: Iterable[str], *options: str) -> tuple[bool, list[str]]:
     """Whether the quick tests of a tree pass, and those that fail."""
     paths = [str(tree / folder / "") for folder in PACKAGES.values()]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": ""}
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-m",
-        "not long",
-        "--tb=no",
-        *options,
-    ]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-m", "not long", "--tb=no", *options, *tests]
     try:
         done = subprocess.run(
-            [*command, *tests],
+            command,
             check=False,
             cwd=tree,
             env=environment,
@@ -343,99 +329,45 @@ def run_tests(tree: Path, tests: Iterable[str], *options: str) -> tuple[bool, li
     return done.returncode in (0, 5), failed or ([] if done.returncode in (0, 5) else ["pytest itself"])
 
 
-class Bench:
-    """Copies of the working tree, and what is known of each change so far."""
+def own_tests(mutant: Mutant) -> list[str]:
+    """The quick tests of its room; of the modules beside the rooms, those beside the folders."""
+    package = "" if mutant.room.startswith("motor_") else "motor_env/"
+    if mutant.room == "motor_env":
+        return sorted(str(file.relative_to(TREE)) for file in TREE.glob("tests/motor_env/test_*.py"))
+    return [folder] if (TREE / (folder := f"tests/{package}{mutant.room}")).exists() else []
 
-    def __init__(self, out: Path, workers: int) -> None:
-        """Take up the results that are there."""
-        self.out, self.workers = out, workers
-        self.results: dict[str, dict[str, object]] = json.loads(out.read_text()) if out.exists() else {}
-        self.pristine = WORK / "pristine"
-        self.trees: SimpleQueue[Path] = SimpleQueue()
-        for n in range(workers):
-            self.trees.put(WORK / f"tree{n}")
 
-    def prepare(self) -> None:
-        """A copy that has compiled everything, and whose tests pass."""
-        mark = WORK / "passed"
-        digest = copy_tree(self.pristine)
-        if mark.exists() and mark.read_text(encoding="utf-8") == digest:
-            return
-        print("all quick tests without a change, which also compiles everything", flush=True)
-        passed, failed = run_tests(self.pristine, ["tests"], "-n", str(self.workers))
-        if not passed:
-            raise SystemExit(f"they fail without a change: {failed[:5]}")
-        mark.write_text(digest, encoding="utf-8")
+def attempt(mutant: Mutant, tests: list[str], workers: int) -> tuple[bool, list[str]]:
+    """Run tests with a change in the copy."""
+    file, text = TREE / mutant.file, mutated(mutant, TREE)
+    if text is None:
+        raise ValueError(f"{mutant.name}: its line is gone; draw again")
+    before = file.read_bytes()
+    file.write_text(text, encoding="utf-8")
+    try:
+        return run_tests(TREE, tests, "-x", "-n", str(workers))
+    finally:
+        file.write_bytes(before)
 
-    def keep(self, mutant: Mutant, **found: object) -> None:
-        """Write down what is known of a change."""
-        self.results[mutant.name] = {"before": mutant.before, "after": mutant.after, **found}
-        text = json.dumps(dict(sorted(self.results.items())), indent=1, ensure_ascii=False)
-        beside = self.out.with_suffix(".part")
-        beside.write_text(text + "\n")
-        beside.replace(self.out)
+
+def try_all(mutants: list[Mutant], results: Results, out: Path, workers: int) -> None:
+    """Try those of which nothing is known yet: the room's own tests, then all."""
+    copy_tree(TREE)
+    print("all quick tests without a change, which also compiles everything", flush=True)
+    passed, failed = run_tests(TREE, ["tests"], "-n", str(workers))
+    if not passed:
+        raise SystemExit(f"they fail without a change: {failed[:5]}")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    for mutant in (each for each in mutants if each.name not in results):
+        found: dict[str, object] = {"state": "survived"}
+        for tests in filter(None, (own_tests(mutant), ["tests"])):
+            passed, by = attempt(mutant, tests, workers)
+            if not passed:
+                found = {"state": "killed", "by": " ".join(by[:1])}
+                break
+        results[mutant.name] = {"before": mutant.before, "after": mutant.after, **found}
+        out.write_text(json.dumps(dict(sorted(results.items())), indent=1, ensure_ascii=False) + "\n")
         print(f"{mutant.name:32} {found['state']:9} {mutant.kind:10} {found.get('by', '')}", flush=True)
-
-    def attempt(self, mutants: list[Mutant], tests: list[str], *options: str) -> tuple[bool, list[str]]:
-        """Run tests with some changes in a tree of links to the compiled copy."""
-        tree = self.trees.get()
-        try:
-            shutil.rmtree(tree, ignore_errors=True)
-            shutil.copytree(self.pristine, tree, copy_function=os.link, symlinks=True)
-            for mutant in mutants:
-                text = mutated(mutant, tree)
-                if text is None:
-                    raise ValueError(f"{mutant.name}: its line is gone; draw again")
-                (tree / mutant.file).unlink()
-                (tree / mutant.file).write_text(text, encoding="utf-8")
-            return run_tests(tree, tests, *options)
-        finally:
-            self.trees.put(tree)
-
-    def own_room(self, mutant: Mutant) -> None:
-        """The tests of the room alone."""
-        package = "" if mutant.room.startswith("motor_") else "motor_env/"
-        folder = "tests/motor_env" if mutant.room == "motor_env" else f"tests/{package}{mutant.room}"
-        tests = [folder]
-        if mutant.room == "motor_env":  # the modules beside the rooms
-            tests = sorted(
-                str(file.relative_to(self.pristine)) for file in self.pristine.glob(f"{folder}/test_*.py")
-            )
-        if not (self.pristine / folder).exists():
-            self.keep(mutant, state="open", by="no tests of its own")
-            return
-        passed, failed = self.attempt([mutant], tests, "-x")
-        self.keep(mutant, state="open" if passed else "killed", by=" ".join(failed[:1]))
-
-    def against_all(self, mutants: list[Mutant]) -> None:
-        """All at once; then each alone with what failed; then each alone with everything."""
-        if not mutants:
-            return
-        print(f"{len(mutants)} survive their rooms; all quick tests", flush=True)
-        _, failed = (
-            self.attempt(mutants, ["tests"], "-n", str(self.workers)) if len(mutants) > 1 else (True, [])
-        )
-        known = [test for test in failed if "::" in test]
-
-        def alone(mutant: Mutant) -> None:
-            for tests in ([known] if known else []) + [["tests"]]:
-                passed, by = self.attempt([mutant], tests, "-x")
-                if not passed:
-                    self.keep(mutant, state="killed", by=" ".join(by[:1]))
-                    return
-            self.keep(mutant, state="survived")
-
-        with ThreadPoolExecutor(self.workers) as pool:
-            list(pool.map(alone, mutants))
-
-    def run(self, mutants: list[Mutant]) -> None:
-        """Try those of which nothing is known yet."""
-        self.out.parent.mkdir(parents=True, exist_ok=True)
-        new = [each for each in mutants if each.name not in self.results]
-        self.prepare()
-        with ThreadPoolExecutor(self.workers) as pool:
-            list(pool.map(self.own_room, new))
-        self.against_all([each for each in mutants if self.results[each.name]["state"] == "open"])
 
 
 def show(mutants: list[Mutant], out: Path) -> None:
@@ -456,7 +388,6 @@ def main() -> None:
     )
     parser.add_argument("command", choices=("draw", "run", "show"))
     parser.add_argument("--only", nargs="*", default=[], help="rooms, or single changes such as operation/3")
-    parser.add_argument("--first", type=int, help="that many, from each room in turn")
     parser.add_argument("--anew", action="store_true", help="forget what is known of them")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=SEED, help="of draw")
@@ -469,16 +400,13 @@ def main() -> None:
     mutants = load(options.list)
     if options.command == "run":
         some = [each for each in mutants if not options.only or {each.name, each.room} & set(options.only)]
-        if options.first is not None:
-            some = sorted(some, key=lambda each: int(each.name.rpartition("/")[2]))[: options.first]
         gone = [each.name for each in some if mutated(each, ROOT) is None]
         if gone:
             raise SystemExit(f"the lines of {', '.join(gone)} no longer stand in the code: draw again")
-        bench = Bench(options.out, options.workers)
+        results: Results = json.loads(options.out.read_text()) if options.out.exists() else {}
         if options.anew:
-            for each in some:
-                bench.results.pop(each.name, None)
-        bench.run(some)
+            results = {name: known for name, known in results.items() if name not in {m.name for m in some}}
+        try_all(some, results, options.out, options.workers)
     show(mutants, options.out)
 
 
