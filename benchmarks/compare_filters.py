@@ -63,7 +63,7 @@ def bank(
     """Class of the most likely filter (Magill 1965); with the noise's variance of its own innovations (Mehra 1970)."""
     results = [variant(class_filter(RECIPE, c), measured, voltage) for c in RECIPE.classes]
     scores = [-np.log(each.nis.mean(axis=1)) if own_variance else each.log_likelihood for each in results]
-    return np.argmax(scores, axis=0)
+    return np.asarray(np.argmax(scores, axis=0))
 
 
 def wanted_factors(recipe: Recipe) -> FloatArray:
@@ -79,7 +79,7 @@ def nearest(kind: JointKind, memory: float | None, measured: FloatArray, voltage
     result = joint_filter(*given, kind=kind, memory=memory)
     off = result.theta[:, -1, None] - np.log(wanted_factors(RECIPE))
     weighted = np.einsum("nci,nij,ncj->nc", off, np.linalg.inv(result.covariance[:, -1]), off)
-    return np.argmin(weighted, axis=1)
+    return np.asarray(np.argmin(weighted, axis=1))
 
 
 def watch(variant: Filter, measured: FloatArray, voltage: FloatArray) -> FloatArray:

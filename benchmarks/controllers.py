@@ -21,7 +21,7 @@ from motor_env import PAPER_MOTOR, Motor, Scenario, SensorParameters, simulate
 from motor_env.embedded.arithmetic import Numbers, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import literal, write_library
-from motor_env.embedded.twin import answers, readings_of
+from motor_env.embedded.twin import readings_of, run_twin
 from motor_env.motor.parameters import Channel
 
 SAMPLES = 250
@@ -116,7 +116,7 @@ def program(numbers: Numbers, monitor: Monitor, count: int) -> str:
     start = simulate(scenario, 1, [0])
     readings = readings_of(numbers, start.measurements, start.voltage_v)[..., :SAMPLES]
     rows = ",".join("{" + ",".join(literal(value) for value in row) + "}" for row in readings[0].T)
-    last = literal(answers(numbers, readings[..., :count]).statistic[0, -1])
+    last = literal(run_twin(numbers, readings[..., :count]).statistic[0, -1])
     return f"""#include "m.h"
 static const m_sample SAMPLES[{SAMPLES}] = {{{rows}}};
 static m monitor;

@@ -37,7 +37,7 @@ from watch_counts import (
 
 from motor_env import FaultKind, KalmanFilter, Motor, SensorParameters
 from motor_env.embedded.arithmetic import Numbers, fixed_point, floating
-from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of, settled
+from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of, steady_schedule
 from motor_env.embedded.source import write_library
 from motor_env.embedded.twin import readings_of
 from motor_env.motor.parameters import MotorParameters
@@ -173,7 +173,7 @@ class Belief(NamedTuple):
     def of_motor(cls, motor: MotorParameters) -> Belief:
         """From a motor."""
         kalman = KalmanFilter.from_parameters(motor, SENSOR, 1.0 / RATE_HZ)
-        steps = settled(kalman)
+        steps = steady_schedule(kalman)
         correction = np.ascontiguousarray(steps.gain[-1, :, 0])
         return cls(
             kalman.model.transition,
