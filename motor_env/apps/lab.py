@@ -33,7 +33,7 @@ _MOST_STARTS = 20
 OWN_MOTOR, HEALTHY_STARTS = "own motor", "healthy starts"
 
 
-class Shelf:
+class Uploads:
     """Files in a temporary folder; what cannot be read is not kept."""
 
     def __init__(self) -> None:
@@ -51,12 +51,12 @@ class Shelf:
         Raises:
             InputError: too many, or not readable; the sentence speaks of the page's name.
         """
-        shown = shown_name(name)
+        shown = display_name(name)
         if kind not in ("motor", "healthy"):
             raise InputError(f"kind must be motor or healthy, got {kind[:40]!r}")
         if len(self.healthy) >= _MOST_STARTS:
             raise InputError(f"at most {_MOST_STARTS} healthy starts can be compared with")
-        ending = ".toml" if kind == "motor" else ending_of(shown)
+        ending = ".toml" if kind == "motor" else file_suffix(shown)
         path = Path(self._folder.name) / f"{kind}-{len(self.healthy)}{ending}"
         path.write_bytes(content)
         try:
@@ -91,12 +91,12 @@ class Shelf:
         return wanted or None, []
 
 
-def shown_name(name: str) -> str:
+def display_name(name: str) -> str:
     """Clean a file's name for the page."""
     return "".join(character for character in name if character.isprintable())[:80] or "recording"
 
 
-def ending_of(shown: str) -> str:
+def file_suffix(shown: str) -> str:
     """Find the ending by which its format is told."""
     suffix = Path(shown).suffix.lower()
     return suffix if suffix[1:].isalnum() and len(suffix) <= 9 else ".csv"
@@ -175,7 +175,7 @@ def fault_names() -> tuple[str, ...]:
     return (HEALTHY, *map(str, kinds))
 
 
-def start_of(settings: Settings) -> Transients:
+def simulate_start(settings: Settings) -> Transients:
     """Simulate the start: the truth, and what the sensor saw of it."""
     return simulate(_scenario(settings), settings.seed, [0])
 
@@ -190,28 +190,28 @@ def _scenario(settings: Settings) -> Scenario:
     return Scenario(motor, faults=faults, sensor=settings.sensor, timing=TIMING)
 
 
-def _belief(settings: Settings) -> KalmanFilter:
+def _filter(settings: Settings) -> KalmanFilter:
     motor = CATALOGUE[settings.motor]
     return KalmanFilter.from_parameters(motor, settings.sensor, TIMING.dt_s, process_noise_std=(1e-9, 1e-9))
 
 
 def simulated(settings: Settings) -> dict[str, Any]:
     """Simulate one start: measured and expected current, residual, statistic, threshold, alarm."""
-    start = start_of(settings)
-    filtered = run_filter(_belief(settings), start.measurements[0], start.voltage_v[0])
+    start = simulate_start(settings)
+    filtered = run_filter(_filter(settings), start.measurements[0], start.voltage_v[0])
     expected = simulate_states(CATALOGUE[settings.motor], start.voltage_v[0], TIMING.dt_s)[:, 0]
     name, rule = RULES[settings.rule]
     threshold = _threshold(settings.rule, 0.01 * settings.false_alarm_percent)
     statistic = rule.statistic(filtered.whitened)
     alarm = int(first_above(statistic, threshold))
     return {
-        "time_ms": _short(1e3 * start.time_s),
-        "measured_a": _short(start.measurements[0, 0]),
-        "expected_a": _short(expected),
-        "residual_a": _short(filtered.innovation[:, 0]),
-        "averaged_a": _short(moving_average(start.measurements[0, 0] - expected, AVERAGED)),
+        "time_ms": _rounded(1e3 * start.time_s),
+        "measured_a": _rounded(start.measurements[0, 0]),
+        "expected_a": _rounded(expected),
+        "residual_a": _rounded(filtered.innovation[:, 0]),
+        "averaged_a": _rounded(moving_average(start.measurements[0, 0] - expected, AVERAGED)),
         "averaged_band_a": 2e-3 * settings.noise_ma / AVERAGED**0.5,
-        "statistic": _short(statistic),
+        "statistic": _rounded(statistic),
         "threshold": threshold,
         "rule": name,
         "alarm_ms": None if alarm < 0 else 1e3 * float(start.time_s[alarm]),
@@ -235,8 +235,8 @@ def roc(settings: Settings) -> dict[str, Any]:
     shares = [1.0 - np.searchsorted(values, thresholds) / ROC_STARTS for values in largest]
     limit = _threshold(settings.rule, 0.01 * settings.false_alarm_percent)
     return {
-        "false_alarms": _short(np.append(shares[0], 0.0)[::-1]),
-        "found": _short(np.append(shares[1], float(np.mean(largest[1] > largest[0][-1])))[::-1]),
+        "false_alarms": _rounded(np.append(shares[0], 0.0)[::-1]),
+        "found": _rounded(np.append(shares[1], float(np.mean(largest[1] > largest[0][-1])))[::-1]),
         "at": [0.01 * settings.false_alarm_percent, float(np.mean(largest[1] > limit))],
         "starts": ROC_STARTS,
     }
@@ -245,12 +245,12 @@ def roc(settings: Settings) -> dict[str, Any]:
 def _largest_statistics(settings: Settings) -> FloatArray:
     """Compute the largest statistic of each of many starts, shape (n_starts,)."""
     starts = simulate(_scenario(settings), settings.seed, range(ROC_STARTS))
-    whitened = run_filter(_belief(settings), starts.measurements, starts.voltage_v).whitened
+    whitened = run_filter(_filter(settings), starts.measurements, starts.voltage_v).whitened
     out: FloatArray = RULES[settings.rule][1].statistic(whitened).max(axis=-1)
     return out
 
 
-def _short(values: FloatArray) -> list[float]:
+def _rounded(values: FloatArray) -> list[float]:
     return [float(f"{value:.6g}") for value in values]
 
 
@@ -259,7 +259,7 @@ def verdict(settings: Settings) -> dict[str, Any]:
 
     It sees time, current and voltage, and the catalogue motor; not the fault, nor this motor's own tolerances.
     """
-    start = start_of(settings)
+    start = simulate_start(settings)
     seen = Recording(Path("simulated"), start.time_s, start.measurements[0, 0], start.voltage_v[0])
     motor: Motor = replace(load_motor(settings.motor), current_noise_a=1e-3 * settings.noise_ma)
     return _as_document(diagnose(seen, motor, false_alarm_rate=0.01 * settings.false_alarm_percent))
@@ -270,7 +270,7 @@ def recording_verdict(
     content: bytes,
     motor: str,
     voltage_v: float | None,
-    shelf: Shelf,
+    uploads: Uploads,
 ) -> dict[str, Any]:
     """Diagnose a dropped recording. Its bytes are data: parsed as a table, kept in a temporary folder meanwhile.
 
@@ -279,15 +279,15 @@ def recording_verdict(
         content: its bytes.
         motor: catalogue motor to compare with, `own motor`, `healthy starts`, or empty for none.
         voltage_v: level of the supply, for recordings without a voltage.
-        shelf: own motor and healthy starts that were handed in.
+        uploads: own motor and healthy starts that were handed in.
 
     Raises:
         InputError: unknown motor, or not readable; the sentence speaks of the page's name.
     """
-    known, healthy = shelf.reference(motor)
-    shown = shown_name(name)
+    known, healthy = uploads.reference(motor)
+    shown = display_name(name)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"recording{ending_of(shown)}"
+        path = Path(folder) / f"recording{file_suffix(shown)}"
         path.write_bytes(content)
         (outcome,) = diagnose_files([path], motor=known, healthy=healthy, voltage_v=voltage_v)
         if outcome.diagnosis is None:
@@ -309,12 +309,12 @@ def _as_document(diagnosis: Diagnosis) -> dict[str, Any]:
         some, expected = slice(begin, None, step), reference_current(diagnosis.telling)
         beyond = None if expected is None else moving_average(fit.start.current_a - expected, AVERAGED)
         document["curves"] = {
-            "time_ms": _short(1e3 * (fit.start.time_s[some] - fit.onset_s)),
-            "measured_a": _short(fit.start.current_a[some]),
-            "fitted_a": _short(fit.expected[some, 0]),
-            "residual_a": _short(fit.residual_a[some]),
-            "healthy_a": None if expected is None else _short(expected[some]),
-            "beyond_a": None if beyond is None else _short(beyond[some]),
+            "time_ms": _rounded(1e3 * (fit.start.time_s[some] - fit.onset_s)),
+            "measured_a": _rounded(fit.start.current_a[some]),
+            "fitted_a": _rounded(fit.expected[some, 0]),
+            "residual_a": _rounded(fit.residual_a[some]),
+            "healthy_a": None if expected is None else _rounded(expected[some]),
+            "beyond_a": None if beyond is None else _rounded(beyond[some]),
         }
     return document
 

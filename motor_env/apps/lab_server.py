@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from motor_env.apps import lab
-from motor_env.apps.lab import LARGEST_UPLOAD_BYTES, Shelf
+from motor_env.apps.lab import LARGEST_UPLOAD_BYTES, Uploads
 from motor_env.errors import InputError
 from motor_env.motor.toml_files import from_dict
 
@@ -40,13 +40,13 @@ _HEADERS = {
 
 class _Server(ThreadingHTTPServer):
     def __init__(self, *arguments: Any) -> None:
-        self.shelf = Shelf()  # first: a port that is taken closes the server
+        self.uploads = Uploads()  # first: a port that is taken closes the server
         super().__init__(*arguments)
 
     def server_close(self) -> None:
         """Close, and delete what was handed in."""
         super().server_close()
-        self.shelf.clear()
+        self.uploads.clear()
 
     request_queue_size = 256  # connections that wait to be taken; the usual 5 would reset the others
 
@@ -70,9 +70,9 @@ def address(server: ThreadingHTTPServer) -> str:
     return f"http://{HOST}:{server.server_port}/"
 
 
-_NEAR = {"same-origin", "none"}  # what a browser says of our own page, and of an address that was typed
-_ONE_AT_A_TIME = threading.Lock()  # a fit takes a whole core; requests of a moved slider must not pile up
-_PLACES = threading.BoundedSemaphore(8)  # for the one that is at work and those that wait
+_OWN_SITES = {"same-origin", "none"}  # what a browser says of our own page, and of an address that was typed
+_FIT_LOCK = threading.Lock()  # a fit takes a whole core; requests of a moved slider must not pile up
+_QUEUE = threading.BoundedSemaphore(8)  # for the one that is at work and those that wait
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -126,17 +126,17 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json(HTTPStatus.NOT_FOUND, {"error": "no such page"})
             return
         largest, action = actions[path]
-        if not _PLACES.acquire(blocking=False):
+        if not _QUEUE.acquire(blocking=False):
             for _ in self._chunks(self._length(largest)):  # an unread request would be reset, not refused
                 pass
             self._send_json(HTTPStatus.SERVICE_UNAVAILABLE, {"error": "the lab is busy; try again"})
             return
         try:
             body = b"".join(self._chunks(self._length(largest)))
-            with _ONE_AT_A_TIME:
+            with _FIT_LOCK:
                 answer = action(body)
         finally:
-            _PLACES.release()
+            _QUEUE.release()
         self._send_json(HTTPStatus.OK, answer)
 
     def _diagnose(self, body: bytes) -> dict[str, Any]:
@@ -150,12 +150,12 @@ class _Handler(BaseHTTPRequestHandler):
             raise InputError(f"voltage must be > 0, got {level[:40]!r}")
         name = unquote(query.get("name", ["recording.csv"])[0])
         wanted = query.get("motor", [""])[0]
-        return lab.recording_verdict(name, body, wanted, voltage, self.server.shelf)
+        return lab.recording_verdict(name, body, wanted, voltage, self.server.uploads)
 
     def _keep(self, body: bytes) -> dict[str, Any]:
         query = parse_qs(urlsplit(self.path).query)
         kind, name = (query.get(key, [""])[0] for key in ("kind", "name"))
-        return self.server.shelf.keep(kind, unquote(name), body)
+        return self.server.uploads.keep(kind, unquote(name), body)
 
     def _length(self, largest: int) -> int:
         length = self.headers.get("Content-Length", "")
@@ -175,7 +175,11 @@ class _Handler(BaseHTTPRequestHandler):
     def _is_ours(self) -> bool:
         port = self.connection.getsockname()[1]
         hosts = {f"{name}:{port}" for name in (HOST, "localhost")}
-        allowed = {"Host": hosts, "Origin": {f"http://{host}" for host in hosts}, "Sec-Fetch-Site": _NEAR}
+        allowed = {
+            "Host": hosts,
+            "Origin": {f"http://{host}" for host in hosts},
+            "Sec-Fetch-Site": _OWN_SITES,
+        }
         given = {name: self.headers.get_all(name, []) for name in allowed}
         if given["Host"] and all(
             len(values) < 2 and set(values) <= allowed[name] for name, values in given.items()

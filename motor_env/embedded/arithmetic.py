@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.embedded.monitor import DEADBAND, TELLING, Monitor, Readings
+from motor_env.embedded.monitor import DEADBAND, LARGE_CURRENT_SHARE, Monitor, Readings
 from motor_env.motor.parameters import FloatArray, require
 
 Values = NDArray[Any]
@@ -30,12 +30,12 @@ NOTHING_BITS, SOMETHING_BITS = 4, 1
 _UNITS = Readings(1.0, 1.0, 1.0)
 
 
-def clamped(values: Values) -> Values:
+def clamp(values: Values) -> Values:
     """Clamp values of fixed point."""
     return np.clip(values, -LARGEST, LARGEST)
 
 
-def rounded(values: Values, dtype: type[np.generic]) -> Values:
+def convert(values: Values, dtype: type[np.generic]) -> Values:
     """Convert values to a type."""
     return (np.rint(values) if dtype == np.int64 else values).astype(dtype)
 
@@ -51,7 +51,7 @@ class Row:
         """Sum over the first values, from left to right."""
         products = (factor * value for factor, value in zip(self.factors, values, strict=False))
         total = np.asarray(sum(products))
-        return total if self.shift is None else clamped(((total >> (self.shift - 1)) + 1) >> 1)
+        return total if self.shift is None else clamp(((total >> (self.shift - 1)) + 1) >> 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Numbers:
         threshold: of the statistic: 1, or 1 << STATISTIC_BITS.
         ranges: largest readings of current, speed, voltage.
         stuck_after: so many equal readings in a row are no readings.
-        telling: the model's current above which a reading of nothing is that of a dead sensor.
+        large_current: the model's current above which a reading of nothing is that of a dead sensor.
         n_friction: how many of the sums look for friction; they are the first.
         memory: of the slow current and speed: the mechanical time constant in samples, as the nearest power of two.
     """
@@ -90,7 +90,7 @@ class Numbers:
     threshold: Values
     ranges: Values
     stuck_after: int
-    telling: Values
+    large_current: Values
     n_friction: int
     memory: int
 
@@ -138,7 +138,7 @@ def _numbers(
     together = row(white)  # one shift for all: C takes them in turn
     halves = 0.5 * np.array(monitor.rule.shifts) / np.array(monitor.thresholds)
     # What brushes and dry friction take in a sample, for a motion forwards.
-    drag = rounded(inputs @ [monitor.motor.brush_drop_v, -monitor.motor.coulomb_friction_n_m] / states, dtype)
+    drag = convert(inputs @ [monitor.motor.brush_drop_v, -monitor.motor.coulomb_friction_n_m] / states, dtype)
     slowest = float(np.abs(np.linalg.eigvals(transition)).max())
     memory = round(-math.log2(max(1.0 - slowest, 2.0**-_LONGEST_MEMORY)))
     ranges = np.array(limits) / np.array(steps)
@@ -149,14 +149,14 @@ def _numbers(
         scales=tuple(round(step / unit) for step, unit in zip(steps, units, strict=True)),
         readings=steps,
         model=(row(model[0]), row(model[1])),
-        drag=(drag[0], drag[1], rounded(np.array(DEADBAND * limits.speed_rad_s / 2.0 / units[1]), dtype)),
+        drag=(drag[0], drag[1], convert(np.array(DEADBAND * limits.speed_rad_s / 2.0 / units[1]), dtype)),
         gain=(row(gain[0]), row(gain[1])),
         white=tuple(replace(together, factors=part) for part in together.factors),
-        halves=rounded(halves / unit, dtype),
-        threshold=rounded(np.array(1.0 / unit), dtype),
+        halves=convert(halves / unit, dtype),
+        threshold=convert(np.array(1.0 / unit), dtype),
         ranges=(np.floor(ranges) if dtype == np.int64 else ranges).astype(dtype),
         stuck_after=monitor.stuck_after,
-        telling=rounded(np.array(TELLING * limits.current_a / 2.0 / units[0]), dtype),
+        large_current=convert(np.array(LARGE_CURRENT_SHARE * limits.current_a / 2.0 / units[0]), dtype),
         n_friction=len(monitor.rule.friction),
         memory=max(memory, 0),
     )

@@ -16,7 +16,7 @@ from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, re
 
 DEAD_AFTER = 4
 """So many samples whose current is nothing where the model has much, with no other between, show a dead sensor."""
-TELLING = 0.1
+LARGE_CURRENT_SHARE = 0.1
 """Share of the current of a held rotor, above which the model's current is much."""
 DEADBAND = 0.01
 _HEADROOM = 2.0
@@ -90,12 +90,12 @@ class Monitor:
 
     def gains(self) -> tuple[FloatArray, FloatArray]:
         """Return steady Kalman gain (2, m), and what scales the current's innovation to the thresholds (p, 1)."""
-        steps = settled(self.kalman)
+        steps = steady_schedule(self.kalman)
         white = np.linalg.inv(np.linalg.cholesky(steps.innovation_covariance[-1]))
         return steps.gain[-1], white[:1, :1] / np.array(self.thresholds)[:, None]
 
 
-def settled(kalman: KalmanFilter) -> Schedule:
+def steady_schedule(kalman: KalmanFilter) -> Schedule:
     """Compute gains until they no longer change."""
     for power in range(8, 21):
         steps = schedule(kalman, 2**power)
@@ -152,7 +152,7 @@ def monitor_of(
         require_positive(name, value)
     require(1 <= stuck_after < 65_536, f"stuck_after must be from 1 to 65535, got {stuck_after}")
     kalman = KalmanFilter.from_parameters(motor.parameters, sensor, 1.0 / rate_hz)
-    kalman = replace(kalman, initial_covariance=settled(kalman).covariance[-1])
+    kalman = replace(kalman, initial_covariance=steady_schedule(kalman).covariance[-1])
     arl0 = _YEAR_S * rate_hz / false_alarms_per_year
     thresholds = rule.thresholds_for(arl0)
     _, speed = steady_state(motor.parameters, voltage_v).tolist()

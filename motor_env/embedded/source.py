@@ -20,7 +20,7 @@ from motor_env.embedded.arithmetic import (
     floating,
 )
 from motor_env.embedded.monitor import DEAD_AFTER, Monitor, Readings
-from motor_env.embedded.twin import SampleVerdict, answers, readings_of
+from motor_env.embedded.twin import SampleVerdict, readings_of, run_twin
 from motor_env.errors import InputError
 from motor_env.files import filling, require_ours, write_text
 from motor_env.pages.html import render
@@ -158,7 +158,7 @@ def checks(monitor: Monitor, n: Numbers) -> list[Check]:
         measured[0, _HEALTHY_CHECKS:] += off * noise[0]
         measured[0, -1] = 4.0 * monitor.limits.current_a
         readings = readings_of(n, measured[None], voltage_v)
-        (verdicts,), (statistics,) = answers(n, readings)
+        (verdicts,), (statistics,) = run_twin(n, readings)
         if SampleVerdict.FAULT in verdicts or off > monitor.limits.current_a / noise[0]:
             break
     samples = zip(readings[0].T, statistics, verdicts.tolist(), strict=True)

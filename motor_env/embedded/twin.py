@@ -18,8 +18,8 @@ from motor_env.embedded.arithmetic import (
     SOMETHING_BITS,
     Numbers,
     Values,
-    clamped,
-    rounded,
+    clamp,
+    convert,
 )
 from motor_env.embedded.monitor import DEAD_AFTER
 
@@ -34,7 +34,7 @@ class SampleVerdict(IntEnum):
     SENSOR_DEAD = 4
 
 
-class Answers(NamedTuple):
+class TwinResult(NamedTuple):
     """Verdict and statistic after each sample, shape (n_cases, n_samples); the statistic as C counts it."""
 
     verdict: NDArray[np.int64]
@@ -50,14 +50,14 @@ def readings_of(numbers: Numbers, measurements: ArrayLike, voltage_v: ArrayLike)
     measured = np.asarray(measurements, dtype=np.float64)
     voltage = np.broadcast_to(voltage_v, measured[:, 0].shape)[:, None]
     sizes = np.array([*numbers.readings[: numbers.n_channels], numbers.readings.voltage_v])[:, None]
-    return rounded(np.concatenate([measured, voltage], axis=1) / sizes, numbers.dtype)
+    return convert(np.concatenate([measured, voltage], axis=1) / sizes, numbers.dtype)
 
 
-def answers(numbers: Numbers, readings: Values) -> Answers:
+def run_twin(numbers: Numbers, readings: Values) -> TwinResult:
     """Run a monitor from its begin over the readings of many motors, as `readings_of` gives them."""
     twin = _Twin(numbers, len(readings))
     steps = [(twin.step(sample), twin.statistic) for sample in np.moveaxis(readings, 2, 0)]
-    return Answers(*(np.stack(column, axis=1) for column in zip(*steps, strict=True)))
+    return TwinResult(*(np.stack(column, axis=1) for column in zip(*steps, strict=True)))
 
 
 class _Twin:
@@ -96,16 +96,16 @@ class _Twin:
     def _dead(self, growth: Values, reading: Values, wrong: Any) -> NDArray[np.bool_]:
         """Find where the current reads nothing whenever the model has much; so it stays until one is read."""
         numbers, predicted = self.numbers, np.abs(self.state[0] + growth[0])
-        predicted = clamped(predicted) if numbers.is_fixed else predicted
+        predicted = clamp(predicted) if numbers.is_fixed else predicted
         shown = np.abs(reading * numbers.scales[0])
 
         def of(bits: int) -> Values:
             return np.asarray(predicted >> bits if numbers.is_fixed else predicted * np.float32(2.0**-bits))
 
-        is_told = ~wrong & (predicted > numbers.telling)
+        is_large = ~wrong & (predicted > numbers.large_current)
         more = np.minimum(self.hidden + 1, DEAD_AFTER)
-        self.hidden = np.where(is_told & (shown < of(NOTHING_BITS)), more, self.hidden)
-        self.hidden = np.where(is_told & (shown >= of(SOMETHING_BITS)), 0, self.hidden)
+        self.hidden = np.where(is_large & (shown < of(NOTHING_BITS)), more, self.hidden)
+        self.hidden = np.where(is_large & (shown >= of(SOMETHING_BITS)), 0, self.hidden)
         return np.asarray(self.hidden == DEAD_AFTER)
 
     def _growth(self) -> Values:
@@ -116,7 +116,7 @@ class _Twin:
 
     def _add(self, growth: Values) -> None:
         if self.numbers.is_fixed:
-            self.state = clamped(self.state + growth)
+            self.state = clamp(self.state + growth)
         else:
             rest, before = growth - self.lost, self.state
             self.state = before + rest
@@ -125,7 +125,7 @@ class _Twin:
     def _forward(self, growth: Values) -> Values:
         """Return values by whose signs the innovation is multiplied, for windings and for friction."""
         is_fixed, predicted = self.numbers.is_fixed, self.state + growth
-        predicted = clamped(predicted) if is_fixed else predicted
+        predicted = clamp(predicted) if is_fixed else predicted
         shared = np.floor_divide if is_fixed else np.divide
         self.slow = self.slow + shared(predicted - self.slow, 2**self.numbers.memory)
         return np.array([predicted[0] - self.slow[0], self.slow[1]])

@@ -87,16 +87,16 @@ def fit_fleet(
     reading = replace(reading, regime="operation" if "operation" in kinds else "start")
     with FitCache(kept, reading) as known:
         missing = [path for path in files if path not in known]
-        for path, one in zip(missing, each(partial(fit_record, reading), missing), strict=True):
-            known.add(path, one)
+        for path, fit in zip(missing, each(partial(fit_record, reading), missing), strict=True):
+            known.add(path, fit)
             progress(path)
     initial_fits = {path: known[path] for path in files}
-    failures = {path: one.trouble for path, one in initial_fits.items() if one.trouble}
-    good = {path: one for path, one in initial_fits.items() if not one.trouble}
+    failures = {path: fit.trouble for path, fit in initial_fits.items() if fit.trouble}
+    good = {path: fit for path, fit in initial_fits.items() if not fit.trouble}
     if not good:
         raise InputError(f"no record of the fleet can be used: {next(iter(failures.values()))}")
-    quantities = Counter(one.quantities for one in good.values()).most_common(1)[0][0]
-    for path in [path for path, one in good.items() if one.quantities != quantities]:
+    quantities = Counter(fit.quantities for fit in good.values()).most_common(1)[0][0]
+    for path in [path for path, fit in good.items() if fit.quantities != quantities]:
         failures[path] = "it was recorded with other columns than most"
         del good[path]
     job: Callable[[Path], Fitted | str]
@@ -119,8 +119,8 @@ def fit_fleet(
 
 def _majority_terms(initial_fits: Sequence[InitialFit]) -> list[str]:
     """List the terms that more than half of the records want."""
-    count = Counter(name for one in initial_fits for name in one.names)
-    return [name for name, seen in count.items() if seen > 0.5 * len(initial_fits)]
+    count = Counter(name for fit in initial_fits for name in fit.names)
+    return [name for name, wanting in count.items() if wanting > 0.5 * len(initial_fits)]
 
 
 def _common_start_model(
@@ -128,7 +128,7 @@ def _common_start_model(
 ) -> tuple[tuple[str, ...], dict[str, float]]:
     """Choose the model of starts, and the typical values of their quantities."""
     wanted = _majority_terms(initial_fits)
-    middle = np.exp(np.median([one.values for one in initial_fits], axis=0)).tolist()
+    middle = np.exp(np.median([fit.values for fit in initial_fits], axis=0)).tolist()
     return tuple(name for name in NUISANCES if name in wanted), dict(zip(quantities, middle, strict=True))
 
 
@@ -143,21 +143,21 @@ def _fit_start(
 
 def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) -> Windows:
     """Choose what logs share, and which part of the drag is dry friction by the least misfit of some."""
-    every = list(initial_fits.values())
-    known = np.median([one.values for one in every], axis=0)
+    initial = list(initial_fits.values())
+    known = np.median([fit.values for fit in initial], axis=0)
     known[_NOT_COMMON] = 0.0
-    speed = float(np.median([one.speed_rad_s for one in every]))
-    drag = float(np.median([_drag(one) for one in every])) * speed
-    hold = Counter(one.hold for one in every).most_common(1)[0][0]
+    speed = float(np.median([fit.speed_rad_s for fit in initial]))
+    drag = float(np.median([_drag(fit) for fit in initial])) * speed
+    hold = Counter(fit.hold for fit in initial).most_common(1)[0][0]
     windows = Windows(
-        window_s=min(one.duration_s for one in every),
-        terms=tuple(name for name in _majority_terms(every) if name not in _LOADS),
+        window_s=min(fit.duration_s for fit in initial),
+        terms=tuple(name for name in _majority_terms(initial) if name not in _LOADS),
         physical=known,
         hold=hold,  # type: ignore[arg-type]  # a literal that went through a counter
-        dt_s=float(np.median([one.dt_s for one in every])),
+        dt_s=float(np.median([fit.dt_s for fit in initial])),
         speed_rad_s=speed,
-        rms_volts=(min(one.rms_volts for one in every), max(one.rms_volts for one in every)),
-        peaks=tuple(np.median([one.peaks for one in every], axis=0).tolist()),
+        rms_volts=(min(fit.rms_volts for fit in initial), max(fit.rms_volts for fit in initial)),
+        peaks=tuple(np.median([fit.peaks for fit in initial], axis=0).tolist()),
     )
     some = list(initial_fits)[:: -(-len(initial_fits) // _MOST_TRIED)]
     tried = []
@@ -165,7 +165,7 @@ def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) ->
         known = known.copy()
         known[[places.B, places.COULOMB]] = (1.0 - share) * drag / speed, share * drag
         tried.append(replace(windows, physical=known))
-    fits = [[_fit_window(reading, one, path) for path in some] for one in tried]
+    fits = [[_fit_window(reading, candidate, path) for path in some] for candidate in tried]
     misfits = [sum(math.inf if isinstance(fit, str) else fit.misfit for fit in each) for each in fits]
     return tried[int(np.argmin(misfits))]
 

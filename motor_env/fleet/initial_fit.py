@@ -109,21 +109,21 @@ def fit_record(reading: Reading, path: Path) -> InitialFit:
                 return InitialFit(reason)
             return InitialFit("", fit.model, fit.quantity_names, tuple(fit.log_values.tolist()))
         log = reading.log(path)
-        found = identify_operation([log])
+        fitted = identify_operation([log])
     except REASONS as error:
         return InitialFit(str(error).removeprefix(f"{path}: "))
-    if not found.record.seen.all() or found.r2_current is None:
+    if not fitted.record.seen.all() or fitted.r2_current is None:
         return InitialFit("the current tells no motor")
     return InitialFit(
-        names=found.solution.names,
+        names=fitted.solution.names,
         quantities=NAMES,
-        values=tuple(known_of(found.solution).tolist()),
-        hold=found.record.hold,
-        speed_rad_s=effective_speed(found),
+        values=tuple(known_of(fitted.solution).tolist()),
+        hold=fitted.record.hold,
+        speed_rad_s=effective_speed(fitted),
         rms_volts=rms_volts(log),
         duration_s=len(log.time_s) * log.dt_s,
         dt_s=log.dt_s,
-        peaks=found.record.peaks,
+        peaks=fitted.record.peaks,
     )
 
 

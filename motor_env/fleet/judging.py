@@ -117,46 +117,46 @@ def diagnose_fleet(
     fleet = learn_fleet(files, group=group, reading=reading, each=each, kept=kept, progress=progress)
     machines = list(dict.fromkeys(unit_id.machine for unit_id in fleet.unit_of.values()))
     job = partial(_diagnose_machine, fleet, false_alarm_rate)
-    found = [unit for units in each(job, machines) for unit in units]
-    found.sort(key=lambda one: (not one.verdict.is_fault, 0.0 if one.p_value is None else one.p_value))
-    return FleetDiagnosis(tuple(found), fleet.fits.quantities, false_alarm_rate)
+    judged = [unit for units in each(job, machines) for unit in units]
+    judged.sort(key=lambda unit: (not unit.verdict.is_fault, 0.0 if unit.p_value is None else unit.p_value))
+    return FleetDiagnosis(tuple(judged), fleet.fits.quantities, false_alarm_rate)
 
 
 def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[FleetUnit]:
     """Judge the motors of a machine by those of all others."""
-    core, found = fleet.core_without(machine), []
-    for unit_id in dict.fromkeys(one for one in fleet.unit_of.values() if one.machine == machine):
+    core, units = fleet.core_without(machine), []
+    for unit_id in dict.fromkeys(each for each in fleet.unit_of.values() if each.machine == machine):
         if unit_id.motor not in fleet.positions:
             raise InputError(
                 f"no motor of the place {unit_id.motor} can be fitted: nothing judges {unit_id.name}"
             )
-        own = [path for path, one in fleet.unit_of.items() if one == unit_id]
+        own = [path for path, each in fleet.unit_of.items() if each == unit_id]
         motor = fleet.motor("a healthy one", core, unit_id.motor)
         records = {
             path: diagnose(path, motor, false_alarm_rate=rate / len(own), **fleet.fits.reading.options)
             for path in own
         }
-        found.append(
+        units.append(
             FleetUnit(unit_id, records, fleet.fits.quantities, _difference_from(fleet, core, unit_id))
         )
     alike = common_cause(
-        [one.difference for one in found if one.difference is not None], fleet.fits.quantities, rate
+        [unit.difference for unit in units if unit.difference is not None], fleet.fits.quantities, rate
     )
-    return [replace(one, common_cause=alike) for one in found]
+    return [replace(unit, common_cause=alike) for unit in units]
 
 
-def common_cause(difference: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
+def common_cause(differences: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
     """Find one sensor or supply at a wrong scale that the motors of a machine share; empty for nothing.
 
     Each motor may be too little off by itself.
     """
-    if len(difference) < 2:
+    if len(differences) < 2:
         return ""
-    deviations = np.mean([one.log_ratios for one in difference], axis=0)
-    spread = np.mean([one.covariance for one in difference], axis=0) / len(difference)
-    limit = -float(stdtrit(difference[0].degrees_of_freedom, rate / (2.0 * _GAINS)))
-    mean = replace(difference[0], log_ratios=deviations, covariance=spread)
-    return as_sentence([one for one in wrong_scales(mean, names, limit, rate) if one.gain is not None])
+    deviations = np.mean([each.log_ratios for each in differences], axis=0)
+    spread = np.mean([each.covariance for each in differences], axis=0) / len(differences)
+    limit = -float(stdtrit(differences[0].degrees_of_freedom, rate / (2.0 * _GAINS)))
+    mean = replace(differences[0], log_ratios=deviations, covariance=spread)
+    return as_sentence([scale for scale in wrong_scales(mean, names, limit, rate) if scale.gain is not None])
 
 
 def _difference_from(fleet: LearnedFleet, core: HealthyPopulation, unit_id: UnitId) -> Difference | None:

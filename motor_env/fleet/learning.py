@@ -75,8 +75,8 @@ class LearnedFleet:
         """Collect what the records tell."""
         exponents, by_file = identifiable.matrix(self.fits.quantities), self.fits.by_file
         return Motors(
-            np.array([one.log_values for one in by_file.values()]),
-            np.array([one.log_covariance for one in by_file.values()]),
+            np.array([fit.log_values for fit in by_file.values()]),
+            np.array([fit.log_covariance for fit in by_file.values()]),
             np.array([self.motors.index(self.unit_of[path]) for path in by_file]),
             np.array([self.positions.index(motor.motor) for motor in self.motors]),
             exponents @ identifiable.tolerance_covariance(PRIOR_SPREAD) @ exponents.T
@@ -133,8 +133,8 @@ class LearnedFleet:
     @cached_property
     def _healthy_starts(self) -> list[Identified]:
         """List the starts of motors that seem healthy."""
-        seen = zip(self.fits.by_file.values(), self.core.probability[self.records.motor], strict=True)
-        return [one for one, sure in seen if isinstance(one, Identified) and sure > _LEAST_PROBABILITY]
+        pairs = zip(self.fits.by_file.values(), self.core.probability[self.records.motor], strict=True)
+        return [fit for fit, sure in pairs if isinstance(fit, Identified) and sure > _LEAST_PROBABILITY]
 
     def _predictive(self, core: HealthyPopulation, position: str | None) -> tuple[FloatArray, FloatArray]:
         """Return centre and covariance of another healthy motor's record."""
@@ -147,13 +147,13 @@ class LearnedFleet:
 
     def text(self, rate: float) -> str:
         """Say what was learned, with the interval of the next healthy motor."""
-        one = self._healthy(self.core)
+        healthy, freedom = self._healthy(self.core), self.core.degrees_of_freedom
         sick = int(np.sum(self.core.probability < _LEAST_PROBABILITY))
         seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
         lines = [
             f"{len(self.motors)} motors with {len(self.fits.by_file)} records; {sick} of them {seem} nothing",
-            f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t, {one.degrees_of_freedom:.0f} degrees)",
-            *interval_lines(intervals(one, one.log_covariance, rate)),
+            f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t, {freedom:.0f} degrees)",
+            *interval_lines(intervals(healthy, healthy.log_covariance, rate)),
             *self._positions(),
             *self.fits.read,
             *(f"  not used: {path} ({reason})" for path, reason in self.fits.failures.items()),
@@ -167,7 +167,8 @@ class LearnedFleet:
         return [
             f"  {position}: "
             + ", ".join(
-                f"{name} {one:+.0%}" for name, one in zip(self.fits.quantities, row.tolist(), strict=True)
+                f"{name} {change:+.0%}"
+                for name, change in zip(self.fits.quantities, row.tolist(), strict=True)
             )
             for position, row in zip(self.positions, off, strict=True)
         ]
@@ -183,7 +184,7 @@ def directions_of(exponents: FloatArray) -> FloatArray:
         exponents @ [POWERS[column].get(name, 0.0) for name in identifiable.PARAMETERS] for column in _GAINS
     ]
     faults = [identifiable.visible_direction(kind, exponents) for kind in motor_kinds()]
-    return np.array([one for one in (*gains, *faults) if np.linalg.norm(one) > _NONE])
+    return np.array([direction for direction in (*gains, *faults) if np.linalg.norm(direction) > _NONE])
 
 
 def _regulariser(exponents: FloatArray) -> FloatArray:

@@ -86,8 +86,10 @@ class Motors:
         if not residual:
             return self.within
         error = np.median(self.errors.diagonal(axis1=1, axis2=2), axis=0)
-        seen = np.maximum(np.square(_MAD * np.median(np.abs(np.concatenate(residual)), axis=0)) - error, 0.0)
-        return (freedom_of_records * np.diag(seen) + PRIOR_WEIGHT * self.within) / (
+        variance = np.maximum(
+            np.square(_MAD * np.median(np.abs(np.concatenate(residual)), axis=0)) - error, 0.0
+        )
+        return (freedom_of_records * np.diag(variance) + PRIOR_WEIGHT * self.within) / (
             freedom_of_records + PRIOR_WEIGHT
         )
 
@@ -203,7 +205,7 @@ def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> Healthy
             break
         some = [(position == n) & (healthy > 0.0) for n in range(places)]
         centres = np.stack(
-            [logs[one].mean(axis=0) if one.any() else centres[n] for n, one in enumerate(some)]
+            [logs[members].mean(axis=0) if members.any() else centres[n] for n, members in enumerate(some)]
         )
         residual = logs - centres[position]
         inside = residual[healthy > 0.0]

@@ -121,10 +121,10 @@ class FleetUnit:
     @property
     def telling(self) -> Diagnosis:
         """Choose the record that the verdict rests on: the surest of those with a fault."""
-        faults = [one for one in self.records.values() if one.verdict.is_fault]
-        calm = [one for one in self.records.values() if one.verdict is Verdict.HEALTHY]
+        faults = [record for record in self.records.values() if record.verdict.is_fault]
+        calm = [record for record in self.records.values() if record.verdict is Verdict.HEALTHY]
         rest = next(iter([*calm, *self.records.values()]))
-        return max(faults, key=lambda one: one.confidence or 0.0, default=rest)
+        return max(faults, key=lambda record: record.confidence or 0.0, default=rest)
 
     @property
     def verdict(self) -> Verdict:
@@ -145,20 +145,20 @@ class FleetUnit:
 
     def to_json(self) -> dict[str, Any]:
         """Build one object for programs."""
-        one = self.telling
+        record = self.telling
         return {
             "motor": self.unit_id.name,
             "machine": self.unit_id.machine,
             "files": [str(path) for path in self.records],
-            "verdict": str(one.verdict),
-            "kind": None if one.kind is None else str(one.kind),
-            "severity": one.severity,
-            "severity_interval": one.severity_interval,
-            "confidence": one.confidence,
+            "verdict": str(record.verdict),
+            "kind": None if record.kind is None else str(record.kind),
+            "severity": record.severity,
+            "severity_interval": record.severity_interval,
+            "confidence": record.confidence,
             "p_value": self.p_value,
             "ratios": self.ratios,
             "standard_deviations": self.deviations,
-            "reasons": list(one.reasons),
+            "reasons": list(record.reasons),
             "together": self.common_cause or None,
         }
 

@@ -78,9 +78,9 @@ def combine_with_records(healthy: Healthy, logs: FloatArray, errors: FloatArray)
     between = floor_covariance(
         healthy.log_covariance - healthy.fleet.log_within, 1e-6 * healthy.log_covariance
     )
-    prior, told = np.linalg.inv(between), np.linalg.inv(within + errors)
-    left = np.linalg.inv(prior + told.sum(axis=0))
-    centre = left @ (prior @ np.log(healthy.values) + np.einsum("npq,nq->p", told, logs))
+    prior, information = np.linalg.inv(between), np.linalg.inv(within + errors)
+    left = np.linalg.inv(prior + information.sum(axis=0))
+    centre = left @ (prior @ np.log(healthy.values) + np.einsum("npq,nq->p", information, logs))
     return replace(
         healthy,
         pieces=len(logs),
@@ -98,10 +98,14 @@ def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
     Raises:
         InputError: it has none, or they tell other quantities than the fleet's records.
     """
-    found = diagnose(path, fleet_motor, **reading.options)
-    fits = [one.fit for one in found.pieces if one.fit is not None and one.verdict is not Verdict.UNUSABLE]
+    diagnosis = diagnose(path, fleet_motor, **reading.options)
+    fits = [
+        piece.fit
+        for piece in diagnosis.pieces
+        if piece.fit is not None and piece.verdict is not Verdict.UNUSABLE
+    ]
     if not fits:
-        raise InputError(f"{path}: a healthy record cannot be used: {found.reasons[0]}")
+        raise InputError(f"{path}: a healthy record cannot be used: {diagnosis.reasons[0]}")
     names = fleet_motor.healthy.quantities if fleet_motor.healthy is not None else ()
     if any(fit.quantity_names != names for fit in fits):
         raise InputError(f"{path}: its columns are not those of the sisters, which tell {', '.join(names)}")
@@ -111,6 +115,6 @@ def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
 def _within_covariance(logs: FloatArray, errors: FloatArray, fleet: Fleet) -> FloatArray:
     """Estimate the scatter from record to record; own records count by their number."""
     off = logs - logs.mean(axis=0)
-    seen = off.T @ off - max(len(logs) - 1, 0) * errors.mean(axis=0)
-    spread = (seen + PRIOR_WEIGHT * fleet.log_within) / (len(logs) - 1 + PRIOR_WEIGHT)
+    scatter = off.T @ off - max(len(logs) - 1, 0) * errors.mean(axis=0)
+    spread = (scatter + PRIOR_WEIGHT * fleet.log_within) / (len(logs) - 1 + PRIOR_WEIGHT)
     return floor_covariance(spread, fleet.log_within / PRIOR_WEIGHT)

@@ -330,9 +330,9 @@ def fit_degradation(
     width = float(np.ptp(estimate))
     typical = max(float(np.median(standard_error)), 0.3 * jumps, 1e-9 * width, 1e-9 * distance)
     errors = np.maximum(standard_error, _LEAST_ERROR * typical)
-    level_std, seen = 10.0 * (distance + width), towards * estimate
+    level_std, towards_limit = 10.0 * (distance + width), towards * estimate
     grid = hypotheses(time, typical, distance)
-    log_likelihood, moments = run_filters(seen, errors**2, grid, level_std)
+    log_likelihood, moments = run_filters(towards_limit, errors**2, grid, level_std)
     log_weight = log_likelihood + grid.log_prior
     wears = float(expit(logsumexp(log_weight[:-2]) - logsumexp(log_weight[-2:])))
     weight = softmax(log_weight[:-2].ravel())

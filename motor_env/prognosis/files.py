@@ -153,7 +153,8 @@ class Trends:
     def page(self) -> str:
         """Render a self-contained HTML page with a picture a quantity, the most urgent first."""
         rows = [
-            _page_row(trend) for trend in sorted(self.trends, key=lambda one: list(_STATES).index(one.state))
+            _page_row(trend)
+            for trend in sorted(self.trends, key=lambda trend: list(_STATES).index(trend.state))
         ]
         return render("motor_env.prognosis", "trend.html.j2", title="Trends", rows=rows, notes=self.notes)
 
@@ -215,14 +216,14 @@ def trend(
         series = read_estimates(several[0])
     else:
         series = _fit_recordings(_read_recordings(several, columns, date, notes), voltage_v, notes, progress)
-    named = {one.name: one for one in series}
+    named = {estimates.name: estimates for estimates in series}
     temperature = named.pop(TEMPERATURE, None)
     if unknown := [name for name in limits or {} if name not in named]:
         raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(named))}")
     return Trends(
         tuple(
-            judge(one, (limits or {}).get(name), level, reference_count, temperature)
-            for name, one in named.items()
+            judge(estimates, (limits or {}).get(name), level, reference_count, temperature)
+            for name, estimates in named.items()
         ),
         tuple(printable(note) for note in notes),
     )
@@ -254,10 +255,10 @@ def _draw_chart(trend: Trend) -> str:
     shown = np.concatenate([relative - error, relative + error, [1.0], factors])
     low, high = float(shown.min()), float(shown.max())
     room = 0.06 * max(high - low, 1e-6)
-    told = trend.leading if trend.leading is not None and trend.leading.is_told else None
+    forecast = trend.leading if trend.leading is not None and trend.leading.is_told else None
     left, last, ahead = float(series.time[0]), float(series.time[-1]), 0.0
-    if told is not None:
-        end = next(x for x in (told.life.high, told.life.median, last - left) if math.isfinite(x))
+    if forecast is not None:
+        end = next(x for x in (forecast.life.high, forecast.life.median, last - left) if math.isfinite(x))
         ahead = min(1.08 * end, 3.0 * (last - left))
     right, start = max(last + ahead, left + 1e-9), series.start
     ticks = round_ticks(left, right, 6)
@@ -276,8 +277,8 @@ def _draw_chart(trend: Trend) -> str:
     for factor in factors:
         chart.across("limit", factor)
         chart.text((chart.right + 8, chart.y(factor) + 4), f"limit {_change(factor)}", "limit-name")
-    if told is not None:
-        _draw_forecast(chart, told, last, np.linspace(0.0, ahead, 60))
+    if forecast is not None:
+        _draw_forecast(chart, forecast, last, np.linspace(0.0, ahead, 60))
     for t, value, half in zip(series.time, relative, error, strict=True):
         x = chart.x(t)
         chart.line("range", (x, chart.y(value - half)), (x, chart.y(value + half)))
@@ -289,14 +290,14 @@ def _change(factor: float) -> str:
     return f"{100.0 * (factor - 1.0):+.0f} %"
 
 
-def _draw_forecast(chart: Chart, told: Forecast, last: float, ahead: FloatArray) -> None:
+def _draw_forecast(chart: Chart, forecast: Forecast, last: float, ahead: FloatArray) -> None:
     """Draw the expected levels, and on the limit the interval of the time until it is reached."""
-    mean, std = told.wear.forecast(ahead)
+    mean, std = forecast.wear.forecast(ahead)
     time, upper, lower = last + ahead, mean + _Z90 * std, mean - _Z90 * std
     chart.shape("polygon", points=chart.points([*time, *time[::-1]], [*upper, *lower[::-1]]))
     inside = (mean >= chart.y_axis.low) & (mean <= chart.y_axis.high)
     chart.curve("forecast", time[inside], mean[inside])
-    y, life = chart.y(told.factor), told.life
+    y, life = chart.y(forecast.factor), forecast.life
     chart.line("life", (chart.x(last + life.low), y), (chart.x(last + life.high), y))
     if last + life.median <= chart.x_axis.high:
         chart.dot("median", (chart.x(last + life.median), y), 6)

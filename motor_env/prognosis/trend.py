@@ -86,16 +86,20 @@ class Trend:
     def leading(self) -> Forecast | None:
         """Choose the limit that matters: reached, trended to, or close; the earliest first."""
         return min(
-            (one for one in self.forecasts if one.reached or one.trends or one.close),
-            key=lambda one: (not one.reached, not one.trends, one.life.median),
+            (
+                forecast
+                for forecast in self.forecasts
+                if forecast.reached or forecast.trends or forecast.close
+            ),
+            key=lambda forecast: (not forecast.reached, not forecast.trends, forecast.life.median),
             default=None,
         )
 
     @property
     def state(self) -> str:
         """Return `reached`, `trending`, `close`, `steady`, or `unknown` with too few estimates or no limit."""
-        if (one := self.leading) is not None:
-            return "reached" if one.reached else "trending" if one.trends else "close"
+        if (forecast := self.leading) is not None:
+            return "reached" if forecast.reached else "trending" if forecast.trends else "close"
         return "steady" if self.forecasts else "unknown"
 
 
@@ -160,14 +164,14 @@ def judge(
                 withheld=reason if trends else "",
             )
         )
-    found = Trend(series, reference, tuple(forecasts), "")
+    trend = Trend(series, reference, tuple(forecasts), "")
     too_few = not forecasts and min(counts) < FEWEST_ESTIMATES
     sentence = (
         f"too few estimates for a trend: {min(counts)}, at least {FEWEST_ESTIMATES} are needed"
         if too_few
-        else _sentence(found)
+        else _sentence(trend)
     )
-    return replace(found, sentence=_jump(relative, factors) + sentence)
+    return replace(trend, sentence=_jump(relative, factors) + sentence)
 
 
 def _jump(relative: Series, factors: Sequence[float]) -> str:
@@ -184,28 +188,29 @@ def _jump(relative: Series, factors: Sequence[float]) -> str:
     )
 
 
-def _sentence(found: Trend) -> str:
-    series, one = found.series, found.leading
-    change = float(series.estimate[-1] / found.reference - 1.0)
-    if not found.forecasts:
+def _sentence(trend: Trend) -> str:
+    series, leading = trend.series, trend.leading
+    change = float(series.estimate[-1] / trend.reference - 1.0)
+    if not trend.forecasts:
         return f"no limit is given, so nothing is judged: last change {_percent(change)}"
-    if one is None:
-        likely = max(forecast.wear.probability_trend for forecast in found.forecasts)
+    if leading is None:
+        likely = max(forecast.wear.probability_trend for forecast in trend.forecasts)
         return (
             f"no trend: last change {_percent(change)}; probability of a drift to a limit "
             f"{100.0 * likely:.0f} %, below {100.0 * TREND_PROBABILITY:.0f} %; no remaining life is given"
         )
-    limit = _percent(one.factor - 1.0)
-    if one.reached:
-        return f"the limit at {limit} is reached, with a probability of {100.0 * one.life.probability_reached:.0f} %"
-    likely = one.wear.probability_beyond(CLOSE_SHARE)
+    limit = _percent(leading.factor - 1.0)
+    if leading.reached:
+        reached = 100.0 * leading.life.probability_reached
+        return f"the limit at {limit} is reached, with a probability of {reached:.0f} %"
+    likely = leading.wear.probability_beyond(CLOSE_SHARE)
     near = f"above {100.0 * CLOSE_SHARE:.0f} % of the way to it with a probability of {100.0 * likely:.0f} %"
-    if not one.trends:
+    if not leading.trends:
         return f"close to the limit at {limit}: {near}; no clear trend, so no remaining life is given"
     return (
         f"trends to the limit at {limit}, by "
-        f"{_percent(one.wear.mean_drift, digits=2)} of the reference a {series.unit.removesuffix('s')}: "
-        f"{describe(one, series.unit)}{f'; {near}' if one.close else ''}"
+        f"{_percent(leading.wear.mean_drift, digits=2)} of the reference a {series.unit.removesuffix('s')}: "
+        f"{describe(leading, series.unit)}{f'; {near}' if leading.close else ''}"
     )
 
 

@@ -24,7 +24,7 @@ def running_lab() -> Iterator[str]:
 
 def write_start(path: Path, kind: str, seed: int = 1) -> Path:
     """A CSV file of a simulated start."""
-    start = lab.start_of(lab.Settings(kind=kind, noise_ma=5.0, seed=seed))
+    start = lab.simulate_start(lab.Settings(kind=kind, noise_ma=5.0, seed=seed))
     current, voltage = start.measurements[0, 0], start.voltage_v[0]
     columns = {"time_s": start.time_s, "current_a": current, "voltage_v": voltage}
     return write_csv(path, columns, form=".6f")

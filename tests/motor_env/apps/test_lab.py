@@ -252,7 +252,7 @@ def test_a_roc_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_verdict_shows_the_start_from_just_before_it() -> None:
     told = lab.verdict(lab.Settings(kind="bearing", noise_ma=10.0))
-    curves, start = told["curves"], lab.start_of(lab.Settings(kind="bearing", noise_ma=10.0))
+    curves, start = told["curves"], lab.simulate_start(lab.Settings(kind="bearing", noise_ma=10.0))
     onset = int(np.argmax(start.voltage_v[0] > 0.0))
     assert curves["time_ms"][0] == pytest.approx(-2.0, abs=0.15)  # 20 samples
     assert np.diff(curves["time_ms"]) == pytest.approx(
@@ -270,8 +270,8 @@ def test_a_verdict_shows_the_start_from_just_before_it() -> None:
 
 
 def test_names_and_sizes_of_files_end_where_they_say(tmp_path: Path) -> None:
-    assert lab.shown_name("a" * 90) == "a" * 80
-    assert lab.shown_name("\n\x00") == "recording"
+    assert lab.display_name("a" * 90) == "a" * 80
+    assert lab.display_name("\n\x00") == "recording"
     endings = {
         "a.CSV": ".csv",
         "a.z": ".z",
@@ -280,14 +280,14 @@ def test_names_and_sizes_of_files_end_where_they_say(tmp_path: Path) -> None:
         "a.b-c": ".csv",
         "a": ".csv",
     }
-    assert {name: lab.ending_of(name) for name in endings} == endings
-    shelf, own = lab.Shelf(), Path("examples/motor.toml").read_bytes()
-    shelf.healthy = [tmp_path] * 19
-    assert shelf.keep("motor", "m.csv", own) == {"name": "m.csv", "reference": "own motor", "healthy": 19}
-    shelf.healthy = [tmp_path] * 20
+    assert {name: lab.file_suffix(name) for name in endings} == endings
+    uploads, own = lab.Uploads(), Path("examples/motor.toml").read_bytes()
+    uploads.healthy = [tmp_path] * 19
+    assert uploads.keep("motor", "m.csv", own) == {"name": "m.csv", "reference": "own motor", "healthy": 19}
+    uploads.healthy = [tmp_path] * 20
     with pytest.raises(InputError, match="at most 20 healthy starts"):
-        shelf.keep("motor", "m.toml", own)
-    shelf.clear()
+        uploads.keep("motor", "m.toml", own)
+    uploads.clear()
     for port in (-1, 65_536):
         with pytest.raises(InputError, match=f"port must lie in 0 .. 65535, got {port}"):
             make_server(port)

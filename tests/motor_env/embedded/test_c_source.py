@@ -29,7 +29,7 @@ from motor_env import (
 from motor_env.embedded.arithmetic import Numbers, fixed_point, floating
 from motor_env.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.embedded.source import write_library
-from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
+from motor_env.embedded.twin import SampleVerdict, TwinResult, readings_of, run_twin
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
@@ -78,7 +78,7 @@ EDGES = {
 BUILDS = list(itertools.product(("fixed", "float"), (1, 2)))
 
 
-def first(answer: Answers) -> NDArray[np.int64]:
+def first(answer: TwinResult) -> NDArray[np.int64]:
     """First faulty sample of each start, -1 where there is none."""
     faulty = answer.verdict == SampleVerdict.FAULT
     return np.where(faulty.any(axis=1), faulty.argmax(axis=1), -1)
@@ -114,7 +114,7 @@ def written(believed: Monitor, folder: Path, arithmetic: str) -> Numbers:
     return fixed_point(believed, steps) if steps else floating(believed)
 
 
-def run_c(folder: Path, readings: NDArray[Any]) -> Answers:
+def run_c(folder: Path, readings: NDArray[Any]) -> TwinResult:
     library = folder / "run.so"
     sources = [*folder.glob("src/*.c"), folder / "run.c"]
     compiled([tool("gcc"), *SHARED, "-I", folder / "src", *sources, "-o", library])
@@ -125,7 +125,7 @@ def run_c(folder: Path, readings: NDArray[Any]) -> Answers:
     pointers = [ctypes.c_void_p(array.ctypes.data) for array in (samples, verdict, statistic)]
     cases, count = len(samples), samples.shape[1]
     ctypes.CDLL(str(library)).run(ctypes.c_long(cases), ctypes.c_long(count), *pointers)
-    return Answers(verdict.astype(np.int64), statistic)
+    return TwinResult(verdict.astype(np.int64), statistic)
 
 
 @pytest.mark.parametrize(("arithmetic", "n_channels"), BUILDS)
@@ -138,7 +138,7 @@ def test_c_is_bit_equal_to_its_twin(arithmetic: str, n_channels: int, tmp_path: 
     measured[10:30, -1, 800] = 1e3 * believed.limits.speed_rad_s
     measured[30:40, 0] = np.random.default_rng(1).normal(0.0, 0.02, measured[30:40, 0].shape)
     readings = readings_of(numbers, np.clip(measured, -2_000.0, 2_000.0), data.voltage_v)
-    ours, theirs = answers(numbers, readings), run_c(tmp_path, readings)
+    ours, theirs = run_twin(numbers, readings), run_c(tmp_path, readings)
     np.testing.assert_array_equal(theirs.verdict, ours.verdict)
     np.testing.assert_array_equal(theirs.statistic, ours.statistic)
     assert set(np.unique(ours.verdict)) >= {0, 2, 3, 4}
@@ -167,7 +167,7 @@ def test_10000_starts_alarm_as_in_double_precision(arithmetic: str, severity: fl
     scenario = Scenario(PAPER_MOTOR, (Fault(FaultKind.BEARING, severity),), sensor=SensorParameters())
     data = simulate(scenario, 1, range(10_000))
     exact = floating(believed, np.float64)
-    reference = first(answers(exact, readings_of(exact, data.measurements, data.voltage_v)))
+    reference = first(run_twin(exact, readings_of(exact, data.measurements, data.voltage_v)))
     theirs = run_c(tmp_path, readings_of(numbers, data.measurements, data.voltage_v))
     alarm = first(theirs)
     same, near = np.mean(alarm == reference), np.mean(np.abs(alarm - reference) <= 1)

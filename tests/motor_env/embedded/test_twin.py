@@ -31,9 +31,9 @@ from motor_env import (
 from motor_env.cli import main
 from motor_env.embedded import source
 from motor_env.embedded.arithmetic import Numbers, Row, fixed_point, floating
-from motor_env.embedded.monitor import CusumBank, Monitor, Readings, monitor_of, settled
+from motor_env.embedded.monitor import CusumBank, Monitor, Readings, monitor_of, steady_schedule
 from motor_env.embedded.source import checks, write_library
-from motor_env.embedded.twin import Answers, SampleVerdict, answers, readings_of
+from motor_env.embedded.twin import SampleVerdict, TwinResult, readings_of, run_twin
 
 # Reaches in: the gain that is exported ends the filter's schedule, which it is compared with.
 from motor_env.filters.kalman import schedule
@@ -59,7 +59,7 @@ def monitor(name: str = "bank", n_channels: int = 1) -> Monitor:
     return monitor_of(motor, 10_000.0, rule=RULES[name], sensor=sensor, voltage_v=12.0)
 
 
-def first(answer: Answers) -> NDArray[np.int64]:
+def first(answer: TwinResult) -> NDArray[np.int64]:
     faulty = answer.verdict == SampleVerdict.FAULT
     return np.where(faulty.any(axis=1), faulty.argmax(axis=1), -1)
 
@@ -94,12 +94,12 @@ def test_twin_is_filter_and_rule(rule: str, n_channels: int) -> None:
     data = starts(believed, 20)
     reference = expected(believed, data)
     exact = floating(believed, np.float64)
-    statistic = answers(exact, readings_of(exact, data.measurements, data.voltage_v)).statistic
+    statistic = run_twin(exact, readings_of(exact, data.measurements, data.voltage_v)).statistic
     np.testing.assert_allclose(statistic, reference, rtol=1e-9, atol=1e-9)
     above = reference > 1.0
     alarms = np.where(above.any(axis=1), above.argmax(axis=1), -1)
     for numbers in (floating(believed), fixed_point(believed, believed.limits.counts())):
-        answer = answers(numbers, readings_of(numbers, data.measurements, data.voltage_v))
+        answer = run_twin(numbers, readings_of(numbers, data.measurements, data.voltage_v))
         off = np.abs(first(answer) - alarms)
         assert off.max() <= 1
         assert np.mean(off == 0) >= 0.9
@@ -117,7 +117,7 @@ def test_gains_are_followed_until_they_hold(
         return SimpleNamespace(held_from=min(held_from, n_samples))
 
     monkeypatch.setattr("motor_env.embedded.monitor.schedule", schedule_of)
-    settled(kalman)
+    steady_schedule(kalman)
     assert asked == [2**power for power in powers]
 
 
@@ -129,7 +129,7 @@ def test_sensor_is_watched() -> None:
     current[0, 0, on + 600] = 50.0
     for numbers in (floating(believed), fixed_point(believed, believed.limits.counts())):
         readings = readings_of(numbers, current, data.voltage_v)
-        verdict = answers(numbers, readings).verdict[0]
+        verdict = run_twin(numbers, readings).verdict[0]
         assert (verdict[on + 400 : on + 500] == SampleVerdict.SENSOR_STUCK).all()
         assert verdict[on + 600] == SampleVerdict.SENSOR_RANGE
         others = np.r_[on : on + 400, on + 500 : on + 600, on + 601 : len(verdict)]
@@ -146,7 +146,7 @@ def test_a_current_that_reads_nothing_in_an_inrush_is_that_of_a_dead_sensor() ->
     for numbers in (floating(believed), fixed_point(believed, believed.limits.counts())):
 
         def verdicts(current: NDArray[np.float64], numbers: Numbers = numbers) -> Any:
-            return answers(numbers, readings_of(numbers, current, data.voltage_v)).verdict[0]
+            return run_twin(numbers, readings_of(numbers, current, data.voltage_v)).verdict[0]
 
         assert not (verdicts(alive) == SampleVerdict.SENSOR_DEAD).any()
         said = verdicts(quiet) == SampleVerdict.SENSOR_DEAD
@@ -173,10 +173,10 @@ def test_brushes_and_dry_friction_are_known() -> None:
     current = states[None, :1, 1:] + 0.02 * rng.standard_normal(n)
     for sign in (1.0, -1.0):  # the first samples, in which the twin knows of no motion, are near to nothing
         numbers = fixed_point(believed, believed.limits.counts())
-        answer = answers(numbers, readings_of(numbers, sign * current, sign * volts))
+        answer = run_twin(numbers, readings_of(numbers, sign * current, sign * volts))
         assert (answer.verdict == SampleVerdict.HEALTHY).all()
     blind = fixed_point(monitor(), believed.limits.counts())
-    assert (answers(blind, readings_of(blind, current, volts)).verdict == SampleVerdict.FAULT).any()
+    assert (run_twin(blind, readings_of(blind, current, volts)).verdict == SampleVerdict.FAULT).any()
 
 
 @pytest.mark.parametrize(
@@ -435,7 +435,7 @@ def test_a_sample_that_is_no_reading_is_not_used() -> None:
             state, statistic = predicted + gain @ off, float(sums.max())
             verdict = int(statistic > 1.0)
         wanted.append((verdict, statistic))
-    found = answers(exact, readings[None])
+    found = run_twin(exact, readings[None])
     assert found.verdict[0].tolist() == [verdict for verdict, _ in wanted]
     assert {0, 2, 3} <= set(found.verdict[0].tolist())
     np.testing.assert_allclose(found.statistic[0], [value for _, value in wanted], rtol=1e-9, atol=1e-12)
@@ -474,7 +474,7 @@ def test_a_self_test_is_a_start_with_a_fault_and_a_wrong_reading(n_channels: int
     assert found[-1].readings[0] == pytest.approx(4.0 * believed.limits.current_a)
     assert offs == pytest.approx([offs[0]] * 7)
     assert np.log2(offs[0] / 4.0) == pytest.approx(round(np.log2(offs[0] / 4.0)))
-    told = answers(exact, np.array([check.readings for check in found]).T[None])
+    told = run_twin(exact, np.array([check.readings for check in found]).T[None])
     np.testing.assert_allclose([check.statistic for check in found], told.statistic[0])
 
 
