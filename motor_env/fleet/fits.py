@@ -1,9 +1,8 @@
-"""Fits of the records of a fleet, all with one model: the terms that most of them want, and what they share.
+"""Fit the records of a fleet with one model: the terms that most of them want, and what they share.
 
-The first fit of each record chooses its terms by itself. What most of them want is the fleet's model, and the medians
-of their values are where the second fit begins. Of a motor at work the second fit is that of a window: R, K, J and the
-drag are the motor's own, all else is the fleet's. There is no load in it: dry friction and a constant load stand for
-each other in a short record, so that the torque which the motor needs while it turns is one quantity.
+The first fit of each record chooses its terms by itself. The medians of their values begin the second fit. Of a motor
+at work that is the fit of a window: R, K, J and the drag are the motor's own, all else is the fleet's. Dry friction and
+a constant load look alike in a short record, so the torque needed while turning is one quantity.
 """
 
 from __future__ import annotations
@@ -42,13 +41,13 @@ _NOT_COMMON = [places.HEATING, places.COOLING, places.WALK, places.LOAD, places.
 
 @dataclass(frozen=True, slots=True)
 class FleetFits:
-    """The records of a fleet that a motor explains, fitted with one model.
+    """Records of a fleet, fitted with one model.
 
     Attributes:
-        by_file: their fits, by file.
+        by_file: their fits.
         quantities: that they tell.
         windows: how they were fitted, of motors at work; None for starts.
-        failures: why each other record is not among them, by its file.
+        failures: why each other record has no fit, by its file.
         reading: how they were read; its regime is start or operation.
         read: how their columns were understood, in words.
     """
@@ -75,7 +74,7 @@ def fit_fleet(
         files: recordings, one motor each; a start, or a log of the motor at work.
         reading: how they are read.
         each: what maps over files, see `processes`.
-        kept: file that keeps the first fits: a fleet that was stopped goes on where it was.
+        kept: file that keeps the first fits, so that a stopped run goes on.
         progress: told each file, twice.
 
     Raises:

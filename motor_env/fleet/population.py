@@ -1,10 +1,10 @@
-"""A population of motors: where its healthy core lies and how far it scatters, learned while sick ones are in it.
+"""Learn where the healthy core of a population of motors lies and how far it scatters, while sick ones are in it.
 
-Each motor's logarithms are those of its core, off by what differs from motor to motor; each record of it is off again
-by what differs from record to record, and by its fit's own error. A motor is of the core, or sick: off along one
-quantity, along the direction of a fault or gain, or along all (a contaminated normal distribution; Tukey 1960).
-Expectation and maximisation give each motor its probability of being of the core (Dempster, Laird & Rubin 1977). Motors
-are judged by the core alone.
+Each motor's logarithms are those of its core, off by what differs from motor to motor; each record is off again by what
+differs from record to record, and by its fit's own error. A motor is of the core, or sick: off along one quantity,
+along the direction of a fault or gain, or along all (a contaminated normal distribution; Tukey 1960). Expectation and
+maximisation give each motor its probability of being of the core (Dempster, Laird & Rubin 1977). Motors are judged by
+the core alone.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Motors:
 
     @cached_property
     def sick(self) -> list[FloatArray]:
-        """What sick motors scatter by in addition: along one direction each, and along all, shape (p, p) each."""
+        """List what sick motors scatter by in addition: along one direction each, and along all, shape (p, p) each."""
         p = len(self.between)
         axes = np.eye(p) if self.directions is None else np.vstack([np.eye(p), self.directions])
         inverse = np.linalg.inv(self.between)
@@ -74,27 +74,25 @@ class Motors:
         )
 
     def within_covariance(self) -> FloatArray:
-        """Covariance from record to record of one motor, by those that are repeated, shape (p, p).
+        """Estimate the covariance from record to record of one motor, by those that are repeated, shape (p, p).
 
         The median of their deviations counts: a record may be wrong, and few motors are repeated.
         """
-        residual, freedom_of_records = [], 0
+        residual, freedom = [], 0
         for motor in np.flatnonzero(np.bincount(self.motor) > 1):
             own = self.logs[self.motor == motor]
             residual.append((own - own.mean(axis=0)) * math.sqrt(len(own) / (len(own) - 1.0)))
-            freedom_of_records += len(own) - 1
+            freedom += len(own) - 1
         if not residual:
             return self.within
         error = np.median(self.errors.diagonal(axis1=1, axis2=2), axis=0)
         variance = np.maximum(
             np.square(_MAD * np.median(np.abs(np.concatenate(residual)), axis=0)) - error, 0.0
         )
-        return (freedom_of_records * np.diag(variance) + PRIOR_WEIGHT * self.within) / (
-            freedom_of_records + PRIOR_WEIGHT
-        )
+        return (freedom * np.diag(variance) + PRIOR_WEIGHT * self.within) / (freedom + PRIOR_WEIGHT)
 
     def means(self, within: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Each motor's own logarithms and their covariance, shapes (n_motors, p) and (n_motors, p, p).
+        """Average each motor's logarithms; with their covariance, shapes (n_motors, p) and (n_motors, p, p).
 
         Args:
             within: covariance from record to record, shape (p, p).
@@ -138,8 +136,9 @@ class HealthyPopulation:
 def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> HealthyPopulation:
     """Find the healthy core of some motors.
 
-    Records are taken by themselves, those of one motor together as one: their spread is that of another motor's
-    record. How much of it is from record to record is told by the motors that are repeated.
+    Records are first taken by themselves, those of one motor together as one. How much of their spread is from record
+    to
+    record is told by the motors that are repeated.
 
     Args:
         motors: their records.
@@ -182,7 +181,7 @@ def _run_em(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple
 
 
 def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> HealthyPopulation:
-    """Where to begin: at a part of the records that lies closest together (Rousseeuw & Van Driessen 1999).
+    """Choose a part of the records that lies closest together (Rousseeuw & Van Driessen 1999).
 
     The spread of these is less than that of all of a normal distribution, by a known factor.
     """
@@ -236,7 +235,7 @@ def _log_density(residual: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def _em_round(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
-    """One round: probabilities, centres, and the spread; and the log likelihood before it.
+    """Update probabilities, centres and spread once; also return the log likelihood before.
 
     Each record counts by its share of its motor, shape (n_records,).
     """
