@@ -28,7 +28,7 @@ from motor_env.fitting.problem import motor_places
 from motor_env.fitting.terms import terms
 from motor_env.fitting.uncertainty import information_covariance, secants
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 
 QUANTITIES = ("R", "L", "K", "J", "B", "coulomb", "brush_drop", "load_constant", "load_square")
 HEADER = (

@@ -27,12 +27,10 @@ from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, recording_of, understood
+from motor_env.recordings.recording import Recording, UnusableError, recording_of, understood
 from motor_env.recordings.regime import Taken, taken_for
-from motor_env.recordings.splitting import chosen_starts, split_starts
-from motor_env.recordings.start import Circuit, prepare
+from motor_env.recordings.start import Circuit, chosen_starts, prepare, split_starts
 
 FEWEST_STARTS = 3
 _NO_LOAD = 1.2  # of the current with the load: the same motor, within its friction's changes

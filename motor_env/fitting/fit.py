@@ -17,7 +17,7 @@ from motor_env.fitting.record import HOLDS, Record
 from motor_env.fitting.score import candidates, score_tests
 from motor_env.fitting.terms import SHAPES, Term, terms
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 
 STRONG_EVIDENCE = 6.0
 CHOSEN_ON = 2_000

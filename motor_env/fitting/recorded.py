@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from motor_env.fitting.kernel import BEGIN, OPEN
 from motor_env.fitting.record import STRETCHES, Record, with_begins, with_holes
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, cut
+from motor_env.recordings.recording import Recording, UnusableError, cut
 from motor_env.recordings.regime import refuse_aliased
 from motor_env.recordings.start import Circuit
 

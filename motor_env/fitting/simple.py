@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.fitting.kernel import REST, STEADY, SWITCH
+from motor_env.fitting.kernel import REST, STEADY, SWITCH, lag_of, steady
 from motor_env.fitting.places import (
     AFTER,
     COULOMB,
@@ -29,7 +29,6 @@ from motor_env.fitting.places import (
     WALK,
 )
 from motor_env.fitting.steps import FINE, braked_step, discretize_each, smooth_step
-from motor_env.fitting.update import lag_of, steady
 from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import FloatArray
 

@@ -22,9 +22,8 @@ from motor_env.diagnosis.views import Fitted, FittedWindow
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.recorded import from_recordings
-from motor_env.fitting.starts.choice import NUISANCES
 from motor_env.fitting.starts.identified import Identified
-from motor_env.fitting.starts.identify import identify
+from motor_env.fitting.starts.identify import NUISANCES, identify
 from motor_env.fitting.window import WindowFit, fit_window
 from motor_env.fleet.first import REASONS, First, Reading, first_fit, first_look
 from motor_env.fleet.kept import Kept

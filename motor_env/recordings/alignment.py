@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise, hidden_level, wild_samples, without_wild
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 
 _FEW = 5  # samples below which neither a mean nor a run of equal values says anything
 _HEAD_PARTS = 50  # the first fiftieth of a recording shows the level before the start ...

@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.headers import (
+    LARGE_CURRENT_A,
+    LARGEST_CURRENT_A,
     NUMBERED,
     QUANTITIES,
     SI,
     UNITS,
     ColumnChoice,
     Meaning,
+    follows,
+    has_counts,
     is_channel,
     is_other,
     understand,
@@ -26,18 +30,12 @@ from motor_env.recordings.headers import (
     unit_quantity,
 )
 from motor_env.recordings.noise import filled
-from motor_env.recordings.plausible import (
-    LARGE_CURRENT_A,
-    LARGEST_CURRENT_A,
-    evenly_rounded,
-    follows,
-    has_counts,
-)
 from motor_env.recordings.suggestions import Suggestions
-from motor_env.recordings.text.settings import Table
+from motor_env.recordings.text.block import Table
 
 _NONE = "none"
 _SMALL = {"time": "ms", "current": "mA", "voltage": "mV", "speed": "rpm"}
+_DENSEST = 0.9  # of a step of the rounding: times further apart hardly repeat
 
 
 class Column(NamedTuple):
@@ -277,3 +275,31 @@ def _counted(suggested: Suggestions, counter: int | None) -> Column:
             f"{path}: holds {len(table.values)} rows and says that there are {table.samples}; no column tells which"
         )
     return _even(table, begin_s, table.interval_s, "as the file says above its numbers")
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def evenly_rounded(time_s: FloatArray) -> tuple[FloatArray, float, float] | None:
+    """Times that repeat because they were rounded, spread evenly again.
+
+    Returns:
+        times, rate in Hz, and the step to which they were rounded; None where they do not repeat, or not by rounding.
+    """
+    steps = np.diff(time_s)
+    rising = steps[steps > 0.0]
+    if not len(rising) or (steps < 0.0).any() or (steps > 0.0).all():
+        return None
+    rounding_s = float(np.min(rising))
+    count = np.arange(len(time_s), dtype=np.float64) - 0.5 * (len(time_s) - 1)
+    middle_s = float(np.mean(time_s))
+    interval_s = float(count @ (time_s - middle_s) / (count @ count))
+    if interval_s > _DENSEST * rounding_s or float(np.max(rising)) > 1.01 * rounding_s:
+        return None
+
+    def spread(dt_s: float) -> float:
+        return float(np.ptp(time_s - count * dt_s)) / rounding_s
+
+    if spread(interval_s) > 1.1:
+        return None
+    rates = (float(f"{1.0 / interval_s:.{digits}g}") for digits in range(1, 6))
+    rate_hz = next((rate for rate in rates if spread(1.0 / rate) <= 1.001), 1.0 / interval_s)
+    return middle_s + count / rate_hz, rate_hz, rounding_s

@@ -1,4 +1,4 @@
-"""Headers of columns: which quantity, in which unit, and what the user says instead."""
+"""Headers of columns: which quantity, in which unit, what the user says instead, and what its numbers rule out."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from motor_env.errors import InputError
-from motor_env.motor.parameters import RAD_S_PER_RPM
+from motor_env.motor.parameters import RAD_S_PER_RPM, FloatArray
 
 QUANTITIES = ("time", "current", "voltage", "speed", "duty")
 UNITS: dict[str, dict[str, float]] = {
@@ -75,6 +77,13 @@ _CHOICE = re.compile(
     r"^(?P<column>.+?)(?::(?P<unit>[^:*]+?))?"
     rf"(?:\s*(?P<mark>[*/])\s*(?P<scale>{_NUMBER}))?(?:\s*(?P<sign>[-+])\s*(?P<offset>{_NUMBER}))?\s*$"
 )
+LARGEST_CURRENT_A = 1_000.0
+LARGE_CURRENT_A = 100.0
+"""Beyond it a current that the user named is warned of."""
+_MANY_WHOLE = 20
+"""Different whole numbers: counts of a converter or of a clock, not a voltage that is 0 or 12."""
+_FEWEST_LEVELS = 50  # of numbers whose rounding can be told from noise
+_MOST_COMPARED = 20_000  # samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,3 +269,39 @@ def _split(word: str) -> tuple[str, str]:
             if stem != word and _WORDS.get(name) == quantity:
                 return name, unit
     return word, ""
+
+
+def has_counts(values: FloatArray, averaged: int = 1) -> bool:
+    """Whether numbers are those of a converter or of a clock; their means times `averaged` are whole, too."""
+    sums = values * averaged
+    is_whole = np.abs(sums - np.round(sums)) <= 1e-6 * (averaged > 1)
+    return bool(np.all(is_whole)) and len(np.unique(sums)) > _MANY_WHOLE
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of numbers that nobody measured
+def follows(values: FloatArray, other: FloatArray, of: str) -> bool:
+    """Whether numbers are a linear function of others, to rounding: computed from them, not measured.
+
+    Args:
+        values: those of the current.
+        other: those of another quantity.
+        of: which. A current that falls as the speed rises may be that of an ideal motor.
+    """
+    each = -(-len(values) // _MOST_COMPARED)
+    values, other = values[::each], other[::each]
+    span, other_span = float(np.ptp(values)), float(np.ptp(other))
+    if not span or not other_span:
+        return False
+    y, x = (values - values.mean()) / span, (other - other.mean()) / other_span
+    slope = float(x @ y / (x @ x))
+    off = float(np.max(np.abs(y - slope * x)))
+    if not off <= 0.05 or off > 1e-6 + 0.6 * (_step(y) + _step(x)):  # the slope is 1 or -1 then
+        return False
+    sizes = np.abs(values) - np.abs(values).mean(), np.abs(other) - np.abs(other).mean()
+    return of != "speed" or float(sizes[0] @ sizes[1]) > 0.0
+
+
+def _step(values: FloatArray) -> float:
+    """The step to which numbers are rounded; 0 for few levels."""
+    levels = np.unique(values)
+    return float(np.min(np.diff(levels))) if len(levels) >= _FEWEST_LEVELS else 0.0

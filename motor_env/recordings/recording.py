@@ -17,8 +17,7 @@ from motor_env.recordings.columns import recognise
 from motor_env.recordings.headers import SI, ColumnChoice
 from motor_env.recordings.noise import filled
 from motor_env.recordings.tables import read_table
-from motor_env.recordings.text.block import FEWEST_SAMPLES
-from motor_env.recordings.text.settings import Table
+from motor_env.recordings.text.block import FEWEST_SAMPLES, Table
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -276,3 +275,7 @@ def _placed(
             samples.append(np.arange(begin, last))
             places.append(np.arange(place, end + 1))
     return np.concatenate(samples), np.concatenate(places)
+
+
+class UnusableError(ValueError):
+    """A recording that can be read but not judged; the message says why."""

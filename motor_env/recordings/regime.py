@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 
 REGIMES = ("auto", "start", "operation")
 _OFF, _ON = 0.1, 0.8

@@ -1,20 +1,35 @@
-"""One start out of a recording: turned, aligned, with what is known of its supply and its sensors."""
+"""The starts of a recording: cut apart, turned and aligned, with what is known of supply and sensors."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import Alignment, align
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.noise import wild_samples, without_wild
 from motor_env.recordings.periodic_lines import PeriodicLine
-from motor_env.recordings.recording import Recording, cut
-from motor_env.recordings.splitting import OFF, end_of_supply, stretches
+from motor_env.recordings.recording import Recording, UnusableError, cut
+from motor_env.recordings.regime import BOUNCE_S
 
 _FEWEST_AFTER = 15
+_HIGH, _LOW = 0.5, 0.25
+_FEWEST = 3  # samples
+_CUT = 0.5  # of the median time under voltage
+_MOVING = 2.0  # times the largest deviation at rest
+_WILD = 5  # samples of a long recording that may lie above all that counts
+OFF = 0.05  # of the largest voltage
+_BLOCKS = 50  # of the running motor's samples
+_NOISE, _SPAN = 4.0, 0.002  # standard deviations, and of the largest current: so close to rest it rests
+_ABRUPT = 3.0  # times that: a current that is switched off comes from further away
+_BRAKED = 0.25  # of the largest current, against it: no undershoot goes so far
+MOST_STARTS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,3 +220,150 @@ def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: 
             f"samples of the voltage are missing where it goes from {voltage[before[n]]:.3g} to"
             f" {voltage[after[n]]:.3g} V: the start cannot be fitted without them"
         )
+
+
+def split_starts(recording: Recording) -> list[Recording]:
+    """The starts of a recording, each with the rest before it; a recording with one start is returned as it is.
+
+    Where a voltage was recorded, a start is its rise from rest; else it is the inrush of the current: a rise
+    beyond half of the largest, after less than a quarter of it for a while. A part's name is that of the file with #2.
+    """
+    if recording.voltage_v is not None:
+        voltage = without_wild(recording.voltage_v, wild_samples(recording.voltage_v))
+        begins = _rises(np.abs(voltage), recording.dt_s, rest=OFF)
+    else:
+        current = without_wild(recording.current_a, wild_samples(recording.current_a))
+        current = current - np.median(current[: max(len(current) // 50, 5)])
+        rising = current if current.max() >= -current.min() else -current
+        begins = _rises(rising, recording.dt_s, rest=_LOW)
+    if len(begins) < 2:
+        return [recording]
+    ends = [*(_switched_off(recording, a, b) for a, b in pairwise(begins)), len(recording.time_s)]
+    firsts = [0, *(_at_rest(recording, a, b) for a, b in zip(ends, begins[1:], strict=False))]
+    parts = []
+    for number, (first, last) in enumerate(zip(firsts, ends, strict=True), 1):
+        notes = (*recording.columns, f"start {number} of {len(begins)} in the file")
+        path = Path(f"{recording.path}#{number}")
+        parts.append(replace(cut(recording, slice(first, last)), path=path, columns=notes))
+    return parts
+
+
+def chosen_starts(recording: Recording, number: int | None = None) -> list[Recording]:
+    """The starts that lie in a recording, or the one with that number.
+
+    Raises:
+        InputError: there is no such start, or there are more than 200 of them and none is chosen.
+    """
+    parts = split_starts(recording)
+    if number is None and len(parts) > MOST_STARTS:
+        raise InputError(
+            f"{recording.path}: it rises from rest {len(parts)} times; at most {MOST_STARTS} starts are judged at"
+            " once: is it one? Else name one of them with --start"
+        )
+    if number is not None and not 1 <= number <= len(parts):
+        raise InputError(f"{recording.path}: --start must lie in 1 .. {len(parts)}, got {number}")
+    if number is not None:
+        return [parts[number - 1]]
+    return _whole(parts) if len(parts) > 1 else parts
+
+
+def _whole(parts: list[Recording]) -> list[Recording]:
+    """Of several starts those that lie in the recording: no first that had begun, no last that ends too soon."""
+    volts = [np.abs(part.voltage_v) for part in parts if part.voltage_v is not None]
+    if not volts:
+        return parts
+    is_on = [one > _HIGH * np.max(one) for one in volts]
+    begin = int(is_on[0][0])
+    lengths = [np.count_nonzero(one) for one in is_on[begin:]]
+    is_cut = len(lengths) > 2 and lengths[-1] < _CUT * np.median(lengths[:-1])
+    return parts[begin : len(parts) - is_cut]
+
+
+def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
+    """Samples where the values rise beyond half of their largest, after having been at rest."""
+    top = float(np.sort(values)[-1 - (_WILD if len(values) > 2000 else 0)])
+    shortest = max(_FEWEST, round(BOUNCE_S / dt_s))
+    high = np.flatnonzero(values > _HIGH * top)
+    moving = np.flatnonzero(values >= rest * top)
+    after_rest = moving[1:][np.diff(moving) > shortest]
+    # The first rise needs no rest before it; a rest without a rise after it ends no start.
+    firsts = np.unique(np.append(0, np.searchsorted(high, after_rest)))
+    begins: list[int] = high[firsts[firsts < len(high)]].tolist()
+    return begins
+
+
+def _switched_off(recording: Recording, begin: int, following: int) -> int:
+    """Where the motor is switched off between two starts: the voltage's fall, or a change of the current's level."""
+    if recording.voltage_v is not None:
+        off = np.abs(recording.voltage_v[begin:following]) < OFF * np.abs(recording.voltage_v).max()
+        firsts, ends = stretches(off)  # a switch may bounce before
+        return begin + int(firsts[np.argmax(ends - firsts)]) if len(firsts) else following
+    stretch = recording.current_a[begin + (following - begin) // 3 : following - 3]
+    return following - 3 - len(stretch) + _change_of_level(stretch)
+
+
+def _at_rest(recording: Recording, end: int, begin: int) -> int:
+    """From where the motor rests before a start: what brakes it is over, as the last quarter of the pause shows."""
+    first = end
+    for shown in (recording.current_a, recording.speed_rad_s):
+        if shown is not None:
+            pause = shown[end:begin]
+            rest = pause[-max(len(pause) // 4, 1) :]
+            off = np.abs(pause - np.median(rest))
+            moving = np.flatnonzero(off > _MOVING * np.max(off[-len(rest) :], initial=0.0))
+            first = max(first, end + int(moving[-1]) + 1 if len(moving) else end)
+    return first
+
+
+def stretches(flags: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First sample of each stretch in which a flag is set, and the first after it."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
+def end_of_supply(recording: Recording, alignment: Alignment) -> int:
+    """First sample after which the supply of a start is off for good; the number of samples where it stays on.
+
+    Where neither voltage nor duty were recorded, the current tells: it falls to that of the quiet part at once, or a
+    brake turns it round.
+    """
+    n, begin = len(recording.time_s), alignment.onset_index
+    supply = recording.voltage_v if recording.voltage_v is not None else recording.duty
+    if supply is not None:
+        is_on = np.abs(supply) >= OFF * np.max(np.abs(supply))
+        end = n - int(np.argmax(is_on[::-1]))
+        return end if begin < end <= n - _FEWEST else n
+    size = (n - begin) // _BLOCKS
+    if not alignment.n_quiet or size == 0:
+        return n
+    current = without_wild(recording.current_a, alignment.wild)
+    running = alignment.sign * (current[begin:] - alignment.offset_a)
+    against = np.flatnonzero(running < -_BRAKED * running.max())
+    if len(against):
+        return begin + _foot(running, int(against[0]), alignment.noise_a)
+    means = running[: len(running) // size * size].reshape(-1, size).mean(axis=1)
+    error = alignment.noise_a * math.sqrt(1.0 / size + 1.0 / alignment.n_quiet) + alignment.unseen_level_a
+    near = max(_NOISE * error, _SPAN * float(running.max()))
+    last = max(np.flatnonzero(np.abs(means) > near).tolist(), default=0)
+    if not 0 < last < len(means) - _FEWEST or means[last - 1] < _ABRUPT * near:
+        return n  # it does not end, or has decayed
+    some = slice((last - 1) * size, (last + 2) * size)
+    return begin + _foot(running, some.start + _change_of_level(running[some]), alignment.noise_a)
+
+
+def _foot(running: FloatArray, end: int, noise_a: float) -> int:
+    """Where a fall begins that has ended: L lets the current fall for a while."""
+    while end > 0 and running[end - 1] > running[end] + _NOISE * noise_a:
+        end -= 1
+    return end
+
+
+def _change_of_level(values: FloatArray) -> int:
+    """First sample of the second level: the least-squares split in two; 0 where there are no two samples."""
+    if len(values) < 2:
+        return 0
+    n = np.arange(1, len(values))
+    sums = np.cumsum(values)
+    before, after = sums[:-1] / n, (sums[-1] - sums[:-1]) / (len(values) - n)
+    gain: FloatArray = n * (len(values) - n) * np.square(before - after)
+    return int(np.argmax(gain)) + 1

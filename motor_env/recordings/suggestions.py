@@ -13,9 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.recordings.headers import (
+    LARGEST_CURRENT_A,
     NUMBERED,
     SI,
     Meaning,
+    follows,
+    has_counts,
     is_channel,
     is_no_unit,
     is_other,
@@ -23,8 +26,7 @@ from motor_env.recordings.headers import (
     said_of,
     unit_quantity,
 )
-from motor_env.recordings.plausible import LARGEST_CURRENT_A, follows, has_counts
-from motor_env.recordings.text.settings import Table
+from motor_env.recordings.text.block import Table
 
 _SCALE = "SCALE is how many A a volt is, 10 for a probe of 100 mV/A"
 _OFFSET = "SCALE and OFFSET are those of the converter's counts, such as *0.0132-6.76"

@@ -25,8 +25,7 @@ from motor_env.fitting.uncertainty import beyond
 from motor_env.fitting.window import LOAD, WindowFit, fit_window, without_load
 from motor_env.motor.healthy import Drive, Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 
 FEWEST_WINDOWS = 4
 MOST_LEARNED = 40

@@ -27,8 +27,7 @@ from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 
 _WINDOWS = 10  # of a log
 _SHORTEST = 40.0  # a window: mechanical time constants

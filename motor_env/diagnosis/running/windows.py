@@ -31,8 +31,7 @@ from motor_env.fitting.window import WindowFit, fit_window, per_log
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, cut
+from motor_env.recordings.recording import Recording, UnusableError, cut
 
 MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20

@@ -17,8 +17,7 @@ from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import align
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 from motor_env.recordings.start import Circuit
 
 _BACKWARDS = "the current has the other sign than in all healthy starts: it is reversed, or the motor started backwards"

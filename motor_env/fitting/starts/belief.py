@@ -15,7 +15,7 @@ from motor_env.fitting.record import CURVE_PARTS
 from motor_env.fitting.starts.identified import record_of
 from motor_env.fitting.terms import Term, terms
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.start import Start, mean_tail
 
 FIT_SAMPLES = 40_000

@@ -16,8 +16,7 @@ import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.text.block import CLOCK, CUT_OFF, Block, block_of, filled, rows_of
-from motor_env.recordings.text.settings import Table, table_of
+from motor_env.recordings.text.block import CLOCK, CUT_OFF, Block, Table, block_of, filled, rows_of, table_of
 
 MOST_ROWS = 4_000_000
 _AT_ONCE = 2  # pieces: pandas lets other threads run while it parses

@@ -34,7 +34,7 @@ from motor_env.fitting.identify import identify_operation
 from motor_env.fitting.record import Record
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 
 P, DT_S = PAPER_MOTOR, 0.002
 FRICTION = float(P.viscous_friction_n_m_s_per_rad)

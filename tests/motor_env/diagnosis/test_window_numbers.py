@@ -47,7 +47,7 @@ from motor_env.fitting.window import WindowFit
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction, warmth_direction
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit
 

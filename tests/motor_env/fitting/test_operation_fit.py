@@ -11,7 +11,7 @@ from operation_simulator import SWITCHES, Motor, draw_motor, simulate
 
 from motor_env import Recording, read_recording
 from motor_env.fitting.identify import Operation, _refuse_poor, identify_operation
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 
 recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")
 real = pytest.mark.skipif(

@@ -42,8 +42,8 @@ from motor_env.fitting.uncertainty import (
 )
 from motor_env.fitting.window import fit_window, scores, without_load
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise
+from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.regime import Taken
 from motor_env.recordings.start import Circuit
 

@@ -14,7 +14,7 @@ from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN
 from motor_env.fitting.record import Record, with_begins, with_holes
 from motor_env.fitting.recorded import at_terminals, from_recordings, missing_blocks
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.start import Circuit
 
 BOTH = np.ones(2)

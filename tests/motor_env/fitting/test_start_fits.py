@@ -18,16 +18,21 @@ from motor_env.fitting.score import score_tests, unmeasured
 
 # Reaches in: what is believed of a start before it is fitted, and which samples are wild, are told by no result alone.
 from motor_env.fitting.starts.belief import FIT_SAMPLES, absolute, believed
-from motor_env.fitting.starts.choice import _applies, evidence, identify_best
 from motor_env.fitting.starts.commutation import (
     back_emf_v,
     constants_at,
     find_ripple,
     ripple_quantities,
 )
-from motor_env.fitting.starts.identified import Identified, record_of
-from motor_env.fitting.starts.identify import _wild_against, identify
-from motor_env.fitting.starts.plausibility import NOT_TURNING, implausible, is_blocked, shows_turning
+from motor_env.fitting.starts.identified import (
+    NOT_TURNING,
+    Identified,
+    implausible,
+    is_blocked,
+    record_of,
+    shows_turning,
+)
+from motor_env.fitting.starts.identify import _applies, _wild_against, evidence, identify, identify_best
 from motor_env.fitting.uncertainty import capped, model_error, normalised, sandwich, states_of
 from motor_env.motor.parameters import FloatArray
 

@@ -41,7 +41,7 @@ from motor_env.live.watch import Lesson, Watch
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.parameters import RAD_S_PER_RPM
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 
 HEADER = b"speed_rpm,t_ms,voltage_mv,current_ma\n"
 WINDOWS = Windows(

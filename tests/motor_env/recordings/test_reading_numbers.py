@@ -17,15 +17,13 @@ from motor_env import ColumnChoice, InputError, Recording, read_recording
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser
 from motor_env.recordings.alignment import align
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import UNITS, understand
 from motor_env.recordings.noise import difference_noise, hidden_level, wild_samples, without_wild
 from motor_env.recordings.periodic_lines import PeriodicLine, line_share, over_angle, periodic_lines
 from motor_env.recordings.profiles import Profile, load_profile, save_profile
-from motor_env.recordings.recording import evened
+from motor_env.recordings.recording import UnusableError, evened
 from motor_env.recordings.regime import changes, gaps_s, refuse_aliased, slow_rises, work_seen
-from motor_env.recordings.splitting import chosen_starts, split_starts
-from motor_env.recordings.start import Circuit, mean_tail, prepare
+from motor_env.recordings.start import Circuit, chosen_starts, mean_tail, prepare, split_starts
 
 RPM = 2.0 * math.pi / 60.0
 FACTORS = {

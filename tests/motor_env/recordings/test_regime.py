@@ -10,9 +10,9 @@ import pytest
 
 from motor_env import InputError, Recording
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.regime import Taken, refuse_aliased, taken_for, work_seen
-from motor_env.recordings.splitting import chosen_starts
+from motor_env.recordings.start import chosen_starts
 
 FINE_S = 1e-4
 OHM, CONSTANT, INERTIA, DRY = 2.0, 0.03, 2.3e-5, 3.6e-3
