@@ -93,13 +93,11 @@ class Problem:
         """Number of readings."""
         return self.record.count
 
-    def jacobian(self, theta: FloatArray, base: FloatArray) -> FloatArray:
-        """Derivatives of the residuals, which are `base` there, by differences in one direction."""
-        return self.columns(theta, range(len(theta)), base)
-
-    def columns(self, theta: FloatArray, chosen: Sequence[int], base: FloatArray) -> FloatArray:
-        """Some columns of it."""
-        moved, steps = self.steps(theta, chosen)
+    def jacobian(
+        self, theta: FloatArray, base: FloatArray, chosen: Sequence[int] | None = None
+    ) -> FloatArray:
+        """Derivatives of the residuals, which are `base` there, by all or the chosen unknowns, one-sided."""
+        moved, steps = self.steps(theta, range(len(theta)) if chosen is None else chosen)
         slopes: FloatArray = ((self.residuals_each(moved) - base) / steps[:, None]).T
         return slopes
 

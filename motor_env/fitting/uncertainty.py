@@ -36,7 +36,7 @@ def secants(problem: Problem, theta: FloatArray) -> FloatArray:
     """Derivatives of the residuals over steps as wide as the unknowns are uncertain, without the noises' columns."""
     chosen = motor_places(problem)
     base = problem.residuals(theta)
-    jacobian = problem.columns(theta, chosen, base)
+    jacobian = problem.jacobian(theta, base, chosen)
     for _ in range(2):
         sd = np.sqrt(np.diag(_inverse(jacobian.T @ jacobian)) * float(base @ base) / problem.count)
         steps = np.clip(sd, *WIDTHS)

@@ -9,7 +9,7 @@ import numpy as np
 
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise, hidden_level, wild_samples, without_wild
-from motor_env.recordings.recording import Recording, UnusableError
+from motor_env.recordings.recording import Recording, UnusableError, stretches
 
 _FEW = 5  # samples below which neither a mean nor a run of equal values says anything
 _HEAD_PARTS = 50  # the first fiftieth of a recording shows the level before the start ...
@@ -161,9 +161,9 @@ def clipped_run(current: FloatArray, quantum: float) -> int:
     """Number of samples in a row at the top of a clipped channel; 0 where it is not clipped."""
     top = float(np.max(np.abs(current)))
     at_top = np.abs(np.abs(current) - top) <= 1e-9 * top
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], at_top.astype(np.int8), [0]])))
-    firsts, runs = edges[::2], edges[1::2] - edges[::2]
-    first, run = int(firsts[np.argmax(runs)]), int(runs.max())
+    firsts, ends = stretches(at_top)
+    longest = int(np.argmax(ends - firsts))
+    first, run = int(firsts[longest]), int(ends[longest] - firsts[longest])
     # Half a run beyond its end a round peak has fallen by 4 steps at most. How fast it rose tells as much only where
     # the recording ends before.
     beyond = first + run + run // 2

@@ -91,6 +91,12 @@ def cut(record: _Record, part: slice) -> _Record:
     return replace(record, **arrays)
 
 
+def stretches(flags: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First sample of each stretch in which a flag is set, and the first after it."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
+
+
 def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
     """Read time, current and, where recorded, voltage and speed from a file.
 

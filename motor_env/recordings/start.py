@@ -15,7 +15,7 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import Alignment, align
 from motor_env.recordings.noise import wild_samples, without_wild
 from motor_env.recordings.periodic_lines import PeriodicLine
-from motor_env.recordings.recording import Recording, UnusableError, cut
+from motor_env.recordings.recording import Recording, UnusableError, cut, stretches
 from motor_env.recordings.regime import BOUNCE_S
 
 _FEWEST_AFTER = 15
@@ -313,12 +313,6 @@ def _at_rest(recording: Recording, end: int, begin: int) -> int:
             moving = np.flatnonzero(off > _MOVING * np.max(off[-len(rest) :], initial=0.0))
             first = max(first, end + int(moving[-1]) + 1 if len(moving) else end)
     return first
-
-
-def stretches(flags: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First sample of each stretch in which a flag is set, and the first after it."""
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    return edges[::2], edges[1::2]
 
 
 def end_of_supply(recording: Recording, alignment: Alignment) -> int:
