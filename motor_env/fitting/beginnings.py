@@ -24,21 +24,21 @@ _LEAST_LAG = 0.3  # of R dt
 
 def beginnings(record: Record) -> list[FloatArray]:
     """Values to begin a fit from, each of shape (places.N_VALUES,)."""
-    found = []
+    guesses = []
     for window in _WINDOWS:
         if len(record.voltage_v) < 12 * window:
             break
         if record.seen.all():
-            found += [_both(record, window, loaded=loaded) for loaded in (False, True)]
+            guesses += [_both(record, window, loaded=loaded) for loaded in (False, True)]
         elif record.seen[0]:
-            found += [
+            guesses += [
                 _current(record, window, share, loaded=loaded)
                 for share in _RESISTANCES
                 for loaded in (False, True)
             ]
         else:
-            found.append(_speed(record, window))
-    return [values for values in found if values is not None]
+            guesses.append(_speed(record, window))
+    return [values for values in guesses if values is not None]
 
 
 def _changes(sums: FloatArray, record: Record, width: int) -> FloatArray:
@@ -77,10 +77,10 @@ def _torques(
     columns: list[FloatArray], torque: FloatArray, *, loaded: bool
 ) -> tuple[float, float, float, float]:
     """Inertia, viscous and dry friction, and a constant load of either sign where there may be one."""
-    one = np.ones(len(torque))
-    found = _solve([*columns, one, -one] if loaded else columns, torque).tolist()
-    load = found[3] - found[4] if loaded else 0.0
-    return found[0], found[1], found[2], load
+    ones = np.ones(len(torque))
+    solution = _solve([*columns, ones, -ones] if loaded else columns, torque).tolist()
+    load = solution[3] - solution[4] if loaded else 0.0
+    return solution[0], solution[1], solution[2], load
 
 
 def _values(record: Record, **given: float) -> FloatArray:

@@ -53,8 +53,8 @@ def _smallest(record: Record) -> Solution:
     if len(record.voltage_v) > 2 * CHOSEN_ON:
         return _refined(_smallest(record.sample(CHOSEN_ON)), record)
     rivals = [_chosen(first) for first in _first(record)]
-    best = min(rivals, key=lambda one: one.penalised())
-    others = sorted(_behaviours(best, record), key=lambda one: one.penalised())
+    best = min(rivals, key=lambda solution: solution.penalised())
+    others = sorted(_behaviours(best, record), key=lambda solution: solution.penalised())
     if others and (other := _solved(others[0], [])).penalised() < best.penalised():
         best = _chosen(other)
     return _grown(_shaped(_timely(best))).settled()
@@ -120,7 +120,7 @@ def _beside(best: Solution, others: Sequence[Solution]) -> Solution:
     rivals = []
     for other in others:
         known = dict(zip(other.names, other.theta, strict=True))
-        theta = [known.get(name, one) for name, one in zip(best.names, best.theta, strict=True)]
+        theta = [known.get(name, value) for name, value in zip(best.names, best.theta, strict=True)]
         rivals.append((np.array(theta), best.misfit))
     return replace(best, rivals=(*best.rivals, *rivals))
 
@@ -137,12 +137,12 @@ def _refined(best: Solution, record: Record) -> Solution:
 def _behaviours(best: Solution, record: Record) -> list[Solution]:
     """The fit without a delay, for every other behaviour of voltage and circuit: its beginning may have missed it."""
     timed = _less(best, ("delay",))
-    found = []
+    fits = []
     for behaved in _records(record):
         is_same = behaved.hold == best.problem.record.hold and "delay" not in best.names
         if not (is_same and np.array_equal(behaved.marks, best.problem.record.marks)):
-            found.append(replace(timed.problem, record=behaved).solve(timed.theta, most=_FEW))
-    return found
+            fits.append(replace(timed.problem, record=behaved).solve(timed.theta, most=_FEW))
+    return fits
 
 
 def _records(record: Record) -> list[Record]:
@@ -161,8 +161,8 @@ def _shaped(best: Solution) -> Solution:
     added = [best.problem.every[shape] for shape, of in SHAPES.items() if of in best.names]
     problem = best.problem.with_terms(added)
     begin = np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added])
-    calm = np.array([_CALM.get(name, one) for name, one in zip(problem.names, begin, strict=True)])
-    begins = [begin, calm]
+    calm = np.array([_CALM.get(name, value) for name, value in zip(problem.names, begin, strict=True)])
+    starting_points = [begin, calm]
     if {"coulomb", "load_constant"} <= set(best.names):
         dry, load = problem.names.index("coulomb"), problem.names.index("load_constant")
         turns = math.copysign(1.0, float(best.free[0][:, 3].mean()))
@@ -170,12 +170,12 @@ def _shaped(best: Solution) -> Solution:
             moved = begin.copy()
             moved[dry] += more
             moved[load] -= turns * more
-            begins.append(moved)
-    tried = [problem.solve(theta) for theta in begins]
-    found = min(tried, key=lambda one: one.misfit)
-    if found.misfit > best.misfit + len(added):
+            starting_points.append(moved)
+    tried = [problem.solve(theta) for theta in starting_points]
+    shaped = min(tried, key=lambda solution: solution.misfit)
+    if shaped.misfit > best.misfit + len(added):
         return best
-    return replace(found, rivals=tuple((one.theta, one.misfit) for one in tried if one is not found))
+    return replace(shaped, rivals=tuple((each.theta, each.misfit) for each in tried if each is not shaped))
 
 
 def _chosen(first: Solution) -> Solution:
@@ -196,19 +196,19 @@ def _chosen(first: Solution) -> Solution:
 
 def _undisturbed(solutions: Sequence[Solution]) -> list[Solution]:
     """Fits of the same terms without noise inside the motor: output errors, which real model errors may leave ahead."""
-    begun = [_less(one, ("noise_voltage", *_DISTURBING)) for one in solutions]
+    begun = [_less(solution, ("noise_voltage", *_DISTURBING)) for solution in solutions]
     return [less.problem.solve(less.theta, most=60) for less in begun]
 
 
-def _free_misfit(one: Solution) -> float:
+def _free_misfit(solution: Solution) -> float:
     """Logarithms of the shares of the variance that the free model leaves; an undisturbed one must be clearly ahead."""
-    left = _left(one)
-    return float(left.sum()) + (0.0 if "noise_voltage" not in one.names else -_CLEARLY * len(left))
+    left = _left(solution)
+    return float(left.sum()) + (0.0 if "noise_voltage" not in solution.names else -_CLEARLY * len(left))
 
 
-def _left(one: Solution) -> FloatArray:
+def _left(solution: Solution) -> FloatArray:
     """Logarithm of the share of the variance that the free model leaves, of each channel that was seen."""
-    return np.log([max(1.0 - r2, 1e-12) for r2 in one.explained() if r2 is not None])
+    return np.log([max(1.0 - r2, 1e-12) for r2 in solution.explained() if r2 is not None])
 
 
 def _grown(best: Solution) -> Solution:
@@ -249,19 +249,20 @@ def _first(record: Record) -> list[Solution]:
     for behaved in _records(record):
         begun = begins(behaved)[:_TRIED]
         tried = [problem.solve(theta, most=_FEW) for problem, theta in begun]
-        few += sorted(tried, key=lambda one: one.misfit)[:1]
+        few += sorted(tried, key=lambda solution: solution.misfit)[:1]
     if not few:
         raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
-    ahead = min(one.misfit for one in few)
-    fits = [_solved(one, []) for one in few if one.misfit - ahead < _HOPELESS * one.problem.count]
-    best = min(one.misfit for one in fits)
-    return [one for one in fits if one.misfit - best < _RIVAL * one.problem.count]
+    ahead = min(solution.misfit for solution in few)
+    n_readings = few[0].problem.count
+    fits = [_solved(solution, []) for solution in few if solution.misfit - ahead < _HOPELESS * n_readings]
+    best = min(solution.misfit for solution in fits)
+    return [solution for solution in fits if solution.misfit - best < _RIVAL * n_readings]
 
 
 def begins(record: Record) -> list[tuple[Problem, FloatArray]]:
     """What regressions find, with the smallest prediction errors first: problems with unknowns to begin from."""
     begun = [_begin(record, values) for values in beginnings(record)]
-    return sorted(begun, key=lambda one: float(np.sum(one[0].residuals(one[1]) ** 2)))
+    return sorted(begun, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
 
 
 def _begin(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:

@@ -98,13 +98,13 @@ class Operation:
     def model(self) -> tuple[str, ...]:
         """Names of the terms that are no noises, a slowly varying load among them; shapes where they are told."""
         walks = ["load_walk"] if "load_walk" in self.solution.names else []
-        told = {one.name for one in self.quantities}
-        left_out = {*NOISES, *(name for name in SHAPES if name not in told)}
+        reported = {quantity.name for quantity in self.quantities}
+        left_out = {*NOISES, *(name for name in SHAPES if name not in reported)}
         return (*(name for name in self.solution.names if name not in left_out), *walks)
 
     def quantity(self, name: str) -> Quantity:
         """One of them by its name."""
-        return next(one for one in self.quantities if one.name == name)
+        return next(quantity for quantity in self.quantities if quantity.name == name)
 
 
 def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> Operation:
@@ -120,18 +120,18 @@ def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> 
     return identify_record(from_recordings(recordings, most=most))
 
 
-def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
+def without_lines(solution: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
     """A record of a motor at work without the lines of its current, and these lines; each recording has its own.
 
     A line that the voltage has too is the motor's answer to it, and stays.
 
     Args:
-        found: its fit.
+        solution: its fit.
         record: what was fitted.
     """
     if record.seen[0] == 0.0:
         return record, ()
-    free = found.free[1]
+    free = solution.free[1]
     residual, readings = np.nan_to_num(record.readings[:, 0] - free[:, 2]), record.readings.copy()
     begins, every = np.flatnonzero(record.marks == kernel.BEGIN), []
     for first, end in zip(begins, [*begins[1:], len(residual)], strict=True):
@@ -139,7 +139,7 @@ def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[Period
         own = [line.frequency_hz for line in periodic_lines(record.voltage_v[some], time_s)]
         beside = _SAME_LINE / (record.dt_s * (end - first))
         for line in constant_lines(residual[some], time_s, np.abs(free[some, 3])):
-            if all(abs(line.frequency_hz - one) > beside for one in own):
+            if all(abs(line.frequency_hz - frequency_hz) > beside for frequency_hz in own):
                 readings[some, 0] -= line.current_a(time_s)
                 every.append(line)
     return replace(record, readings=readings) if every else record, tuple(every)
@@ -154,30 +154,32 @@ def identify_record(record: Record) -> Operation:
     """
     solution = fit(record)
     record, lines = without_lines(solution, record)
-    found = _described(fit(record) if lines else solution, lines)  # its terms may have stood for the lines
-    if found.r2_current is not None and found.r2_current < _CURRENT_TELLS and record.seen[1]:
-        found = _described(fit(record.only(current=False, speed=True)))
-    _refuse_poor(found)
-    return found
+    # Its terms may have stood for the lines.
+    operation = _described(fit(record) if lines else solution, lines)
+    if operation.r2_current is not None and operation.r2_current < _CURRENT_TELLS and record.seen[1]:
+        operation = _described(fit(record.only(current=False, speed=True)))
+    _refuse_poor(operation)
+    return operation
 
 
-def _refuse_poor(found: Operation) -> None:
-    for n, (name, r2) in enumerate((("current", found.r2_current), ("speed", found.r2_speed))):
+def _refuse_poor(operation: Operation) -> None:
+    for n, (name, r2) in enumerate((("current", operation.r2_current), ("speed", operation.r2_speed))):
         if r2 is None:
             continue
-        least = _POOR * explainable(found.record.readings[found.record.told[:, n], n])
+        least = _POOR * explainable(operation.record.readings[operation.record.told[:, n], n])
         if not r2 >= least:
             raise UnusableError(
                 f"no motor model explains the {name} (R2 {r2:.2f}; at least {least:.2g} is needed)"
             )
-    told = {one.name: one.value for one in found.quantities if one.is_told}
-    needed = [one.name for one in found.quantities if one.name.split("/")[0] in ("R", "K", "J", "R J")]
-    untold = ", ".join(name for name in needed if name not in told)
+    determined = {quantity.name: quantity.value for quantity in operation.quantities if quantity.is_told}
+    names = [quantity.name for quantity in operation.quantities]
+    needed = [name for name in names if name.split("/")[0] in ("R", "K", "J", "R J")]
+    untold = ", ".join(name for name in needed if name not in determined)
     # Without a recorded speed, which is what R leaves of the voltage, all else rests on R and J/K^2.
-    if not (any if found.record.seen[1] else all)(name in told for name in needed):
+    if not (any if operation.record.seen[1] else all)(name in determined for name in needed):
         raise UnusableError(f"the record does not determine {untold}: {_UNFIT}")
-    if told.get("L", 0.0) > _LONGEST_LAG_S * told.get("R", math.inf):
-        raise UnusableError(f"L/R of {told['L'] / told['R']:.3g} s is that of no motor: {_UNFIT}")
+    if determined.get("L", 0.0) > _LONGEST_LAG_S * determined.get("R", math.inf):
+        raise UnusableError(f"L/R of {determined['L'] / determined['R']:.3g} s is that of no motor: {_UNFIT}")
 
 
 def _described(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> Operation:
@@ -204,7 +206,7 @@ def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
     problem, theta = solution.problem, solution.theta
     chosen = motor_places(problem)
     names, units = _naming(problem.record)
-    found = []
+    quantities = []
     for row, n in enumerate(chosen):
         term, sd = problem.free[n], math.sqrt(max(spread[row, row], 0.0))
         value, half = term.value(theta[n]), _TWO_SIDED * sd
@@ -215,13 +217,13 @@ def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
             low, high = value - half * term.unit, value + half * term.unit
             low = max(low, 0.0) if term.low >= 0.0 else low
             relative = sd * term.unit / max(abs(value), 1e-300)
-        told = bool(relative < _UNTOLD)
+        is_told = bool(relative < _UNTOLD)
         name = term.name
-        if name in SHAPES and not told:
+        if name in SHAPES and not is_told:
             continue
-        found.append(Quantity(names.get(name, name), value, low, high, units[name], told, relative))
+        quantities.append(Quantity(names.get(name, name), value, low, high, units[name], is_told, relative))
     drag = _drag(solution, spread, names.get("drag", "drag"), units["drag"])
-    return [*found, drag] if drag else found
+    return [*quantities, drag] if drag else quantities
 
 
 def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quantity | None:
@@ -268,9 +270,9 @@ def _notes(
             f" {gain:.4g} rad/s a volt, a dead voltage of {dead:.3g} V and a time constant of {lag:.3g} s"
         )
     untold = [
-        one.name
-        for one in quantities
-        if not one.is_told and one.name.split("/")[0] in ("R", "L", "K", "J", "B")
+        quantity.name
+        for quantity in quantities
+        if not quantity.is_told and quantity.name.split("/")[0] in ("R", "L", "K", "J", "B")
     ]
     if untold:
         sentences.append(f"not determined by this record: {', '.join(untold)}")

@@ -159,7 +159,7 @@ class Problem:
                 return self.secants(unknowns(point), range(len(steps)), steps)
             return self.jacobian(unknowns(point), residuals(point))
 
-        found = least_squares(
+        optimum = least_squares(
             residuals,
             begin - zero,
             jac=jacobian,
@@ -168,7 +168,7 @@ class Problem:
             max_nfev=most,
             ftol=_ENOUGH / self.count,
         )
-        return Solution(self, unknowns(found.x), self.misfit(2.0 * found.cost))
+        return Solution(self, unknowns(optimum.x), self.misfit(2.0 * optimum.cost))
 
     def misfit(self, squares: float) -> float:
         """-2 log likelihood, noise level concentrated out."""
@@ -229,13 +229,13 @@ class Solution:
         ways = (low - theta)[motor], (high - theta)[motor]
         if 2.0 * lsq_linear(wide, -base, ways).cost > (problem.count - _WORTH) * size:
             return self
-        found = problem.solve(theta, _MOST_OUT, steps)
-        if found.misfit > self.misfit - _WORTH:
+        escaped = problem.solve(theta, _MOST_OUT, steps)
+        if escaped.misfit > self.misfit - _WORTH:
             return self
         # Its rivals may be caught, too: they stay as far behind.
-        gain = found.misfit - self.misfit
+        gain = escaped.misfit - self.misfit
         rivals = tuple((other, misfit + gain) for other, misfit in self.rivals)
-        return replace(found, rivals=rivals).settled()
+        return replace(escaped, rivals=rivals).settled()
 
     def weighed(self) -> Problem:
         """The problem with the noise of each channel as large as what is left of it."""
@@ -259,8 +259,8 @@ class Solution:
         record = self.problem.record
         left = record.readings - self.free[1][:, 2:4]
         r2 = [
-            r_squared(record.readings[told, n], left[told, n]) if record.seen[n] else None
-            for n, told in enumerate(record.told.T)
+            r_squared(record.readings[counted, n], left[counted, n]) if record.seen[n] else None
+            for n, counted in enumerate(record.told.T)
         ]
         return r2[0], r2[1]
 

@@ -159,12 +159,12 @@ class Record:
         if load is not None:
             out[:, :, 4] += load
         p[:, R] += self.shunt_ohm
-        keys = [one[_OF_SUPPLY].tobytes() for one in p]
+        keys = [row[_OF_SUPPLY].tobytes() for row in p]
         supplies: dict[bytes, tuple[FloatArray, FloatArray, float]] = {}
-        for key, one in zip(keys, p, strict=True):
+        for key, row in zip(keys, p, strict=True):
             if key not in supplies:
-                supplies[key] = self.supply(one)
-            one[AFTER] = supplies[key][2]
+                supplies[key] = self.supply(row)
+            row[AFTER] = supplies[key][2]
         voltage, marks = (np.stack([each[n] for each in supplies.values()]) for n in (0, 1))
         which = np.array([list(supplies).index(key) for key in keys])
         logs, read = np.zeros(len(p)), (self.readings, self.seen)
@@ -173,9 +173,9 @@ class Record:
         else:
             reach = 1e-9 + np.abs(voltage).max((1, 2))
             predict_each(p, self.dt_s, voltage, marks, reach, which, *read, learn, out, logs, room_to_work())
-        for one, table in zip(p, out, strict=True):
-            if one[ZONE] > 0.0 or self.rectified_a is not None:
-                self._hide(one, table)
+        for row, table in zip(p, out, strict=True):
+            if row[ZONE] > 0.0 or self.rectified_a is not None:
+                self._hide(row, table)
         return out, logs
 
     def _hide(self, p: FloatArray, table: FloatArray) -> None:

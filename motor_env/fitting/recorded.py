@@ -72,10 +72,10 @@ def from_recordings(recordings: Sequence[Recording], *, most: int = MOST) -> Rec
         averaged=factor * recordings[0].averaged,
         share=share,
     )
-    told = int(record.told[begins != BEGIN][:, seen > 0.0].sum(axis=0).min())
-    if missing.any() and told < FEWEST:
+    n_counted = int(record.told[begins != BEGIN][:, seen > 0.0].sum(axis=0).min())
+    if missing.any() and n_counted < FEWEST:
         raise UnusableError(
-            f"only {told} of {len(volts)} samples are there, and follow others {record.dt_s:.4g} s apart without a"
+            f"only {n_counted} of {len(volts)} samples are there, and follow others {record.dt_s:.4g} s apart without a"
             f" hole; at least {FEWEST} are needed"
         )
     return record
@@ -123,8 +123,8 @@ def _jumps(voltage_v: FloatArray) -> NDArray[np.bool_]:
     beside = _BESIDE_JUMP
     medians = np.median(sliding_window_view(np.pad(moved, beside, mode="edge"), beside), axis=1)
     usual = np.maximum(medians[: len(moved)], medians[-len(moved) :])
-    found: NDArray[np.bool_] = (moved > _JUMP * usual) & (moved > _JUMP_NOISE * noise_of(voltage_v))
-    return found
+    is_jump: NDArray[np.bool_] = (moved > _JUMP * usual) & (moved > _JUMP_NOISE * noise_of(voltage_v))
+    return is_jump
 
 
 def noise_of(column: FloatArray) -> float:
@@ -176,12 +176,12 @@ def liveliest(recording: Recording, share: float, count: int = STRETCHES) -> lis
     n = len(recording.time_s)
     volts = recording.current_a if recording.voltage_v is None else recording.voltage_v
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(volts)))])
-    part, length, found = n // count, int(share * n / count), []
+    part, length, chosen = n // count, int(share * n / count), []
     for first in range(0, part * count, part):
         ends = moved[first + length : first + part] - moved[first : first + part - length]
         begin = first + int(np.argmax(ends))
-        found.append(cut(recording, slice(begin, begin + length)))
-    return found
+        chosen.append(cut(recording, slice(begin, begin + length)))
+    return chosen
 
 
 def _seen(recording: Recording) -> tuple[bool, bool]:

@@ -70,7 +70,7 @@ def score_tests(
     if not tested:
         return {}
     direction = _Direction(best)
-    found = {}
+    tests = {}
     for name in tested:
         term = every[name]
         problem = best.problem.with_terms([term])
@@ -79,8 +79,8 @@ def score_tests(
         moved = np.delete(moved, len(direction.base), axis=1)
         test = direction.test(moved, sides, is_positive=term.low >= 0.0)
         if test is not None:
-            found[name] = test
-    return found
+            tests[name] = test
+    return tests
 
 
 class _Direction:

@@ -88,10 +88,10 @@ def _following(best: Solution, chosen: Sequence[int]) -> FloatArray:
     values = problem.values_each(np.vstack([best.theta, moved]))
     shown, *others = record.predict_each(values, learn=False, load=best.free[0][:, 4])[0][:, :, 2:4]
     information = np.diag([1.0 / min(problem.free[n].prior_sd, _WIDEST) ** 2 for n in chosen])
-    for channel, told in enumerate(record.told.T):
+    for channel, counted in enumerate(record.told.T):
         if record.seen[channel] > 0.0:
-            left = (record.readings - shown)[told, channel]
-            slopes = (np.array(others) - shown)[:, told, channel] / steps[:, None]
+            left = (record.readings - shown)[counted, channel]
+            slopes = (np.array(others) - shown)[:, counted, channel] / steps[:, None]
             whole = float(np.mean(left**2)) + (_DUST * record.peaks[1 + channel]) ** 2
             white = difference_noise(left) ** 2 * (1.0 + _BY_CHANCE / math.sqrt(len(left)))
             size = max(whole - white, _NO_LESS * whole)
@@ -186,11 +186,11 @@ def model_error(white: FloatArray, rows: FloatArray, series: FloatArray, *, stat
     leverage = np.einsum("ncp,ncp->n", shares, shares)
     total, by_chance = series, (1.0 + math.sqrt(len(series) / _PARTS)) ** 2
     # At rest, only rounding tells states apart: they keep their order in time, so that every machine says the same.
-    rounded = np.round(states / np.maximum(np.ptp(states, axis=0), 1e-300), 6)
-    orders = [np.arange(n), *np.argsort(rounded.T, kind="stable")]
+    levels = np.round(states / np.maximum(np.ptp(states, axis=0), 1e-300), 6)
+    orders = [np.arange(n), *np.argsort(levels.T, kind="stable")]
     for order, usual in zip(orders, [1.0] + [by_chance] * (len(orders) - 1), strict=True):
-        told = np.cumsum(leverage[order])
-        parts = np.minimum((_PARTS * told / max(float(told[-1]), 1e-300)).astype(int), _PARTS - 1)
+        cumulated = np.cumsum(leverage[order])
+        parts = np.minimum((_PARTS * cumulated / max(float(cumulated[-1]), 1e-300)).astype(int), _PARTS - 1)
         moved = np.zeros_like(series)
         for part in np.unique(parts):
             of = order[parts == part]
@@ -218,15 +218,15 @@ def _weakly_believed(problem: Problem, theta: FloatArray) -> FloatArray:
     values = problem.values(theta)
     rise = values[places.L] / values[places.R] + values[places.RISE] + values[places.LAG_I]
     late = 0.5 * (1.0 + rise / problem.record.dt_s)
-    found = []
-    for term, one in zip(problem.free, theta.tolist(), strict=True):
+    deviations = []
+    for term, value in zip(problem.free, theta.tolist(), strict=True):
         if term.place in (places.ONSET, places.DELAY):
-            found.append(late)
+            deviations.append(late)
         elif term.prior_sd < math.inf:
-            found.append(math.inf)
+            deviations.append(math.inf)
         else:
-            found.append(_ANYTHING_LOG_SD * (1.0 if term.is_log else max(abs(one), term.usual)))
-    return np.array(found)
+            deviations.append(_ANYTHING_LOG_SD * (1.0 if term.is_log else max(abs(value), term.usual)))
+    return np.array(deviations)
 
 
 def _autocovariance(series: FloatArray, lags: int) -> FloatArray:

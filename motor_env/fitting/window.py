@@ -213,7 +213,9 @@ def _problem(
         at = [known[term.place] / term.unit for term in free]
     if not np.isfinite(at).all():
         raise InputError("healthy.windows.physical of the motor file holds the values of no motor")
-    begin = [math.log(max(one, 1e-300)) if term.is_log else one for term, one in zip(free, at, strict=True)]
+    begin = [
+        math.log(max(value, 1e-300)) if term.is_log else value for term, value in zip(free, at, strict=True)
+    ]
     return Problem(record, known, free), np.array(begin)
 
 

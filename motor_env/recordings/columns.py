@@ -60,42 +60,42 @@ def recognise(
     meanings = [understand(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
     missing = np.isnan(table.values)
     table = replace(table, values=_whole(table.values))
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     chosen: dict[str, int] = {}
     suggested = Suggestions(path, table, meanings, chosen)
     for choice in choices:
         if choice.sampling_rate_hz is not None:
-            found["time"] = _even(table, 0.0, 1.0 / choice.sampling_rate_hz, "as asked")
+            columns["time"] = _even(table, 0.0, 1.0 / choice.sampling_rate_hz, "as asked")
         elif choice.column.lower() != _NONE:
             k = chosen[choice.quantity] = _place(path, table, meanings, choice)
-            found[choice.quantity] = _chosen(suggested, k, choice)
+            columns[choice.quantity] = _chosen(suggested, k, choice)
     if not any(table.names) and not choices and table.values.shape[1] == 2 and not any(table.units):
         meanings[:] = [Meaning("time", 1.0, "", ""), Meaning("current", 1.0, "", "")]
     free = [k for k in range(len(meanings)) if k not in chosen.values()]
-    told = {meanings[k].quantity for k in free} - {choice.quantity for choice in choices}
-    if "current" not in found and "current" not in told:
+    named = {meanings[k].quantity for k in free} - {choice.quantity for choice in choices}
+    if "current" not in columns and "current" not in named:
         raise InputError(suggested.missing_current(free))
     places = dict(chosen)
     for quantity in dict.fromkeys(meanings[k].quantity for k in free):
-        if quantity is not None and quantity in told:
+        if quantity is not None and quantity in named:
             alike = [k for k in free if meanings[k].quantity == quantity]
             if quantity == "time" and len(alike) > 1:  # what does not rise is no time axis
                 rising = [k for k in alike if suggested.can_be(quantity, k)]
                 alike = rising if len(rising) == 1 else alike
             if len(alike) > 1:
                 raise InputError(suggested.ambiguous(quantity, alike))
-            found[quantity] = _column(suggested, meanings[alike[0]], alike[0], quantity)
+            columns[quantity] = _column(suggested, meanings[alike[0]], alike[0], quantity)
             places[quantity] = alike[0]
     counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
-    if "time" not in found:
-        found["time"] = _counted(suggested, counter)
+    if "time" not in columns:
+        columns["time"] = _counted(suggested, counter)
     if "time" in places:
-        found["time"] = _timed(found["time"], missing[:, places["time"]])
-    found["time"] = _unrounded(found["time"])
-    _refuse_no_current(path, found)
+        columns["time"] = _timed(columns["time"], missing[:, places["time"]])
+    columns["time"] = _unrounded(columns["time"])
+    _refuse_no_current(path, columns)
     unused = tuple(suggested.name(k) for k in free if k not in places.values() and k != counter)
-    _restore(path, found, places, missing)
-    return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}, unused
+    _restore(path, columns, places, missing)
+    return {quantity: columns[quantity] for quantity in QUANTITIES if quantity in columns}, unused
 
 
 def _whole(values: FloatArray) -> FloatArray:
@@ -119,7 +119,7 @@ def _timed(time: Column, missing: NDArray[np.bool_]) -> Column:
 
 
 def _restore(
-    path: Path, found: dict[str, Column], places: Mapping[str, int], missing: NDArray[np.bool_]
+    path: Path, columns: dict[str, Column], places: Mapping[str, int], missing: NDArray[np.bool_]
 ) -> None:
     """Make the missing values of each quantity NaN again, all of them where the time is missing.
 
@@ -130,11 +130,11 @@ def _restore(
     for quantity in sorted(places.keys() - {"time"}):  # a set's order changes from run to run
         lost = missing[:, places[quantity]] | untimed
         if lost.any():
-            values, origin, warning = found[quantity]
+            values, origin, warning = columns[quantity]
             if lost.all():
                 raise InputError(f"{path}: the {quantity} ({origin}) has no value")
             words = f"{origin}, {np.count_nonzero(lost)} of {len(lost)} values missing"
-            found[quantity] = Column(np.where(lost, np.nan, values), words, warning)
+            columns[quantity] = Column(np.where(lost, np.nan, values), words, warning)
 
 
 def _unrounded(time: Column) -> Column:
@@ -146,20 +146,20 @@ def _unrounded(time: Column) -> Column:
     return Column(values, f"{time.origin}; {words}", time.warning)
 
 
-def _refuse_no_current(path: Path, found: dict[str, Column]) -> None:
+def _refuse_no_current(path: Path, columns: dict[str, Column]) -> None:
     """Refuse a current that no motor draws, or that is computed from another column.
 
     Raises:
         InputError: it is one of these.
     """
-    current, origin, _ = found["current"]
+    current, origin, _ = columns["current"]
     largest = float(np.max(np.abs(current)))
     if largest > LARGEST_CURRENT_A:
         raise InputError(
             f"{path}: the current ({origin}) reaches {largest:.4g} A, which is no reading of a motor"
             f" (at most {LARGEST_CURRENT_A:g} A): is it in another unit, or another quantity?"
         )
-    for quantity, column in found.items():
+    for quantity, column in columns.items():
         if quantity != "current" and follows(current, column.values, quantity):
             raise InputError(
                 f"{path}: the current ({origin}) is a linear function of the {quantity} ({column.origin}), without any"

@@ -294,8 +294,8 @@ def follows(values: FloatArray, other: FloatArray, of: str) -> bool:
         return False
     y, x = (values - values.mean()) / span, (other - other.mean()) / other_span
     slope = float(x @ y / (x @ x))
-    off = float(np.max(np.abs(y - slope * x)))
-    if not off <= 0.05 or off > 1e-6 + 0.6 * (_step(y) + _step(x)):  # the slope is 1 or -1 then
+    error = float(np.max(np.abs(y - slope * x)))
+    if not error <= 0.05 or error > 1e-6 + 0.6 * (_step(y) + _step(x)):  # the slope is 1 or -1 then
         return False
     sizes = np.abs(values) - np.abs(values).mean(), np.abs(other) - np.abs(other).mean()
     return of != "speed" or float(sizes[0] @ sizes[1]) > 0.0

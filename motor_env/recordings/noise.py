@@ -33,8 +33,8 @@ def difference_noise(values: FloatArray) -> float:
     if len(values) < _FEW:
         return 0.0
     second = np.diff(values, n=2)
-    off = np.sort(np.abs(second - np.median(second)))
-    inner = off[: max(round(_INNER_SHARE * len(off)), 1)]
+    deviation = np.sort(np.abs(second - np.median(second)))
+    inner = deviation[: max(round(_INNER_SHARE * len(deviation)), 1)]
     spread = math.sqrt(float(np.mean(inner**2)) / _INNER_VARIANCE)
     return max(spread, 0.5 * float(np.std(second))) / math.sqrt(6.0)
 
@@ -70,11 +70,13 @@ def wild_samples(current: FloatArray) -> tuple[int, ...]:
     if len(current) < _FEWEST_FOR_WILD:
         return ()
     around = np.stack([current[:-4], current[1:-3], current[3:-1], current[4:]])
-    off = np.abs(current[2:-2] - np.median(around, axis=0))
+    jump = np.abs(current[2:-2] - np.median(around, axis=0))
     second = np.diff(current, n=2)
     noise = _MAD_TO_STD * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6.0)
     level = float(np.percentile(np.abs(current - np.median(current)), 99))
-    is_wild = (off > max(_WILD_NOISES * noise, _WILD_SHARE * level)) & (np.ptp(around, axis=0) < _AGREE * off)
+    is_wild = (jump > max(_WILD_NOISES * noise, _WILD_SHARE * level)) & (
+        np.ptp(around, axis=0) < _AGREE * jump
+    )
     wild = np.flatnonzero(is_wild) + 2
     return tuple(wild.tolist()) if len(wild) <= len(current) / _SAMPLES_PER_WILD else ()
 

@@ -222,12 +222,12 @@ def evened(
     """
     count, steps = len(time_s), np.diff(time_s)
     even = np.linspace(time_s[0], time_s[-1], count)
-    off = float(np.max(np.abs(even - time_s)) / (even[1] - even[0]))
+    shift = float(np.max(np.abs(even - time_s)) / (even[1] - even[0]))
     is_other = step_s is not None and abs(even[1] - even[0] - step_s) > _AS_LONG * step_s
-    if off <= 0.02 and not is_other:
+    if shift <= 0.02 and not is_other:
         return even, columns, ()
     step_s, is_usual, is_clock = _usual(steps, step_s, is_other=is_other)
-    if is_clock and not is_usual.all() and (off >= 0.5 or is_other or float(np.mean(is_usual)) > _MOSTLY):
+    if is_clock and not is_usual.all() and (shift >= 0.5 or is_other or float(np.mean(is_usual)) > _MOSTLY):
         samples, places = _placed(time_s, step_s, is_usual)
         if places[-1] < max(4 * count, _MOST_PLACES):
             even = time_s[0] + step_s * np.arange(places[-1] + 1)
@@ -236,7 +236,7 @@ def evened(
                 whole[name][places] = values[samples]
             words = f"{count} samples, most of them {step_s:.6g} s apart: what lies between others counts as missing"
             return even, whole, (words,)
-    if off >= 0.5:  # evenly at the median step
+    if shift >= 0.5:  # evenly at the median step
         many = int(min((time_s[-1] - time_s[0]) / np.median(steps), 4 * count))
         even = np.linspace(time_s[0], time_s[-1], max(many, 1) + 1)
     columns = {name: np.interp(even, time_s, values) for name, values in columns.items()}

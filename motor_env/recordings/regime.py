@@ -141,9 +141,9 @@ def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
         UnusableError: it is one.
     """
     low, high = np.quantile(voltage_v, (0.02, 0.98))
-    off = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
+    distance = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
     is_noise = float(np.ptp(voltage_v)) < _NOISE_SPAN * difference_noise(voltage_v)
-    if not is_noise and float(np.mean(off > _LEVEL * (high - low))) > _OFF_LEVEL:
+    if not is_noise and float(np.mean(distance > _LEVEL * (high - low))) > _OFF_LEVEL:
         return
     jumps = np.flatnonzero(np.diff((voltage_v > 0.5 * (low + high)).astype(np.int8))) + 1
     jumps = jumps[(jumps > 1) & (jumps < len(voltage_v) - 2)]

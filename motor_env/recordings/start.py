@@ -272,9 +272,9 @@ def _whole(parts: list[Recording]) -> list[Recording]:
     volts = [np.abs(part.voltage_v) for part in parts if part.voltage_v is not None]
     if not volts:
         return parts
-    is_on = [one > _HIGH * np.max(one) for one in volts]
+    is_on = [series > _HIGH * np.max(series) for series in volts]
     begin = int(is_on[0][0])
-    lengths = [np.count_nonzero(one) for one in is_on[begin:]]
+    lengths = [np.count_nonzero(series) for series in is_on[begin:]]
     is_cut = len(lengths) > 2 and lengths[-1] < _CUT * np.median(lengths[:-1])
     return parts[begin : len(parts) - is_cut]
 
@@ -295,8 +295,8 @@ def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
 def _switched_off(recording: Recording, begin: int, following: int) -> int:
     """Where the motor is switched off between two starts: the voltage's fall, or a change of the current's level."""
     if recording.voltage_v is not None:
-        off = np.abs(recording.voltage_v[begin:following]) < OFF * np.abs(recording.voltage_v).max()
-        firsts, ends = stretches(off)  # a switch may bounce before
+        is_off = np.abs(recording.voltage_v[begin:following]) < OFF * np.abs(recording.voltage_v).max()
+        firsts, ends = stretches(is_off)  # a switch may bounce before
         return begin + int(firsts[np.argmax(ends - firsts)]) if len(firsts) else following
     stretch = recording.current_a[begin + (following - begin) // 3 : following - 3]
     return following - 3 - len(stretch) + _change_of_level(stretch)
@@ -309,8 +309,8 @@ def _at_rest(recording: Recording, end: int, begin: int) -> int:
         if shown is not None:
             pause = shown[end:begin]
             rest = pause[-max(len(pause) // 4, 1) :]
-            off = np.abs(pause - np.median(rest))
-            moving = np.flatnonzero(off > _MOVING * np.max(off[-len(rest) :], initial=0.0))
+            deviation = np.abs(pause - np.median(rest))
+            moving = np.flatnonzero(deviation > _MOVING * np.max(deviation[-len(rest) :], initial=0.0))
             first = max(first, end + int(moving[-1]) + 1 if len(moving) else end)
     return first
 

@@ -110,7 +110,9 @@ class Suggestions:
             hint = f"if {self.name(fitting[0])} is the current, say --column {_quoted(form)} ({words})"
         else:
             first = self._form(fitting[0], is_said=False)
-            form, words = (one.replace(f"current={self.name(fitting[0])}", "current=COLUMN") for one in first)
+            form, words = (
+                text.replace(f"current={self.name(fitting[0])}", "current=COLUMN") for text in first
+            )
             names = ", ".join(map(self.name, fitting[:_MOST_NAMED]))
             hint = f'say --column "{form}", where COLUMN is one of {names}, and {words}'
         return self.missing("current_a", hint)
@@ -119,9 +121,9 @@ class Suggestions:
         """The sentence for a column that is not there."""
         table = self.table
         names = ", ".join(repr(name[:30]) for name in table.names[:_MOST_NAMED])
-        found = names if any(table.names) else f"{len(table.names)} columns without a header"
+        header = names if any(table.names) else f"{len(table.names)} columns without a header"
         where = f"{self.path}, {table.where} {max(table.lines[0] - 1, 1)}"
-        return f"{where}: the column {column} is missing, found {found}; {hint}"
+        return f"{where}: the column {column} is missing, found {header}; {hint}"
 
     def scale(self, quantity: str, k: int) -> str:
         """The option for a column in a unit of something else."""

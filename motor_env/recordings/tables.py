@@ -153,7 +153,7 @@ def _numpy(path: Path, content: bytes) -> dict[str, Any]:
         loaded = np.load(io.BytesIO(content), allow_pickle=False)
         if not isinstance(loaded, np.ndarray):
             members = {name: loaded[name] for name in loaded.files}
-            return {name: one for name, one in members.items() if isinstance(one, np.ndarray)}
+            return {name: array for name, array in members.items() if isinstance(array, np.ndarray)}
         return (
             {name: loaded[name] for name in loaded.dtype.names} if loaded.dtype.names else {"array": loaded}
         )

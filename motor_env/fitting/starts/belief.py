@@ -138,19 +138,19 @@ class Belief:
         """A simpler fit with a weak and a strong beginning of one more term."""
         known = dict(zip(simpler.names, simpler.theta.tolist(), strict=True))
         added = [term for term in problem.free if term.name not in known]
-        found = []
+        guesses = []
         for size in _FIRST_SIZES if len(added) == 1 else (1.0,):
             begun = known | {term.name: 0.0 if term.is_log else size * term.usual for term in added}
-            found.append(np.array([begun[name] for name in problem.names]))
+            guesses.append(np.array([begun[name] for name in problem.names]))
         if self.has_inductance_prior(parts_of(problem.names)):
             core = [self.typical.get(name, known[name]) for name in self.core]
-            found[0] = np.append(core, found[-1][len(core) :])
-        return found
+            guesses[0] = np.append(core, guesses[-1][len(core) :])
+        return guesses
 
     def is_typical(self, theta: FloatArray) -> bool:
         """Whether the textbook parameters are those of the typical motor to a factor of e: no other optimum then."""
         return len(self.typical) == len(self.core) and all(
-            abs(one - self.typical[name]) < 1.0 for one, name in zip(theta, self.core, strict=False)
+            abs(value - self.typical[name]) < 1.0 for value, name in zip(theta, self.core, strict=False)
         )
 
     def inductance_off(self, theta: FloatArray) -> float:

@@ -59,14 +59,14 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
     window = np.hanning(n)
     power = np.abs(np.fft.rfft((resampled - resampled.mean()) * window, _PADDING * n)) ** 2
     frequency = np.fft.rfftfreq(_PADDING * n, even[1])
-    seen = (frequency > _FEWEST_PERIODS / even[-1]) & (frequency < 0.45 / start.dt_s)
-    if not seen.any():
+    in_band = (frequency > _FEWEST_PERIODS / even[-1]) & (frequency < 0.45 / start.dt_s)
+    if not in_band.any():
         return None
     from scipy.ndimage import median_filter  # it takes long to import, and few need it
 
     # The median of the power of noise is log 2 of its mean.
     background = median_filter(power, _BACKGROUND_BINS, mode="nearest") / math.log(2.0)
-    strength = np.where(seen, power / np.maximum(background, 1e-300), 0.0)
+    strength = np.where(in_band, power / np.maximum(background, 1e-300), 0.0)
     peak = int(np.argmax(np.where(strength > _STRONG, power, 0.0)))
     if strength[peak] <= _STRONG:
         return None

@@ -255,23 +255,25 @@ def implausible(fit: Identified | Operation) -> list[str]:
         logs = dict(zip(fit.quantity_names, fit.log_values.tolist(), strict=True))
     else:
         current, dt_s = fit.record.readings[:, 0], fit.record.dt_s
-        errors = {one.name: one.log_sd for one in fit.quantities if one.value > 0.0}
-        logs = {one.name: math.log(one.value) for one in fit.quantities if one.name in errors}
+        errors = {quantity.name: quantity.log_sd for quantity in fit.quantities if quantity.value > 0.0}
+        logs = {
+            quantity.name: math.log(quantity.value) for quantity in fit.quantities if quantity.name in errors
+        }
 
     def log_of(letters: str) -> float:
         """Logarithm of a quantity, whatever it is divided by; NaN where it is not told."""
-        name = next((one for one in logs if one.split("/")[0] == letters), "")
+        name = next((quantity for quantity in logs if quantity.split("/")[0] == letters), "")
         return logs[name] if errors.get(name, math.inf) < _TOLD else math.nan
 
     pull = log_of("K^2") if "K" not in logs and "K/V" not in logs else 2.0 * log_of("K") - log_of("J")
-    seen = {
+    measured = {
         "current": float(np.nanmax(np.abs(current))) or math.nan,  # 0 where only the speed was recorded
         "sampling rate": 1.0 / dt_s,
         "L/R": math.exp(log_of("L") - log_of("R")),
         "R J/K^2": math.exp(log_of("R") - pull),
     } | {name: math.exp(log_of(name)) for name in ("R", "L", "K") if name in logs}
     sentences = [] if isinstance(fit, Operation) or shows_turning(fit) else [NOT_TURNING]
-    for name, value in seen.items():
+    for name, value in measured.items():
         low, high, unit = _USUAL[name]
         if value < low or value > high:
             usual = f"{low:g} to {high:g} {unit}"

@@ -67,7 +67,7 @@ def identify(
     for guess in others:
         if simpler is None and belief.is_typical(best.theta):
             break
-        best = min(best, problem.solve(guess, most=60), key=lambda one: one.misfit)
+        best = min(best, problem.solve(guess, most=60), key=lambda solution: solution.misfit)
     fit = _result(belief, model, best.weighed().solve(best.theta, most=100))
     cleaner = _cleaner(fit)
     if cleaner is None:
@@ -91,12 +91,12 @@ def _cleaner(fit: Identified) -> Start | None:
 
 def _wild_against(residual: FloatArray, current: FloatArray) -> list[int]:
     """Samples far off a fit that goes well through both neighbours, and off both neighbours to the same side."""
-    off = np.abs(residual[1:-1])
+    size = np.abs(residual[1:-1])
     spread = 1.4826 * float(np.median(np.abs(residual)))
     beside = np.maximum(np.abs(residual[:-2]), np.abs(residual[2:]))
     left, right = current[1:-1] - current[:-2], current[1:-1] - current[2:]
-    jumps = (left * right > 0.0) & (np.minimum(np.abs(left), np.abs(right)) > 0.5 * off)
-    wild = (off > _WILD_SPREADS * spread) & (beside < 0.3 * off) & jumps
+    jumps = (left * right > 0.0) & (np.minimum(np.abs(left), np.abs(right)) > 0.5 * size)
+    wild = (size > _WILD_SPREADS * spread) & (beside < 0.3 * size) & jumps
     return [int(k) + 1 for k in np.flatnonzero(wild)]
 
 

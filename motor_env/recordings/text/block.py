@@ -251,8 +251,8 @@ def _header(block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
     table, columns = block.table, block.columns
     comments = (table.delimiter.join(row) for row in table.rows[: block.first] if is_comment(row))
     if legend := legend_of(comments, block.width):
-        told = [legend.get(k, ("", "")) for k in columns]
-        return tuple(name for name, _ in told), tuple(unit for _, unit in told)
+        named_units = [legend.get(k, ("", "")) for k in columns]
+        return tuple(name for name, _ in named_units), tuple(unit for _, unit in named_units)
     above = [[cell.strip().lstrip("#").strip() for cell in row] for row in table.rows[: block.first]]
     before, last = [[], [], *above][-2:]
     blank = ("",) * len(columns)
@@ -291,15 +291,15 @@ def legend_of(lines: Iterable[str], width: int) -> dict[int, tuple[str, str]]:
         lines: those above the numbers.
         width: columns of the file.
     """
-    found: dict[int, tuple[str, str]] = {}
+    legend: dict[int, tuple[str, str]] = {}
     spans: dict[int, int] = {}
     for match in filter(None, map(_LINE.match, lines)):
         columns = _columns(match["numbers"])
         for column, named in zip(columns, _named(match["text"], len(columns)), strict=True):
             # Of two lines that name a column the one counts that names fewer.
             if 1 <= column <= width and len(columns) <= spans.get(column, width):
-                found[column - 1], spans[column] = named, len(columns)
-    return found if len(found) >= _FEWEST else {}
+                legend[column - 1], spans[column] = named, len(columns)
+    return legend if len(legend) >= _FEWEST else {}
 
 
 def _columns(numbers: str) -> range | list[int]:

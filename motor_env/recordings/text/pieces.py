@@ -85,14 +85,14 @@ def _pieces(file: BinaryIO, block: Block) -> Iterator[FloatArray]:
 
 def _means(parts: Iterable[FloatArray], factor: int) -> FloatArray:
     """Means of neighbouring rows of all parts, the last incomplete ones left out, shape (rows, columns)."""
-    found, rest = [], None
+    means, rest = [], None
     for part in parts:
         values = part if rest is None else np.concatenate([rest, part])
         whole = len(values) // factor * factor
         sums = np.add.reduceat(values[:whole], np.arange(0, whole, factor)) if factor > 1 else values
-        found.append(sums / factor)
+        means.append(sums / factor)
         rest = values[whole:]
-    return np.concatenate(found)
+    return np.concatenate(means)
 
 
 def _numbers(block: Block, piece: bytes, begin: int, rows: int) -> tuple[FloatArray, Sequence[int]]:
