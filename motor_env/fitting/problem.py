@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as index
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import NOISES, Term, terms
 from motor_env.motor.parameters import FloatArray
@@ -57,10 +57,10 @@ class Problem:
             values[:, term.place] = term.unit * (np.exp(column) if term.is_log else column)
         if not self.record.is_start:  # there L cannot be none
             least = _LEAST_LAG * self.record.dt_s
-            values[:, places.L] = np.hypot(values[:, places.L], least * values[:, places.R])
-        with_drag = values[:, places.DRAG] > 0.0
-        values[with_drag, places.B] *= values[with_drag, places.DRAG]
-        values[with_drag, places.COULOMB] *= values[with_drag, places.DRAG]
+            values[:, index.L] = np.hypot(values[:, index.L], least * values[:, index.R])
+        with_drag = values[:, index.DRAG] > 0.0
+        values[with_drag, index.B] *= values[with_drag, index.DRAG]
+        values[with_drag, index.COULOMB] *= values[with_drag, index.DRAG]
         return values
 
     def residuals(self, theta: FloatArray) -> FloatArray:
@@ -198,7 +198,7 @@ class Solution:
     problem: Problem
     theta: FloatArray
     misfit: float
-    rivals: tuple[tuple[FloatArray, float], ...] = ()
+    alternative_optima: tuple[tuple[FloatArray, float], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -211,16 +211,16 @@ class Solution:
         values = self.problem.values(self.theta)
         out, _ = self.problem.record.predict(values)
         left = float(np.mean(out[:, :2][self.problem.record.told] ** 2))
-        values[places.NOISE_I : places.WALK + 1] *= math.sqrt(left)
+        values[index.NOISE_I : index.WALK + 1] *= math.sqrt(left)
         return values
 
-    def settled(self) -> Solution:
+    def escape_local_minimum(self) -> Solution:
         """The fit; where it is caught in a notch, one that has gone on from it.
 
         Where the motor starts or stops at another sample the likelihood jumps. In a notch between two such jumps
         derivatives at a point see no way out. Those over steps as wide as the unknowns are uncertain may promise one.
         """
-        problem, theta, motor = self.problem, self.theta, motor_places(self.problem)
+        problem, theta, motor = self.problem, self.theta, motor_unknowns(self.problem)
         base, (low, high) = problem.residuals(theta), problem.bounds
         size, slopes = float(base @ base) / problem.count, problem.jacobian(theta, base)
         sd = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ slopes, hermitian=True)) * size)
@@ -234,15 +234,15 @@ class Solution:
             return self
         # Its rivals may be caught, too: they stay as far behind.
         gain = escaped.misfit - self.misfit
-        rivals = tuple((other, misfit + gain) for other, misfit in self.rivals)
-        return replace(escaped, rivals=rivals).settled()
+        rivals = tuple((other, misfit + gain) for other, misfit in self.alternative_optima)
+        return replace(escaped, alternative_optima=rivals).escape_local_minimum()
 
-    def weighed(self) -> Problem:
+    def reweighted(self) -> Problem:
         """The problem with the noise of each channel as large as what is left of it."""
         problem, known = self.problem, self.problem.known.copy()
         left = problem.record.readings - problem.record.predict(problem.values(self.theta))[0][:, 2:4]
         left[~problem.record.told] = np.nan
-        for n, place in enumerate((places.NOISE_I, places.NOISE_W)):
+        for n, place in enumerate((index.NOISE_I, index.NOISE_W)):
             if problem.record.seen[n] > 0.0:
                 known[place] = max(float(np.nanstd(left[:, n])), _LEAST_NOISE * known[place])
         return replace(problem, known=known)
@@ -264,12 +264,12 @@ class Solution:
         ]
         return r2[0], r2[1]
 
-    def penalised(self) -> float:
+    def bic(self) -> float:
         """Bayesian information criterion (Schwarz 1978)."""
         return self.misfit + len(self.theta) * math.log(self.problem.count)
 
 
-def motor_places(problem: Problem) -> list[int]:
+def motor_unknowns(problem: Problem) -> list[int]:
     """Places of the unknowns that are no noises."""
     return [n for n, name in enumerate(problem.names) if name not in NOISES]
 

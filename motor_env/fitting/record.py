@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from motor_env.fitting import simple
-from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each, room_to_work
-from motor_env.fitting.places import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
+from motor_env.fitting.ekf import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each, room_to_work
+from motor_env.fitting.parameter_index import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
 from motor_env.motor.parameters import FloatArray
 
 Hold = Literal["held", "straight", "late"]

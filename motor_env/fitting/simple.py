@@ -1,6 +1,6 @@
 """Starts of a simple motor, compiled: nothing disturbs it, it stays cool, and has no gear and no Stribeck curve.
 
-The numbers are those of `motor_env.fitting.kernel`, whose filter has nothing to learn here. Starts are fitted so in a
+The numbers are those of `motor_env.fitting.ekf`, whose filter has nothing to learn here. Starts are fitted so in a
 third of the time, and need no more than this to be compiled.
 """
 
@@ -11,8 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.fitting.kernel import REST, STEADY, SWITCH, lag_of, steady
-from motor_env.fitting.places import (
+from motor_env.fitting.ekf import REST, STEADY, SWITCH, lag_of, steady
+from motor_env.fitting.integrator import FINE, braked_step, discretize_each, smooth_step
+from motor_env.fitting.parameter_index import (
     AFTER,
     COULOMB,
     GEAR,
@@ -28,7 +29,6 @@ from motor_env.fitting.places import (
     STRIBECK,
     WALK,
 )
-from motor_env.fitting.steps import FINE, braked_step, discretize_each, smooth_step
 from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import FloatArray
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import fft
 
-from motor_env.fitting import places
-from motor_env.fitting.problem import WIDTHS, Problem, Solution, motor_places
-from motor_env.fitting.score import candidates, lacking, rounded, score_tests
+from motor_env.fitting import parameter_index as index
+from motor_env.fitting.problem import WIDTHS, Problem, Solution, motor_unknowns
+from motor_env.fitting.score_tests import candidates, quantisation_effects, score_tests, unmodelled_effects
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise
 
@@ -34,7 +34,7 @@ def information_covariance(problem: Problem, theta: FloatArray, jacobian: FloatA
 
 def secants(problem: Problem, theta: FloatArray) -> FloatArray:
     """Derivatives of the residuals over steps as wide as the unknowns are uncertain, without the noises' columns."""
-    chosen = motor_places(problem)
+    chosen = motor_unknowns(problem)
     base = problem.residuals(theta)
     jacobian = problem.jacobian(theta, base, chosen)
     for _ in range(2):
@@ -49,34 +49,36 @@ def covariance(best: Solution) -> FloatArray:
 
     A term that was left out counts with its posterior probability (Hoeting et al. 1999), its size believed to be as
     usual: it would have moved the others by so much, and would have left them so much less certain. Other optima
-    count with theirs. So does what no term says but real motors have, see `lacking`, what rounding hides, see
-    `rounded`, and the model's error, in parts of the record and throughout.
+    count with theirs. So do `unmodelled_effects`, `quantisation_effects`, and the model's error, in parts of the record
+    and throughout.
     """
-    problem, chosen = best.problem, motor_places(best.problem)
+    problem, chosen = best.problem, motor_unknowns(best.problem)
     white, rows = normalised(problem, best.theta, secants(problem, best.theta), chosen)
     total, _ = sandwich(white, rows)
-    total += model_error(white, rows, total, states=states_of(best)) + _following(best, chosen)
+    total += model_error(white, rows, total, states=free_run_states(best)) + _systematic_covariance(
+        best, chosen
+    )
     for name, test in score_tests(best, problem.every, candidates(best)).items():
         occam = test.sd / math.hypot(test.sd, problem.every[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
         weight, moves = odds / (1.0 + odds), test.moves[chosen]
         total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
-    for test in lacking(best):
+    for test in unmodelled_effects(best):
         # A size of 1 is believed; the record settles this share of it.
         known = 1.0 / (1.0 + test.sd**2)
         moves = test.moves[chosen]
         total += ((known * test.value) ** 2 + 1.0 - known) * np.outer(moves, moves)
-    for test in rounded(best):
+    for test in quantisation_effects(best):
         # It follows no law that the record could settle.
         total += np.outer(test.moves[chosen], test.moves[chosen])
-    ahead = np.exp([0.5 * (best.misfit - misfit) for _, misfit in best.rivals])
-    for share, (theta, _) in zip(ahead / (1.0 + ahead.sum()), best.rivals, strict=True):
+    ahead = np.exp([0.5 * (best.misfit - misfit) for _, misfit in best.alternative_optima])
+    for share, (theta, _) in zip(ahead / (1.0 + ahead.sum()), best.alternative_optima, strict=True):
         moved = (theta - best.theta)[chosen]
         total += share * np.outer(moved, moved)
     return total
 
 
-def _following(best: Solution, chosen: Sequence[int]) -> FloatArray:
+def _systematic_covariance(best: Solution, chosen: Sequence[int]) -> FloatArray:
     """Covariance by the error of the model that runs freely, of which no number of samples averages a share away.
 
     What no term says, as cogging, comes back whenever the motor moves alike, and looks like a part of what the terms
@@ -118,7 +120,7 @@ def normalised(
     """
     base, channels = problem.residuals(theta), int(problem.record.seen.sum())
     size, n = math.sqrt(float(base @ base) / problem.count), len(problem.record.voltage_v)
-    rows = np.concatenate([jacobian / size, np.diag(1.0 / _weakly_believed(problem, theta)[chosen])])
+    rows = np.concatenate([jacobian / size, np.diag(1.0 / _weak_prior_sd(problem, theta)[chosen])])
     return (base / size)[: n * channels].reshape(n, channels), rows
 
 
@@ -143,7 +145,7 @@ def sandwich(
     for channel in range(channels):
         series, part = white[:, channel] - white[:, channel].mean(), rows[channel : n * channels : channels]
         taper = _autocovariance(series, max(n // 10, 2))
-        meat += part.T @ _coloured(part, taper, difference_noise(series[begin:]))
+        meat += part.T @ _coloured_product(part, taper, difference_noise(series[begin:]))
         inflation = max(float(2.0 * np.sum(taper) - taper[0]) / max(float(taper[0]), 1e-300), 1.0)
         independent.append(n / inflation)
     moved = level * rows[begin * channels : n * channels : channels].sum(axis=0)
@@ -154,7 +156,7 @@ def sandwich(
     return spread @ spread.T, tuple(independent)
 
 
-def states_of(best: Solution) -> FloatArray:
+def free_run_states(best: Solution) -> FloatArray:
     """Current and speed of a fit that runs freely, and their slopes, shape (n, 4): what a model's error may follow."""
     states = best.free[1][:, 2:4]
     return np.concatenate([states, np.gradient(states, axis=0)], axis=1)
@@ -200,11 +202,11 @@ def model_error(white: FloatArray, rows: FloatArray, series: FloatArray, *, stat
             move = root @ (across @ (score / np.sqrt(np.maximum(1.0 - leverages, _HARDLY))))
             moved += np.outer(move, move)
         size = np.maximum(np.diag(total), np.diag(moved))
-        total = total + beyond(total + _HARDLY**2 * np.diag(size), moved, usual)
+        total = total + excess_covariance(total + _HARDLY**2 * np.diag(size), moved, usual)
     return total - series
 
 
-def beyond(known: FloatArray, covariance: FloatArray, usual: float = 1.0) -> FloatArray:
+def excess_covariance(known: FloatArray, covariance: FloatArray, usual: float = 1.0) -> FloatArray:
     """What a covariance is beyond so many times one that is known already, shape (n, n)."""
     root = np.linalg.cholesky(known)
     inverse = np.linalg.inv(root)
@@ -213,14 +215,14 @@ def beyond(known: FloatArray, covariance: FloatArray, usual: float = 1.0) -> Flo
     return np.asarray(more @ more.T, dtype=np.float64)
 
 
-def _weakly_believed(problem: Problem, theta: FloatArray) -> FloatArray:
+def _weak_prior_sd(problem: Problem, theta: FloatArray) -> FloatArray:
     """Standard deviation that is believed of each unknown where no sample tells it, in its unit."""
     values = problem.values(theta)
-    rise = values[places.L] / values[places.R] + values[places.RISE] + values[places.LAG_I]
+    rise = values[index.L] / values[index.R] + values[index.RISE] + values[index.LAG_I]
     late = 0.5 * (1.0 + rise / problem.record.dt_s)
     deviations = []
     for term, value in zip(problem.free, theta.tolist(), strict=True):
-        if term.place in (places.ONSET, places.DELAY):
+        if term.place in (index.ONSET, index.DELAY):
             deviations.append(late)
         elif term.prior_sd < math.inf:
             deviations.append(math.inf)
@@ -247,7 +249,7 @@ def _inverse(information: FloatArray) -> FloatArray:
     return np.asarray(inverse / np.outer(shown, shown))
 
 
-def _coloured(columns: FloatArray, covariance: FloatArray, noise: float) -> FloatArray:
+def _coloured_product(columns: FloatArray, covariance: FloatArray, noise: float) -> FloatArray:
     """Covariance matrix of a stationary series times columns.
 
     A spectrum from one short series scatters by a third at each frequency; what it shows below the white noise is

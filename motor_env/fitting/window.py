@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from motor_env.errors import InputError
-from motor_env.fitting import places
-from motor_env.fitting.identify import without_lines
-from motor_env.fitting.kernel import BEGIN
-from motor_env.fitting.problem import STEP, Problem, Solution, motor_places
+from motor_env.fitting import parameter_index as index
+from motor_env.fitting.ekf import BEGIN
+from motor_env.fitting.operation_fit import without_lines
+from motor_env.fitting.problem import STEP, Problem, Solution, motor_unknowns
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import NOISES, terms
 from motor_env.fitting.uncertainty import capped, information_covariance, secants
@@ -29,7 +29,7 @@ _MOTOR = ("R", "K", "J", "drag")
 _LOADS = ("load_constant", "load_square", "offset_current", "offset_speed")
 _MOST_ROUNDS = 8  # of a fit, which begins near the healthy motor
 _FAR = 0.4  # logarithm of R, K or J over the healthy one's, from where a fit goes on
-_DRAG, _DRAG_PLACES = ("coulomb", "B", "load_square"), [places.COULOMB, places.B, places.SQUARE]
+_DRAG, _DRAG_PLACES = ("coulomb", "B", "load_square"), [index.COULOMB, index.B, index.SQUARE]
 _LEAST_SHARE = 0.01  # of the friction, where a fit without a load begins
 _NO_WORK = 1e-12  # W, summed over the samples
 _WILD = 6.0  # standard deviations beyond which an innovation counts no more
@@ -70,19 +70,19 @@ def fit_window(
     if lines:
         problem = replace(problem, record=record)
         best = problem.solve(best.theta, _MOST_ROUNDS)
-    chosen, jacobian = motor_places(problem), secants(problem, best.theta)
+    chosen, jacobian = motor_unknowns(problem), secants(problem, best.theta)
     values, spread = best.values, information_covariance(problem, best.theta, jacobian)
     rows = [problem.names[n] for n in chosen]
     at = np.ix_(*2 * [[rows.index(name) for name in _MOTOR]])
     factor = best.theta[problem.names.index("drag")]
     slope, noise = np.eye(len(_MOTOR)), 0.0
     slope[-1, -1] = per_log(factor)
-    if one_way and values[places.WALK] > 0.0:
+    if one_way and values[index.WALK] > 0.0:
         moved = best.theta + STEP * np.eye(len(best.theta))[[problem.names.index(name) for name in _MOTOR]]
         whole, sd = _drags(problem, np.vstack([best.theta, moved]), values)
         factor = max(float(whole[0]), _LEAST_SHARE)
         slope[-1], noise = (whole[1:] - whole[0]) / (STEP * factor), sd / factor
-    logs = np.log([values[places.R], values[places.K], values[places.J], factor])
+    logs = np.log([values[index.R], values[index.K], values[index.J], factor])
     covariance = slope @ spread[at] @ slope.T
     covariance[-1, -1] += noise**2
     whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
@@ -101,15 +101,15 @@ def _drags(problem: Problem, each: FloatArray, fitted: FloatArray) -> tuple[Floa
     standard deviation of the first by the sensors' fitted noise: beyond all bounds where the motor stands.
     """
     values, known, record = problem.values_each(each), problem.known, problem.record
-    shown = record.predict_each(values)[0][:, :, 2:4] - values[:, None, [places.OFFSET_I, places.OFFSET_W]]
+    shown = record.predict_each(values)[0][:, :, 2:4] - values[:, None, [index.OFFSET_I, index.OFFSET_W]]
     current, speed, size = shown[:, :, 0], shown[:, :, 1], np.abs(shown[:, :, 1])
-    loads = values[:, [places.LOAD]] + values[:, [places.SQUARE]] * speed * size
-    given = np.sum(speed * (values[:, [places.K]] * current - loads), axis=1)
+    loads = values[:, [index.LOAD]] + values[:, [index.SQUARE]] * speed * size
+    given = np.sum(speed * (values[:, [index.K]] * current - loads), axis=1)
     gained = np.sum(np.diff(np.square(speed), axis=1) * (record.marks[1:] != BEGIN), axis=1)
-    friction = np.maximum(np.sum(size * (known[places.COULOMB] + size * known[places.B]), axis=1), _NO_WORK)
-    whole: FloatArray = (given - 0.5 * values[:, places.J] * gained / record.dt_s) / friction
-    noise = fitted[places.K] * np.hypot(
-        fitted[places.NOISE_I] * np.linalg.norm(speed[0]), fitted[places.NOISE_W] * np.linalg.norm(current[0])
+    friction = np.maximum(np.sum(size * (known[index.COULOMB] + size * known[index.B]), axis=1), _NO_WORK)
+    whole: FloatArray = (given - 0.5 * values[:, index.J] * gained / record.dt_s) / friction
+    noise = fitted[index.K] * np.hypot(
+        fitted[index.NOISE_I] * np.linalg.norm(speed[0]), fitted[index.NOISE_W] * np.linalg.norm(current[0])
     )
     return whole, float(noise / friction[0])
 
@@ -120,15 +120,15 @@ def without_load(best: Solution, speed_rad_s: float) -> Solution:
     Its mean speed tells the drag. A load that walks does so about none, and friction, which it could balance, is held.
     """
     values, theta, known = best.values, best.theta.copy(), best.problem.known.copy()
-    friction = values[places.COULOMB] + abs(speed_rad_s) * (
-        values[places.B] + values[places.SQUARE] * abs(speed_rad_s)
+    friction = values[index.COULOMB] + abs(speed_rad_s) * (
+        values[index.B] + values[index.SQUARE] * abs(speed_rad_s)
     )
-    load = values[places.LOAD] + float(np.mean(best.problem.record.predict(values)[0][:, 4]))
+    load = values[index.LOAD] + float(np.mean(best.problem.record.predict(values)[0][:, 4]))
     braking = math.copysign(1.0, speed_rad_s) * load
     share = max(1.0 + braking / friction, _LEAST_SHARE) if friction > 0.0 else 1.0
     theta[[best.names.index(name) for name in _DRAG if name in best.names]] *= share
     known[_DRAG_PLACES] = share * values[_DRAG_PLACES]
-    known[places.LOAD] = 0.0
+    known[index.LOAD] = 0.0
     held = ("load_constant", *(_DRAG if "load_walk" in best.names else ()))
     kept = [n for n, term in enumerate(best.problem.free) if term.name not in held]
     free = tuple(best.problem.free[n] for n in kept)
@@ -185,7 +185,7 @@ def scores(
     """
     problem, theta = _problem(record, known, [name for name in wanted if name in _LOADS], peaks)
     white, slopes = _slopes(problem, theta)
-    slopes[_MOTOR.index("drag")] *= known[places.DRAG]  # of its logarithm
+    slopes[_MOTOR.index("drag")] *= known[index.DRAG]  # of its logarithm
     belief = [_UNTOLD] * len(_MOTOR) + [term.prior_sd for term in problem.free[len(_MOTOR) :]]
     some = [
         (slopes[:, first:end].reshape(len(theta), -1), white[first:end].ravel())
@@ -207,7 +207,7 @@ def _problem(
         InputError: a noise or a constant that is 0 gives them no unit.
     """
     every = terms(record, known, peaks)
-    every["drag"] = replace(every["coulomb"], name="drag", place=places.DRAG, unit=1.0, low=0.05, high=20.0)
+    every["drag"] = replace(every["coulomb"], name="drag", place=index.DRAG, unit=1.0, low=0.05, high=20.0)
     free = tuple(every[name] for name in (*_MOTOR, *_LOADS, *NOISES) if name in (*_MOTOR, *wanted))
     with np.errstate(divide="ignore", invalid="ignore"):
         at = [known[term.place] / term.unit for term in free]

@@ -13,9 +13,9 @@ from motor_env.diagnosis.running.lessons import effective_speed, known_of
 from motor_env.diagnosis.running.windows import averaged
 from motor_env.diagnosis.views import NAMES
 from motor_env.errors import InputError
-from motor_env.fitting.identify import identify_operation
-from motor_env.fitting.recorded import at_terminals
-from motor_env.fitting.starts.identify import NUISANCES, identify_best
+from motor_env.fitting.operation_fit import identify_operation
+from motor_env.fitting.preprocessing import at_terminals
+from motor_env.fitting.starts.start_identification import NUISANCES, identify_best
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of
 from motor_env.recordings.regime import taken_for

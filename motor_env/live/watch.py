@@ -27,7 +27,7 @@ from motor_env.live.state import State
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.headers import LARGEST_CURRENT_A, understand
-from motor_env.recordings.recording import Recording, UnusableError, evened
+from motor_env.recordings.recording import Recording, UnusableError, resampled as evened
 
 STUCK_AFTER = 200
 _GAP_STEPS = 20.0

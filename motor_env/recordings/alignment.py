@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.noise import difference_noise, hidden_level, wild_samples, without_wild
+from motor_env.recordings.noise import difference_noise, outlier_samples, quantisation_bias, without_outliers
 from motor_env.recordings.recording import Recording, UnusableError, stretches
 
 _FEW = 5  # samples below which neither a mean nor a run of equal values says anything
@@ -68,8 +68,8 @@ def align(recording: Recording) -> Alignment:
     Raises:
         UnusableError: the current is constant, or never leaves its noise.
     """
-    wild = wild_samples(recording.current_a)
-    current = without_wild(recording.current_a, wild)
+    wild = outlier_samples(recording.current_a)
+    current = without_outliers(recording.current_a, wild)
     span = float(np.ptp(current))
     if span == 0.0:
         raise UnusableError(f"the current is constant at {current[0]:g} A")
@@ -103,7 +103,7 @@ def align(recording: Recording) -> Alignment:
         offset_a=offset,
         noise_a=max(spread or noise, quantum / math.sqrt(12.0) if quantum > _SEEN_STEP * span else 0.0),
         quantum_a=quantum,
-        unseen_level_a=hidden_level(quiet, noise, quantum),
+        unseen_level_a=quantisation_bias(quiet, noise, quantum),
         rectified=rectified,
         saturation=saturation,
         defects=tuple(words for words, is_shown in defects.items() if is_shown),

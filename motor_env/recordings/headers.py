@@ -220,7 +220,7 @@ def name_parts(name: str) -> list[str]:
     return [part.lower() for part in _PART.findall(name)]
 
 
-def said_of(name: str) -> frozenset[str]:
+def kinds_named(name: str) -> frozenset[str]:
     """What the words of a name, or its single letters, say that it is: quantities, `reference`, `other`."""
     parts = name_parts(name)
     return _words_of(name) | {_WORDS[part] for part in (*parts, _word(name)) if part in _WORDS}

@@ -62,7 +62,7 @@ def floor_noise(values: FloatArray) -> float:
     return math.sqrt(float(np.mean(power[:count])) / mean)
 
 
-def wild_samples(current: FloatArray) -> tuple[int, ...]:
+def outlier_samples(current: FloatArray) -> tuple[int, ...]:
     """Single samples that stand far off two neighbours on each side, which agree among themselves.
 
     Where there are more than one in a thousand they are the nature of the signal, and none is called wild.
@@ -81,7 +81,7 @@ def wild_samples(current: FloatArray) -> tuple[int, ...]:
     return tuple(wild.tolist()) if len(wild) <= len(current) / _SAMPLES_PER_WILD else ()
 
 
-def without_wild(current: FloatArray, wild: Sequence[int]) -> FloatArray:
+def without_outliers(current: FloatArray, wild: Sequence[int]) -> FloatArray:
     """The current with each wild sample replaced by the mean of its neighbours."""
     mended = current.copy()
     for k in wild:
@@ -100,7 +100,7 @@ def filled(values: FloatArray) -> FloatArray:
     return np.interp(places, places[known], values[known])
 
 
-def hidden_level(quiet: FloatArray, noise: float, quantum: float) -> float:
+def quantisation_bias(quiet: FloatArray, noise: float, quantum: float) -> float:
     """What a converter's steps hide of a steady current, given the quiet part, or without one the noise all through.
 
     Noise dithers it away: the bias falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).

@@ -124,7 +124,7 @@ def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoi
     return recording if isinstance(recording, Recording) else read_recording(recording, choices)
 
 
-def understood(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:
+def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:
     """How files were read, for the user: each reading once, without the numbers and ranges of their samples.
 
     Args:
@@ -169,7 +169,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
     if stretch.stop - stretch.start < FEWEST_SAMPLES:
         raise InputError(f"{path}: has gaps between all of its samples")
     columns = {name: values[stretch] for name, values in columns.items()}
-    even, columns, note = evened(columns["time"], columns)
+    even, columns, note = resampled(columns["time"], columns)
     notes = (*notes, *gap_note, *note, _summary(even, columns))
     return Recording(
         path=path,
@@ -206,7 +206,7 @@ def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[s
     return slice(begin, end), (note,) if len(gaps) else ()
 
 
-def evened(
+def resampled(
     time_s: FloatArray, columns: dict[str, FloatArray], step_s: float | None = None
 ) -> tuple[FloatArray, dict[str, FloatArray], tuple[str, ...]]:
     """Columns on an even time axis, and a note where they had to be changed.
@@ -226,9 +226,9 @@ def evened(
     is_other = step_s is not None and abs(even[1] - even[0] - step_s) > _AS_LONG * step_s
     if shift <= 0.02 and not is_other:
         return even, columns, ()
-    step_s, is_usual, is_clock = _usual(steps, step_s, is_other=is_other)
+    step_s, is_usual, is_clock = _usual_step(steps, step_s, is_other=is_other)
     if is_clock and not is_usual.all() and (shift >= 0.5 or is_other or float(np.mean(is_usual)) > _MOSTLY):
-        samples, places = _placed(time_s, step_s, is_usual)
+        samples, places = _placed_samples(time_s, step_s, is_usual)
         if places[-1] < max(4 * count, _MOST_PLACES):
             even = time_s[0] + step_s * np.arange(places[-1] + 1)
             whole = {name: np.full(len(even), np.nan) for name in columns}
@@ -251,7 +251,7 @@ def evened(
     return even, columns, ("the time axis is uneven: interpolated to an even one",)
 
 
-def _usual(
+def _usual_step(
     steps: FloatArray, before_s: float | None, *, is_other: bool
 ) -> tuple[float, NDArray[np.bool_], bool]:
     """The usual step, which steps are about as long, and whether they are so alike that a clock made them."""
@@ -263,7 +263,7 @@ def _usual(
     return float(usual.mean()), is_usual, float(usual.std()) < _ALIKE * about
 
 
-def _placed(
+def _placed_samples(
     time_s: FloatArray, step_s: float, is_usual: NDArray[np.bool_]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Samples, and their places on an even axis: neighbours a usual step apart, two places at least between others.

@@ -30,7 +30,7 @@ _NOISE_SPAN = 10.0  # a voltage that is only noise spans so many standard deviat
 _LEVEL, _OFF_LEVEL = 0.05, 0.02  # of the way between two levels; share of the samples that may lie off them
 
 
-class Taken(NamedTuple):
+class RegimeDecision(NamedTuple):
     """What a recording is taken for.
 
     Attributes:
@@ -46,7 +46,7 @@ class Taken(NamedTuple):
         return f"{word} ({self.why})"
 
 
-def taken_for(recording: Recording, regime: str = "auto", start: int | None = None) -> Taken:
+def taken_for(recording: Recording, regime: str = "auto", start: int | None = None) -> RegimeDecision:
     """What a recording is: as asked, or by what its voltage does; a `start` that is chosen makes it one.
 
     Raises:
@@ -55,15 +55,15 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
     if regime not in REGIMES:
         raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {regime!r}")
     if regime != "auto" or start is not None:
-        return Taken("operation" if regime == "operation" else "start", "as asked")
-    work = work_seen(recording)
+        return RegimeDecision("operation" if regime == "operation" else "start", "as asked")
+    work = operation_evidence(recording)
     if work is not None:
-        return Taken("operation", work)
+        return RegimeDecision("operation", work)
     unknown = recording.voltage_v is None and recording.duty is None
-    return Taken("start", "no voltage was recorded" if unknown else "the voltage is switched on")
+    return RegimeDecision("start", "no voltage was recorded" if unknown else "the voltage is switched on")
 
 
-def work_seen(recording: Recording) -> str | None:
+def operation_evidence(recording: Recording) -> str | None:
     """What shows that a recording is no plain start, in words; None for starts.
 
     A start is a supply that goes from off to on and stays; short gaps in it are a bouncing switch. Several starts in
@@ -87,25 +87,25 @@ def work_seen(recording: Recording) -> str | None:
     shown = {
         "the voltage reverses": reversed_share > _REVERSED_SHARE,
         "the voltage takes several levels": has_levels,
-        "the motor starts under one voltage, and another follows": _starts_below(recording, size),
+        "the motor starts under one voltage, and another follows": _starts_at_part_voltage(recording, size),
         "the voltage is switched faster than a motor stops": is_pulsed,
-        "the voltage comes back before the motor stands": _restarted(recording, size, levels == 0),
+        "the voltage comes back before the motor stands": _restarts_turning(recording, size, levels == 0),
         # Without its voltage no log can be judged: what was recorded with a duty is taken for a start.
         "the motor turns already": recording.voltage_v is not None
         and size[0] > _OFF
-        and _turns(recording, np.arange(min(_FIRST, len(size)))),
+        and _is_turning(recording, np.arange(min(_FIRST, len(size)))),
     }
     return next((words for words, is_shown in shown.items() if is_shown), None)
 
 
-def _restarted(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
+def _restarts_turning(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
     """Whether the motor still turns when it is switched on again: by its speed, else by an inrush that is too small."""
     on = np.flatnonzero(~is_off)
     restarts = on[1:][np.diff(on) * recording.dt_s > BOUNCE_S]
     if len(restarts) == 0:
         return False
     if recording.speed_rad_s is not None:
-        return _turns(recording, restarts - 1)
+        return _is_turning(recording, restarts - 1)
     current = np.where(is_off, 0.0, np.abs(recording.current_a - np.median(recording.current_a[is_off])))
     without_wild = np.append(np.minimum(current[:-1], current[1:]), 0.0)
     begins = np.append(on[0], restarts)
@@ -113,7 +113,7 @@ def _restarted(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_
     return bool(np.median(inrush[1:]) < _INRUSH * inrush.max())
 
 
-def _starts_below(recording: Recording, share: FloatArray) -> bool:
+def _starts_at_part_voltage(recording: Recording, share: FloatArray) -> bool:
     """Whether a recording begins under a voltage that another one follows, and with a motor that is not settled."""
     steps = np.flatnonzero(np.abs(np.diff(share)) > _OFF)
     if not _OFF < share[0] < _ON or len(steps) == 0 or steps[0] < _BETWEEN_SHARE * len(share):
@@ -123,7 +123,7 @@ def _starts_below(recording: Recording, share: FloatArray) -> bool:
     return bool(abs(moved) > _STILL_TURNS * np.quantile(np.abs(shown), 0.999))
 
 
-def _turns(recording: Recording, samples: NDArray[np.intp]) -> bool:
+def _is_turning(recording: Recording, samples: NDArray[np.intp]) -> bool:
     """Whether the motor turns at most of some samples, by its speed."""
     if recording.speed_rad_s is None:
         return False

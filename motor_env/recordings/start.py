@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import Alignment, align
-from motor_env.recordings.noise import wild_samples, without_wild
+from motor_env.recordings.noise import outlier_samples, without_outliers
 from motor_env.recordings.periodic_lines import PeriodicLine
 from motor_env.recordings.recording import Recording, UnusableError, cut, stretches
 from motor_env.recordings.regime import BOUNCE_S
@@ -229,17 +229,17 @@ def split_starts(recording: Recording) -> list[Recording]:
     beyond half of the largest, after less than a quarter of it for a while. A part's name is that of the file with #2.
     """
     if recording.voltage_v is not None:
-        voltage = without_wild(recording.voltage_v, wild_samples(recording.voltage_v))
-        begins = _rises(np.abs(voltage), recording.dt_s, rest=OFF)
+        voltage = without_outliers(recording.voltage_v, outlier_samples(recording.voltage_v))
+        begins = _rises_from_rest(np.abs(voltage), recording.dt_s, rest=OFF)
     else:
-        current = without_wild(recording.current_a, wild_samples(recording.current_a))
+        current = without_outliers(recording.current_a, outlier_samples(recording.current_a))
         current = current - np.median(current[: max(len(current) // 50, 5)])
         rising = current if current.max() >= -current.min() else -current
-        begins = _rises(rising, recording.dt_s, rest=_LOW)
+        begins = _rises_from_rest(rising, recording.dt_s, rest=_LOW)
     if len(begins) < 2:
         return [recording]
     ends = [*(_switched_off(recording, a, b) for a, b in pairwise(begins)), len(recording.time_s)]
-    firsts = [0, *(_at_rest(recording, a, b) for a, b in zip(ends, begins[1:], strict=False))]
+    firsts = [0, *(_rest_begin(recording, a, b) for a, b in zip(ends, begins[1:], strict=False))]
     parts = []
     for number, (first, last) in enumerate(zip(firsts, ends, strict=True), 1):
         notes = (*recording.columns, f"start {number} of {len(begins)} in the file")
@@ -279,7 +279,7 @@ def _whole(parts: list[Recording]) -> list[Recording]:
     return parts[begin : len(parts) - is_cut]
 
 
-def _rises(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
+def _rises_from_rest(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
     """Samples where the values rise beyond half of their largest, after having been at rest."""
     top = float(np.sort(values)[-1 - (_WILD if len(values) > 2000 else 0)])
     shortest = max(_FEWEST, round(BOUNCE_S / dt_s))
@@ -302,7 +302,7 @@ def _switched_off(recording: Recording, begin: int, following: int) -> int:
     return following - 3 - len(stretch) + _change_of_level(stretch)
 
 
-def _at_rest(recording: Recording, end: int, begin: int) -> int:
+def _rest_begin(recording: Recording, end: int, begin: int) -> int:
     """From where the motor rests before a start: what brakes it is over, as the last quarter of the pause shows."""
     first = end
     for shown in (recording.current_a, recording.speed_rad_s):
@@ -330,11 +330,11 @@ def end_of_supply(recording: Recording, alignment: Alignment) -> int:
     size = (n - begin) // _BLOCKS
     if not alignment.n_quiet or size == 0:
         return n
-    current = without_wild(recording.current_a, alignment.wild)
+    current = without_outliers(recording.current_a, alignment.wild)
     running = alignment.sign * (current[begin:] - alignment.offset_a)
     against = np.flatnonzero(running < -_BRAKED * running.max())
     if len(against):
-        return begin + _foot(running, int(against[0]), alignment.noise_a)
+        return begin + _fall_begin(running, int(against[0]), alignment.noise_a)
     means = running[: len(running) // size * size].reshape(-1, size).mean(axis=1)
     error = alignment.noise_a * math.sqrt(1.0 / size + 1.0 / alignment.n_quiet) + alignment.unseen_level_a
     near = max(_NOISE * error, _SPAN * float(running.max()))
@@ -342,10 +342,10 @@ def end_of_supply(recording: Recording, alignment: Alignment) -> int:
     if not 0 < last < len(means) - _FEWEST or means[last - 1] < _ABRUPT * near:
         return n  # it does not end, or has decayed
     some = slice((last - 1) * size, (last + 2) * size)
-    return begin + _foot(running, some.start + _change_of_level(running[some]), alignment.noise_a)
+    return begin + _fall_begin(running, some.start + _change_of_level(running[some]), alignment.noise_a)
 
 
-def _foot(running: FloatArray, end: int, noise_a: float) -> int:
+def _fall_begin(running: FloatArray, end: int, noise_a: float) -> int:
     """Where a fall begins that has ended: L lets the current fall for a while."""
     while end > 0 and running[end - 1] > running[end] + _NOISE * noise_a:
         end -= 1

@@ -22,8 +22,8 @@ from motor_env.recordings.headers import (
     is_channel,
     is_no_unit,
     is_other,
+    kinds_named,
     name_parts,
-    said_of,
     unit_quantity,
 )
 from motor_env.recordings.text.block import Table
@@ -68,7 +68,7 @@ class Suggestions:
             return False
         if measured == quantity:
             return not is_other(meaning.name, quantity)
-        said = said_of(meaning.name)
+        said = kinds_named(meaning.name)
         is_open = is_channel(meaning.name) and said == {"voltage"}
         return (is_probe or measured is None) and (is_open or not is_other(meaning.name, quantity, said))
 
@@ -98,7 +98,7 @@ class Suggestions:
     def missing_current(self, free: Collection[int]) -> str:
         """The sentence for a file without a column of the current among those that are not taken."""
         fitting = self._beside([k for k in free if self.can_be("current", k)])
-        said = [k for k in fitting if "current" in said_of(self.meanings[k].name)]
+        said = [k for k in fitting if "current" in kinds_named(self.meanings[k].name)]
         if not fitting:
             hint = "none of the others can be a current, by name, unit and range"
         elif said:

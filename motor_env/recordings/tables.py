@@ -25,7 +25,7 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser
 from motor_env.recordings.headers import understand
 from motor_env.recordings.text.block import FEWEST_SAMPLES, MOST_COLUMNS, Table, TextTable, cells
-from motor_env.recordings.text.pieces import large_block, whole_block
+from motor_env.recordings.text.number_parser import large_block, whole_block
 
 LARGEST_WHOLE_BYTES = 50_000_000
 """Size of a text up to which it is read whole; a longer one is read in pieces."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.fitting.starts.identify import identify
+from motor_env.fitting.starts.start_identification import identify
 from motor_env.inference.features import FEATURE_NAMES, physical_features
 from motor_env.inference.posterior import variance_factor
 from motor_env.motor.model import State

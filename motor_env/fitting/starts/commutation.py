@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.starts.start_fit import StartFit
 from motor_env.recordings.periodic_lines import over_angle
 
 _FEWEST_SAMPLES = 256
@@ -40,7 +40,7 @@ class CommutationRipple:
     strength: float
 
 
-def find_ripple(fit: Identified) -> CommutationRipple | None:
+def find_ripple(fit: StartFit) -> CommutationRipple | None:
     """The commutation ripple of a start, or None where no line stands out, or the motor's ripple is a converter's.
 
     Args:
@@ -82,7 +82,7 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
     )
 
 
-def ripple_quantities(fit: Identified) -> tuple[float, float] | None:
+def ripple_quantities(fit: StartFit) -> tuple[float, float] | None:
     """Frequency at the last speed, and K times the periods a turn, in V s (s where the voltage is unknown)."""
     ripple = find_ripple(fit)
     if ripple is None:
@@ -90,7 +90,7 @@ def ripple_quantities(fit: Identified) -> tuple[float, float] | None:
     return ripple.frequency_hz, back_emf_v(fit) / (2.0 * math.pi * ripple.frequency_hz)
 
 
-def constants_at(fit: Identified, speed_rad_s: float) -> dict[str, float]:
+def constants_at(fit: StartFit, speed_rad_s: float) -> dict[str, float]:
     """K, J and B (over volt where the voltage is unknown) by name, which the current alone does not tell, of a speed.
 
     At the last sample V = R i + K w; with K, J follows from K^2/J and B from B/J.
@@ -104,7 +104,7 @@ def constants_at(fit: Identified, speed_rad_s: float) -> dict[str, float]:
     return {f"K{per_volt}": constant, f"J{per_volt}": inertia, f"B{per_volt}": friction}
 
 
-def back_emf_v(fit: Identified) -> float:
+def back_emf_v(fit: StartFit) -> float:
     """Back-EMF at the end of the start: what the resistance leaves of the voltage (1 V where it is unknown)."""
     tail = slice(-max(len(fit.states) // 20, 1), None)
     ohm = float(np.max(fit.parameters.resistance_ohm)) + fit.start.circuit.shunt_ohm

@@ -27,10 +27,10 @@ from motor_env.diagnosis.running import lessons, unlearned
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import viscous
 from motor_env.diagnosis.views import NAMES
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 
 # Reaches in: the long test judges by the joint fit itself, made once for two motors.
-from motor_env.fitting.identify import identify_operation
+from motor_env.fitting.operation_fit import identify_operation
 from motor_env.fitting.record import Record
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray

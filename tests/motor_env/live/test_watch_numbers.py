@@ -31,7 +31,7 @@ from motor_env.diagnosis.running.windows import WindowJudge, judge_of
 from motor_env.diagnosis.sensors.checks import sensor_failed
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import FittedWindow
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.live import command, watch as watching
 from motor_env.live.command import showing
 from motor_env.live.events import Event

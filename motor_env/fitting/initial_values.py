@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import nnls
 
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as index
+from motor_env.fitting.preprocessing import median_noise
 from motor_env.fitting.record import Record
-from motor_env.fitting.recorded import noise_of
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import filled
 
@@ -22,22 +22,22 @@ _LEAST = 1e-9
 _LEAST_LAG = 0.3  # of R dt
 
 
-def beginnings(record: Record) -> list[FloatArray]:
+def initial_values(record: Record) -> list[FloatArray]:
     """Values to begin a fit from, each of shape (places.N_VALUES,)."""
     guesses = []
     for window in _WINDOWS:
         if len(record.voltage_v) < 12 * window:
             break
         if record.seen.all():
-            guesses += [_both(record, window, loaded=loaded) for loaded in (False, True)]
+            guesses += [_from_current_and_speed(record, window, loaded=loaded) for loaded in (False, True)]
         elif record.seen[0]:
             guesses += [
-                _current(record, window, share, loaded=loaded)
+                _from_current(record, window, share, loaded=loaded)
                 for share in _RESISTANCES
                 for loaded in (False, True)
             ]
         else:
-            guesses.append(_speed(record, window))
+            guesses.append(_from_speed(record, window))
     return [values for values in guesses if values is not None]
 
 
@@ -85,16 +85,16 @@ def _torques(
 
 def _values(record: Record, **given: float) -> FloatArray:
     """Physical values with noises, from what a regression told."""
-    values = np.zeros(places.N_VALUES)
+    values = np.zeros(index.N_VALUES)
     for name, value in given.items():
-        values[getattr(places, name)] = value
-    values[places.L] = max(values[places.L], _LEAST_LAG * values[places.R] * record.dt_s)
-    values[places.NOISE_I] = noise_of(filled(record.readings[:, 0])) if record.seen[0] else 1.0
-    values[places.NOISE_W] = noise_of(filled(record.readings[:, 1])) if record.seen[1] else 1.0
+        values[getattr(index, name)] = value
+    values[index.L] = max(values[index.L], _LEAST_LAG * values[index.R] * record.dt_s)
+    values[index.NOISE_I] = median_noise(filled(record.readings[:, 0])) if record.seen[0] else 1.0
+    values[index.NOISE_W] = median_noise(filled(record.readings[:, 1])) if record.seen[1] else 1.0
     return values
 
 
-def _both(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
+def _from_current_and_speed(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
     """Current and speed: V = R i + L di/dt + K w + drop, K i = J dw/dt + B w + Tc sign(w)."""
     i, w = filled(record.readings[:, 0]), filled(record.readings[:, 1])
     mean_i, mean_w, direction = (_means(column, record, window) for column in (i, w, _sign(w)))
@@ -108,7 +108,7 @@ def _both(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
     return _values(record, R=r, L=inductance, K=k, J=inertia, B=drag, COULOMB=dry, LOAD=load)
 
 
-def _current(record: Record, window: int, share: float, *, loaded: bool) -> FloatArray | None:
+def _from_current(record: Record, window: int, share: float, *, loaded: bool) -> FloatArray | None:
     """Current alone, with K = 1: the speed is what is left of the voltage."""
     volts, amps, _ = record.peaks
     r, mean_i = share * volts / amps, _means(filled(record.readings[:, 0]), record, window)
@@ -120,7 +120,7 @@ def _current(record: Record, window: int, share: float, *, loaded: bool) -> Floa
     return _values(record, R=r, K=1.0, J=inertia, B=drag, COULOMB=dry, LOAD=load)
 
 
-def _speed(record: Record, window: int) -> FloatArray | None:
+def _from_speed(record: Record, window: int) -> FloatArray | None:
     """Speed alone, with R = 1 and B = 0: V = K w + J/K dw/dt + Tc/K sign(w)."""
     w = filled(record.readings[:, 1])
     columns = [_means(w, record, window), _slopes(w, record, window), _means(_sign(w), record, window)]

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.fitting import places
-from motor_env.fitting.fit import STRONG_EVIDENCE
+from motor_env.fitting import parameter_index as index
+from motor_env.fitting.model_selection import STRONG_EVIDENCE
 from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.score import score_tests, unmeasured
-from motor_env.fitting.starts.belief import CURVE, Belief, believed
-from motor_env.fitting.starts.identified import Identified, record_of
-from motor_env.fitting.uncertainty import capped, model_error, normalised, sandwich, states_of
+from motor_env.fitting.score_tests import score_tests, supply_effects
+from motor_env.fitting.starts.start_fit import StartFit, record_of
+from motor_env.fitting.starts.start_prior import CURVE, StartPrior, start_prior
+from motor_env.fitting.uncertainty import capped, free_run_states, model_error, normalised, sandwich
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.motor.threads import on_one_thread
@@ -42,8 +42,8 @@ def identify(
     *,
     constant: float | None = None,
     typical: Mapping[str, float] | None = None,
-    simpler: Identified | None = None,
-) -> Identified:
+    simpler: StartFit | None = None,
+) -> StartFit:
     """Fit the model to a start.
 
     Where the residual shows lines of constant frequency, or single wild samples, they are taken off, and the fit is
@@ -60,25 +60,29 @@ def identify(
     Raises:
         UnusableError: the current flows against the voltage.
     """
-    belief = believed(start, constant, typical)
+    belief = start_prior(start, constant, typical)
     problem = belief.problem(model)
-    first, *others = belief.guesses(problem) if simpler is None else belief.richer(problem, simpler.solution)
+    first, *others = (
+        belief.initial_guesses(problem)
+        if simpler is None
+        else belief.extended_guesses(problem, simpler.solution)
+    )
     best = problem.solve(first, most=60)
     for guess in others:
         if simpler is None and belief.is_typical(best.theta):
             break
         best = min(best, problem.solve(guess, most=60), key=lambda solution: solution.misfit)
-    fit = _result(belief, model, best.weighed().solve(best.theta, most=100))
-    cleaner = _cleaner(fit)
+    fit = _start_fit(belief, model, best.reweighted().solve(best.theta, most=100))
+    cleaner = _cleaned_start(fit)
     if cleaner is None:
         return fit
     return identify(cleaner, model, constant=constant, typical=typical, simpler=simpler)
 
 
-def _cleaner(fit: Identified) -> Start | None:
+def _cleaned_start(fit: StartFit) -> Start | None:
     """The start without what the residual shows to be no part of it, lines and wild samples; None if all is well."""
     start, residual = fit.start, fit.residual_a
-    wild = sorted({*start.alignment.wild, *_wild_against(residual, start.current_a)})
+    wild = sorted({*start.alignment.wild, *_outliers_of_fit(residual, start.current_a)})
     if len(wild) > max(len(residual) // 1000, 1):
         wild = list(start.alignment.wild)
     begin = start.alignment.onset_index
@@ -89,7 +93,7 @@ def _cleaner(fit: Identified) -> Start | None:
     return replace(start, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
 
 
-def _wild_against(residual: FloatArray, current: FloatArray) -> list[int]:
+def _outliers_of_fit(residual: FloatArray, current: FloatArray) -> list[int]:
     """Samples far off a fit that goes well through both neighbours, and off both neighbours to the same side."""
     size = np.abs(residual[1:-1])
     spread = 1.4826 * float(np.median(np.abs(residual)))
@@ -100,19 +104,19 @@ def _wild_against(residual: FloatArray, current: FloatArray) -> list[int]:
     return [int(k) + 1 for k in np.flatnonzero(wild)]
 
 
-def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identified:
+def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> StartFit:
     """Put the fit into words and numbers."""
     start, problem, theta = belief.start, best.problem, best.theta
     n_core, values = len(belief.core), problem.values(theta)
     jacobian = problem.jacobian(theta, problem.residuals(theta))
-    level = start.alignment.unseen_level_a / values[places.NOISE_I]
+    level = start.alignment.unseen_level_a / values[index.NOISE_I]
     white, rows = normalised(problem, theta, jacobian, range(len(theta)))
     covariance, independent = sandwich(white, rows, begin=start.alignment.onset_index, level=level)
-    more = model_error(white, rows, covariance, states=states_of(best))
+    more = model_error(white, rows, covariance, states=free_run_states(best))
     # Per volt of a supply that nobody knows, nothing is claimed.
     if start.voltage_known and start.voltage_v is None:
         wanted = math.log(problem.count) + STRONG_EVIDENCE
-        for test in unmeasured(best):
+        for test in supply_effects(best):
             if test.chi_square > wanted:
                 moved = np.clip(math.hypot(test.value, test.sd) * test.moves, -_LARGEST_MOVE, _LARGEST_MOVE)
                 more += np.outer(moved, moved)
@@ -120,7 +124,7 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
         # What looks like L may be the ramp or the lag, and the other way round: L tells nothing then.
         covariance[1, 1] += _UNTOLD_LOG_SD**2
     elif "supply_ramp" in model:
-        moved = _another_inductance(problem, theta, jacobian)
+        moved = _hidden_inductance(problem, theta, jacobian)
         more += np.outer(moved, moved)
     names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
     exponents = quantities.matrix(names)
@@ -135,10 +139,8 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
         extras[name] = (unit * float(theta[k]), unit * math.sqrt(max((covariance + more)[k, k], 0.0)))
     expected = record_of(start).predict(values, learn=False)[0][:, 2:4]
     expected[:, 0] += start.alignment.offset_a + start.ripple_a
-    parameters = MotorParameters(
-        *values[[places.R, places.L, places.K, places.K, places.J, places.B]].tolist()
-    )
-    return Identified(
+    parameters = MotorParameters(*values[[index.R, index.L, index.K, index.K, index.J, index.B]].tolist())
+    return StartFit(
         start=start,
         model=model,
         solution=best,
@@ -153,10 +155,10 @@ def _result(belief: Belief, model: tuple[str, ...], best: Solution) -> Identifie
     )
 
 
-def _another_inductance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
+def _hidden_inductance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
     """By how much the unknowns move with an inductance of a usual size: a supply that rises slowly may hide it."""
     values, at = problem.values(theta), problem.names.index("L")
-    usual = _USUAL_LAG * values[places.J] * (values[places.R] / values[places.K]) ** 2 / values[places.L]
+    usual = _USUAL_LAG * values[index.J] * (values[index.R] / values[index.K]) ** 2 / values[index.L]
     moved = theta.copy()
     moved[at] += math.log1p(_SMALL * usual)
     column = (problem.residuals(moved) - problem.residuals(theta)) / _SMALL
@@ -167,7 +169,7 @@ def _another_inductance(problem: Problem, theta: FloatArray, jacobian: FloatArra
 
 def _middle_of_rise(problem: Problem, values: FloatArray, covariance: FloatArray) -> tuple[float, float]:
     """Where the middle of the supply's rise lies, as a share of its time, with its standard error; 0.5 is even."""
-    shares = np.append(1.0, values[places.CURVE])
+    shares = np.append(1.0, values[index.CURVE])
     shares /= shares.sum()
     at = (np.arange(len(shares)) + 0.5) / len(shares)
     middle = float(shares @ at)
@@ -177,7 +179,7 @@ def _middle_of_rise(problem: Problem, values: FloatArray, covariance: FloatArray
     return middle, math.sqrt(max(float(slopes @ covariance[some, some] @ slopes), 0.0))
 
 
-def evidence(simple: Identified, rich: Identified) -> float:
+def evidence(simple: StartFit, rich: StartFit) -> float:
     """How much the richer model is preferred: the drop of the Bayesian information criterion (Schwarz 1978).
 
     The samples are counted as independent ones, as many as the richer model's residual leaves; above 6 is strong
@@ -200,7 +202,7 @@ def identify_best(
     *,
     constant: float | None = None,
     typical: Mapping[str, float] | None = None,
-) -> Identified:
+) -> StartFit:
     """Fit the textbook, and add the term for which the evidence is strongest, as long as it is strong.
 
     Raises:
@@ -213,9 +215,10 @@ def identify_best(
         applicable = [
             name
             for name in candidates
-            if name not in best.model and _applies(name, start, best.model, knows_inductance=knows_inductance)
+            if name not in best.model
+            and _is_applicable(name, start, best.model, knows_inductance=knows_inductance)
         ]
-        every = believed(start, constant, typical).every
+        every = start_prior(start, constant, typical).every
         scored = [name for name in applicable if name not in _UNSCORED]
         if best.inductance_off**2 <= _PROMISING:  # a score test, far cheaper than a fit
             tests = score_tests(best.solution, every, scored, SCORED_SIZES)
@@ -231,7 +234,7 @@ def identify_best(
         best = richer
 
 
-def _applies(name: str, start: Start, model: tuple[str, ...], *, knows_inductance: bool) -> bool:
+def _is_applicable(name: str, start: Start, model: tuple[str, ...], *, knows_inductance: bool) -> bool:
     """Whether a recording can tell one more term.
 
     A measured voltage has no ramp to find. A step cannot tell a brush drop from a lower supply. The lag of the

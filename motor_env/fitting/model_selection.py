@@ -10,32 +10,32 @@ from itertools import product
 import numpy as np
 from scipy.ndimage import convolve1d
 
-from motor_env.fitting import kernel, places
-from motor_env.fitting.beginnings import beginnings
+from motor_env.fitting import ekf, parameter_index as index
+from motor_env.fitting.initial_values import initial_values
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import HOLDS, Record
-from motor_env.fitting.score import candidates, score_tests
+from motor_env.fitting.score_tests import candidates, score_tests
 from motor_env.fitting.terms import SHAPES, Term, terms
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import UnusableError
 
 STRONG_EVIDENCE = 6.0
-CHOSEN_ON = 2_000
+SELECTION_SAMPLES = 2_000
 """Samples on which the model of a record twice as long is chosen."""
 _FIRST_NOISE_V = 0.02
 _FIRST_SHAPE = 0.1  # of what is believed
-_CALM = {
+_QUIET_VALUES = {
     "offset_current": 0.0,
     "offset_speed": 0.0,
     "noise_voltage": -1.0,
     "noise_torque": -4.0,
     "load_walk": -4.0,
 }
-_DISTURBING = ("load_walk", "noise_torque")
+_TORQUE_DISTURBANCES = ("load_walk", "noise_torque")
 """A torque that disturbs the motor: it wanders, or is another one in each interval; one of the two at most."""
-_TRIED = 2
-_FEW = 6
-_RIVAL, _HOPELESS = 0.1, 0.3  # of the number of readings
+_MOST_TRIED = 2
+_FEW_EVALUATIONS = 6
+_ALTERNATIVE, _HOPELESS = 0.1, 0.3  # of the number of readings
 _CLEARLY = math.log(2.0)
 
 
@@ -45,29 +45,29 @@ def fit(record: Record) -> Solution:
     Raises:
         UnusableError: no regression finds a motor in the record.
     """
-    return _doubted(_timed(_smallest(record)))
+    return _without_process_noise(_with_timing_alternatives(_smallest_model(record)))
 
 
-def _smallest(record: Record) -> Solution:
+def _smallest_model(record: Record) -> Solution:
     """The fit without rivals; of a long record from a part of it."""
-    if len(record.voltage_v) > 2 * CHOSEN_ON:
-        return _refined(_smallest(record.sample(CHOSEN_ON)), record)
-    rivals = [_chosen(first) for first in _first(record)]
-    best = min(rivals, key=lambda solution: solution.penalised())
-    others = sorted(_behaviours(best, record), key=lambda solution: solution.penalised())
-    if others and (other := _solved(others[0], [])).penalised() < best.penalised():
-        best = _chosen(other)
-    return _grown(_shaped(_timely(best))).settled()
+    if len(record.voltage_v) > 2 * SELECTION_SAMPLES:
+        return _refit_to_all_samples(_smallest_model(record.sample(SELECTION_SAMPLES)), record)
+    rivals = [_select_terms(first) for first in _initial_fits(record)]
+    best = min(rivals, key=lambda solution: solution.bic())
+    others = sorted(_fits_of_other_voltages(best, record), key=lambda solution: solution.bic())
+    if others and (other := _refit(others[0], [])).bic() < best.bic():
+        best = _select_terms(other)
+    return _forward_selection(_with_shape_parameters(_prefer_held_voltage(best))).escape_local_minimum()
 
 
-def _timely(best: Solution) -> Solution:
+def _prefer_held_voltage(best: Solution) -> Solution:
     """Replace a fractional delay or a straight-line voltage by a held one if they win only by averaging noise.
 
     Both average neighbours of the recorded voltage, and with them its noise. So does a mean over three samples, which
     has no delay: where it explains as much, there is none. A fit that blames everything on a torque that disturbs the
     motor may be more likely and explain less.
     """
-    timed = _less(best, ("delay",))
+    timed = _remove_terms(best, ("delay",))
     is_straight = best.problem.record.hold == "straight"
     if best.problem.record.averaged > 1 or not (is_straight or len(timed.names) < len(best.names)):
         return best
@@ -79,14 +79,14 @@ def _timely(best: Solution) -> Solution:
     for hold in ("held", "late"):
         problem = replace(timed.problem, record=replace(record, hold=hold, voltage_v=even))
         averaged = problem.solve(timed.theta)
-        is_as_good = _free_misfit(averaged) < _free_misfit(best) + _CLEARLY
-        if averaged.penalised() < best.penalised() and is_as_good:
+        is_as_good = _free_run_misfit(averaged) < _free_run_misfit(best) + _CLEARLY
+        if averaged.bic() < best.bic() and is_as_good:
             problem = replace(problem, record=replace(record, hold=hold))
             return problem.solve(averaged.theta)
     return best
 
 
-def _timed(best: Solution) -> Solution:
+def _with_timing_alternatives(best: Solution) -> Solution:
     """The fit, with rivals of the same misfit where the voltage has no steps and others would time it otherwise.
 
     A lag of the voltage then looks like L/R. What decides between them is how a model errs that is never quite right.
@@ -95,64 +95,64 @@ def _timed(best: Solution) -> Solution:
     if np.nansum(np.abs(np.diff(slopes))) > np.nansum(np.abs(slopes)):
         return best
     rivals = []
-    for begun in _behaviours(best, best.problem.record):
-        other = _solved(begun, [])
-        if other.misfit < best.misfit + _RIVAL * best.problem.count:
+    for begun in _fits_of_other_voltages(best, best.problem.record):
+        other = _refit(begun, [])
+        if other.misfit < best.misfit + _ALTERNATIVE * best.problem.count:
             rivals.append(other)
-    return _beside(best, rivals)
+    return _with_alternatives(best, rivals)
 
 
-def _doubted(best: Solution) -> Solution:
+def _without_process_noise(best: Solution) -> Solution:
     """The fit; one without noise inside the motor is a rival of the same misfit, if it explains nearly as much.
 
     Both are right where the model is. Where it is not, noise inside the motor stands for what it lacks, and a
     controller makes that depend on the current: R may be off by a half, and the likelihood is sure of it. The two part
     there.
     """
-    if not {"noise_voltage", *_DISTURBING} & {*best.names}:
+    if not {"noise_voltage", *_TORQUE_DISTURBANCES} & {*best.names}:
         return best
-    (other,) = _undisturbed([best])
-    return _beside(best, [other] if _left(other).mean() < _left(best).mean() + _CLEARLY else [])
+    (other,) = _output_error_fits([best])
+    return _with_alternatives(
+        best, [other] if _log_unexplained(other).mean() < _log_unexplained(best).mean() + _CLEARLY else []
+    )
 
 
-def _beside(best: Solution, others: Sequence[Solution]) -> Solution:
+def _with_alternatives(best: Solution, others: Sequence[Solution]) -> Solution:
     """The fit with others as rivals of the same misfit; what these have not stays as it is."""
     rivals = []
     for other in others:
         known = dict(zip(other.names, other.theta, strict=True))
         theta = [known.get(name, value) for name, value in zip(best.names, best.theta, strict=True)]
         rivals.append((np.array(theta), best.misfit))
-    return replace(best, rivals=(*best.rivals, *rivals))
+    return replace(best, alternative_optima=(*best.alternative_optima, *rivals))
 
 
-def _refined(best: Solution, record: Record) -> Solution:
+def _refit_to_all_samples(best: Solution, record: Record) -> Solution:
     """The fit of a part of a long record, fitted to all of it, with the terms that this tells in addition."""
     hold = best.problem.record.hold
-    record = replace(
-        record if (best.problem.record.marks == kernel.OPEN).any() else record.closed(), hold=hold
-    )
-    return _grown(replace(best.problem, record=record).solve(best.theta, most=_FEW))
+    record = replace(record if (best.problem.record.marks == ekf.OPEN).any() else record.closed(), hold=hold)
+    return _forward_selection(replace(best.problem, record=record).solve(best.theta, most=_FEW_EVALUATIONS))
 
 
-def _behaviours(best: Solution, record: Record) -> list[Solution]:
+def _fits_of_other_voltages(best: Solution, record: Record) -> list[Solution]:
     """The fit without a delay, for every other behaviour of voltage and circuit: its beginning may have missed it."""
-    timed = _less(best, ("delay",))
+    timed = _remove_terms(best, ("delay",))
     fits = []
-    for behaved in _records(record):
+    for behaved in _voltage_variants(record):
         is_same = behaved.hold == best.problem.record.hold and "delay" not in best.names
         if not (is_same and np.array_equal(behaved.marks, best.problem.record.marks)):
-            fits.append(replace(timed.problem, record=behaved).solve(timed.theta, most=_FEW))
+            fits.append(replace(timed.problem, record=behaved).solve(timed.theta, most=_FEW_EVALUATIONS))
     return fits
 
 
-def _records(record: Record) -> list[Record]:
+def _voltage_variants(record: Record) -> list[Record]:
     """The record with every behaviour of the voltage that may be true, and without open circuits."""
-    circuits = [record, record.closed()] if (record.marks == kernel.OPEN).any() else [record]
+    circuits = [record, record.closed()] if (record.marks == ekf.OPEN).any() else [record]
     holds = HOLDS if record.averaged == 1 else (record.hold,)
     return [replace(circuit, hold=hold) for hold, circuit in product(holds, circuits)]
 
 
-def _shaped(best: Solution) -> Solution:
+def _with_shape_parameters(best: Solution) -> Solution:
     """The fit with the shapes of its brush drop and of its dry friction, whose size is believed beforehand.
 
     It also begins again from a calm motor, without offsets: noise and a wandering load may have carried a fit away. And
@@ -161,7 +161,9 @@ def _shaped(best: Solution) -> Solution:
     added = [best.problem.every[shape] for shape, of in SHAPES.items() if of in best.names]
     problem = best.problem.with_terms(added)
     begin = np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added])
-    calm = np.array([_CALM.get(name, value) for name, value in zip(problem.names, begin, strict=True)])
+    calm = np.array(
+        [_QUIET_VALUES.get(name, value) for name, value in zip(problem.names, begin, strict=True)]
+    )
     starting_points = [begin, calm]
     if {"coulomb", "load_constant"} <= set(best.names):
         dry, load = problem.names.index("coulomb"), problem.names.index("load_constant")
@@ -175,65 +177,67 @@ def _shaped(best: Solution) -> Solution:
     shaped = min(tried, key=lambda solution: solution.misfit)
     if shaped.misfit > best.misfit + len(added):
         return best
-    return replace(shaped, rivals=tuple((each.theta, each.misfit) for each in tried if each is not shaped))
+    return replace(
+        shaped, alternative_optima=tuple((each.theta, each.misfit) for each in tried if each is not shaped)
+    )
 
 
-def _chosen(first: Solution) -> Solution:
+def _select_terms(first: Solution) -> Solution:
     """The terms that the evidence supports, from a fit of those that every motor has."""
     best = first
     for name in ("load_walk", "load_constant"):
-        best = _without(best, name)
-    best = _grown(best)
-    for name in _DISTURBING:
+        best = _drop_if_unsupported(best, name)
+    best = _forward_selection(best)
+    for name in _TORQUE_DISTURBANCES:
         if name not in best.names:
-            disturbed = _solved(_less(best, _DISTURBING), [best.problem.every[name]])
-            if disturbed.penalised() < best.penalised() - STRONG_EVIDENCE:
-                best = _grown(disturbed)
+            disturbed = _refit(_remove_terms(best, _TORQUE_DISTURBANCES), [best.problem.every[name]])
+            if disturbed.bic() < best.bic() - STRONG_EVIDENCE:
+                best = _forward_selection(disturbed)
     # It may have stood for a term that came later.
-    best = _without(best, "load_walk")
-    return min([best, *_undisturbed([first, best])], key=_free_misfit)
+    best = _drop_if_unsupported(best, "load_walk")
+    return min([best, *_output_error_fits([first, best])], key=_free_run_misfit)
 
 
-def _undisturbed(solutions: Sequence[Solution]) -> list[Solution]:
+def _output_error_fits(solutions: Sequence[Solution]) -> list[Solution]:
     """Fits of the same terms without noise inside the motor: output errors, which real model errors may leave ahead."""
-    begun = [_less(solution, ("noise_voltage", *_DISTURBING)) for solution in solutions]
+    begun = [_remove_terms(solution, ("noise_voltage", *_TORQUE_DISTURBANCES)) for solution in solutions]
     return [less.problem.solve(less.theta, most=60) for less in begun]
 
 
-def _free_misfit(solution: Solution) -> float:
+def _free_run_misfit(solution: Solution) -> float:
     """Logarithms of the shares of the variance that the free model leaves; an undisturbed one must be clearly ahead."""
-    left = _left(solution)
+    left = _log_unexplained(solution)
     return float(left.sum()) + (0.0 if "noise_voltage" not in solution.names else -_CLEARLY * len(left))
 
 
-def _left(solution: Solution) -> FloatArray:
+def _log_unexplained(solution: Solution) -> FloatArray:
     """Logarithm of the share of the variance that the free model leaves, of each channel that was seen."""
     return np.log([max(1.0 - r2, 1e-12) for r2 in solution.explained() if r2 is not None])
 
 
-def _grown(best: Solution) -> Solution:
+def _forward_selection(best: Solution) -> Solution:
     """The fit with all terms for which the evidence is strong."""
-    while (richer := _richer(best)) is not None:
+    while (richer := _add_best_term(best)) is not None:
         best = richer
     return best
 
 
-def _without(best: Solution, name: str) -> Solution:
+def _drop_if_unsupported(best: Solution, name: str) -> Solution:
     """The fit without a term, where the evidence does not miss it."""
     if name not in best.names:
         return best
-    trial = _solved(_less(best, (name,)), [])
-    return trial if trial.penalised() < best.penalised() else best
+    trial = _refit(_remove_terms(best, (name,)), [])
+    return trial if trial.bic() < best.bic() else best
 
 
-def _less(best: Solution, names: Collection[str]) -> Solution:
+def _remove_terms(best: Solution, names: Collection[str]) -> Solution:
     """The fit without some terms, the others left as they are."""
     kept = [n for n, name in enumerate(best.names) if name not in names]
     problem = replace(best.problem, free=tuple(best.problem.free[n] for n in kept))
     return Solution(problem, best.theta[kept], best.misfit)
 
 
-def _base(record: Record) -> list[str]:
+def _base_terms(record: Record) -> list[str]:
     """Terms to begin with: what every motor has, as far as the channels can tell, and any load."""
     names = ["J", "coulomb", "load_constant", "noise_voltage", "load_walk"]
     if record.seen[0]:
@@ -243,31 +247,31 @@ def _base(record: Record) -> list[str]:
     return names
 
 
-def _first(record: Record) -> list[Solution]:
+def _initial_fits(record: Record) -> list[Solution]:
     """Fits of the first terms, one for each behaviour of the voltage that may be true."""
     few = []
-    for behaved in _records(record):
-        begun = begins(behaved)[:_TRIED]
-        tried = [problem.solve(theta, most=_FEW) for problem, theta in begun]
+    for behaved in _voltage_variants(record):
+        begun = initial_problems(behaved)[:_MOST_TRIED]
+        tried = [problem.solve(theta, most=_FEW_EVALUATIONS) for problem, theta in begun]
         few += sorted(tried, key=lambda solution: solution.misfit)[:1]
     if not few:
         raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
     ahead = min(solution.misfit for solution in few)
     n_readings = few[0].problem.count
-    fits = [_solved(solution, []) for solution in few if solution.misfit - ahead < _HOPELESS * n_readings]
+    fits = [_refit(solution, []) for solution in few if solution.misfit - ahead < _HOPELESS * n_readings]
     best = min(solution.misfit for solution in fits)
-    return [solution for solution in fits if solution.misfit - best < _RIVAL * n_readings]
+    return [solution for solution in fits if solution.misfit - best < _ALTERNATIVE * n_readings]
 
 
-def begins(record: Record) -> list[tuple[Problem, FloatArray]]:
+def initial_problems(record: Record) -> list[tuple[Problem, FloatArray]]:
     """What regressions find, with the smallest prediction errors first: problems with unknowns to begin from."""
-    begun = [_begin(record, values) for values in beginnings(record)]
+    begun = [_initial_problem(record, values) for values in initial_values(record)]
     return sorted(begun, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
 
 
-def _begin(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
+def _initial_problem(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
     every = terms(record, values)
-    problem = Problem(record, values, tuple(every[name] for name in _base(record)))
+    problem = Problem(record, values, tuple(every[name] for name in _base_terms(record)))
     known = values.copy()
     theta = np.zeros(len(problem.free))
     for n, term in enumerate(problem.free):
@@ -275,25 +279,25 @@ def _begin(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
             theta[n] = min(values[term.place] / term.unit, term.high)
         if term.name == "noise_voltage":
             theta[n] = math.log(_FIRST_NOISE_V * record.peaks[0] / term.unit)
-    known[[places.L, places.LOAD]] = 0.0  # none where a fit does without
+    known[[index.L, index.LOAD]] = 0.0  # none where a fit does without
     return replace(problem, known=known), theta
 
 
-def _solved(before: Solution, added: list[Term]) -> Solution:
+def _refit(before: Solution, added: list[Term]) -> Solution:
     """The fit with more terms, from the one without them."""
     problem = before.problem.with_terms(added)
     begin = np.concatenate([before.theta, [0.0 if term.is_log else 1e-3 for term in added]])
     return problem.solve(begin)
 
 
-def _richer(best: Solution) -> Solution | None:
+def _add_best_term(best: Solution) -> Solution | None:
     """The fit with the one more term that the evidence wants most, if it does strongly."""
     every = best.problem.every
     tested = [(test.chi_square, name) for name, test in score_tests(best, every, candidates(best)).items()]
     for chi_square, name in sorted(tested, reverse=True):
         if chi_square < math.log(best.problem.count) + STRONG_EVIDENCE:
             return None
-        trial = _solved(best, [every[name]])
-        if trial.penalised() < best.penalised() - STRONG_EVIDENCE:
+        trial = _refit(best, [every[name]])
+        if trial.bic() < best.bic() - STRONG_EVIDENCE:
             return trial
     return None

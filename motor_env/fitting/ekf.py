@@ -1,4 +1,4 @@
-"""Kalman filter of a recorded motor, compiled, on the steps of `motor_env.fitting.steps`.
+"""Kalman filter of a recorded motor, compiled, on the steps of `motor_env.fitting.integrator`.
 
 State: [current, speed, load torque, shown current, shown speed]; the last ones only where a model has them. Where the
 state is known at the first sample and nothing disturbs the motor, the filter's covariance is none: its innovations are
@@ -12,7 +12,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.fitting.places import (
+from motor_env.fitting.integrator import (
+    FINE,
+    TEMPERATURES,
+    at,
+    braked_step,
+    coasting_step,
+    discretize_each,
+    smooth_step,
+)
+from motor_env.fitting.parameter_index import (
     AFTER,
     COOLING,
     COULOMB,
@@ -35,15 +44,6 @@ from motor_env.fitting.places import (
     K,
     L,
     R,
-)
-from motor_env.fitting.steps import (
-    FINE,
-    TEMPERATURES,
-    at,
-    braked_step,
-    coasting_step,
-    discretize_each,
-    smooth_step,
 )
 from motor_env.motor.compiled import compiled, compiled_part, inlined
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray

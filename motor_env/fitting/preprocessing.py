@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from motor_env.fitting.kernel import BEGIN, OPEN
+from motor_env.fitting.ekf import BEGIN, OPEN
 from motor_env.fitting.record import STRETCHES, Record, with_begins, with_holes
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import Recording, UnusableError, cut
@@ -49,7 +49,7 @@ def from_recordings(recordings: Sequence[Recording], *, most: int = MOST) -> Rec
     if factor < wanted:
         share = most * factor / total
         count = math.ceil(STRETCHES / len(recordings))
-        parts = [part for recording in recordings for part in liveliest(recording, share, count)]
+        parts = [part for recording in recordings for part in liveliest_stretches(recording, share, count)]
     columns = [_columns(part, factor) for part in parts]
     volts, current, speed, begins = (np.concatenate(each) for each in zip(*columns, strict=True))
     missing = np.concatenate([missing_blocks(part, factor) for part in parts])
@@ -89,7 +89,7 @@ def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray
     none, and the speed moves. Without a recorded speed a motor that stands counts as well, to which it is all one.
     """
     current, peak = readings[:, 0], float(np.quantile(np.abs(voltage_v), 0.999))
-    noise, largest = noise_of(current), float(np.quantile(np.abs(current), 0.99))
+    noise, largest = median_noise(current), float(np.quantile(np.abs(current), 0.99))
     none = np.abs(current) < 3.0 * noise + 0.01 * largest
     edges = np.union1d(np.flatnonzero(_jumps(voltage_v) | (begins > 0.0)), [0, len(current)])
     out = np.zeros(len(current), dtype=np.bool_)
@@ -123,11 +123,11 @@ def _jumps(voltage_v: FloatArray) -> NDArray[np.bool_]:
     beside = _BESIDE_JUMP
     medians = np.median(sliding_window_view(np.pad(moved, beside, mode="edge"), beside), axis=1)
     usual = np.maximum(medians[: len(moved)], medians[-len(moved) :])
-    is_jump: NDArray[np.bool_] = (moved > _JUMP * usual) & (moved > _JUMP_NOISE * noise_of(voltage_v))
+    is_jump: NDArray[np.bool_] = (moved > _JUMP * usual) & (moved > _JUMP_NOISE * median_noise(voltage_v))
     return is_jump
 
 
-def noise_of(column: FloatArray) -> float:
+def median_noise(column: FloatArray) -> float:
     """Standard deviation of white noise: the median second difference, no less than a converter's step."""
     second, moved = np.abs(np.diff(column, 2)), np.abs(np.diff(column))
     steps = moved[moved > 0.0]
@@ -162,7 +162,7 @@ def _averageable(recording: Recording, wanted: int) -> int:
         recording.current_a if _seen(recording)[0] or recording.speed_rad_s is None else recording.speed_rad_s
     )
     column, factor = column[:_LOOKED_AT], 1
-    noise, variance = (noise_of(column) ** 2, float(np.var(column))) if wanted > 1 else (0.0, 0.0)
+    noise, variance = (median_noise(column) ** 2, float(np.var(column))) if wanted > 1 else (0.0, 0.0)
     while factor < wanted:
         kept = float(np.var(block_means(column, 2 * factor))) + noise * (1.0 - 0.5 / factor)
         if kept < (1.0 - _LOST) * variance:
@@ -171,7 +171,7 @@ def _averageable(recording: Recording, wanted: int) -> int:
     return factor
 
 
-def liveliest(recording: Recording, share: float, count: int = STRETCHES) -> list[Recording]:
+def liveliest_stretches(recording: Recording, share: float, count: int = STRETCHES) -> list[Recording]:
     """A share of a recording: of each of some equal parts the stretch in which the voltage moves most."""
     n = len(recording.time_s)
     volts = recording.current_a if recording.voltage_v is None else recording.voltage_v

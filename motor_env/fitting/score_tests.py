@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as index
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
@@ -69,7 +69,7 @@ def score_tests(
     """
     if not tested:
         return {}
-    direction = _Direction(best)
+    direction = _ResidualSlopes(best)
     tests = {}
     for name in tested:
         term = every[name]
@@ -83,7 +83,7 @@ def score_tests(
     return tests
 
 
-class _Direction:
+class _ResidualSlopes:
     """The residuals of a fit and how they follow its unknowns: what a further column of slopes would tell.
 
     These are slopes at the point. Wide steps of one unknown at a time make dry friction and a load look well told where
@@ -112,7 +112,7 @@ class _Direction:
         return ScoreTest(float(gains[most]), float(values[most]), sd, moves[:, most])
 
 
-def lacking(best: Solution) -> list[ScoreTest]:
+def unmodelled_effects(best: Solution) -> list[ScoreTest]:
     """What real motors have and no term says, each of the size that it usually has (1), at the fitted motion.
 
     Brushes whose resistance falls with the current (Holm 1967): a voltage that the fitted current tells. Where it
@@ -122,15 +122,15 @@ def lacking(best: Solution) -> list[ScoreTest]:
     problem, record = best.problem, best.problem.record
     if not record.seen[0]:
         return []
-    lacked = [_behind_brushes(best, *usual) for usual in _KNEES.items()]
+    lacked = [_with_brush_resistance(best, *usual) for usual in _KNEES.items()]
     if "gear_loss" not in best.names:
         geared = problem.known.copy()
-        geared[places.GEAR] = _GEAR
+        geared[index.GEAR] = _GEAR
         lacked.append(replace(problem, known=geared))
-    return _of_size_one(best, lacked)
+    return _unit_size_tests(best, lacked)
 
 
-def rounded(best: Solution) -> list[ScoreTest]:
+def quantisation_effects(best: Solution) -> list[ScoreTest]:
     """What converters do to the readings of each channel, by a standard deviation, where all of one sign err alike.
 
     Noise smaller than a step does not average it away, and a motor may stay within a few steps.
@@ -140,21 +140,21 @@ def rounded(best: Solution) -> list[ScoreTest]:
         readings = record.readings.copy()
         readings[:, channel] += _CONVERTED * record.steps[channel] * np.sign(readings[:, channel])
         erred.append(replace(best.problem, record=replace(record, readings=readings)))
-    return _of_size_one(best, erred)
+    return _unit_size_tests(best, erred)
 
 
-def unmeasured(best: Solution) -> list[ScoreTest]:
+def supply_effects(best: Solution) -> list[ScoreTest]:
     """What may stand between a voltage that was told and the motor, each of its usual size (1), at the fitted current.
 
-    Brushes as in `lacking`, and a supply whose voltage falls with the square of the current.
+    Brushes as in `unmodelled_effects`, and a supply whose voltage falls with the square of the current.
     """
     record, current = best.problem.record, best.free[0][:, 2]
     lost = _SAG * record.voltage_v * (current / np.abs(current).max()) ** 2
     sagged = replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
-    return _of_size_one(best, [_behind_brushes(best, min(_KNEES), 1.0), sagged], is_positive=True)
+    return _unit_size_tests(best, [_with_brush_resistance(best, min(_KNEES), 1.0), sagged], is_positive=True)
 
 
-def _behind_brushes(best: Solution, knee: float, size: float) -> Problem:
+def _with_brush_resistance(best: Solution, knee: float, size: float) -> Problem:
     """The voltage behind brushes whose resistance falls with the current (Holm 1967), at a usual size times `size`."""
     record, current = best.problem.record, best.free[0][:, 2]
     volts, amps, _ = record.peaks
@@ -162,9 +162,11 @@ def _behind_brushes(best: Solution, knee: float, size: float) -> Problem:
     return replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
 
 
-def _of_size_one(best: Solution, lacked: Sequence[Problem], *, is_positive: bool = False) -> list[ScoreTest]:
+def _unit_size_tests(
+    best: Solution, lacked: Sequence[Problem], *, is_positive: bool = False
+) -> list[ScoreTest]:
     """A test of each problem that has something of size 1 which that of the fit lacks."""
-    direction = _Direction(best)
+    direction = _ResidualSlopes(best)
     tests = [
         direction.test(each.residuals(best.theta)[None], np.ones(1), is_positive=is_positive)
         for each in lacked

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.fitting import places
-from motor_env.fitting.identify import Operation
-from motor_env.fitting.kernel import REST, STEADY
+from motor_env.fitting import parameter_index as index
+from motor_env.fitting.ekf import REST, STEADY
+from motor_env.fitting.operation_fit import OperationFit
 from motor_env.fitting.problem import Solution, r_squared
 from motor_env.fitting.record import Record
 from motor_env.motor import identifiable as quantities
@@ -38,7 +38,7 @@ NOT_TURNING = (
 
 
 @dataclass(frozen=True, slots=True)
-class Identified:
+class StartFit:
     """A fitted start.
 
     Attributes:
@@ -69,25 +69,25 @@ class Identified:
 
     @property
     def physical(self) -> FloatArray:
-        """Physical values, see `motor_env.fitting.places`."""
+        """Physical values, see `motor_env.fitting.parameter_index`."""
         return self.solution.problem.values(self.solution.theta)
 
     @property
     def parameters(self) -> MotorParameters:
         """Textbook parameters; absolute ones only as far as `quantities` says."""
-        r, inductance, k, j, b = self.physical[[places.R, places.L, places.K, places.J, places.B]].tolist()
+        r, inductance, k, j, b = self.physical[[index.R, index.L, index.K, index.J, index.B]].tolist()
         return MotorParameters(r, inductance, k, k, j, b)
 
     @property
     def onset_s(self) -> float:
         """Fitted onset."""
-        late = self.physical[places.ONSET] + self.physical[places.DELAY] * self.start.dt_s
+        late = self.physical[index.ONSET] + self.physical[index.DELAY] * self.start.dt_s
         return float(self.start.alignment.onset_s + late)
 
     @property
     def offset_a(self) -> float:
         """Fitted offset of the current."""
-        return float(self.start.alignment.offset_a + self.physical[places.OFFSET_I])
+        return float(self.start.alignment.offset_a + self.physical[index.OFFSET_I])
 
     def run(self, values: FloatArray) -> FloatArray:
         """Current and speed of a motor of other values in this start, as they are shown, shape (n_samples, 2)."""
@@ -170,7 +170,7 @@ class Identified:
         """
         is_step = self.start.voltage_v is None
         begin = int(np.searchsorted(self.start.time_s, self.onset_s, side="right")) + 1 if is_step else 1
-        shown = self.start.counted & (self.states[:, 0] >= 0.5 * self.physical[places.ZONE])
+        shown = self.start.counted & (self.states[:, 0] >= 0.5 * self.physical[index.ZONE])
         noise = max(self.noise_a, 1e-9 * float(np.ptp(self.start.current_a)))
         return np.where(shown, self.residual_a / noise, np.nan)[begin:, None]
 
@@ -228,13 +228,13 @@ def record_of(start: Start) -> Record:
     )
 
 
-def shows_turning(fit: Identified) -> bool:
+def shows_turning(fit: StartFit) -> bool:
     """Whether the start tells K^2/J, or with the speed K, to a factor of e: a resistor and a coil have none."""
     pull = next(n for n, name in enumerate(fit.quantity_names) if name.startswith("K"))
     return float(fit.log_covariance[pull, pull]) < _UNTOLD**2
 
 
-def is_blocked(fit: Identified, time_constant_s: float) -> bool:
+def is_blocked(fit: StartFit, time_constant_s: float) -> bool:
     """Whether the current has hardly fallen when a healthy motor has run up, and shows no turning motor.
 
     Args:
@@ -247,9 +247,9 @@ def is_blocked(fit: Identified, time_constant_s: float) -> bool:
     return lasts > _RUN_UP * time_constant_s and mean_tail(current) > _STANDING * float(current.max())
 
 
-def implausible(fit: Identified | Operation) -> list[str]:
+def implausible(fit: StartFit | OperationFit) -> list[str]:
     """A sentence for each value that lies outside what motors have; none for a quantity that is hardly told."""
-    if isinstance(fit, Identified):
+    if isinstance(fit, StartFit):
         current, dt_s = fit.start.current_a, fit.start.dt_s
         errors = dict(zip(fit.quantity_names, np.sqrt(np.diag(fit.log_covariance)).tolist(), strict=True))
         logs = dict(zip(fit.quantity_names, fit.log_values.tolist(), strict=True))
@@ -272,7 +272,7 @@ def implausible(fit: Identified | Operation) -> list[str]:
         "L/R": math.exp(log_of("L") - log_of("R")),
         "R J/K^2": math.exp(log_of("R") - pull),
     } | {name: math.exp(log_of(name)) for name in ("R", "L", "K") if name in logs}
-    sentences = [] if isinstance(fit, Operation) or shows_turning(fit) else [NOT_TURNING]
+    sentences = [] if isinstance(fit, OperationFit) or shows_turning(fit) else [NOT_TURNING]
     for name, value in measured.items():
         low, high, unit = _USUAL[name]
         if value < low or value > high:

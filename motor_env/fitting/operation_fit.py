@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motor_env.fitting import kernel, places
-from motor_env.fitting.fit import fit
-from motor_env.fitting.problem import Solution, motor_places
+from motor_env.fitting import ekf, parameter_index as index
+from motor_env.fitting.model_selection import fit
+from motor_env.fitting.preprocessing import MOST, from_recordings
+from motor_env.fitting.problem import Solution, motor_unknowns
 from motor_env.fitting.record import Record
-from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.terms import NOISES, SHAPES
 from motor_env.fitting.uncertainty import covariance
 from motor_env.motor.parameters import FloatArray
@@ -70,7 +70,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
-class Operation:
+class OperationFit:
     """A motor at work, identified.
 
     Attributes:
@@ -107,7 +107,7 @@ class Operation:
         return next(quantity for quantity in self.quantities if quantity.name == name)
 
 
-def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> Operation:
+def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> OperationFit:
     """Fit one motor to recordings of it at work, jointly.
 
     Args:
@@ -133,7 +133,7 @@ def without_lines(solution: Solution, record: Record) -> tuple[Record, tuple[Per
         return record, ()
     free = solution.free[1]
     residual, readings = np.nan_to_num(record.readings[:, 0] - free[:, 2]), record.readings.copy()
-    begins, every = np.flatnonzero(record.marks == kernel.BEGIN), []
+    begins, every = np.flatnonzero(record.marks == ekf.BEGIN), []
     for first, end in zip(begins, [*begins[1:], len(residual)], strict=True):
         some, time_s = slice(first, end), record.dt_s * np.arange(end - first)
         own = [line.frequency_hz for line in periodic_lines(record.voltage_v[some], time_s)]
@@ -146,7 +146,7 @@ def without_lines(solution: Solution, record: Record) -> tuple[Record, tuple[Per
 
 
 @on_one_thread
-def identify_record(record: Record) -> Operation:
+def identify_record(record: Record) -> OperationFit:
     """Fit one motor to a record.
 
     Raises:
@@ -155,14 +155,14 @@ def identify_record(record: Record) -> Operation:
     solution = fit(record)
     record, lines = without_lines(solution, record)
     # Its terms may have stood for the lines.
-    operation = _described(fit(record) if lines else solution, lines)
+    operation = _operation_fit(fit(record) if lines else solution, lines)
     if operation.r2_current is not None and operation.r2_current < _CURRENT_TELLS and record.seen[1]:
-        operation = _described(fit(record.only(current=False, speed=True)))
-    _refuse_poor(operation)
+        operation = _operation_fit(fit(record.only(current=False, speed=True)))
+    _refuse_poor_fit(operation)
     return operation
 
 
-def _refuse_poor(operation: Operation) -> None:
+def _refuse_poor_fit(operation: OperationFit) -> None:
     for n, (name, r2) in enumerate((("current", operation.r2_current), ("speed", operation.r2_speed))):
         if r2 is None:
             continue
@@ -182,13 +182,13 @@ def _refuse_poor(operation: Operation) -> None:
         raise UnusableError(f"L/R of {determined['L'] / determined['R']:.3g} s is that of no motor: {_UNFIT}")
 
 
-def _described(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> Operation:
+def _operation_fit(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> OperationFit:
     record = solution.problem.record
     spread = covariance(solution)
     filtered, free = solution.free
     r2 = solution.explained()
     quantities = tuple(_quantities(solution, spread))
-    return Operation(
+    return OperationFit(
         record=record,
         solution=solution,
         quantities=quantities,
@@ -204,8 +204,8 @@ def _described(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> Oper
 def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
     """Each unknown with its interval, and the whole drag at the speed that the motor mostly runs at."""
     problem, theta = solution.problem, solution.theta
-    chosen = motor_places(problem)
-    names, units = _naming(problem.record)
+    chosen = motor_unknowns(problem)
+    names, units = _names_and_units(problem.record)
     quantities = []
     for row, n in enumerate(chosen):
         term, sd = problem.free[n], math.sqrt(max(spread[row, row], 0.0))
@@ -234,9 +234,9 @@ def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quant
     speed = solution.free[0][:, 3]
     w = float(np.sqrt(np.mean(speed**2)))
     slopes = {"B": w, "coulomb": 1.0, "load_square": w * w}
-    terms_ = [problem.free[n] for n in motor_places(problem)]
+    terms_ = [problem.free[n] for n in motor_unknowns(problem)]
     gradient = np.array([slopes.get(term.name, 0.0) * term.unit for term in terms_])
-    value = values[places.B] * w + values[places.COULOMB] + values[places.SQUARE] * w * w
+    value = values[index.B] * w + values[index.COULOMB] + values[index.SQUARE] * w * w
     sd = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
     half = _TWO_SIDED * sd
     relative = sd / max(value, 1e-300)
@@ -245,7 +245,7 @@ def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quant
     )
 
 
-def _naming(record: Record) -> tuple[dict[str, str], dict[str, str]]:
+def _names_and_units(record: Record) -> tuple[dict[str, str], dict[str, str]]:
     if record.seen.all():
         return {}, _UNITS_FULL
     if record.seen[0]:
@@ -263,8 +263,8 @@ def _notes(
     if record.seen[0] and not record.seen[1]:
         sentences.append("the current alone tells J/K^2 and B/K^2, not K, J and B")
     if not record.seen[0]:
-        gain, lag = 1.0 / values[places.K], values[places.J] / values[places.K] ** 2
-        dead = values[places.COULOMB] / values[places.K]
+        gain, lag = 1.0 / values[index.K], values[index.J] / values[index.K] ** 2
+        dead = values[index.COULOMB] / values[index.K]
         sentences.append(
             f"the current tells nothing: R, L and the friction are not determined; the speed alone gives"
             f" {gain:.4g} rad/s a volt, a dead voltage of {dead:.3g} V and a time constant of {lag:.3g} s"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from motor_env.fitting.places import (
+from motor_env.fitting.parameter_index import (
     DROP,
     HEATING,
     KNEE,
@@ -103,7 +103,7 @@ def at(table: FloatArray, part: int, warm_k: float, p: FloatArray, out: FloatArr
 
 
 @inlined
-def _dry(p: FloatArray, dry: float, w: float, slow: float) -> float:
+def _dry_friction(p: FloatArray, dry: float, w: float, slow: float) -> float:
     """Dry friction at a speed (Stribeck 1902)."""
     over = (w / slow) ** 2
     return dry * (1.0 + p[STRIBECK] * math.exp(-over)) if p[STRIBECK] > 0.0 and over < _FAST else dry
@@ -145,7 +145,7 @@ def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry:
     if p[KNEE] > 0.0:
         before = u[0] - p[DROP] * i / math.sqrt(i * i + p[KNEE] ** 2)
     sliding = w / math.sqrt(w * w + p[SLIDING] ** 2) if p[SLIDING] > 0.0 else turning
-    load = _dry(p, dry, w, u[3]) * sliding + u[2]
+    load = _dry_friction(p, dry, w, u[3]) * sliding + u[2]
     torque = load_in_kernel(load, p[SQUARE], w)
     new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * (u[1] - u[0])
     new_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * (u[1] - u[0])
@@ -172,7 +172,7 @@ def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry:
 
 
 @inlined
-def _turned(before: float, free: float, reach: float) -> float:
+def _held_at_zero(before: float, free: float, reach: float) -> float:
     """Value after an interval, given that without the opposing input, which changes it by `reach` and turns at zero."""
     sign = math.copysign(1.0, before if before != 0.0 else free)
     kept = free - sign * reach
@@ -186,7 +186,7 @@ def _turned(before: float, free: float, reach: float) -> float:
 
 
 @inlined
-def _kneed(free: float, reach: float, knee: float, near: float) -> float:
+def _solve_knee(free: float, reach: float, knee: float, near: float) -> float:
     """Solution i of i + reach i / hypot(i, knee) = free, by Newton's method from a size near it.
 
     The left side is concave beyond zero: from below each step stays below.
@@ -204,11 +204,11 @@ def _kneed(free: float, reach: float, knee: float, near: float) -> float:
 
 
 @inlined
-def _opposed(before: float, free: float, reach: float, knee: float) -> float:
+def _opposing_input(before: float, free: float, reach: float, knee: float) -> float:
     """What an input that sets in at a knee leaves of it."""
-    opposed: float = _turned(before, free, reach)
+    opposed: float = _held_at_zero(before, free, reach)
     if knee > 0.0 and min(abs(before), abs(opposed)) < _SATURATED * knee:
-        opposed = _kneed(free, reach, knee, abs(before) if before * free > 0.0 else 0.0)
+        opposed = _solve_knee(free, reach, knee, abs(before) if before * free > 0.0 else 0.0)
     return opposed
 
 
@@ -227,12 +227,12 @@ def braked_step(
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
         new_i = free_i
         if p[DROP] > 0.0:
-            new_i = _opposed(i, free_i, m[0, 2] * p[DROP], p[KNEE])
+            new_i = _opposing_input(i, free_i, m[0, 2] * p[DROP], p[KNEE])
             dropped = (free_i - new_i) / m[0, 2]
             before, free_w = before - dropped, free_w - m[1, 2] * dropped
         new_w = free_w
         if dry > 0.0:
-            new_w = _opposed(w, free_w, -m[1, 4] * _dry(p, dry, w, u[3]), p[SLIDING])
+            new_w = _opposing_input(w, free_w, -m[1, 4] * _dry_friction(p, dry, w, u[3]), p[SLIDING])
             friction = (free_w - new_w) / -m[1, 4]
             torque, new_i = torque + friction, new_i + m[0, 4] * friction
         if p[LAG_I] > 0.0:
@@ -266,6 +266,10 @@ def coasting_step(
     for _ in range(FINE):
         w = x[1]
         free = decay * w - reach * load_in_kernel(u[2], p[SQUARE], w)
-        x[1] = _opposed(w, free, reach * _dry(p, dry, w, u[3]), p[SLIDING]) if dry > 0.0 else free
+        x[1] = (
+            _opposing_input(w, free, reach * _dry_friction(p, dry, w, u[3]), p[SLIDING])
+            if dry > 0.0
+            else free
+        )
         slope = 0.0 if x[1] == 0.0 else decay - reach * 2.0 * p[SQUARE] * abs(w)
         f[1, 1], f[1, 2] = slope * f[1, 1], slope * f[1, 2] - reach * (x[1] != 0.0)
