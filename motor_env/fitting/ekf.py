@@ -1,8 +1,8 @@
-"""Kalman filter of a recorded motor, compiled, on the steps of `motor_env.fitting.integrator`.
+"""Extended Kalman filter of a recorded motor, compiled, on the steps of `motor_env.fitting.integrator`.
 
 State: [current, speed, load torque, shown current, shown speed]; the last ones only where a model has them. Where the
-state is known at the first sample and nothing disturbs the motor, the filter's covariance is none: its innovations are
-the errors of the model that runs freely.
+state is known at the first sample and nothing disturbs the motor, its covariance is zero: the innovations are the
+errors of a free run.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ from motor_env.motor.compiled import compiled, compiled_part, inlined
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
 BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
-"""Marks of a sample: the first of a recording; an open circuit; after an interval whose voltage is not known; where the
-state behind it is not known yet; the first, of a motor that stands without current, or runs steadily under the first
-voltage; switched on after standing, so long before the sample as the value AFTER says."""
+"""Marks of a sample. BEGIN: the first of a recording; OPEN: the circuit is open; LOST: after an interval of unknown
+voltage; FOUND: the state behind it is not known yet; REST, STEADY: the first of a motor that stands without current,
+or runs steadily under the first voltage; SWITCH: switched on AFTER seconds before the sample."""
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
 _WILD = 6.0
 _STEADY_STEPS = 12
@@ -59,7 +59,7 @@ _STEADY_STEPS = 12
 
 @inlined
 def lag_of(p: FloatArray, dt_s: float) -> tuple[float, float, float]:
-    """Weights of the shown speed before, the true one before and the true one now; exact for a straight line."""
+    """Return the weights of shown speed before, true speed before and now; exact for a straight line."""
     lag_s = p[LAG_W]
     if lag_s <= 0.0:
         return 0.0, 0.0, 1.0
@@ -79,7 +79,7 @@ def spread(
     lag: tuple[float, float, float],
     work: FloatArray,
 ) -> None:
-    """Covariance of `n` states after an interval, in place: P = F P F' + Q. Only the upper triangle is used."""
+    """Predict the covariance of `n` states, its upper triangle, over an interval in place: P = F P F' + Q."""
     a, b, c, d, e, h = f[0, 0], f[0, 1], f[0, 2], f[1, 0], f[1, 1], f[1, 2]
     noise_i, noise_w = noise_v * f[0, 3], noise_v * f[1, 3]
     pull_i, pull_w = p[NOISE_T] * c, p[NOISE_T] * h
@@ -134,10 +134,10 @@ def begin(
     seen: FloatArray,
     dt_s: float,
 ) -> None:
-    """State at the first sample of a recording: as shown; what is not seen from the balance of the voltages.
+    """Set the state at a recording's first sample as shown; the rest follows from the balance of voltages.
 
     `shown` is what this sample and the next show, shape (2, 2), `volts` the voltage between them. Where a reading is
-    missing the recording begins again at the next sample; until then any number will do.
+    missing the recording begins again at the next sample.
     """
     for r in range(2):
         for c in range(2):
@@ -162,7 +162,7 @@ def begin(
 
 @compiled_part
 def steady(p: FloatArray, volts: float, x: FloatArray) -> None:
-    """Current and speed of a motor that runs steadily (V = R i + K w + drop, K i = B w + fan + load), or is held."""
+    """Set the state of a motor that runs steadily (V = R i + K w + drop, K i = B w + fan + load), or is held."""
     turning = math.copysign(1.0, volts)
     driving, load = volts - turning * min(p[DROP], abs(volts)), p[LOAD] + turning * p[COULOMB]
     pull, speed = p[K] * driving - p[R] * load, 0.0
@@ -189,7 +189,7 @@ def _advance(
     dt_s: float,
     f: FloatArray,
 ) -> None:
-    """State after an interval, and its slopes; the interval ends at a sample of one mark, and begins at another's."""
+    """Advance the state over an interval and fill its slopes; `mark` is its end's, `before` its begin's."""
     i, w = x[0], x[1]
     at(of, 0, warm_k, p, m)
     if p[GEAR] > 0.0:
@@ -273,7 +273,7 @@ def _run(
     n: int,
     room: tuple[FloatArray, ...],
 ) -> float:
-    """The filter of `predict_each`, of one row: models of an interval and of that after a switch, number of states."""
+    """Filter one row of `predict_each`, with the models of an interval and of that after a switch."""
     m, x, cov, f, u, row, shown, work, _ = room
     lag, logs, warm_k = lag_of(p, dt_s), 0.0, 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
@@ -325,7 +325,7 @@ def _run(
 
 
 def room_to_work() -> tuple[FloatArray, tuple[FloatArray, ...]]:
-    """Arrays in which `predict_each` works: to let numba make them would take a second of compiling."""
+    """Return arrays in which `predict_each` works: to let numba make them takes a second of compiling."""
     shapes = ((3, 6), (5,), (5, 5), (3, 5), (4,), (5,), (2, 2), (3, 5, 5), (3, 6, 6))
     return np.zeros((2, 3, TEMPERATURES, 3, 6)), tuple(np.zeros(shape) for shape in shapes)
 

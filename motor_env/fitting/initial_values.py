@@ -1,8 +1,8 @@
-"""First guesses of a motor at work: linear regressions in integrated signals, over windows of several lengths.
+"""Initial values of a motor at work: linear regressions in integrated signals, over windows of several lengths.
 
-Integrated over a window the equations need no derivative of a noisy signal. With the speed recorded they are linear in
-all unknowns; from the current alone they are so for each resistance, and several are tried; from the speed alone
-the motor is a gain, a time constant and a dead voltage.
+Integrated over a window the equations need no derivative of a noisy signal. With current and speed they are linear in
+all unknowns; with the current alone for each of several resistances; with the speed alone the motor is a gain, a time
+constant and a dead voltage.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _LEAST_LAG = 0.3  # of R dt
 
 
 def initial_values(record: Record) -> list[FloatArray]:
-    """Values to begin a fit from, each of shape (places.N_VALUES,)."""
+    """Return values to begin a fit from, each of shape (parameter_index.N_VALUES,)."""
     guesses = []
     for window in _WINDOWS:
         if len(record.voltage_v) < 12 * window:
@@ -42,31 +42,28 @@ def initial_values(record: Record) -> list[FloatArray]:
 
 
 def _changes(sums: FloatArray, record: Record, width: int) -> FloatArray:
-    """Change of a series over each window, those across two recordings left out."""
+    """Return the change of a series over each window within one recording."""
     counted, starts = np.cumsum(record.begins), np.arange(0, len(sums) - width, max(width // 2, 1))
     starts = starts[counted[starts + width] == counted[starts]]
     return np.asarray(sums[starts + width] - sums[starts], dtype=np.float64)
 
 
 def _means(column: FloatArray, record: Record, width: int) -> FloatArray:
-    """Mean over each window (trapezoids)."""
     sums = np.concatenate([[0.0], np.cumsum(0.5 * (column[1:] + column[:-1]))])
     return _changes(sums, record, width) / width
 
 
 def _slopes(column: FloatArray, record: Record, width: int) -> FloatArray:
-    """Slope from end to end of each window."""
     return _changes(column, record, width) / (width * record.dt_s)
 
 
 def _volts(record: Record, width: int) -> FloatArray:
-    """Mean over each window of the voltage, which may be held between the samples."""
+    """Return the mean voltage of each window; it may be held between samples."""
     sums = np.concatenate([[0.0], np.cumsum(record.between()[1:].mean(axis=1))])
     return _changes(sums, record, width) / width
 
 
 def _solve(columns: list[FloatArray], target: FloatArray) -> FloatArray:
-    """Non-negative least squares on scaled columns."""
     matrix = np.stack(columns, axis=1)
     size = np.sqrt(np.mean(matrix**2, axis=0)) + 1e-300
     solution: FloatArray = nnls(matrix / size, target)[0] / size
@@ -76,7 +73,7 @@ def _solve(columns: list[FloatArray], target: FloatArray) -> FloatArray:
 def _torques(
     columns: list[FloatArray], torque: FloatArray, *, loaded: bool
 ) -> tuple[float, float, float, float]:
-    """Inertia, viscous and dry friction, and a constant load of either sign where there may be one."""
+    """Solve for inertia, viscous and dry friction, and a constant load of either sign if `loaded`."""
     ones = np.ones(len(torque))
     solution = _solve([*columns, ones, -ones] if loaded else columns, torque).tolist()
     load = solution[3] - solution[4] if loaded else 0.0
@@ -84,7 +81,7 @@ def _torques(
 
 
 def _values(record: Record, **given: float) -> FloatArray:
-    """Physical values with noises, from what a regression told."""
+    """Return physical values with noises out of a regression's."""
     values = np.zeros(index.N_VALUES)
     for name, value in given.items():
         values[getattr(index, name)] = value
@@ -95,7 +92,7 @@ def _values(record: Record, **given: float) -> FloatArray:
 
 
 def _from_current_and_speed(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
-    """Current and speed: V = R i + L di/dt + K w + drop, K i = J dw/dt + B w + Tc sign(w)."""
+    """Regress current and speed: V = R i + L di/dt + K w + drop, K i = J dw/dt + B w + Tc sign(w)."""
     i, w = filled(record.readings[:, 0]), filled(record.readings[:, 1])
     mean_i, mean_w, direction = (_means(column, record, window) for column in (i, w, _sign(w)))
     slope_i, slope_w = (_slopes(column, record, window) for column in (i, w))
@@ -109,7 +106,7 @@ def _from_current_and_speed(record: Record, window: int, *, loaded: bool) -> Flo
 
 
 def _from_current(record: Record, window: int, share: float, *, loaded: bool) -> FloatArray | None:
-    """Current alone, with K = 1: the speed is what is left of the voltage."""
+    """Regress the current alone, with K = 1: the speed is what R leaves of the voltage."""
     volts, amps, _ = record.peaks
     r, mean_i = share * volts / amps, _means(filled(record.readings[:, 0]), record, window)
     w = _volts(record, window) - r * mean_i
@@ -121,7 +118,7 @@ def _from_current(record: Record, window: int, share: float, *, loaded: bool) ->
 
 
 def _from_speed(record: Record, window: int) -> FloatArray | None:
-    """Speed alone, with R = 1 and B = 0: V = K w + J/K dw/dt + Tc/K sign(w)."""
+    """Regress the speed alone, with R = 1 and B = 0: V = K w + J/K dw/dt + Tc/K sign(w)."""
     w = filled(record.readings[:, 1])
     columns = [_means(w, record, window), _slopes(w, record, window), _means(_sign(w), record, window)]
     k, lag, dead = _solve(columns, _volts(record, window))
@@ -131,7 +128,6 @@ def _from_speed(record: Record, window: int) -> FloatArray | None:
 
 
 def _sign(w: FloatArray) -> FloatArray:
-    """Direction, none at standstill."""
     slow = 0.01 * float(np.quantile(np.abs(w), 0.99)) + _LEAST
     direction: FloatArray = w / np.maximum(np.abs(w), slow)
     return direction

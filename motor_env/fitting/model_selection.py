@@ -1,4 +1,4 @@
-"""A motor at work, fitted: beginnings, prediction errors, and the terms that the evidence supports."""
+"""The model of a motor at work: initial values, prediction errors, and the terms that the evidence supports."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from motor_env.recordings.recording import UnusableError
 
 STRONG_EVIDENCE = 6.0
 SELECTION_SAMPLES = 2_000
-"""Samples on which the model of a record twice as long is chosen."""
+"""Samples on which the model of a record more than twice as long is selected."""
 _FIRST_NOISE_V = 0.02
 _FIRST_SHAPE = 0.1  # of what is believed
 _QUIET_VALUES = {
@@ -32,7 +32,7 @@ _QUIET_VALUES = {
     "load_walk": -4.0,
 }
 _TORQUE_DISTURBANCES = ("load_walk", "noise_torque")
-"""A torque that disturbs the motor: it wanders, or is another one in each interval; one of the two at most."""
+"""A torque that disturbs the motor wanders, or is another in each interval; at most one of the two."""
 _MOST_TRIED = 2
 _FEW_EVALUATIONS = 6
 _ALTERNATIVE, _HOPELESS = 0.1, 0.3  # of the number of readings
@@ -40,7 +40,7 @@ _CLEARLY = math.log(2.0)
 
 
 def fit(record: Record) -> Solution:
-    """The smallest model of a record that the evidence supports, fitted; with rivals, which widen its intervals.
+    """Fit the smallest model of a record that the evidence supports, with alternatives, which widen its intervals.
 
     Raises:
         UnusableError: no regression finds a motor in the record.
@@ -49,7 +49,7 @@ def fit(record: Record) -> Solution:
 
 
 def _smallest_model(record: Record) -> Solution:
-    """The fit without rivals; of a long record from a part of it."""
+    """Fit a record without alternatives; a long one from a part of it."""
     if len(record.voltage_v) > 2 * SELECTION_SAMPLES:
         return _refit_to_all_samples(_smallest_model(record.sample(SELECTION_SAMPLES)), record)
     rivals = [_select_terms(first) for first in _initial_fits(record)]
@@ -63,9 +63,9 @@ def _smallest_model(record: Record) -> Solution:
 def _prefer_held_voltage(best: Solution) -> Solution:
     """Replace a fractional delay or a straight-line voltage by a held one if they win only by averaging noise.
 
-    Both average neighbours of the recorded voltage, and with them its noise. So does a mean over three samples, which
-    has no delay: where it explains as much, there is none. A fit that blames everything on a torque that disturbs the
-    motor may be more likely and explain less.
+    Both average neighbours of the recorded voltage and its noise. So does a mean over three samples without a delay:
+    where it explains as much, there is none. A fit that blames all on a disturbing torque may be likelier and explain
+    less.
     """
     timed = _remove_terms(best, ("delay",))
     is_straight = best.problem.record.hold == "straight"
@@ -87,9 +87,9 @@ def _prefer_held_voltage(best: Solution) -> Solution:
 
 
 def _with_timing_alternatives(best: Solution) -> Solution:
-    """The fit, with rivals of the same misfit where the voltage has no steps and others would time it otherwise.
+    """Add fits with other voltage timing as alternatives where the voltage has no steps.
 
-    A lag of the voltage then looks like L/R. What decides between them is how a model errs that is never quite right.
+    A lag of the voltage then looks like L/R. Only how a model errs that is never quite right decides between them.
     """
     slopes = np.diff(best.problem.record.voltage_v)
     if np.nansum(np.abs(np.diff(slopes))) > np.nansum(np.abs(slopes)):
@@ -103,11 +103,10 @@ def _with_timing_alternatives(best: Solution) -> Solution:
 
 
 def _without_process_noise(best: Solution) -> Solution:
-    """The fit; one without noise inside the motor is a rival of the same misfit, if it explains nearly as much.
+    """Add the fit without process noise as an alternative of the same misfit, if it explains nearly as much.
 
-    Both are right where the model is. Where it is not, noise inside the motor stands for what it lacks, and a
-    controller makes that depend on the current: R may be off by a half, and the likelihood is sure of it. The two part
-    there.
+    Both are right where the model is. Where it is not, process noise stands for what the model lacks, and a controller
+    makes that depend on the current: R may err by a half while the likelihood is sure of it. There the two differ.
     """
     if not {"noise_voltage", *_TORQUE_DISTURBANCES} & {*best.names}:
         return best
@@ -118,7 +117,7 @@ def _without_process_noise(best: Solution) -> Solution:
 
 
 def _with_alternatives(best: Solution, others: Sequence[Solution]) -> Solution:
-    """The fit with others as rivals of the same misfit; what these have not stays as it is."""
+    """Add other fits as alternatives of the same misfit; terms that they lack stay as they are."""
     rivals = []
     for other in others:
         known = dict(zip(other.names, other.theta, strict=True))
@@ -128,14 +127,14 @@ def _with_alternatives(best: Solution, others: Sequence[Solution]) -> Solution:
 
 
 def _refit_to_all_samples(best: Solution, record: Record) -> Solution:
-    """The fit of a part of a long record, fitted to all of it, with the terms that this tells in addition."""
+    """Fit the model of a part of a long record to all of it, with the terms that this supports in addition."""
     hold = best.problem.record.hold
     record = replace(record if (best.problem.record.marks == ekf.OPEN).any() else record.closed(), hold=hold)
     return _forward_selection(replace(best.problem, record=record).solve(best.theta, most=_FEW_EVALUATIONS))
 
 
 def _fits_of_other_voltages(best: Solution, record: Record) -> list[Solution]:
-    """The fit without a delay, for every other behaviour of voltage and circuit: its beginning may have missed it."""
+    """Fit without a delay under every other variant of the voltage, which the initial values may have missed."""
     timed = _remove_terms(best, ("delay",))
     fits = []
     for behaved in _voltage_variants(record):
@@ -146,16 +145,16 @@ def _fits_of_other_voltages(best: Solution, record: Record) -> list[Solution]:
 
 
 def _voltage_variants(record: Record) -> list[Record]:
-    """The record with every behaviour of the voltage that may be true, and without open circuits."""
+    """Return the record with every way in which the voltage may be held, with and without open circuits."""
     circuits = [record, record.closed()] if (record.marks == ekf.OPEN).any() else [record]
     holds = HOLDS if record.averaged == 1 else (record.hold,)
     return [replace(circuit, hold=hold) for hold, circuit in product(holds, circuits)]
 
 
 def _with_shape_parameters(best: Solution) -> Solution:
-    """The fit with the shapes of its brush drop and of its dry friction, whose size is believed beforehand.
+    """Fit the shapes of brush drop and dry friction, too, under their prior.
 
-    It also begins again from a calm motor, without offsets: noise and a wandering load may have carried a fit away. And
+    Fits also begin from a quiet motor without offsets, as noise and a wandering load may have carried a fit away; and,
     where dry friction and a constant load may stand for each other, from less and from more of it.
     """
     added = [best.problem.every[shape] for shape, of in SHAPES.items() if of in best.names]
@@ -183,7 +182,7 @@ def _with_shape_parameters(best: Solution) -> Solution:
 
 
 def _select_terms(first: Solution) -> Solution:
-    """The terms that the evidence supports, from a fit of those that every motor has."""
+    """Select the terms that the evidence supports, from a fit of those that every motor has."""
     best = first
     for name in ("load_walk", "load_constant"):
         best = _drop_if_unsupported(best, name)
@@ -199,31 +198,29 @@ def _select_terms(first: Solution) -> Solution:
 
 
 def _output_error_fits(solutions: Sequence[Solution]) -> list[Solution]:
-    """Fits of the same terms without noise inside the motor: output errors, which real model errors may leave ahead."""
+    """Fit the same terms without process noise: output errors, which real model errors may leave ahead."""
     begun = [_remove_terms(solution, ("noise_voltage", *_TORQUE_DISTURBANCES)) for solution in solutions]
     return [less.problem.solve(less.theta, most=60) for less in begun]
 
 
 def _free_run_misfit(solution: Solution) -> float:
-    """Logarithms of the shares of the variance that the free model leaves; an undisturbed one must be clearly ahead."""
+    """Sum `_log_unexplained`; a fit with process noise must be behind by less than the margin."""
     left = _log_unexplained(solution)
     return float(left.sum()) + (0.0 if "noise_voltage" not in solution.names else -_CLEARLY * len(left))
 
 
 def _log_unexplained(solution: Solution) -> FloatArray:
-    """Logarithm of the share of the variance that the free model leaves, of each channel that was seen."""
+    """Return the logarithm of the share of each recorded channel's variance that the free run leaves."""
     return np.log([max(1.0 - r2, 1e-12) for r2 in solution.explained() if r2 is not None])
 
 
 def _forward_selection(best: Solution) -> Solution:
-    """The fit with all terms for which the evidence is strong."""
     while (richer := _add_best_term(best)) is not None:
         best = richer
     return best
 
 
 def _drop_if_unsupported(best: Solution, name: str) -> Solution:
-    """The fit without a term, where the evidence does not miss it."""
     if name not in best.names:
         return best
     trial = _refit(_remove_terms(best, (name,)), [])
@@ -231,14 +228,13 @@ def _drop_if_unsupported(best: Solution, name: str) -> Solution:
 
 
 def _remove_terms(best: Solution, names: Collection[str]) -> Solution:
-    """The fit without some terms, the others left as they are."""
     kept = [n for n, name in enumerate(best.names) if name not in names]
     problem = replace(best.problem, free=tuple(best.problem.free[n] for n in kept))
     return Solution(problem, best.theta[kept], best.misfit)
 
 
 def _base_terms(record: Record) -> list[str]:
-    """Terms to begin with: what every motor has, as far as the channels can tell, and any load."""
+    """Name the terms to begin with: what every motor has, as far as the channels can tell, and any load."""
     names = ["J", "coulomb", "load_constant", "noise_voltage", "load_walk"]
     if record.seen[0]:
         names += ["R", "L", "B", "brush_drop", "offset_current", "noise_current"]
@@ -248,7 +244,7 @@ def _base_terms(record: Record) -> list[str]:
 
 
 def _initial_fits(record: Record) -> list[Solution]:
-    """Fits of the first terms, one for each behaviour of the voltage that may be true."""
+    """Fit the first terms, once for each variant of the voltage that may be true."""
     few = []
     for behaved in _voltage_variants(record):
         begun = initial_problems(behaved)[:_MOST_TRIED]
@@ -264,7 +260,7 @@ def _initial_fits(record: Record) -> list[Solution]:
 
 
 def initial_problems(record: Record) -> list[tuple[Problem, FloatArray]]:
-    """What regressions find, with the smallest prediction errors first: problems with unknowns to begin from."""
+    """Return problems with unknowns to begin from, out of regressions, smallest prediction errors first."""
     begun = [_initial_problem(record, values) for values in initial_values(record)]
     return sorted(begun, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
 
@@ -284,14 +280,13 @@ def _initial_problem(record: Record, values: FloatArray) -> tuple[Problem, Float
 
 
 def _refit(before: Solution, added: list[Term]) -> Solution:
-    """The fit with more terms, from the one without them."""
     problem = before.problem.with_terms(added)
     begin = np.concatenate([before.theta, [0.0 if term.is_log else 1e-3 for term in added]])
     return problem.solve(begin)
 
 
 def _add_best_term(best: Solution) -> Solution | None:
-    """The fit with the one more term that the evidence wants most, if it does strongly."""
+    """Fit with the one more term that the evidence wants most; None unless it is strong."""
     every = best.problem.every
     tested = [(test.chi_square, name) for name, test in score_tests(best, every, candidates(best)).items()]
     for chi_square, name in sorted(tested, reverse=True):

@@ -1,4 +1,4 @@
-"""`identify_operation`: what any record of a motor at work tells of the motor, and what it does not."""
+"""`identify_operation`: what records of a motor at work tell of the motor, and what they do not."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Quantity:
         value: SI.
         low, high: interval, 95 %.
         unit: of these.
-        is_told: whether the record knows it to better than half of its value.
+        is_told: whether the record determines it to better than half of its value.
         log_sd: standard deviation of its logarithm, or relative standard deviation.
     """
 
@@ -76,11 +76,11 @@ class OperationFit:
     Attributes:
         record: what was fitted.
         solution: the fit.
-        quantities: of the motor, those that are not told among them.
+        quantities: of the motor, undetermined ones included.
         covariance: of the unknowns that are no noises, shape (p, p), in their units.
-        expected: current and speed of the model that runs freely under the voltage, shape (n, 2).
-        warmth_k: how much warmer the winding is than at the begin, shape (n,).
-        r2_current, r2_speed: share of the variance that the free model explains; None where not used.
+        expected: current and speed of the free run under the voltage, shape (n, 2).
+        warmth_k: warming of the winding since the begin, shape (n,).
+        r2_current, r2_speed: share of the variance that the free run explains; None where not used.
         notes: what the record cannot tell, in sentences.
     """
 
@@ -96,14 +96,14 @@ class OperationFit:
 
     @property
     def model(self) -> tuple[str, ...]:
-        """Names of the terms that are no noises, a slowly varying load among them; shapes where they are told."""
+        """Names of the terms that are no noises, a slowly varying load included; shapes only where determined."""
         walks = ["load_walk"] if "load_walk" in self.solution.names else []
         reported = {quantity.name for quantity in self.quantities}
         left_out = {*NOISES, *(name for name in SHAPES if name not in reported)}
         return (*(name for name in self.solution.names if name not in left_out), *walks)
 
     def quantity(self, name: str) -> Quantity:
-        """One of them by its name."""
+        """Return a quantity by its name."""
         return next(quantity for quantity in self.quantities if quantity.name == name)
 
 
@@ -121,7 +121,7 @@ def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> 
 
 
 def without_lines(solution: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
-    """A record of a motor at work without the lines of its current, and these lines; each recording has its own.
+    """Take the lines off a record's current; return it with them. Each recording has its own.
 
     A line that the voltage has too is the motor's answer to it, and stays.
 
@@ -202,7 +202,7 @@ def _operation_fit(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> 
 
 
 def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
-    """Each unknown with its interval, and the whole drag at the speed that the motor mostly runs at."""
+    """Return each unknown with its interval, and the whole drag at the effective speed."""
     problem, theta = solution.problem, solution.theta
     chosen = motor_unknowns(problem)
     names, units = _names_and_units(problem.record)
@@ -227,7 +227,7 @@ def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
 
 
 def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quantity | None:
-    """Friction torque at the effective speed, B w + Tc (+ c w^2): known better than its parts."""
+    """Return the friction torque at the effective speed, B w + Tc (+ c w^2): known better than its parts."""
     problem, values = solution.problem, solution.values
     if "B" not in problem.names:
         return None

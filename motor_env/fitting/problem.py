@@ -1,7 +1,7 @@
 """Residuals of one choice of terms: whitened innovations of the Kalman filter; their least squares.
 
-The whitened innovations, times the geometric mean of their standard deviations, are the residuals: their sum of squares
-is the concentrated likelihood (Ljung 1999, ch. 7), so that one least-squares fit finds motor and noise together.
+Times the geometric mean of their standard deviations, their sum of squares is the concentrated likelihood (Ljung 1999,
+ch. 7): one least-squares fit finds motor and noise together.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ENOUGH = 0.01
 WIDTHS = (1e-3, 0.1)
 """Least and largest step over which the slope of residuals with kinks is taken."""
 _WORTH, _MOST_OUT = 1.0, 20
-"""Of -2 log likelihood: what wide slopes must promise for a fit to go on, and that must gain; evaluations."""
+"""Of -2 log likelihood: what wide slopes must promise for a fit to go on, and its gain; evaluations."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Problem:
 
     Attributes:
         record: what is fitted.
-        known: values of what is not fitted, shape (places.N_VALUES,).
+        known: values of what is not fitted, shape (parameter_index.N_VALUES,).
         free: the terms that are.
     """
 
@@ -46,12 +46,12 @@ class Problem:
     free: tuple[Term, ...]
 
     def values(self, theta: FloatArray) -> FloatArray:
-        """Physical values and noises."""
+        """Return physical values and noises."""
         values: FloatArray = self.values_each(theta[None])[0]
         return values
 
     def values_each(self, thetas: FloatArray) -> FloatArray:
-        """Physical values for several vectors of unknowns, shape (m, n_unknowns)."""
+        """Return physical values for several vectors of unknowns, shape (m, n_unknowns)."""
         values = np.tile(self.known, (len(thetas), 1))
         for term, column in zip(self.free, thetas.T, strict=True):
             values[:, term.place] = term.unit * (np.exp(column) if term.is_log else column)
@@ -64,12 +64,12 @@ class Problem:
         return values
 
     def residuals(self, theta: FloatArray) -> FloatArray:
-        """Scaled innovations of each sample and channel, and what is believed beforehand of the terms."""
+        """Return the scaled innovations of each sample and channel, then the priors' residuals."""
         residuals: FloatArray = self.residuals_each(theta[None])[0]
         return residuals
 
     def residuals_each(self, thetas: FloatArray) -> FloatArray:
-        """Residuals for several vectors of unknowns, shape (m, n_unknowns)."""
+        """Return residuals for several vectors of unknowns, shape (m, n_unknowns)."""
         out, logs = self.record.predict_each(self.values_each(thetas))
         first, last = np.flatnonzero(self.record.seen > 0.0)[[0, -1]]
         white = out[:, :, first : last + 1].reshape(len(thetas), -1)
@@ -85,7 +85,7 @@ class Problem:
 
     @cached_property
     def every(self) -> dict[str, Term]:
-        """All terms that its record may have, in units of what is known."""
+        """All terms that the record may have, in units of what is known."""
         return terms(self.record, self.known)
 
     @cached_property
@@ -96,13 +96,13 @@ class Problem:
     def jacobian(
         self, theta: FloatArray, base: FloatArray, chosen: Sequence[int] | None = None
     ) -> FloatArray:
-        """Derivatives of the residuals, which are `base` there, by all or the chosen unknowns, one-sided."""
+        """Return one-sided derivatives of the residuals, which are `base` there, by all or the chosen unknowns."""
         moved, steps = self.steps(theta, range(len(theta)) if chosen is None else chosen)
         slopes: FloatArray = ((self.residuals_each(moved) - base) / steps[:, None]).T
         return slopes
 
     def steps(self, theta: FloatArray, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Unknowns of which one has moved, shape (m, n_unknowns), and by how much, (m,): away from the nearer bound."""
+        """Move one unknown in each row, away from its nearer bound: rows, shape (m, n_unknowns), and steps, (m,)."""
         moved, steps = np.tile(theta, (len(chosen), 1)), np.empty(len(chosen))
         for row, n in enumerate(chosen):
             step = STEP * max(1.0, abs(theta[n]))
@@ -111,10 +111,9 @@ class Problem:
         return moved, steps
 
     def secants(self, theta: FloatArray, chosen: Sequence[int], steps: FloatArray) -> FloatArray:
-        """Some columns of it over wide steps in both directions, as far as the bounds allow.
+        """Return derivatives by chosen unknowns over wide steps in both directions, within the bounds.
 
-        Where the motor starts and stops the residuals have kinks: what counts for an interval is their slope over
-        its width.
+        Where the motor starts and stops the residuals have kinks: an interval needs their slope over its width.
         """
         low, high = self.bounds
         rows, below = np.arange(len(chosen)), np.tile(theta, (len(chosen), 1))
@@ -132,12 +131,12 @@ class Problem:
         return np.array([term.low for term in self.free]), np.array([term.high for term in self.free])
 
     def solve(self, theta: FloatArray, most: int = 40, steps: FloatArray | None = None) -> Solution:
-        """The best unknowns from a beginning; never worse than that.
+        """Find the best unknowns from a beginning; never worse than that.
 
         Args:
             theta: the beginning.
             most: evaluations.
-            steps: of each unknown, over which the residuals' derivatives are taken, see `secants`.
+            steps: of each unknown, for derivatives by `secants`.
         """
         low, high = self.bounds
         begin = np.clip(theta, low + 1e-9, high - 1e-9)
@@ -171,11 +170,11 @@ class Problem:
         return Solution(self, unknowns(optimum.x), self.misfit(2.0 * optimum.cost))
 
     def misfit(self, squares: float) -> float:
-        """-2 log likelihood, noise level concentrated out."""
+        """Return -2 log likelihood, noise level concentrated out."""
         return self.count * math.log(max(squares, 1e-300) / self.count)
 
     def with_terms(self, added: Sequence[Term]) -> Problem:
-        """The problem with more terms."""
+        """Return the problem with more terms."""
         return replace(self, free=(*self.free, *added))
 
     @property
@@ -192,7 +191,7 @@ class Solution:
         problem: what was solved.
         theta: the best unknowns.
         misfit: theirs.
-        rivals: unknowns and misfits of other optima.
+        alternative_optima: unknowns and misfits of others.
     """
 
     problem: Problem
@@ -215,10 +214,10 @@ class Solution:
         return values
 
     def escape_local_minimum(self) -> Solution:
-        """The fit; where it is caught in a notch, one that has gone on from it.
+        """Continue a fit that is caught between two jumps of its likelihood; return it if there is no way out.
 
-        Where the motor starts or stops at another sample the likelihood jumps. In a notch between two such jumps
-        derivatives at a point see no way out. Those over steps as wide as the unknowns are uncertain may promise one.
+        Where the motor starts or stops at another sample the likelihood jumps. Between two such jumps derivatives at a
+        point see no way out; those over steps as wide as the unknowns are uncertain may.
         """
         problem, theta, motor = self.problem, self.theta, motor_unknowns(self.problem)
         base, (low, high) = problem.residuals(theta), problem.bounds
@@ -238,7 +237,7 @@ class Solution:
         return replace(escaped, alternative_optima=rivals).escape_local_minimum()
 
     def reweighted(self) -> Problem:
-        """The problem with the noise of each channel as large as what is left of it."""
+        """Return the problem with each channel's noise as large as what is left of it."""
         problem, known = self.problem, self.problem.known.copy()
         left = problem.record.readings - problem.record.predict(problem.values(self.theta))[0][:, 2:4]
         left[~problem.record.told] = np.nan
@@ -249,13 +248,13 @@ class Solution:
 
     @cached_property
     def free(self) -> tuple[FloatArray, FloatArray]:
-        """The filter's table, and that of the model that runs freely under the voltage and the filter's load."""
+        """The filter's table, and that of the free run under the voltage and the filter's load."""
         record, values = self.problem.record, self.values
         filtered, _ = record.predict(values)
         return filtered, record.predict(values, learn=False, load=filtered[:, 4])[0]
 
     def explained(self) -> tuple[float | None, float | None]:
-        """Share of the variance of current and speed that the free model explains; None where not used."""
+        """Return the share of the variance of current and speed that the free run explains; None where not used."""
         record = self.problem.record
         left = record.readings - self.free[1][:, 2:4]
         r2 = [
@@ -265,15 +264,15 @@ class Solution:
         return r2[0], r2[1]
 
     def bic(self) -> float:
-        """Bayesian information criterion (Schwarz 1978)."""
+        """Return the Bayesian information criterion (Schwarz 1978)."""
         return self.misfit + len(self.theta) * math.log(self.problem.count)
 
 
 def motor_unknowns(problem: Problem) -> list[int]:
-    """Places of the unknowns that are no noises."""
+    """Return the positions of the unknowns that are no noises."""
     return [n for n, name in enumerate(problem.names) if name not in NOISES]
 
 
 def r_squared(measured: FloatArray, left: FloatArray) -> float:
-    """Share of the variance of what was measured that a fit explains, given what it leaves."""
+    """Return the share of the variance of measured values that a fit explains, given its residual."""
     return 1.0 - float(np.sum(left**2) / max(np.sum((measured - measured.mean()) ** 2), 1e-300))

@@ -1,4 +1,4 @@
-"""The unknowns of a motor at work: where each stands, its unit of size, its bounds, what is believed beforehand."""
+"""Unknowns of a recorded motor: index, unit, bounds and prior of each."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Term:
         unit: what 1 stands for, SI; of a logarithm the value at 0.
         low, high: bounds in that unit.
         is_log: whether the unknown is the logarithm of the value over its unit.
-        prior_sd: standard deviation about `prior_mean` that is believed beforehand, in the unit; infinite for none.
-        usual: size that the term usually has where a motor has it, in the unit.
+        prior_sd: prior standard deviation about `prior_mean`, in the unit; infinite for none.
+        usual: usual size where a motor has the term, in the unit.
         prior_mean: in the unit.
         slope_at: size over which the slope at 0 is taken, in the unit: a lag far below an interval does not show in it.
     """
@@ -50,18 +50,18 @@ class Term:
     slope_at: float = 1e-4
 
     def value(self, theta: float) -> float:
-        """SI value of the unknown."""
+        """Return the SI value of the unknown."""
         return self.unit * math.exp(theta) if self.is_log else self.unit * theta
 
 
 def terms(
     record: Record, start: FloatArray, peaks: tuple[float, float, float] | None = None
 ) -> dict[str, Term]:
-    """All unknowns of a record.
+    """Return all unknowns of a record.
 
     Args:
         record: what is fitted.
-        start: a first guess of the values, which gives their units, shape (places.N_VALUES,).
+        start: initial values, which give the units, shape (parameter_index.N_VALUES,).
         peaks: largest voltage, current and speed, where they are not those of the record.
     """
     volts, amps, speed = record.peaks if peaks is None else peaks
@@ -122,7 +122,7 @@ def terms(
 
 
 def _least(record: Record, channel: int, start: FloatArray) -> float:
-    """Least logarithm of a channel's noise over its first guess: no reading is finer than its own steps."""
+    """Return the least logarithm of a channel's noise over its first guess: no reading is finer than its steps."""
     rounding = max(record.steps[channel] / math.sqrt(12.0), 1e-300)
     finest = rounding / max(start[index.NOISE_I + channel], 1e-300)
     return min(max(math.log(finest), -5.0), 0.0)

@@ -1,4 +1,4 @@
-"""How well the unknowns are known: Fisher information, residuals that are not white, and terms that were left out."""
+"""How well the unknowns are known: Fisher information, residuals that are not white, terms that were left out."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ _DUST = 1e-6  # of the largest reading
 _NO_LESS = 1e-3  # of the squared error of a free model: the part that is not white is never none
 _BY_CHANCE = 4.0  # over the root of the number of samples: of the variance of white noise, by its differences
 _FOLLOWS = 0.15
-"""Share of the free model's error that may look like the unknowns: records of one motor agree with it within their
-intervals, also where its physics is not the model's, see `benchmarks/repeatability.py`."""
+"""Share of the free run's error that may look like the unknowns; with it records of one motor agree within their
+intervals, see `benchmarks/repeatability.py`."""
 
 
 def information_covariance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """Covariance of the unknowns that are no noises (Cramer-Rao), shape (p, p), by their `secants`."""
+    """Return the covariance of the unknowns that are no noises (Cramer-Rao), shape (p, p), by their `secants`."""
     base = problem.residuals(theta)
     return _inverse(jacobian.T @ jacobian) * float(base @ base) / problem.count
 
 
 def secants(problem: Problem, theta: FloatArray) -> FloatArray:
-    """Derivatives of the residuals over steps as wide as the unknowns are uncertain, without the noises' columns."""
+    """Return derivatives of the residuals, without the noises', over steps as wide as the unknowns are uncertain."""
     chosen = motor_unknowns(problem)
     base = problem.residuals(theta)
     jacobian = problem.jacobian(theta, base, chosen)
@@ -45,12 +45,11 @@ def secants(problem: Problem, theta: FloatArray) -> FloatArray:
 
 
 def covariance(best: Solution) -> FloatArray:
-    """Covariance of the unknowns that are no noises, with what correlated residuals and the choice of terms add.
+    """Return the covariance of the unknowns that are no noises, with model error and the choice of terms.
 
-    A term that was left out counts with its posterior probability (Hoeting et al. 1999), its size believed to be as
-    usual: it would have moved the others by so much, and would have left them so much less certain. Other optima
-    count with theirs. So do `unmodelled_effects`, `quantisation_effects`, and the model's error, in parts of the record
-    and throughout.
+    A term that was left out counts with its posterior probability (Hoeting et al. 1999) under its usual size: it would
+    have moved the others, and left them less certain. Other optima count with theirs. So do `unmodelled_effects`,
+    `quantisation_effects`, and the model's error, in parts of the record and throughout.
     """
     problem, chosen = best.problem, motor_unknowns(best.problem)
     white, rows = normalised(problem, best.theta, secants(problem, best.theta), chosen)
@@ -79,11 +78,10 @@ def covariance(best: Solution) -> FloatArray:
 
 
 def _systematic_covariance(best: Solution, chosen: Sequence[int]) -> FloatArray:
-    """Covariance by the error of the model that runs freely, of which no number of samples averages a share away.
+    """Return the covariance by the part of the free run's error that no number of samples averages away.
 
     What no term says, as cogging, comes back whenever the motor moves alike, and looks like a part of what the terms
-    say. The filter's innovations hide how large it is: a torque that disturbs the motor stands for it. White noise,
-    which averages away, does not count.
+    say. Innovations hide its size: a disturbing torque stands for it. White noise, which averages away, does not count.
     """
     problem, record = best.problem, best.problem.record
     moved, steps = problem.steps(best.theta, chosen)
@@ -104,19 +102,18 @@ def _systematic_covariance(best: Solution, chosen: Sequence[int]) -> FloatArray:
 def normalised(
     problem: Problem, theta: FloatArray, jacobian: FloatArray, chosen: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Residuals in units of their size, and derivatives so: what `sandwich` and `model_error` tell errors by.
+    """Return residuals in units of their size, and their derivatives: what `sandwich` and `model_error` take.
 
     Args:
         problem: what was fitted.
         theta: its best unknowns.
         jacobian: derivatives of the residuals, one column for each chosen unknown.
-        chosen: their places.
+        chosen: their positions.
 
     Returns:
-        Residuals of the samples, shape (n, channels); the derivatives of all residuals, and rows of what is weakly
-        believed: what no sample tells has a standard deviation of 3 in its logarithm, a prior that is too weak to
-        matter elsewhere, and the onset is known to half an interval and half the current's rise. Between two samples
-        far apart, the fit's slope at one place does not see their bounds.
+        Residuals of the samples, shape (n, channels); the derivatives of all residuals, and rows of a weak prior: a
+        standard deviation of 3 for a logarithm that no sample tells, and for the onset half an interval and half the
+        current's rise, as the fit's slope at one place does not see the bounds between two samples.
     """
     base, channels = problem.residuals(theta), int(problem.record.seen.sum())
     size, n = math.sqrt(float(base @ base) / problem.count), len(problem.record.voltage_v)
@@ -127,16 +124,16 @@ def normalised(
 def sandwich(
     white: FloatArray, rows: FloatArray, *, begin: int = 0, level: float = 0.0
 ) -> tuple[FloatArray, tuple[float, ...]]:
-    """Covariance of some unknowns under residuals that remember, and the number of independent samples by channel.
+    """Return the covariance of unknowns under autocorrelated residuals, and independent samples by channel.
 
-    Each channel's residual is taken as a stationary series with the autocovariance that it shows up to a tenth of
-    the record (Bartlett window; Newey & West 1987), and with no less power at any frequency than its white noise.
+    Each channel's residual is a stationary series with its autocovariance up to a tenth of the record (Bartlett window;
+    Newey & West 1987), and with no less power at any frequency than its white noise.
 
     Args:
         white: residuals, see `normalised`.
         rows: their derivatives.
         begin: first sample of the running motor.
-        level: standard deviation of an error that is the same in every sample of the running motor, over the noise.
+        level: standard deviation of a constant error of the running motor, over the noise.
     """
     n, channels = white.shape
     bread = _inverse(rows.T @ rows)
@@ -157,23 +154,22 @@ def sandwich(
 
 
 def free_run_states(best: Solution) -> FloatArray:
-    """Current and speed of a fit that runs freely, and their slopes, shape (n, 4): what a model's error may follow."""
+    """Return current and speed of the free run, and their slopes, shape (n, 4): what a model's error may follow."""
     states = best.free[1][:, 2:4]
     return np.concatenate([states, np.gradient(states, axis=0)], axis=1)
 
 
 def model_error(white: FloatArray, rows: FloatArray, series: FloatArray, *, states: FloatArray) -> FloatArray:
-    """Covariance that a model's error adds to that of a stationary series, shape (p, p).
+    """Return the covariance that a model's error adds to that of a stationary series, shape (p, p).
 
-    A model that is wrong somewhere, as where a supply rises, errs most in samples that tell most. No stationary series
-    shows that. The scores of twenty parts of the record do: where these scatter by more than the series allows, the
-    excess counts. The scores are scaled so that they scatter by the information where the model is right (Bell &
-    McCaffrey 2002). The parts tell equally much, as a start tells R in its first samples: their leverages have the same
-    sum.
+    A model that is wrong somewhere, as where a supply rises, errs most in samples that tell most, which no stationary
+    series shows. The scores of twenty parts of the record do: their scatter beyond the series' counts. They are scaled
+    to scatter by the information where the model is right (Bell & McCaffrey 2002); all parts have the same sum of
+    leverages.
 
-    Under a periodic command every part in time errs alike. So the record is also cut by its states: into twenty parts
-    of small to large current, and so on. Of so many parts only what chance does not show counts, for p unknowns
-    (Marchenko & Pastur 1967).
+    Under a periodic command all parts in time err alike. So the record is also cut by its states: into twenty parts of
+    small to large current, and so on. Of these only what exceeds chance counts, for p unknowns (Marchenko & Pastur
+    1967).
 
     Args:
         white: residuals, see `normalised`.
@@ -207,7 +203,7 @@ def model_error(white: FloatArray, rows: FloatArray, series: FloatArray, *, stat
 
 
 def excess_covariance(known: FloatArray, covariance: FloatArray, usual: float = 1.0) -> FloatArray:
-    """What a covariance is beyond so many times one that is known already, shape (n, n)."""
+    """Return the excess of a covariance over `usual` times a known one, shape (n, n)."""
     root = np.linalg.cholesky(known)
     inverse = np.linalg.inv(root)
     sizes, axes = np.linalg.eigh(inverse @ covariance @ inverse.T)
@@ -216,7 +212,7 @@ def excess_covariance(known: FloatArray, covariance: FloatArray, usual: float = 
 
 
 def _weak_prior_sd(problem: Problem, theta: FloatArray) -> FloatArray:
-    """Standard deviation that is believed of each unknown where no sample tells it, in its unit."""
+    """Return the weak prior's standard deviation of each unknown, in its unit."""
     values = problem.values(theta)
     rise = values[index.L] / values[index.R] + values[index.RISE] + values[index.LAG_I]
     late = 0.5 * (1.0 + rise / problem.record.dt_s)
@@ -232,7 +228,7 @@ def _weak_prior_sd(problem: Problem, theta: FloatArray) -> FloatArray:
 
 
 def _autocovariance(series: FloatArray, lags: int) -> FloatArray:
-    """Autocovariance of samples 0, 1, ... apart, under a Bartlett window, shape (lags,)."""
+    """Return the autocovariance of samples 0, 1, ... apart, under a Bartlett window, shape (lags,)."""
     n = len(series)
     length = fft.next_fast_len(2 * n - 1, real=True)
     spectrum = fft.rfft(series, length) * fft.rfft(series[::-1], length)
@@ -241,7 +237,7 @@ def _autocovariance(series: FloatArray, lags: int) -> FloatArray:
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Inverse of an information matrix; a direction of which nothing is known gets a finite, hopeless variance."""
+    """Invert an information matrix; an unknown direction gets a finite, hopeless variance."""
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, axes = np.linalg.eigh(information / np.outer(size, size))
     inverse = (axes / np.maximum(values, 1e-10)) @ axes.T
@@ -250,18 +246,15 @@ def _inverse(information: FloatArray) -> FloatArray:
 
 
 def _coloured_product(columns: FloatArray, covariance: FloatArray, noise: float) -> FloatArray:
-    """Covariance matrix of a stationary series times columns.
+    """Return the covariance matrix of a stationary series times columns, shape (n, m).
 
-    A spectrum from one short series scatters by a third at each frequency; what it shows below the white noise is
-    chance, and would make a steady level look better known than its noise allows.
+    A short series' spectrum scatters by a third at each frequency; power below the white noise is chance, and would
+    make a steady level look better known than its noise allows.
 
     Args:
         columns: shape (n, m).
         covariance: of samples 0, 1, ... apart, shape (lags,).
         noise: standard deviation of the white noise in it.
-
-    Returns:
-        Shape (n, m).
     """
     n, lags = len(columns), len(covariance)
     size = n + 2 * lags
@@ -272,7 +265,7 @@ def _coloured_product(columns: FloatArray, covariance: FloatArray, noise: float)
 
 
 def capped(covariance: FloatArray) -> FloatArray:
-    """A covariance of logarithms with no standard deviation above 10: what is not told to e^10 is not told."""
+    """Limit a covariance of logarithms to standard deviations of 10."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
     out: FloatArray = (vectors * np.clip(values, 1e-12, 100.0)) @ vectors.T
     return out

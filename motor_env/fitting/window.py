@@ -1,6 +1,6 @@
 """One window of a motor at work near the healthy motor: its fit, or the first step of that fit alone.
 
-What may change is R, K, J and the drag, a factor f on the whole friction; everything else stays as it is known.
+R, K, J and the drag, a factor on the whole friction, may change; all else stays as known.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell no
 
 
 class WindowFit(NamedTuple):
-    """Logarithms of R, K, J and the drag of one window, their covariance, all its physical values, its innovations.
+    """Logarithms of R, K, J and the drag of one window, their covariance, all physical values, innovations.
 
     The misfit is -2 log likelihood, without a constant.
     """
@@ -54,13 +54,14 @@ class WindowFit(NamedTuple):
 def fit_window(
     record: Record, known: FloatArray, wanted: Sequence[str], *, one_way: bool = False
 ) -> WindowFit:
-    """Fit of one window, with those of the wanted terms that differ from window to window.
+    """Fit one window, with those of the wanted terms that differ from window to window.
 
-    Of a motor that turns one way nothing tells friction from a load that walks: there the drag is all that brakes.
+    With a motor that turns one way friction and a load that walks cannot be separated: there the drag is all that
+    brakes.
 
-    The covariance is that of white residuals: by how much more windows scatter is seen on healthy ones.
-    The error of f is that of a sum, so that of log f is taken over the way from 1 to f: the slope at f would count an
-    error upwards for more than one downwards.
+    The covariance is that of white residuals; healthy windows show by how much more they scatter. That of log f is
+    taken over the way from 1 to f, as the error of f is that of a sum: the slope at f would count an error upwards for
+    more than one downwards.
     """
     problem, begin = _problem(record, known, wanted)
     best = problem.solve(begin, _MOST_ROUNDS)
@@ -90,15 +91,15 @@ def fit_window(
 
 
 def per_log(factor: float) -> float:
-    """By how much the logarithm moves for each step of a factor, on its way from 1."""
+    """Return how far the logarithm moves for each step of a factor, on its way from 1."""
     return math.log(factor) / (factor - 1.0) if factor != 1.0 else 1.0
 
 
 def _drags(problem: Problem, each: FloatArray, fitted: FloatArray) -> tuple[FloatArray, float]:
-    """All that brakes in a window, over the friction that is known, for several vectors of unknowns, shape (m,).
+    """Return all that brakes in a window over the known friction, for several vectors of unknowns, shape (m,).
 
-    By the balance of energy: what the current gives and known loads do not take, less what the rotor gains. And the
-    standard deviation of the first by the sensors' fitted noise: beyond all bounds where the motor stands.
+    By the balance of energy: what the current gives and known loads do not take, less the rotor's gain. Also returns
+    the standard deviation of the first by the sensors' fitted noise: boundless where the motor stands.
     """
     values, known, record = problem.values_each(each), problem.known, problem.record
     shown = record.predict_each(values)[0][:, :, 2:4] - values[:, None, [index.OFFSET_I, index.OFFSET_W]]
@@ -115,9 +116,9 @@ def _drags(problem: Problem, each: FloatArray, fitted: FloatArray) -> tuple[Floa
 
 
 def without_load(best: Solution, speed_rad_s: float) -> Solution:
-    """A fit in which all that brakes on the whole is friction: nothing told it from a load.
+    """Return a fit in which all that brakes is friction, as nothing separated it from a load.
 
-    Its mean speed tells the drag. A load that walks does so about none, and friction, which it could balance, is held.
+    Its mean speed gives the drag. With a load that walks friction, which it could balance, is held.
     """
     values, theta, known = best.values, best.theta.copy(), best.problem.known.copy()
     friction = values[index.COULOMB] + abs(speed_rad_s) * (
@@ -136,12 +137,12 @@ def without_load(best: Solution, speed_rad_s: float) -> Solution:
 
 
 class Scores(NamedTuple):
-    """What sections of a record say of small changes: of the logarithms of R, K, J and the drag, and of the loads.
+    """Effects of small changes in sections of a record: of the logarithms of R, K, J and the drag, and of the loads.
 
     Attributes:
         gradients: of half the sum of squared innovations, shape (n, n_unknowns).
         information: Fisher's, shape (n, n_unknowns, n_unknowns).
-        precision: what is believed beforehand, shape (n_unknowns,).
+        precision: of the prior, shape (n_unknowns,).
     """
 
     gradients: FloatArray
@@ -149,10 +150,10 @@ class Scores(NamedTuple):
     precision: FloatArray
 
     def steps(self) -> tuple[FloatArray, FloatArray]:
-        """The first step of a fit of each (a score test), shape (n, 4), and its covariance, shape (n, 4, 4).
+        """Return the first step of a fit of each (a score test), shape (n, 4), and its covariance, shape (n, 4, 4).
 
-        It is linear, so that its error is known however little a section tells. A load or an offset that it says
-        nothing of, as while the circuit is open, stays as it is known.
+        It is linear: its error is known however little a section tells. A load or an offset without information, as
+        while the circuit is open, stays as known.
         """
         known, eye = self.information + np.diag(self.precision), np.eye(len(self.precision))
         untold = np.einsum("nii->ni", known) == 0.0
@@ -174,11 +175,11 @@ def scores(
     peaks: tuple[float, float, float],
     ends: Sequence[int],
 ) -> Scores:
-    """Scores of the sections of a record between given samples; the filter runs through.
+    """Return scores of the sections of a record between given samples; the filter runs through.
 
     Args:
         record: with at least two samples.
-        known: physical values of the healthy motor, shape (places.N_VALUES,).
+        known: physical values of the healthy motor, shape (parameter_index.N_VALUES,).
         wanted: terms of its windows.
         peaks: largest voltage, current and speed of its work.
         ends: first sample of the first section, and where each ends.
@@ -201,7 +202,7 @@ def scores(
 def _problem(
     record: Record, known: FloatArray, wanted: Sequence[str], peaks: tuple[float, float, float] | None = None
 ) -> tuple[Problem, FloatArray]:
-    """R, K, J, the drag and those of the wanted terms that differ from window to window as unknowns; known values.
+    """Return a problem of R, K, J, the drag and the wanted terms that differ between windows, and its begin.
 
     Raises:
         InputError: a noise or a constant that is 0 gives them no unit.
@@ -220,9 +221,9 @@ def _problem(
 
 
 def _slopes(problem: Problem, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Whitened innovations, shape (n, n_channels), and their derivatives, (n_unknowns, n, n_channels).
+    """Return whitened innovations, shape (n, n_channels), and their derivatives, (n_unknowns, n, n_channels).
 
-    Wild innovations are cut, but not their derivatives: where a fault makes all of them wild, it is seen.
+    Outliers are cut, not their derivatives: a fault that makes all innovations outliers is seen.
     """
     moved = theta + STEP * np.eye(len(theta))
     out, _ = problem.record.predict_each(problem.values_each(np.vstack([theta, moved])))

@@ -1,9 +1,8 @@
 """Speed from the commutation ripple of the current: order tracking on the angle that the fitted start turns.
 
-The commutator modulates the current so many times a turn. Over time the ripple's frequency rises with the speed;
-over the angle it is a line. The residual of a fit is therefore resampled evenly over the angle that the fitted motor
-turns (computed order tracking: Fyfe & Munck 1997), and its strongest line gives the frequency at the last
-speed: the start's shape comes from the fit, its scale from the ripple alone.
+Over time the ripple's frequency rises with the speed; over the angle it is a line. The residual of a fit is resampled
+evenly over the fitted angle (computed order tracking: Fyfe & Munck 1997); its strongest line gives the frequency at the
+last speed. The start's shape comes from the fit, its scale from the ripple alone.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class CommutationRipple:
 
 
 def find_ripple(fit: StartFit) -> CommutationRipple | None:
-    """The commutation ripple of a start, or None where no line stands out, or the motor's ripple is a converter's.
+    """Find the commutation ripple of a start; None where no line stands out, or the ripple is a converter's.
 
     Args:
         fit: a fitted start from rest; a ripple of constant frequency has been taken off it.
@@ -83,7 +82,7 @@ def find_ripple(fit: StartFit) -> CommutationRipple | None:
 
 
 def ripple_quantities(fit: StartFit) -> tuple[float, float] | None:
-    """Frequency at the last speed, and K times the periods a turn, in V s (s where the voltage is unknown)."""
+    """Return the frequency at the last speed, and K times the periods a turn, V s (s where the voltage is unknown)."""
     ripple = find_ripple(fit)
     if ripple is None:
         return None
@@ -91,9 +90,9 @@ def ripple_quantities(fit: StartFit) -> tuple[float, float] | None:
 
 
 def constants_at(fit: StartFit, speed_rad_s: float) -> dict[str, float]:
-    """K, J and B (over volt where the voltage is unknown) by name, which the current alone does not tell, of a speed.
+    """Return K, J and B by name at a known last speed, over volt where the voltage is unknown.
 
-    At the last sample V = R i + K w; with K, J follows from K^2/J and B from B/J.
+    There V = R i + K w; with K, J follows from K^2/J and B from B/J.
     """
     constant, p = back_emf_v(fit) / speed_rad_s, fit.parameters
     # The fit's K^2/J and B/J hold whatever K it believed.
@@ -105,7 +104,7 @@ def constants_at(fit: StartFit, speed_rad_s: float) -> dict[str, float]:
 
 
 def back_emf_v(fit: StartFit) -> float:
-    """Back-EMF at the end of the start: what the resistance leaves of the voltage (1 V where it is unknown)."""
+    """Return the back-EMF at the end of the start: what R leaves of the voltage (1 V where it is unknown)."""
     tail = slice(-max(len(fit.states) // 20, 1), None)
     ohm = float(np.max(fit.parameters.resistance_ohm)) + fit.start.circuit.shunt_ohm
     return float(fit.start.level_v - ohm * np.mean(fit.states[tail, 0]))

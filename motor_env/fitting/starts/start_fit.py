@@ -1,4 +1,4 @@
-"""A fitted start: what it tells, how well, and whether it looks like that of a motor."""
+"""A fitted start: what it tells, how well, and whether it looks like a motor's."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class StartFit:
         log_covariance: their covariance, shape (n, n).
         series_covariance: the same without what the model's error adds, shape (n, n).
         expected: fitted current and speed, shape (n_samples, 2), offset and periodic ripple included.
-        independent: number of independent samples that the residual's autocorrelation leaves, each channel.
+        independent: number of independent samples under the residual's autocorrelation, each channel.
         fitted_extension: value and standard error of each extension; of a supply curve the middle of the rise.
-        inductance_off: how far L lies from the typical one, in standard deviations of 30 %; 0 where none is known.
+        inductance_off: distance of L from the typical one, in standard deviations of 30 %; 0 where none is known.
     """
 
     start: Start
@@ -90,12 +90,12 @@ class StartFit:
         return float(self.start.alignment.offset_a + self.physical[index.OFFSET_I])
 
     def run(self, values: FloatArray) -> FloatArray:
-        """Current and speed of a motor of other values in this start, as they are shown, shape (n_samples, 2)."""
+        """Return current and speed of a motor of other values in this start, as shown, shape (n_samples, 2)."""
         return record_of(self.start).predict(values, learn=False)[0][:, 2:4]
 
     @property
     def defects(self) -> tuple[str, ...]:
-        """What is wrong with the recording, and what of the model it shows, in words."""
+        """Defects of the recording, and effects beside the motor that the model shows, in words."""
         start, size = self.start, {name: value for name, (value, _) in self.fitted_extension.items()}
         defects = list(start.alignment.defects)
         for k in start.alignment.wild:
@@ -123,7 +123,7 @@ class StartFit:
 
     @property
     def r2_current(self) -> float:
-        """Share of the current's variance that the fit explains; that of the supply's ripple is none of it."""
+        """Share of the current's variance, without the supply's ripple, that the fit explains."""
         counted = self.start.counted
         return r_squared((self.start.current_a - self.start.ripple_a)[counted], self.residual_a[counted])
 
@@ -145,7 +145,7 @@ class StartFit:
 
     @property
     def lag_one(self) -> float:
-        """Autocorrelation of the current's residual at one sample; 0 would be white."""
+        """Autocorrelation of the current's residual at one sample; 0 for white noise."""
         centred = self.residual_a - self.residual_a.mean()
         return float(np.sum(centred[1:] * centred[:-1]) / max(np.sum(centred**2), 1e-300))
 
@@ -158,15 +158,15 @@ class StartFit:
 
     @property
     def is_hidden(self) -> bool:
-        """Whether the sensor hides small currents: its readings are not linear in the state."""
+        """Whether the sensor hides small currents, so that its readings are not linear in the state."""
         return self.start.alignment.rectified or "dead_zone" in self.model
 
     @property
     def whitened(self) -> FloatArray:
         """Residual of the running motor over the sensor's noise, shape (n, 1); NaN where the sensor shows nothing.
 
-        The state is known where the motor stands, and nothing disturbs the model: these are the innovations of its
-        Kalman filter, where the sensor hides nothing.
+        As the state is known at standstill and nothing disturbs the model, these are its Kalman filter's innovations,
+        where the sensor hides nothing.
         """
         is_step = self.start.voltage_v is None
         begin = int(np.searchsorted(self.start.time_s, self.onset_s, side="right")) + 1 if is_step else 1
@@ -206,7 +206,7 @@ class StartFit:
 
 
 def record_of(start: Start) -> Record:
-    """What is fitted of a start: its current without ripple and offset; what does not count is left out."""
+    """Return the record of a start: its current without ripple and offset, without what does not count."""
     n, alignment = len(start.time_s), start.alignment
     current = start.current_a - start.ripple_a - alignment.offset_a
     current[~start.counted] = np.nan
@@ -229,13 +229,13 @@ def record_of(start: Start) -> Record:
 
 
 def shows_turning(fit: StartFit) -> bool:
-    """Whether the start tells K^2/J, or with the speed K, to a factor of e: a resistor and a coil have none."""
+    """Return whether the start tells K^2/J, or with the speed K, to a factor of e: a resistor and a coil have none."""
     pull = next(n for n, name in enumerate(fit.quantity_names) if name.startswith("K"))
     return float(fit.log_covariance[pull, pull]) < _UNTOLD**2
 
 
 def is_blocked(fit: StartFit, time_constant_s: float) -> bool:
-    """Whether the current has hardly fallen when a healthy motor has run up, and shows no turning motor.
+    """Return whether the current hardly falls while a healthy motor runs up, and no motor is seen to turn.
 
     Args:
         fit: of a start.
@@ -248,7 +248,7 @@ def is_blocked(fit: StartFit, time_constant_s: float) -> bool:
 
 
 def implausible(fit: StartFit | OperationFit) -> list[str]:
-    """A sentence for each value that lies outside what motors have; none for a quantity that is hardly told."""
+    """Return a sentence for each value outside what motors have; none for a poorly determined quantity."""
     if isinstance(fit, StartFit):
         current, dt_s = fit.start.current_a, fit.start.dt_s
         errors = dict(zip(fit.quantity_names, np.sqrt(np.diag(fit.log_covariance)).tolist(), strict=True))
@@ -261,7 +261,7 @@ def implausible(fit: StartFit | OperationFit) -> list[str]:
         }
 
     def log_of(letters: str) -> float:
-        """Logarithm of a quantity, whatever it is divided by; NaN where it is not told."""
+        """Return the logarithm of a quantity, whatever it is divided by; NaN where it is not determined."""
         name = next((quantity for quantity in logs if quantity.split("/")[0] == letters), "")
         return logs[name] if errors.get(name, math.inf) < _TOLD else math.nan
 

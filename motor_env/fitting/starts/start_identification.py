@@ -26,10 +26,10 @@ _WILD_SPREADS = 10.0
 _USUAL_LAG = 0.03  # L/R over the mechanical time constant, where brushed motors have 0.01 to 0.1
 _SMALL, _LARGEST_MOVE = 0.01, 3.0
 NUISANCES = ("supply_ramp", "supply_curve", "sensor_lag", "speed_lag", "dead_zone")
-"""Terms that do not touch the motor: what a diagnosis may add. Coulomb friction and viscous friction, and a brush
-drop and the supply, can hardly be told apart in one start, and would take the friction out of the comparison."""
+"""Terms that do not touch the motor, which a diagnosis may add. One start hardly separates Coulomb from viscous
+friction, or a brush drop from the supply: these would take the friction out of the comparison."""
 EXTENSIONS = (*NUISANCES, "coulomb", "brush_drop")
-"""All of them: what is tried where nothing is compared."""
+"""All terms, for where nothing is compared."""
 SCORED_SIZES = tuple(np.exp([-2.0, 0.0, 2.0, 4.0]).tolist())  # a long lag looks different from a short one
 _UNSCORED = ("supply_curve", "dead_zone")
 _PROMISING = 6.0  # of a chi-square with one degree; strong evidence takes 12 and more
@@ -46,15 +46,14 @@ def identify(
 ) -> StartFit:
     """Fit the model to a start.
 
-    Where the residual shows lines of constant frequency, or single wild samples, they are taken off, and the fit is
-    repeated.
+    Lines of constant frequency and outliers in the residual are taken off, and the fit is repeated.
 
     Args:
         start: what to fit.
         model: terms beside the textbook's, of EXTENSIONS.
-        constant: K to assume where the current alone is measured, for only K^2/J and B/J can then be told.
-        typical: quantities of such a motor by name, where known: one more guess to begin from, and where the model
-            makes L ambiguous a prior of 30 % on it.
+        constant: K to assume where only the current is measured, which tells K^2/J and B/J alone.
+        typical: quantities of such a motor by name, where known: one more initial guess, and a prior of 30 % on L where
+        the model makes it ambiguous.
         simpler: a fit of the same start that lacks the last term of the model, to begin from.
 
     Raises:
@@ -80,7 +79,7 @@ def identify(
 
 
 def _cleaned_start(fit: StartFit) -> Start | None:
-    """The start without what the residual shows to be no part of it, lines and wild samples; None if all is well."""
+    """Return the start without the lines and outliers that the residual shows; None if there are none."""
     start, residual = fit.start, fit.residual_a
     wild = sorted({*start.alignment.wild, *_outliers_of_fit(residual, start.current_a)})
     if len(wild) > max(len(residual) // 1000, 1):
@@ -94,7 +93,7 @@ def _cleaned_start(fit: StartFit) -> Start | None:
 
 
 def _outliers_of_fit(residual: FloatArray, current: FloatArray) -> list[int]:
-    """Samples far off a fit that goes well through both neighbours, and off both neighbours to the same side."""
+    """Return samples far off a fit that goes well through both neighbours, and off both to the same side."""
     size = np.abs(residual[1:-1])
     spread = 1.4826 * float(np.median(np.abs(residual)))
     beside = np.maximum(np.abs(residual[:-2]), np.abs(residual[2:]))
@@ -105,7 +104,6 @@ def _outliers_of_fit(residual: FloatArray, current: FloatArray) -> list[int]:
 
 
 def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> StartFit:
-    """Put the fit into words and numbers."""
     start, problem, theta = belief.start, best.problem, best.theta
     n_core, values = len(belief.core), problem.values(theta)
     jacobian = problem.jacobian(theta, problem.residuals(theta))
@@ -156,7 +154,7 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
 
 
 def _hidden_inductance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """By how much the unknowns move with an inductance of a usual size: a supply that rises slowly may hide it."""
+    """Return how the unknowns move with an inductance of a usual size: a supply that rises slowly may hide it."""
     values, at = problem.values(theta), problem.names.index("L")
     usual = _USUAL_LAG * values[index.J] * (values[index.R] / values[index.K]) ** 2 / values[index.L]
     moved = theta.copy()
@@ -168,7 +166,7 @@ def _hidden_inductance(problem: Problem, theta: FloatArray, jacobian: FloatArray
 
 
 def _middle_of_rise(problem: Problem, values: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Where the middle of the supply's rise lies, as a share of its time, with its standard error; 0.5 is even."""
+    """Return the middle of the supply's rise, as a share of its time, and its standard error; 0.5 is even."""
     shares = np.append(1.0, values[index.CURVE])
     shares /= shares.sum()
     at = (np.arange(len(shares)) + 0.5) / len(shares)
@@ -180,11 +178,10 @@ def _middle_of_rise(problem: Problem, values: FloatArray, covariance: FloatArray
 
 
 def evidence(simple: StartFit, rich: StartFit) -> float:
-    """How much the richer model is preferred: the drop of the Bayesian information criterion (Schwarz 1978).
+    """Return the drop of the Bayesian information criterion (Schwarz 1978) by a richer model; above 6 is strong.
 
-    The samples are counted as independent ones, as many as the richer model's residual leaves; above 6 is strong
-    (Raftery 1995). Where a typical L is known, its prior counts: a lag of the sensor is more likely than an L that is
-    three times as large.
+    Samples are counted as independent ones, as many as the richer model's residual leaves (Raftery 1995). A typical L
+    counts by its prior: a lag of the sensor is more likely than an L that is three times as large.
     """
     gain = sum(
         n * math.log(max(before, 1e-300) / max(after, 1e-300))
@@ -203,7 +200,7 @@ def identify_best(
     constant: float | None = None,
     typical: Mapping[str, float] | None = None,
 ) -> StartFit:
-    """Fit the textbook, and add the term for which the evidence is strongest, as long as it is strong.
+    """Fit the textbook, then add the term with the strongest evidence, while it is strong.
 
     Raises:
         UnusableError: the current flows against the voltage.
@@ -235,11 +232,10 @@ def identify_best(
 
 
 def _is_applicable(name: str, start: Start, model: tuple[str, ...], *, knows_inductance: bool) -> bool:
-    """Whether a recording can tell one more term.
+    """Return whether a recording can tell one more term.
 
-    A measured voltage has no ramp to find. A step cannot tell a brush drop from a lower supply. The lag of the
-    current's sensor is told from L/R only by a motor file that knows L: both are lags of one cascade. An
-    amplifier that hides small currents hides negative ones too.
+    A measured voltage has no ramp. A step cannot separate a brush drop from a lower supply. Only a known L separates a
+    current sensor's lag from L/R in a step. An amplifier that hides small currents hides negative ones, too.
     """
     step = start.voltage_v is None
     applies = {

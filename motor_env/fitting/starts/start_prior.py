@@ -1,4 +1,4 @@
-"""A start to fit: what is believed of it by eye, by what is typical, and of its terms."""
+"""A start to fit: rough values, typical values and the priors of its terms."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LARGEST_SKEW = 1.5  # of the voltage's samples, in intervals
 
 
 def _rough_values(start: Start, constant: float | None) -> FloatArray:
-    """Values by eye: R from the peak, J from the decay, B from the final current."""
+    """Estimate roughly: R from the peak, J from the decay, B from the final current."""
     after = np.where(start.counted, start.current_a, np.nan)[start.alignment.onset_index :]
     after = np.where(np.isnan(after), np.nanmedian(after), after) - start.alignment.offset_a
     peak_at = int(np.argmax(after))
@@ -58,15 +58,15 @@ def _rough_values(start: Start, constant: float | None) -> FloatArray:
 
 
 def _current(start: Start) -> FloatArray:
-    """The samples that count, without ripple."""
+    """Return the counted samples, without ripple."""
     out: FloatArray = (start.current_a - start.ripple_a)[start.counted]
     return out
 
 
 def absolute_parameters(told: Mapping[str, float], constant: float) -> dict[str, float]:
-    """R, L, K, J and B as far as quantities tell them; K is believed where the current alone was measured.
+    """Return R, L, K, J and B as far as quantities tell them, with the assumed K.
 
-    The current depends on K^2/J and B/J only, whatever K is believed.
+    The current alone depends on K^2/J and B/J only.
     """
     values = {"K": constant} | {
         name.replace("(J V)", "J").replace("/V", ""): value for name, value in told.items()
@@ -79,12 +79,12 @@ def absolute_parameters(told: Mapping[str, float], constant: float) -> dict[str,
 
 @dataclass(frozen=True, slots=True)
 class StartPrior:
-    """A start to fit, with what is believed of it beforehand.
+    """A start to fit, with what is known beforehand.
 
     Attributes:
         start: what is fitted.
-        known: values by eye.
-        typical: logarithms of the typical parameters over those by eye; empty where they are not known.
+        known: rough values.
+        typical: logarithms of typical parameters over rough ones; empty where not known.
         every: all terms.
     """
 
@@ -105,11 +105,11 @@ class StartPrior:
         return (late,) if self.start.alignment.rectified else (late, "offset_current")
 
     def has_inductance_prior(self, model: Sequence[str]) -> bool:
-        """Whether L is held near the typical one."""
+        """Return whether L is held near the typical one."""
         return "L" in self.typical and hides_inductance(model)
 
     def problem(self, model: Sequence[str]) -> Problem:
-        """What is solved, with the terms of a model."""
+        """Return the problem with the terms of a model."""
         every = self.every
         if self.has_inductance_prior(model):
             mean = self.typical["L"]
@@ -120,7 +120,7 @@ class StartPrior:
         )
 
     def initial_guesses(self, problem: Problem) -> list[FloatArray]:
-        """The typical motor where it is known, and for each of three inductances the best of a small grid."""
+        """Return the typical motor where known, and for each of three inductances the best of a small grid."""
         begin = np.array([0.0 if term.is_log else _FIRST_SIZES[1] * term.usual for term in problem.free])
         begin[len(begin) - len(self.ends) :] = 0.0
         fits = []
@@ -135,7 +135,7 @@ class StartPrior:
         return fits
 
     def extended_guesses(self, problem: Problem, simpler: Solution) -> list[FloatArray]:
-        """A simpler fit with a weak and a strong beginning of one more term."""
+        """Extend a simpler fit by a weak and a strong beginning of one more term."""
         known = dict(zip(simpler.names, simpler.theta.tolist(), strict=True))
         added = [term for term in problem.free if term.name not in known]
         guesses = []
@@ -148,31 +148,31 @@ class StartPrior:
         return guesses
 
     def is_typical(self, theta: FloatArray) -> bool:
-        """Whether the textbook parameters are those of the typical motor to a factor of e: no other optimum then."""
+        """Return whether the parameters are typical to a factor of e: then no other optimum is sought."""
         return len(self.typical) == len(self.core) and all(
             abs(value - self.typical[name]) < 1.0 for value, name in zip(theta, self.core, strict=False)
         )
 
     def inductance_off(self, theta: FloatArray) -> float:
-        """How far L lies from the typical one, in standard deviations of its prior; 0 where none is known."""
+        """Return L's distance from the typical one, in standard deviations of its prior; 0 where none is known."""
         return (float(theta[1]) - self.typical["L"]) / INDUCTANCE_PRIOR_SD if "L" in self.typical else 0.0
 
 
 def hides_inductance(model: Sequence[str]) -> bool:
-    """Whether a term of a model is a lag between the voltage and the current, as L/R is: each may pass for the other.
+    """Return whether a term is a lag between voltage and current, as L/R is: each may pass for the other.
 
-    A measured voltage has no ramp; the lag of the current's sensor and L/R can change places under any voltage.
+    A measured voltage has no ramp; under any voltage the current sensor's lag and L/R can change places.
     """
     return not _LAGS.isdisjoint(model)
 
 
 def expanded_terms(model: Sequence[str]) -> tuple[str, ...]:
-    """Terms of a model by name: a supply curve has several."""
+    """Return the terms of a model by name: a supply curve has several."""
     return tuple(part for name in model for part in (CURVE if name == "supply_curve" else (name,)))
 
 
 def start_prior(start: Start, constant: float | None, typical: Mapping[str, float] | None) -> StartPrior:
-    """What is believed of a start before it is fitted, see `identify`.
+    """Return what is known of a start before it is fitted, see `identify`.
 
     Raises:
         UnusableError: the current flows against the voltage.
