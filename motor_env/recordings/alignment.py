@@ -40,12 +40,11 @@ class Alignment:
         offset_a: mean current of the quiet part; 0 without one.
         noise_a: standard deviation of a current sample, from its differences.
         quantum_a: smallest step of the current.
-        unseen_level_a: standard deviation of the error that the converter's steps leave in a steady current, however
-            long it is.
+        unseen_level_a: standard deviation of the converter's error in a steady current, however long it is.
         rectified: the sensor shows no current below 0.
-        saturation: that the current is clipped, in words; empty where it is not.
-        defects: what is wrong with the recording, in words, the saturation among them.
-        wild: single samples far off both neighbours; they do not count.
+        saturation: that the current is clipped, in words; else empty.
+        defects: of the recording, in words, the saturation among them.
+        wild: outliers, single samples that do not count.
     """
 
     onset_index: int
@@ -112,14 +111,14 @@ def align(recording: Recording) -> Alignment:
 
 
 def _level_before(current: FloatArray, span: float) -> float:
-    """Level of the sensor before the start; 0 where the recording begins with it: the sensor is believed then."""
+    """Return the sensor's level before the start; 0 where the recording begins with it."""
     head = current[: max(_FEW, len(current) // _HEAD_PARTS)]
     is_quiet = float(np.ptp(head)) < max(_QUIET_SPAN * span, _QUIET_NOISES * difference_noise(head))
     return float(np.median(head)) if is_quiet else 0.0
 
 
 def _onset(rise: FloatArray, noise: float) -> int:
-    """First sample of the start: from the first clear rise back to its foot.
+    """Return the first sample of the start: from the first clear rise back to its foot.
 
     Raises:
         UnusableError: the current never leaves its noise.
@@ -141,9 +140,9 @@ def _onset(rise: FloatArray, noise: float) -> int:
 
 
 def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:
-    """Whether the sensor cuts off what is below 0: no negative sample, and many zeros before the start.
+    """Return whether the sensor shows none below 0: no negative sample, and many zeros before the start.
 
-    Where the steps are as large as the noise, no current below 0 is none that was thrown away.
+    Where the steps are as large as the noise, no reading below 0 was thrown away.
     """
     if onset == 0 or np.any(current < 0.0) or float(np.mean(current[:onset] == 0.0)) <= _RECTIFIED_SHARE:
         return False
@@ -151,14 +150,14 @@ def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:
 
 
 def _saturation(current: FloatArray, quantum: float) -> str:
-    """That the current is clipped, in words; empty where it is not."""
+    """Say that the current is clipped; empty where it is not."""
     if quantum >= _COARSE_STEP * float(np.ptp(current)) or not (run := clipped_run(current, quantum)):
         return ""
     return f"saturation: {run} samples in a row stand at {np.max(np.abs(current)):.4g} A"
 
 
 def clipped_run(current: FloatArray, quantum: float) -> int:
-    """Number of samples in a row at the top of a clipped channel; 0 where it is not clipped."""
+    """Return the number of samples in a row at the top of a clipped channel; 0 where it is not clipped."""
     top = float(np.max(np.abs(current)))
     at_top = np.abs(np.abs(current) - top) <= 1e-9 * top
     firsts, ends = stretches(at_top)

@@ -39,7 +39,7 @@ def check_count(numbers: int, most: int = MOST_NUMBERS) -> None:
 
 
 def parse_matlab(content: bytes) -> dict[str, Any]:
-    """Variables of a MATLAB file; those of structs by their own name, or as `struct.name` where it is there twice."""
+    """Return a MATLAB file's variables; those of structs by their own name, `struct.name` where that occurs twice."""
     from scipy.io import loadmat
 
     variables = loadmat(cast("Any", io.BytesIO(content)), simplify_cells=True)
@@ -72,7 +72,7 @@ def _named(variables: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, A
 
 
 def parse_hdf5(content: bytes) -> dict[str, Any]:
-    """Arrays of numbers of an HDF5 file, such as MATLAB 7.3 writes; nothing that it points to is read."""
+    """Return an HDF5 file's arrays of numbers, such as MATLAB 7.3 writes; nothing that it points to is read."""
     import h5py
 
     datasets: dict[str, Any] = {}
@@ -92,7 +92,7 @@ def parse_hdf5(content: bytes) -> dict[str, Any]:
 
 
 def parse_workbook(content: bytes) -> str:
-    """The first sheet of a workbook that holds rows of numbers, as CSV: values, no formulas."""
+    """Return a workbook's first sheet with rows of numbers as CSV: values, no formulas."""
     import openpyxl
 
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -116,7 +116,7 @@ def parse_workbook(content: bytes) -> str:
 
 
 def parse_parquet(path: str) -> tuple[dict[str, Any], int]:
-    """Columns of numbers of a Parquet file, and how many of its rows are averaged to one."""
+    """Return a Parquet file's columns of numbers, and how many rows are averaged to one."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

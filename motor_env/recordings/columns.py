@@ -39,7 +39,7 @@ _DENSEST = 0.9  # of a step of the rounding: times further apart hardly repeat
 
 
 class Column(NamedTuple):
-    """A quantity: its values in SI units, in words where they come from, and what is odd about them."""
+    """A quantity: SI values, where they come from in words, and what is odd about them."""
 
     values: FloatArray
     origin: str
@@ -49,13 +49,13 @@ class Column(NamedTuple):
 def recognise(
     path: Path, table: Table, choices: Sequence[ColumnChoice] = ()
 ) -> tuple[dict[str, Column], tuple[str, ...]]:
-    """The quantities of a table, `time` and `current` among them, and the names of the columns that are not used.
+    """Recognise the quantities of a table, `time` and `current` included; return them and the unused columns' names.
 
-    A value that is missing is NaN; where the time is missing, all others are.
+    A missing value is NaN; where the time is missing, all others are.
 
     Raises:
-        InputError: one of these two is missing, two columns look alike, or a column's unit cannot be told; the sentence
-            names the option that helps.
+        InputError: one of these two is missing, two columns look alike, or a column's unit is unknown; the sentence
+        names the option that helps.
     """
     meanings = [understand(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
     missing = np.isnan(table.values)
@@ -99,7 +99,7 @@ def recognise(
 
 
 def _whole(values: FloatArray) -> FloatArray:
-    """Columns with their missing values filled; of whole numbers with whole ones, since counts are known by that."""
+    """Fill missing values; with whole numbers in columns of whole ones, as these may be counts."""
     if not np.isnan(values).any():
         return values
     with np.errstate(invalid="ignore"):  # a file may hold a signalling NaN
@@ -109,7 +109,7 @@ def _whole(values: FloatArray) -> FloatArray:
 
 
 def _timed(time: Column, missing: NDArray[np.bool_]) -> Column:
-    """A time that goes on at its usual pace where it is missing at the begin and at the end."""
+    """Extrapolate a time at its usual pace where it is missing at the begin and at the end."""
     known = np.flatnonzero(~missing)
     if len(known) in (0, 1, len(missing)):
         return time
@@ -138,7 +138,7 @@ def _restore(
 
 
 def _unrounded(time: Column) -> Column:
-    """A time whose values repeat by rounding, spread evenly; any other as it is."""
+    """Spread a time evenly whose values repeat by rounding."""
     if (spread := evenly_rounded(time.values)) is None:
         return time
     values, rate_hz, rounding_s = spread
@@ -150,7 +150,7 @@ def _refuse_no_current(path: Path, columns: dict[str, Column]) -> None:
     """Refuse a current that no motor draws, or that is computed from another column.
 
     Raises:
-        InputError: it is one of these.
+        InputError: it is.
     """
     current, origin, _ = columns["current"]
     largest = float(np.max(np.abs(current)))
@@ -168,7 +168,7 @@ def _refuse_no_current(path: Path, columns: dict[str, Column]) -> None:
 
 
 def _place(path: Path, table: Table, meanings: Sequence[Meaning], choice: ColumnChoice) -> int:
-    """Which column is meant: by its header, with or without its unit, or by its number in the file."""
+    """Find the column that is meant: by its header, with or without its unit, or by its number in the file."""
     wanted = (choice.text, choice.column)
     lower = [text.lower() for text in wanted]
     for spelling, texts in (
@@ -230,7 +230,7 @@ def _chosen(suggested: Suggestions, k: int, choice: ColumnChoice) -> Column:
 def _column(
     suggested: Suggestions, meaning: Meaning, k: int, quantity: str, *, is_scaled: bool = False
 ) -> Column:
-    """A column in the unit of its header; without unit and scale it is taken as SI, unless it holds counts."""
+    """Convert a column by its header's unit; without unit and scale it is SI, unless it holds counts."""
     table, name = suggested.table, suggested.name(k)
     header = f" ({table.names[k]})" if table.names[k] else ""
     unit = (
@@ -255,7 +255,7 @@ def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Colum
 
 
 def _counted(suggested: Suggestions, counter: int | None) -> Column:
-    """The time of a file that counts its samples, or only says how far apart they are."""
+    """Make the time of a file that counts its samples, or only says how far apart they are."""
     path, table = suggested.path, suggested.table
     unknown = any(meaning.quantity is None for meaning in suggested.meanings)
     if table.interval_s is None or (counter is None and unknown):
@@ -279,10 +279,10 @@ def _counted(suggested: Suggestions, counter: int | None) -> Column:
 
 @np.errstate(over="ignore", invalid="ignore")
 def evenly_rounded(time_s: FloatArray) -> tuple[FloatArray, float, float] | None:
-    """Times that repeat because they were rounded, spread evenly again.
+    """Spread times evenly that repeat because they were rounded.
 
     Returns:
-        times, rate in Hz, and the step to which they were rounded; None where they do not repeat, or not by rounding.
+        times, rate in Hz, and the step of the rounding; None where they do not repeat, or not by rounding.
     """
     steps = np.diff(time_s)
     rising = steps[steps > 0.0]

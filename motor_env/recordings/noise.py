@@ -25,10 +25,10 @@ _SAMPLES_PER_WILD = 1000
 
 
 def difference_noise(values: FloatArray) -> float:
-    """Standard deviation of white noise on a smooth curve, from its second differences; outliers do not count.
+    """Return the standard deviation of white noise on a smooth curve, from second differences, without outliers.
 
     The second difference of white noise has the variance 6 sigma^2. Its smallest three quarters are squared and
-    averaged: a median of a converter's few steps would jump from one step to the next, by a half of the noise.
+    averaged: a median of a converter's few steps would jump by a half of the noise.
     """
     if len(values) < _FEW:
         return 0.0
@@ -40,16 +40,16 @@ def difference_noise(values: FloatArray) -> float:
 
 
 def explainable(values: FloatArray) -> float:
-    """Share of the variance that a model can explain, as no model explains white noise; 0.4 at least."""
+    """Return the share of the variance that is not white noise, which a model can explain; 0.4 at least."""
     noise = difference_noise(values) ** 2 / max(float(np.var(values)), 1e-300)
     return 1.0 - min(noise, _MOST_NOISE)
 
 
 def floor_noise(values: FloatArray) -> float:
-    """Standard deviation of white noise beside lines of any frequency: of a residual, a ripple may be left in it.
+    """Return the standard deviation of white noise beside lines of any frequency, as a residual's ripple.
 
-    The smallest nine tenths of the periodogram above an eighth of the sampling rate are averaged: lines hold few of
-    its values, what the model lacks lies below. The powers of white noise are exponentially distributed.
+    The smallest nine tenths of the periodogram above an eighth of the sampling rate are averaged: lines hold few
+    values, model error lies below. Powers of white noise are exponentially distributed.
     """
     n = len(values)
     if n < _FEWEST_FOR_SPECTRUM:
@@ -63,9 +63,9 @@ def floor_noise(values: FloatArray) -> float:
 
 
 def outlier_samples(current: FloatArray) -> tuple[int, ...]:
-    """Single samples that stand far off two neighbours on each side, which agree among themselves.
+    """Find single samples far off two neighbours on each side, which agree among themselves.
 
-    Where there are more than one in a thousand they are the nature of the signal, and none is called wild.
+    More than one in a thousand are the nature of the signal: none is an outlier then.
     """
     if len(current) < _FEWEST_FOR_WILD:
         return ()
@@ -82,7 +82,7 @@ def outlier_samples(current: FloatArray) -> tuple[int, ...]:
 
 
 def without_outliers(current: FloatArray, wild: Sequence[int]) -> FloatArray:
-    """The current with each wild sample replaced by the mean of its neighbours."""
+    """Replace each outlier by the mean of its neighbours."""
     mended = current.copy()
     for k in wild:
         mended[k] = 0.5 * (mended[k - 1] + mended[k + 1])
@@ -90,7 +90,7 @@ def without_outliers(current: FloatArray, wild: Sequence[int]) -> FloatArray:
 
 
 def filled(values: FloatArray) -> FloatArray:
-    """Values with straight lines in place of NaN; zeros where nothing else is there."""
+    """Interpolate over NaN; zeros where nothing else is there."""
     known = ~np.isnan(values)
     if known.all():
         return values
@@ -101,7 +101,7 @@ def filled(values: FloatArray) -> FloatArray:
 
 
 def quantisation_bias(quiet: FloatArray, noise: float, quantum: float) -> float:
-    """What a converter's steps hide of a steady current, given the quiet part, or without one the noise all through.
+    """Return a converter's bias of a steady current, by the quiet part, or without one by the noise throughout.
 
     Noise dithers it away: the bias falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).
     """
@@ -115,7 +115,7 @@ def quantisation_bias(quiet: FloatArray, noise: float, quantum: float) -> float:
 
 
 def _noise_before_rounding(quiet: FloatArray, quantum: float) -> float:
-    """Standard deviation of the noise that a converter then rounds: most likely, from the counts of its steps.
+    """Return the most likely standard deviation of noise before rounding, from the counts of its steps.
 
     The variance less step^2 / 12 (Sheppard) is too small where the noise is below half a step.
     """

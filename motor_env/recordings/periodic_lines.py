@@ -28,17 +28,17 @@ class PeriodicLine:
         return math.hypot(self.cosine_a, self.sine_a)
 
     def current_a(self, time_s: FloatArray) -> FloatArray:
-        """The ripple at some times."""
+        """Return the ripple at some times."""
         phase = 2.0 * math.pi * self.frequency_hz * time_s
         out: FloatArray = self.cosine_a * np.cos(phase) + self.sine_a * np.sin(phase)
         return out
 
 
 def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLine, ...]:
-    """Lines that stand out of the upper spectrum of a residual, the strongest first: a converter's PWM.
+    """Find lines that stand out of a residual's upper spectrum, strongest first: a converter's PWM.
 
-    A line is called so where it holds more than a third of the power above a sixteenth of the sampling rate, what
-    the stronger lines leave. Aliased lines keep their power and lose their true frequency.
+    A line holds more than a third of the power above a sixteenth of the sampling rate that stronger lines leave.
+    Aliased lines keep their power and lose their true frequency.
     """
     left = residual - residual.mean()
     lines: list[PeriodicLine] = []
@@ -52,7 +52,7 @@ def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLi
 
 
 def constant_lines(residual: FloatArray, time_s: FloatArray, speed: FloatArray) -> tuple[PeriodicLine, ...]:
-    """Lines that stand out of the residual of a current.
+    """Find lines that stand out of a current's residual.
 
     Where the strongest one is sharper over the angle than over time, it is the commutator's: there are none.
 
@@ -72,7 +72,7 @@ def constant_lines(residual: FloatArray, time_s: FloatArray, speed: FloatArray) 
 def over_angle(
     values: FloatArray, time_s: FloatArray, speed: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Values evenly over the angle that the motor turns, in seconds at its last speed; None where it does not turn.
+    """Resample values evenly over the motor's angle, in seconds at its last speed; None where it does not turn.
 
     Args:
         values: shape (n,).
@@ -94,7 +94,7 @@ def over_angle(
 
 
 def line_share(residual: FloatArray, time_s: FloatArray) -> float:
-    """Share of a residual's power that its strongest line holds; 0 where none stands out."""
+    """Return the share of a residual's power in its strongest line; 0 where none stands out."""
     line = _strongest_line(residual - residual.mean(), time_s)
     return 0.0 if line is None else 0.5 * line.amplitude_a**2 / max(float(np.var(residual)), 1e-300)
 

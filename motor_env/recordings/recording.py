@@ -39,8 +39,8 @@ _CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
 class Recording:
     """One recording, in SI units, on an even time axis.
 
-    NaN is a missing sample. It is filled in a straight line, so that pictures and first guesses have numbers, and is
-    kept as `missing`, so that no fit takes them for readings.
+    NaN is a missing sample. It is interpolated for pictures and first guesses, and kept as `missing`, so that no fit
+    takes it for a reading.
 
     Attributes:
         path: where it was read from.
@@ -51,7 +51,7 @@ class Recording:
         duty: duty cycle of the supply, shape (n_samples,), or None: a voltage of unknown scale.
         columns: how the columns were understood, for the user.
         averaged: number of samples of the file whose mean is one sample here.
-        warnings: what contradicts itself in what was said of the columns.
+        warnings: contradictions in what was said of the columns.
         missing: which samples of voltage (or duty), current and speed are missing, shape (n_samples, 3); None for none.
     """
 
@@ -85,14 +85,14 @@ class Recording:
 
 
 def cut(record: _Record, part: slice) -> _Record:
-    """A record with all of its arrays cut to a part of their samples."""
+    """Cut all arrays of a record to a part of their samples."""
     values = {field.name: getattr(record, field.name) for field in fields(record)}
     arrays = {name: value[part] for name, value in values.items() if isinstance(value, np.ndarray)}
     return replace(record, **arrays)
 
 
 def stretches(flags: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First sample of each stretch in which a flag is set, and the first after it."""
+    """Return the first sample of each run in which a flag is set, and the first after it."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
     return edges[::2], edges[1::2]
 
@@ -120,12 +120,12 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
 
 
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
-    """A recording, or that of a file."""
+    """Return a recording, or that of a file."""
     return recording if isinstance(recording, Recording) else read_recording(recording, choices)
 
 
 def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:
-    """How files were read, for the user: each reading once, without the numbers and ranges of their samples.
+    """Say how files were read: each way once, without numbers and ranges of samples.
 
     Args:
         readings: files, with the `columns` of their recordings.
@@ -184,7 +184,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
 
 
 def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:
-    """Number, rate and ranges of the samples, by which a wrong unit is seen."""
+    """Say number, rate and ranges of the samples, which show a wrong unit."""
     rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
     ranges = [
         f"{name} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} {SI[name]}"
@@ -195,7 +195,7 @@ def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:
 
 
 def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[str, ...]]:
-    """The longest stretch of samples without a long gap, and a note where there is one."""
+    """Return the longest stretch of samples without a long gap, and a note where there is one."""
     gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
     edges = [0, *(gaps + 1).tolist(), len(time_s)]
     begin, end = max(pairwise(edges), key=lambda stretch: stretch[1] - stretch[0])
@@ -209,11 +209,11 @@ def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[s
 def resampled(
     time_s: FloatArray, columns: dict[str, FloatArray], step_s: float | None = None
 ) -> tuple[FloatArray, dict[str, FloatArray], tuple[str, ...]]:
-    """Columns on an even time axis, and a note where they had to be changed.
+    """Put columns on an even time axis; note where they had to be changed.
 
-    A clock that is not quite even is interpolated. Where an even one left samples out, or changed its rate, what lies
-    between two samples is not known: it is NaN on the axis, and an interval of another length has one NaN in it at
-    least. A voltage that was interpolated there would step at another time than the motor's.
+    A clock that is not quite even is interpolated. Where an even one left samples out, or changed its rate, the values
+    between two samples are NaN, one at least in an interval of another length: an interpolated voltage would step at
+    another time than the motor's.
 
     Args:
         time_s: rising.
@@ -254,7 +254,7 @@ def resampled(
 def _usual_step(
     steps: FloatArray, before_s: float | None, *, is_other: bool
 ) -> tuple[float, NDArray[np.bool_], bool]:
-    """The usual step, which steps are about as long, and whether they are so alike that a clock made them."""
+    """Return the usual step, which steps are about as long, and whether they are alike enough for a clock."""
     about = float(np.median(steps))
     if before_s is not None and (is_other or (np.abs(steps - before_s) <= _AS_LONG * before_s).any()):
         about = before_s
@@ -266,9 +266,9 @@ def _usual_step(
 def _placed_samples(
     time_s: FloatArray, step_s: float, is_usual: NDArray[np.bool_]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Samples, and their places on an even axis: neighbours a usual step apart, two places at least between others.
+    """Return samples and their places on an even axis: neighbours a usual step apart, others two places at least.
 
-    Samples that lie too close to those before are left out until there is room.
+    Samples too close to those before are left out.
     """
     firsts = np.append(0, np.flatnonzero(~is_usual) + 1)
     samples, places, end = [], [], -2

@@ -47,7 +47,7 @@ class RegimeDecision(NamedTuple):
 
 
 def taken_for(recording: Recording, regime: str = "auto", start: int | None = None) -> RegimeDecision:
-    """What a recording is: as asked, or by what its voltage does; a `start` that is chosen makes it one.
+    """Decide what a recording is: as asked, by what its voltage does, or a start where one is chosen.
 
     Raises:
         InputError: an unknown regime.
@@ -64,7 +64,7 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
 
 
 def operation_evidence(recording: Recording) -> str | None:
-    """What shows that a recording is no plain start, in words; None for starts.
+    """Say what shows that a recording is no plain start; None for starts.
 
     A start is a supply that goes from off to on and stays; short gaps in it are a bouncing switch. Several starts in
     one file lie apart by pauses.
@@ -99,7 +99,7 @@ def operation_evidence(recording: Recording) -> str | None:
 
 
 def _restarts_turning(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
-    """Whether the motor still turns when it is switched on again: by its speed, else by an inrush that is too small."""
+    """Return whether the motor turns when switched on again: by its speed, else by an inrush that is too small."""
     on = np.flatnonzero(~is_off)
     restarts = on[1:][np.diff(on) * recording.dt_s > BOUNCE_S]
     if len(restarts) == 0:
@@ -114,7 +114,7 @@ def _restarts_turning(recording: Recording, share: FloatArray, is_off: NDArray[n
 
 
 def _starts_at_part_voltage(recording: Recording, share: FloatArray) -> bool:
-    """Whether a recording begins under a voltage that another one follows, and with a motor that is not settled."""
+    """Return whether another voltage follows the first, under which the motor is not settled."""
     steps = np.flatnonzero(np.abs(np.diff(share)) > _OFF)
     if not _OFF < share[0] < _ON or len(steps) == 0 or steps[0] < _BETWEEN_SHARE * len(share):
         return False
@@ -124,7 +124,7 @@ def _starts_at_part_voltage(recording: Recording, share: FloatArray) -> bool:
 
 
 def _is_turning(recording: Recording, samples: NDArray[np.intp]) -> bool:
-    """Whether the motor turns at most of some samples, by its speed."""
+    """Return whether the motor turns at most of some samples, by its speed."""
     if recording.speed_rad_s is None:
         return False
     speed = np.abs(recording.speed_rad_s)
@@ -132,10 +132,10 @@ def _is_turning(recording: Recording, samples: NDArray[np.intp]) -> bool:
 
 
 def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
-    """Refuse a raw pulse-width modulation that was sampled more slowly than it switches: its mean is not in the record.
+    """Refuse a raw pulse-width modulation that was sampled more slowly than it switches: its mean is lost.
 
-    Its voltage jumps between two levels, or stays at one; the current knows nothing of the jumps or of the noise,
-    neither at once nor until the next jump.
+    Its voltage jumps between two levels, or stays at one; the current follows neither jumps nor noise, at once or until
+    the next jump.
 
     Raises:
         UnusableError: it is one.
@@ -164,19 +164,19 @@ def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
 
 
 def _ranks(values: FloatArray) -> FloatArray:
-    """Rank of each value; equal ones share the mean of theirs."""
+    """Return the rank of each value; equal ones share the mean of theirs."""
     _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[which])
 
 
 def changes(share: FloatArray) -> int:
-    """How often a voltage goes to another level and stays there for three samples."""
+    """Count how often a voltage goes to another level and stays there for three samples."""
     steps = np.flatnonzero(np.abs(np.diff(share)) > _OFF)
     return int(np.count_nonzero(np.diff(steps, prepend=-3) >= 3))
 
 
 def slow_rises(share: FloatArray, dt_s: float) -> int:
-    """How often a voltage climbs by a fifth of its top, and more slowly than any switch."""
+    """Count how often a voltage climbs by a fifth of its top, and more slowly than any switch."""
     block = max(round(_BLOCK_S / dt_s), 1)
     means = share[: len(share) // block * block].reshape(-1, block).mean(axis=1)
     count, climbs, extreme, since = 0, False, math.inf, 0
@@ -196,6 +196,6 @@ def slow_rises(share: FloatArray, dt_s: float) -> int:
 
 
 def gaps_s(is_off: NDArray[np.bool_], dt_s: float) -> FloatArray:
-    """Lengths in seconds of the stretches without voltage between two with it."""
+    """Return the lengths in seconds of the stretches without voltage between two with it."""
     steps = np.diff(np.flatnonzero(~is_off))
     return np.asarray((steps[steps > 1] - 1) * dt_s, dtype=np.float64)

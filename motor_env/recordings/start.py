@@ -82,7 +82,7 @@ class Start:
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """Which samples of the current count: all but the wild and the missing ones, shape (n_samples,)."""
+        """Samples of the current that count, shape (n_samples,): neither outliers nor missing."""
         out = np.ones(len(self.time_s), dtype=np.bool_) if self.missing is None else ~self.missing[:, 0]
         out[[k for k in self.alignment.wild if k < len(out)]] = False
         return out
@@ -97,7 +97,7 @@ class Start:
         return out
 
     def shortened(self, count: int) -> Start:
-        """The start with at most `count` samples after its onset."""
+        """Return the start with at most `count` samples after its onset."""
         return cut(self, slice(self.alignment.onset_index + count))
 
 
@@ -110,9 +110,8 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         circuit: what is known of the measuring circuit.
 
     Raises:
-        UnusableError: no start in it, or too few samples after it; a shunt is given and no voltage is known; the
-            voltage is on before the recording begins; samples of the voltage are missing where it rises, or of the
-            current where it begins to.
+        UnusableError: no start, or too few samples after it; a shunt without a known voltage; a voltage that is on
+        before the recording begins; missing samples where voltage or current rise.
     """
     alignment, missing = align(recording), recording.missing
     end = end_of_supply(recording, alignment)
@@ -156,14 +155,14 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
 
 
 def mean_tail(values: FloatArray) -> float:
-    """Mean of the last tenth."""
+    """Return the mean of the last tenth."""
     return float(np.mean(values[-max(len(values) // 10, 1) :]))
 
 
 def _supply(
     voltage: FloatArray, sign: float, missing: NDArray[np.bool_] | None
 ) -> tuple[float, FloatArray | None, float]:
-    """Level of a commanded step, or the measured curve: a command takes at most two values."""
+    """Return the level of a commanded step, or the measured curve: a command takes at most two values."""
     levels = np.unique(voltage if missing is None else voltage[~missing])
     tail = float(np.median(voltage[-max(len(voltage) // 4, 1) :]))
     if len(levels) == 1 or (len(levels) == 2 and 0.0 in levels):
@@ -193,10 +192,10 @@ def _refuse_begun(current: FloatArray, voltage: FloatArray) -> None:
 
 
 def _refuse_lost_onset(missing: NDArray[np.bool_], onset: int) -> None:
-    """Refuse a current with a hole of several samples where it begins to rise: in it the onset and L may be anything.
+    """Refuse a hole of several samples where the current begins to rise: it hides the onset and L.
 
     Raises:
-        UnusableError: it is one.
+        UnusableError: there is one.
     """
     for first, end in zip(*stretches(missing), strict=True):
         if first - 1 <= onset <= end and end - first > 1:
@@ -206,10 +205,10 @@ def _refuse_lost_onset(missing: NDArray[np.bool_], onset: int) -> None:
 
 
 def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: float) -> None:
-    """Refuse a measured curve with a hole in which it changes.
+    """Refuse a measured voltage with a hole in which it changes.
 
     Raises:
-        UnusableError: it is one.
+        UnusableError: there is one.
     """
     firsts, ends = stretches(missing)
     before, after = np.maximum(firsts - 1, 0), np.minimum(ends, len(voltage) - 1)
@@ -223,10 +222,10 @@ def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: 
 
 
 def split_starts(recording: Recording) -> list[Recording]:
-    """The starts of a recording, each with the rest before it; a recording with one start is returned as it is.
+    """Split a recording into its starts, each with the rest before it; one with one start is returned as it is.
 
-    Where a voltage was recorded, a start is its rise from rest; else it is the inrush of the current: a rise
-    beyond half of the largest, after less than a quarter of it for a while. A part's name is that of the file with #2.
+    A start is the rise of the recorded voltage from rest, else the inrush of the current: a rise beyond half of the
+    largest, after less than a quarter of it for a while. Parts are named after the file, with #2.
     """
     if recording.voltage_v is not None:
         voltage = without_outliers(recording.voltage_v, outlier_samples(recording.voltage_v))
@@ -249,7 +248,7 @@ def split_starts(recording: Recording) -> list[Recording]:
 
 
 def chosen_starts(recording: Recording, number: int | None = None) -> list[Recording]:
-    """The starts that lie in a recording, or the one with that number.
+    """Return the starts in a recording, or the one with a number.
 
     Raises:
         InputError: there is no such start, or there are more than 200 of them and none is chosen.
@@ -268,7 +267,7 @@ def chosen_starts(recording: Recording, number: int | None = None) -> list[Recor
 
 
 def _whole(parts: list[Recording]) -> list[Recording]:
-    """Of several starts those that lie in the recording: no first that had begun, no last that ends too soon."""
+    """Return the starts that lie in the recording: no first that had begun, no last that ends too soon."""
     volts = [np.abs(part.voltage_v) for part in parts if part.voltage_v is not None]
     if not volts:
         return parts
@@ -280,7 +279,7 @@ def _whole(parts: list[Recording]) -> list[Recording]:
 
 
 def _rises_from_rest(values: FloatArray, dt_s: float, *, rest: float) -> list[int]:
-    """Samples where the values rise beyond half of their largest, after having been at rest."""
+    """Return samples where the values rise beyond half of their largest, after rest."""
     top = float(np.sort(values)[-1 - (_WILD if len(values) > 2000 else 0)])
     shortest = max(_FEWEST, round(BOUNCE_S / dt_s))
     high = np.flatnonzero(values > _HIGH * top)
@@ -293,7 +292,7 @@ def _rises_from_rest(values: FloatArray, dt_s: float, *, rest: float) -> list[in
 
 
 def _switched_off(recording: Recording, begin: int, following: int) -> int:
-    """Where the motor is switched off between two starts: the voltage's fall, or a change of the current's level."""
+    """Return where the motor is switched off between two starts: the voltage falls, or the current's level changes."""
     if recording.voltage_v is not None:
         is_off = np.abs(recording.voltage_v[begin:following]) < OFF * np.abs(recording.voltage_v).max()
         firsts, ends = stretches(is_off)  # a switch may bounce before
@@ -303,7 +302,7 @@ def _switched_off(recording: Recording, begin: int, following: int) -> int:
 
 
 def _rest_begin(recording: Recording, end: int, begin: int) -> int:
-    """From where the motor rests before a start: what brakes it is over, as the last quarter of the pause shows."""
+    """Return from where the motor rests before a start: nothing brakes it, by the last quarter of the pause."""
     first = end
     for shown in (recording.current_a, recording.speed_rad_s):
         if shown is not None:
@@ -316,10 +315,10 @@ def _rest_begin(recording: Recording, end: int, begin: int) -> int:
 
 
 def end_of_supply(recording: Recording, alignment: Alignment) -> int:
-    """First sample after which the supply of a start is off for good; the number of samples where it stays on.
+    """Return the first sample after which a start's supply is off for good; the number of samples where it stays on.
 
-    Where neither voltage nor duty were recorded, the current tells: it falls to that of the quiet part at once, or a
-    brake turns it round.
+    Without voltage and duty the current shows it: it falls to that of the quiet part at once, or a brake turns it
+    round.
     """
     n, begin = len(recording.time_s), alignment.onset_index
     supply = recording.voltage_v if recording.voltage_v is not None else recording.duty
@@ -346,14 +345,14 @@ def end_of_supply(recording: Recording, alignment: Alignment) -> int:
 
 
 def _fall_begin(running: FloatArray, end: int, noise_a: float) -> int:
-    """Where a fall begins that has ended: L lets the current fall for a while."""
+    """Return where a fall begins that has ended: L lets the current fall for a while."""
     while end > 0 and running[end - 1] > running[end] + _NOISE * noise_a:
         end -= 1
     return end
 
 
 def _change_of_level(values: FloatArray) -> int:
-    """First sample of the second level: the least-squares split in two; 0 where there are no two samples."""
+    """Return the first sample of the second level: the least-squares split in two; 0 for fewer than two samples."""
     if len(values) < 2:
         return 0
     n = np.arange(1, len(values))

@@ -65,7 +65,7 @@ class TextTable:
     rows: tuple[list[str], ...]
 
     def number(self, cell: str) -> float | None:
-        """A cell as a number; None where it is none, and for a point where the decimal mark is a comma."""
+        """Return a cell as a number; None where it is none, or has a point where the decimal mark is a comma."""
         if (self.decimal_comma and "." in cell) or "_" in cell:
             return None
         try:
@@ -74,7 +74,7 @@ class TextTable:
             return None
 
     def numbers(self, row: list[str], columns: Sequence[int]) -> int:
-        """How many of these columns hold a number in a row."""
+        """Count which of these columns hold a number in a row."""
         return sum(column < len(row) and self.number(row[column]) is not None for column in columns)
 
 
@@ -89,10 +89,10 @@ class Block:
         columns: which columns hold numbers, and times of a clock.
         clocks: those of a clock among them.
         width: cells of a row, empty ones at its end left out.
-        names: header of each column, empty strings where there is none.
-        units: unit of each column where a row of units says it, else empty strings.
-        remarks: what was found out about the form.
-        arrow: the delimiter that stands for the arrow after the clock of Arduino's serial monitor; empty without one.
+        names: header of each column, else empty strings.
+        units: unit of each column out of a row of units, else empty strings.
+        remarks: on the form.
+        arrow: delimiter in place of the arrow after the clock of Arduino's serial monitor; empty without one.
     """
 
     table: TextTable
@@ -108,12 +108,12 @@ class Block:
 
 
 def filled(row: Sequence[str]) -> int:
-    """Number of cells up to the last that is not empty."""
+    """Count the cells up to the last that is not empty."""
     return max((k + 1 for k, cell in enumerate(row) if cell.strip()), default=0)
 
 
 def cells(path: Path, lines: Sequence[str]) -> TextTable:
-    """The cells of lines.
+    """Split lines into cells.
 
     Raises:
         InputError: they are no table.
@@ -126,7 +126,7 @@ def cells(path: Path, lines: Sequence[str]) -> TextTable:
 
 
 def rows_of(path: Path, lines: Sequence[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of each line that is not blank.
+    """Yield number and cells of each line that is not blank.
 
     Raises:
         InputError: they are no table.
@@ -142,7 +142,7 @@ def rows_of(path: Path, lines: Sequence[str], delimiter: str) -> Iterator[tuple[
 
 
 def _delimiter_of(lines: Sequence[str]) -> str:
-    """The delimiter that stands in most lines of the end of the file; a comma where none does."""
+    """Return the delimiter of most lines at the end of the file; a comma where there is none."""
     tail = [line for line in lines[-_LOOK_AHEAD:] if line.strip()]
     frequent = (mark for mark in "\t;," if sum(mark in line for line in tail) > _MOST * len(tail))
     blanks = sum(len(line.split()) > 1 for line in tail) > _MOST * len(tail)
@@ -150,9 +150,7 @@ def _delimiter_of(lines: Sequence[str]) -> str:
 
 
 def block_of(path: Path, lines: list[str], has_end: bool) -> Block:
-    """Where the numbers stand in lines, and how.
-
-    Its form is told by the beginning and the end of the file; a preamble is at most 10,000 lines long.
+    """Find the numbers in lines, and their form by the beginning and the end of the file.
 
     Args:
         path: of the file.
@@ -160,7 +158,7 @@ def block_of(path: Path, lines: list[str], has_end: bool) -> Block:
         has_end: whether the last line is whole.
 
     Raises:
-        InputError: there are none.
+        InputError: there are none, or only after a preamble of 10,000 lines.
     """
     while lines and not lines[-1].strip():
         lines.pop()
@@ -189,7 +187,7 @@ def block_of(path: Path, lines: list[str], has_end: bool) -> Block:
 
 
 def _numbers_in(path: Path, lines: list[str]) -> Block:
-    """The block without what its header says."""
+    """Return the block without its header."""
     end = max(len(lines) - _LOOK_AHEAD, _LONGEST_PREAMBLE)
     table = cells(path, [*lines[:_LONGEST_PREAMBLE], *lines[end:]])
     rows, count = table.rows, len(table.rows)
@@ -226,7 +224,7 @@ def _numbers_in(path: Path, lines: list[str]) -> Block:
 
 
 def _with_damaged_rows(table: TextTable, columns: Sequence[int], first: int) -> int:
-    """Begin of the block with its damaged first rows: rows with a number in them, up to a header without any."""
+    """Return the begin of the block with damaged first rows: with a number, below a header without any."""
     rows, begin = table.rows, first
     while (
         begin > 0
@@ -241,7 +239,7 @@ def _with_damaged_rows(table: TextTable, columns: Sequence[int], first: int) -> 
 
 
 def _header(block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the columns: the row above the block is that of the units where it holds nothing else.
+    """Return names and units of the columns; a row of nothing but units above the block is theirs.
 
     A legend in comment lines counts more.
 
@@ -280,12 +278,12 @@ def _header(block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def is_comment(row: list[str]) -> bool:
-    """Whether a row of cells begins as comments do."""
+    """Return whether a row of cells begins as comments do."""
     return bool(row) and row[0].strip().startswith(_MARKS)
 
 
 def legend_of(lines: Iterable[str], width: int) -> dict[int, tuple[str, str]]:
-    """Name and unit of each column, by its place counted from 0; empty where the lines hold no legend.
+    """Return name and unit of each column, counted from 0, out of `%  7  8 Motor current left, right [A]`; else empty.
 
     Args:
         lines: those above the numbers.
@@ -303,14 +301,14 @@ def legend_of(lines: Iterable[str], width: int) -> dict[int, tuple[str, str]]:
 
 
 def _columns(numbers: str) -> range | list[int]:
-    """The columns of `7 8`, of `16 .. 35`, and of `19 28`, which stands for all between."""
+    """Return the columns of `7 8`, of `16 .. 35`, and of `19 28`, which stands for all between."""
     given = [int(number) for number in re.findall(r"\d+", numbers)]
     first, last = given[0], given[-1]
     return range(first, last + 1) if len(given) == 2 and first < last else given
 
 
 def _named(text: str, count: int) -> Iterator[tuple[str, str]]:
-    """A name and a unit for each of the columns of a line."""
+    """Yield a name and a unit for each of the columns of a line."""
     text = text.partition(":")[0].partition("=")[0].strip()
     units = _UNIT.search(text)
     listed = [unit.strip() for unit in units[1].split(",")] if units else []
@@ -336,16 +334,16 @@ class Table:
     """Columns of numbers as they stand in a file.
 
     Attributes:
-        names: header of each column, empty strings where there is none.
+        names: header of each column, else empty strings.
         values: shape (n_rows, n_columns), NaN where there is none; times of a clock in seconds since the first.
-        lines: where each row stands in the file, for error messages; row numbers for binary files.
-        units: unit of each column where it stands elsewhere than in its header, else empty strings.
+        lines: of the rows in the file, for error messages; row numbers for binary files.
+        units: of the columns where they stand elsewhere than in headers, else empty strings.
         numbers: of each column in the file, counted from 1.
         where: the word for the lines: line or row.
-        remarks: what was found out about the file's form.
-        begin_s: time of the first sample, as the settings above the numbers say.
-        interval_s: time between two samples, as the settings say; None where they do not.
-        samples: number of samples, as the settings say; None where they do not.
+        remarks: on the file's form.
+        begin_s: time of the first sample, by the settings above the numbers.
+        interval_s: time between two samples, by the settings; None where they do not say.
+        samples: number of samples, by the settings; None where they do not say.
         averaged: number of rows of the file whose mean is one row here.
     """
 
@@ -363,7 +361,7 @@ class Table:
 
 
 def table_of(block: Block, values: FloatArray, lines: Sequence[int], averaged: int = 1) -> Table:
-    """The table of a block's numbers, with what the instrument says above or beside them.
+    """Return the table of a block's numbers, with the instrument's settings above or beside them.
 
     Args:
         block: where they stand.
@@ -398,7 +396,7 @@ def table_of(block: Block, values: FloatArray, lines: Sequence[int], averaged: i
 
 
 def _settings(block: Block) -> Iterator[tuple[str, str]]:
-    """Name and text of each setting: rows above the header, columns beside it, columns beside the numbers."""
+    """Yield name and text of each setting: above the header, beside it, beside the numbers."""
     table, first = block.table, block.first
     beside = min(block.columns)
     rows = [*table.rows[:first], *(row[:beside] for row in table.rows[first : first + _BESIDE])]
@@ -418,7 +416,7 @@ def _settings(block: Block) -> Iterator[tuple[str, str]]:
 
 
 def _units(block: Block, settings: Mapping[str, str]) -> tuple[str, ...]:
-    """Units of the columns, out of the settings where they have none in their headers."""
+    """Return the columns' units, out of the settings where the headers have none."""
     text = settings.get("vertical units", settings.get("units", "")).strip()
     stated = dict(re.findall(r"(\w+):\s*(\w+)", text))
     listed = [cell.strip() for cell in text.split(",")]
