@@ -53,7 +53,7 @@ BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7
 voltage; FOUND: the state behind it is not known yet; REST, STEADY: the first of a motor that stands without current,
 or runs steadily under the first voltage; SWITCH: switched on AFTER seconds before the sample."""
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
-_WILD = 6.0
+OUTLIER_SDS = 6.0  # of an innovation, beyond which it counts no more
 _STEADY_STEPS = 12
 
 
@@ -241,8 +241,8 @@ def _weigh(
     white = error * math.sqrt(inverse)
     if learn and not is_known:
         weight = error * inverse
-        if abs(white) > _WILD:
-            weight *= _WILD / abs(white)
+        if abs(white) > OUTLIER_SDS:
+            weight *= OUTLIER_SDS / abs(white)
         for r in range(n):
             row[r] = cov[min(r, place), max(r, place)]
         for r in range(n):

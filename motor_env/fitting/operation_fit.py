@@ -17,8 +17,7 @@ from motor_env.fitting.terms import NOISES, SHAPES
 from motor_env.fitting.uncertainty import covariance
 from motor_env.motor.parameters import FloatArray
 from motor_env.motor.threads import on_one_thread
-from motor_env.recordings.noise import explainable
-from motor_env.recordings.periodic_lines import PeriodicLine, constant_lines, periodic_lines
+from motor_env.recordings.noise import PeriodicLine, constant_lines, explainable, periodic_lines
 from motor_env.recordings.recording import Recording, UnusableError
 
 FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's

@@ -15,7 +15,7 @@ import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.fitting import parameter_index as index
-from motor_env.fitting.ekf import BEGIN
+from motor_env.fitting.ekf import BEGIN, OUTLIER_SDS
 from motor_env.fitting.operation_fit import without_lines
 from motor_env.fitting.problem import STEP, Problem, Solution, motor_unknowns
 from motor_env.fitting.record import Record
@@ -32,7 +32,6 @@ _FAR = 0.4  # logarithm of R, K or J over the healthy one's, from where a fit go
 _DRAG, _DRAG_PLACES = ("coulomb", "B", "load_square"), [index.COULOMB, index.B, index.SQUARE]
 _LEAST_SHARE = 0.01  # of the friction, where a fit without a load begins
 _NO_WORK = 1e-12  # W, summed over the samples
-_WILD = 6.0  # standard deviations beyond which an innovation counts no more
 _TOLD_APART = 1e-10  # least eigenvalue of an information matrix whose diagonal is 1
 _UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell nothing
 
@@ -228,4 +227,4 @@ def _slopes(problem: Problem, theta: FloatArray) -> tuple[FloatArray, FloatArray
     moved = theta + STEP * np.eye(len(theta))
     out, _ = problem.record.predict_each(problem.values_each(np.vstack([theta, moved])))
     base, *white = out[:, :, :2][:, :, problem.record.seen > 0.0]
-    return np.clip(base, -_WILD, _WILD), (np.array(white) - base) / STEP
+    return np.clip(base, -OUTLIER_SDS, OUTLIER_SDS), (np.array(white) - base) / STEP

@@ -35,6 +35,10 @@ _MOST_READINGS = 3  # that are told apart in a list
 _CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
 
 
+class UnusableError(ValueError):
+    """A recording that can be read but not judged; the message says why."""
+
+
 @dataclass(frozen=True, slots=True)
 class Recording:
     """One recording, in SI units, on an even time axis.
@@ -281,7 +285,3 @@ def _placed_samples(
             samples.append(np.arange(begin, last))
             places.append(np.arange(place, end + 1))
     return np.concatenate(samples), np.concatenate(places)
-
-
-class UnusableError(ValueError):
-    """A recording that can be read but not judged; the message says why."""

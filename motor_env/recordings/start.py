@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import Alignment, align
-from motor_env.recordings.noise import outlier_samples, without_outliers
-from motor_env.recordings.periodic_lines import PeriodicLine
+from motor_env.recordings.noise import PeriodicLine, outlier_samples, without_outliers
 from motor_env.recordings.recording import Recording, UnusableError, cut, stretches
 from motor_env.recordings.regime import BOUNCE_S
 

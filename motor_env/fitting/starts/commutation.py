@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.fitting.starts.start_fit import StartFit
-from motor_env.recordings.periodic_lines import over_angle
+from motor_env.recordings.noise import over_angle
 
 _FEWEST_SAMPLES = 256
 _FEWEST_PERIODS = 15.0

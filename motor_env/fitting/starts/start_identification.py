@@ -18,7 +18,7 @@ from motor_env.fitting.uncertainty import capped, free_run_states, model_error, 
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
 from motor_env.motor.threads import on_one_thread
-from motor_env.recordings.periodic_lines import constant_lines
+from motor_env.recordings.noise import constant_lines
 from motor_env.recordings.start import Start
 
 _UNTOLD_LOG_SD = 1.0

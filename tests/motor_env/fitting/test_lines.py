@@ -17,7 +17,7 @@ from motor_env.fitting.window import fit_window
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: what the fits of starts and of logs take for ripple.
-from motor_env.recordings.periodic_lines import constant_lines
+from motor_env.recordings.noise import constant_lines
 
 
 def work(seed: int, profile: str, samples: int) -> Recording:

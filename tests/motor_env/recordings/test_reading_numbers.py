@@ -18,8 +18,16 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser
 from motor_env.recordings.alignment import align
 from motor_env.recordings.headers import UNITS, understand
-from motor_env.recordings.noise import difference_noise, outlier_samples, quantisation_bias, without_outliers
-from motor_env.recordings.periodic_lines import PeriodicLine, line_share, over_angle, periodic_lines
+from motor_env.recordings.noise import (
+    PeriodicLine,
+    difference_noise,
+    line_share,
+    outlier_samples,
+    over_angle,
+    periodic_lines,
+    quantisation_bias,
+    without_outliers,
+)
 from motor_env.recordings.profiles import Profile, load_profile, save_profile
 from motor_env.recordings.recording import UnusableError, resampled
 from motor_env.recordings.regime import changes, gaps_s, operation_evidence, refuse_aliased, slow_rises
