@@ -8,10 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.noise import difference_noise, outlier_samples, quantisation_bias, without_outliers
+from motor_env.recordings.noise import (
+    FEW,
+    difference_noise,
+    outlier_samples,
+    quantisation_bias,
+    without_outliers,
+)
 from motor_env.recordings.recording import Recording, UnusableError, stretches
 
-_FEW = 5  # samples below which neither a mean nor a run of equal values says anything
 _HEAD_PARTS = 50  # the first fiftieth of a recording shows the level before the start ...
 _QUIET_SPAN = 0.1  # ... where it moves by less than a tenth of the whole current,
 _QUIET_NOISES = 8.0  # or by no more than the range of some hundred normal numbers
@@ -81,7 +86,7 @@ def align(recording: Recording) -> Alignment:
     quantum = float(np.min(steps, where=steps > 0.0, initial=span))
     rectified = _is_rectified(current, onset, quantum)
     quiet = current[: max(onset - _GUARD, 0)]
-    quiet = quiet if len(quiet) >= _FEW else quiet[:0]
+    quiet = quiet if len(quiet) >= FEW else quiet[:0]
     offset, spread = 0.0, noise
     if rectified:
         # Half of a rectified normal number's second moment is left; its mean is no offset.
@@ -112,7 +117,7 @@ def align(recording: Recording) -> Alignment:
 
 def _level_before(current: FloatArray, span: float) -> float:
     """Return the sensor's level before the start; 0 where the recording begins with it."""
-    head = current[: max(_FEW, len(current) // _HEAD_PARTS)]
+    head = current[: max(FEW, len(current) // _HEAD_PARTS)]
     is_quiet = float(np.ptp(head)) < max(_QUIET_SPAN * span, _QUIET_NOISES * difference_noise(head))
     return float(np.median(head)) if is_quiet else 0.0
 
@@ -168,4 +173,4 @@ def clipped_run(current: FloatArray, quantum: float) -> int:
     beyond = first + run + run // 2
     if beyond >= len(current):
         beyond = max(first - run // 2, 0)
-    return run if run >= _FEW and top - abs(current[beyond]) > _CLIPPED_DROP * quantum else 0
+    return run if run >= FEW and top - abs(current[beyond]) > _CLIPPED_DROP * quantum else 0

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from motor_env.motor.parameters import FloatArray
 
-_FEW = 5
+FEW = 5  # samples below which neither a mean nor a run of equal values says anything
 _MAD_TO_STD = 1.4826
 _INNER_SHARE = 0.75
 _INNER_VARIANCE = 0.36852  # mean square of the smallest three quarters of normal numbers: |z| < 1.15035
@@ -33,7 +33,7 @@ def difference_noise(values: FloatArray) -> float:
     The second difference of white noise has the variance 6 sigma^2. Its smallest three quarters are squared and
     averaged: a median of a converter's few steps would jump by a half of the noise.
     """
-    if len(values) < _FEW:
+    if len(values) < FEW:
         return 0.0
     second = np.diff(values, n=2)
     deviation = np.sort(np.abs(second - np.median(second)))

@@ -18,6 +18,7 @@ from motor_env.recordings.headers import SI, ColumnChoice
 from motor_env.recordings.noise import filled
 from motor_env.recordings.tables import read_table
 from motor_env.recordings.text.block import FEWEST_SAMPLES, Table
+from motor_env.recordings.text.number_parser import MOST_ROWS
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -30,7 +31,6 @@ _Record = TypeVar("_Record", bound="DataclassInstance")
 _AS_LONG, _ALIKE = 0.2, 0.05  # of the median step: usual ones; standard deviation of a clock's
 _MOSTLY = 0.8  # of the steps: where fewer are usual, times near even ones were rounded
 _HOLE = 1.75  # median steps of a clock that is not even: nearly all of its own steps are shorter
-_MOST_PLACES = 4_000_000
 _MOST_READINGS = 3  # that are told apart in a list
 _CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
 
@@ -233,7 +233,7 @@ def resampled(
     step_s, is_usual, is_clock = _usual_step(steps, step_s, is_other=is_other)
     if is_clock and not is_usual.all() and (shift >= 0.5 or is_other or float(np.mean(is_usual)) > _MOSTLY):
         samples, places = _placed_samples(time_s, step_s, is_usual)
-        if places[-1] < max(4 * count, _MOST_PLACES):
+        if places[-1] < max(4 * count, MOST_ROWS):
             even = time_s[0] + step_s * np.arange(places[-1] + 1)
             whole = {name: np.full(len(even), np.nan) for name in columns}
             for name, values in columns.items():

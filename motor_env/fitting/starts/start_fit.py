@@ -29,7 +29,7 @@ _USUAL = {
 """Least and largest value (of the current: its peak) of brushed DC motors from pagers to traction, with a margin."""
 POOR_FIT = 0.75  # R2 of a start that no motor explains
 _TOLD = 0.3  # standard error of a logarithm, above which a quantity is not told
-_UNTOLD = 1.0
+UNTOLD_LOG_SD = 1.0
 _RUN_UP, _STANDING = 2.0, 0.8  # time constants, after which a current has fallen to 14 %; share of its peak
 NOT_TURNING = (
     "the current does not show that a motor turns: the recording ends too early, the rotor is blocked, or this is no"
@@ -231,7 +231,7 @@ def record_of(start: Start) -> Record:
 def shows_turning(fit: StartFit) -> bool:
     """Return whether the start tells K^2/J, or with the speed K, to a factor of e: a resistor and a coil have none."""
     pull = next(n for n, name in enumerate(fit.quantity_names) if name.startswith("K"))
-    return float(fit.log_covariance[pull, pull]) < _UNTOLD**2
+    return float(fit.log_covariance[pull, pull]) < UNTOLD_LOG_SD**2
 
 
 def is_blocked(fit: StartFit, time_constant_s: float) -> bool:

@@ -12,7 +12,7 @@ from motor_env.fitting import parameter_index as index
 from motor_env.fitting.model_selection import STRONG_EVIDENCE
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.score_tests import score_tests, supply_effects
-from motor_env.fitting.starts.start_fit import StartFit, record_of
+from motor_env.fitting.starts.start_fit import UNTOLD_LOG_SD, StartFit, record_of
 from motor_env.fitting.starts.start_prior import CURVE, StartPrior, start_prior
 from motor_env.fitting.uncertainty import capped, free_run_states, model_error, normalised, sandwich
 from motor_env.motor import identifiable as quantities
@@ -21,7 +21,6 @@ from motor_env.motor.threads import on_one_thread
 from motor_env.recordings.noise import constant_lines
 from motor_env.recordings.start import Start
 
-_UNTOLD_LOG_SD = 1.0
 _WILD_SPREADS = 10.0
 _USUAL_LAG = 0.03  # L/R over the mechanical time constant, where brushed motors have 0.01 to 0.1
 _SMALL, _LARGEST_MOVE = 0.01, 3.0
@@ -120,7 +119,7 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
                 more += np.outer(moved, moved)
     if belief.has_inductance_prior(model):
         # What looks like L may be the ramp or the lag, and the other way round: L tells nothing then.
-        covariance[1, 1] += _UNTOLD_LOG_SD**2
+        covariance[1, 1] += UNTOLD_LOG_SD**2
     elif "supply_ramp" in model:
         moved = _hidden_inductance(problem, theta, jacobian)
         more += np.outer(moved, moved)
