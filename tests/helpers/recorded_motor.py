@@ -76,7 +76,7 @@ class Line:
     def residuals(self, theta: FloatArray) -> FloatArray:
         return self.design @ theta - self.target
 
-    def columns(self, _: FloatArray, chosen: list[int], __: FloatArray) -> FloatArray:
+    def jacobian(self, _: FloatArray, __: FloatArray, chosen: list[int]) -> FloatArray:
         return np.asarray(self.design[:, chosen])
 
     def secants(self, _: FloatArray, chosen: list[int], __: FloatArray) -> FloatArray:

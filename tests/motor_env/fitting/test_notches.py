@@ -105,12 +105,12 @@ def test_wide_steps_stay_between_a_thousandth_and_a_tenth(
         taken.append(steps)
         return slopes
 
-    monkeypatch.setattr(Problem, "columns", lambda *_: slopes)
+    monkeypatch.setattr(Problem, "jacobian", lambda *_: slopes)
     monkeypatch.setattr(Problem, "secants", over)
     secants(problem, np.zeros(3))
     np.testing.assert_allclose(taken, step, rtol=1e-9)
 
 
-def test_the_smallest_model_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Solution, "settled", lambda one: replace(one, misfit=-1234.5))
+def test_the_smallest_model_escapes_local_minima(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Solution, "escape_local_minimum", lambda one: replace(one, misfit=-1234.5))
     assert fitting._smallest_model(worked(values())).misfit == -1234.5
