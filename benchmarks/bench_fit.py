@@ -17,8 +17,8 @@ from result import Result
 from timing import best_rate
 
 from motor_env import MotorParameters, discretize, simulate_states
-from motor_env.fitting import places
-from motor_env.fitting.kernel import BEGIN
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.ekf import BEGIN
 from motor_env.fitting.record import Record
 from motor_env.motor.parameters import FloatArray
 

@@ -88,7 +88,7 @@ class Mutant:
 
 
 def room_of(file: Path) -> str:
-    """`operation` for motor_env/fitting/fit.py; the package's name for what lies at its top."""
+    """`operation` for motor_env/fitting/model_selection.py; the package's name for what lies at its top."""
     parts = file.parts[file.parts.index(next(p for p in file.parts if p in PACKAGES)) :]
     inner = parts[1] if len(parts) > 2 else ""
     if parts[0] == "motor_env":

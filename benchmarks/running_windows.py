@@ -32,8 +32,7 @@ from verdict_tables import HERE, Counts, How, Said, counted
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 
 WINDOW, LEARNED, JUDGED, RATE = 400, 10, 3, 0.01
 DT = 0.1  # of the mechanical time constant

@@ -32,8 +32,8 @@ SHARED = {
     "motor_env.motor.healthy": "what a commissioned Motor holds",
     "motor_env.motor.model": "the equations that every room is compared with",
     "motor_env.motor.parameters": "the type of arrays, and constants of the paper's motor",
-    "motor_env.fitting.places": "the places of values in what windows of work have taught",
-    "motor_env.recordings.defects": "what a recording is refused with",
+    "motor_env.fitting.parameter_index": "the places of values in what windows of work have taught",
+    "motor_env.recordings.recording": "what a recording is refused with",
     "motor_env.recordings.start": "from a Recording to what `identify` takes; the documentation calls it",
     "motor_env.simulation.recipes": "what a Recipe is made of",
 }

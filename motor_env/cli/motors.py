@@ -202,7 +202,7 @@ def _of_sisters(
     from motor_env.fleet.learning import learn_fleet
     from motor_env.fleet.unit_update import update_unit
     from motor_env.motor.data_sheet import load_motor, save_motor
-    from motor_env.recordings.recording import read_recording, understood
+    from motor_env.recordings.recording import describe_reading as understood, read_recording
 
     if motor is not None:
         learned = update_unit(files, load_motor(motor), name, reading=reading)

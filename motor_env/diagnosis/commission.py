@@ -20,19 +20,22 @@ from motor_env.diagnosis.sensors.failed import with_signs
 from motor_env.diagnosis.shown.report import UNITS, of_the_drag
 from motor_env.diagnosis.views import Fitted
 from motor_env.errors import InputError, require_options
-from motor_env.fitting.recorded import at_terminals
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.preprocessing import at_terminals
+from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.motor.assumptions import lines as lines_of
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, recording_of, understood
-from motor_env.recordings.regime import Taken, taken_for
-from motor_env.recordings.splitting import chosen_starts, split_starts
-from motor_env.recordings.start import Circuit, prepare
+from motor_env.recordings.recording import (
+    Recording,
+    UnusableError,
+    describe_reading as understood,
+    recording_of,
+)
+from motor_env.recordings.regime import RegimeDecision as Taken, taken_for
+from motor_env.recordings.start import Circuit, chosen_starts, prepare, split_starts
 
 FEWEST_STARTS = 3
 _NO_LOAD = 1.2  # of the current with the load: the same motor, within its friction's changes

@@ -43,7 +43,7 @@ from motor_env.diagnosis.views import (
     unit_of,
     views_of,
 )
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray
 

@@ -22,22 +22,24 @@ from motor_env.diagnosis.sensors.failed import failed_sensor
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
-from motor_env.fitting.starts.choice import EXTENSIONS, NUISANCES, identify_best
 from motor_env.fitting.starts.commutation import ripple_quantities
-from motor_env.fitting.starts.identified import Identified
-from motor_env.fitting.starts.identify import identify
-from motor_env.fitting.starts.plausibility import NOT_TURNING, POOR_FIT, is_blocked, shows_turning
+from motor_env.fitting.starts.start_fit import (
+    NOT_TURNING,
+    POOR_FIT,
+    StartFit as Identified,
+    is_blocked,
+    shows_turning,
+)
+from motor_env.fitting.starts.start_identification import EXTENSIONS, NUISANCES, identify, identify_best
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.model import steady_state
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.noise import explainable
-from motor_env.recordings.recording import Recording, recording_of
-from motor_env.recordings.regime import Taken, taken_for
-from motor_env.recordings.splitting import chosen_starts
-from motor_env.recordings.start import Circuit, Start, prepare
+from motor_env.recordings.recording import Recording, UnusableError, recording_of
+from motor_env.recordings.regime import RegimeDecision as Taken, taken_for
+from motor_env.recordings.start import Circuit, Start, chosen_starts, prepare
 
 _ANOTHER_ORDER = math.log(1.5)
 _LEAST = 0.05  # of the voltage behind the brushes, and of the speed: a motor file may leave none

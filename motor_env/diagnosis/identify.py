@@ -21,18 +21,15 @@ from motor_env.diagnosis.shown.report import (
     warnings_of,
 )
 from motor_env.errors import InputError, require_options
-from motor_env.fitting.identify import Operation, identify_operation
-from motor_env.fitting.recorded import at_terminals
-from motor_env.fitting.starts.choice import EXTENSIONS, identify_best
-from motor_env.fitting.starts.identified import Identified
-from motor_env.fitting.starts.plausibility import implausible
+from motor_env.fitting.operation_fit import OperationFit as Operation, identify_operation
+from motor_env.fitting.preprocessing import at_terminals
+from motor_env.fitting.starts.start_fit import StartFit as Identified, implausible
+from motor_env.fitting.starts.start_identification import EXTENSIONS, identify_best
 from motor_env.motor.data_sheet import Motor
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, recording_of
-from motor_env.recordings.regime import Taken, taken_for
-from motor_env.recordings.splitting import chosen_starts
-from motor_env.recordings.start import Circuit, prepare
+from motor_env.recordings.recording import Recording, UnusableError, recording_of
+from motor_env.recordings.regime import RegimeDecision as Taken, taken_for
+from motor_env.recordings.start import Circuit, chosen_starts, prepare
 
 _HELD = {
     "held": "held until the next one",

@@ -12,11 +12,10 @@ import numpy as np
 from motor_env.diagnosis.decision import decide, limits_of
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
 from motor_env.diagnosis.views import Fitted, smallest_of, views_of
-from motor_env.fitting.starts.choice import NUISANCES, identify_best
 from motor_env.fitting.starts.commutation import ripple_quantities
-from motor_env.fitting.starts.identified import Identified
-from motor_env.fitting.starts.identify import identify
-from motor_env.fitting.uncertainty import beyond
+from motor_env.fitting.starts.start_fit import StartFit as Identified
+from motor_env.fitting.starts.start_identification import NUISANCES, identify, identify_best
+from motor_env.fitting.uncertainty import excess_covariance as beyond
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.parameters import FloatArray

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.fitting import places
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.start import mean_tail

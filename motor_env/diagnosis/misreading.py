@@ -15,7 +15,7 @@ import numpy as np
 
 from motor_env.diagnosis.explanations import Difference, Explanation, along, left_over
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.fitting.starts.plausibility import NOT_TURNING
+from motor_env.fitting.starts.start_fit import NOT_TURNING
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.identifiable import PARAMETERS, fault_direction
 

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from motor_env.errors import InputError
-from motor_env.fitting import places
-from motor_env.fitting.identify import Operation
-from motor_env.fitting.starts.belief import hides_inductance
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.operation_fit import OperationFit as Operation
+from motor_env.fitting.starts.start_fit import StartFit as Identified
+from motor_env.fitting.starts.start_prior import hides_inductance
 from motor_env.motor.assumptions import assumptions
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy

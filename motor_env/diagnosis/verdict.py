@@ -11,10 +11,10 @@ from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.views import Fitted
 from motor_env.filters.consistency import Consistency, check_consistency
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.motor.faults import FaultKind
 from motor_env.recordings.recording import Recording
-from motor_env.recordings.regime import Taken
+from motor_env.recordings.regime import RegimeDecision as Taken
 
 SURE_OF_KIND = 0.95
 """Posterior probability below which a verdict does not say which kind of its family it is."""

@@ -17,8 +17,8 @@ from motor_env.diagnosis.explanations import (
 )
 from motor_env.diagnosis.healthy_motor import Reference, with_normal
 from motor_env.diagnosis.loaded import Drag, drags
-from motor_env.fitting.starts.identified import Identified
-from motor_env.fitting.uncertainty import beyond
+from motor_env.fitting.starts.start_fit import StartFit as Identified
+from motor_env.fitting.uncertainty import excess_covariance as beyond
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray

@@ -1,7 +1,7 @@
 """Residuals of one choice of terms: whitened innovations of the Kalman filter; their least squares.
 
-The whitened innovations, times the geometric mean of their standard deviations, are the residuals: their sum of squares
-is the concentrated likelihood (Ljung 1999, ch. 7), so that one least-squares fit finds motor and noise together.
+Times the geometric mean of their standard deviations, their sum of squares is the concentrated likelihood (Ljung 1999,
+ch. 7): one least-squares fit finds motor and noise together.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as index
 from motor_env.fitting.record import Record
 from motor_env.fitting.terms import NOISES, Term, terms
 from motor_env.motor.parameters import FloatArray
@@ -28,7 +28,7 @@ _ENOUGH = 0.01
 WIDTHS = (1e-3, 0.1)
 """Least and largest step over which the slope of residuals with kinks is taken."""
 _WORTH, _MOST_OUT = 1.0, 20
-"""Of -2 log likelihood: what wide slopes must promise for a fit to go on, and that must gain; evaluations."""
+"""Of -2 log likelihood: what wide slopes must promise for a fit to go on, and its gain; evaluations."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Problem:
 
     Attributes:
         record: what is fitted.
-        known: values of what is not fitted, shape (places.N_VALUES,).
+        known: values of what is not fitted, shape (parameter_index.N_VALUES,).
         free: the terms that are.
     """
 
@@ -46,30 +46,30 @@ class Problem:
     free: tuple[Term, ...]
 
     def values(self, theta: FloatArray) -> FloatArray:
-        """Physical values and noises."""
+        """Return physical values and noises."""
         values: FloatArray = self.values_each(theta[None])[0]
         return values
 
     def values_each(self, thetas: FloatArray) -> FloatArray:
-        """Physical values for several vectors of unknowns, shape (m, n_unknowns)."""
+        """Return physical values for several vectors of unknowns, shape (m, n_unknowns)."""
         values = np.tile(self.known, (len(thetas), 1))
         for term, column in zip(self.free, thetas.T, strict=True):
             values[:, term.place] = term.unit * (np.exp(column) if term.is_log else column)
         if not self.record.is_start:  # there L cannot be none
             least = _LEAST_LAG * self.record.dt_s
-            values[:, places.L] = np.hypot(values[:, places.L], least * values[:, places.R])
-        with_drag = values[:, places.DRAG] > 0.0
-        values[with_drag, places.B] *= values[with_drag, places.DRAG]
-        values[with_drag, places.COULOMB] *= values[with_drag, places.DRAG]
+            values[:, index.L] = np.hypot(values[:, index.L], least * values[:, index.R])
+        with_drag = values[:, index.DRAG] > 0.0
+        values[with_drag, index.B] *= values[with_drag, index.DRAG]
+        values[with_drag, index.COULOMB] *= values[with_drag, index.DRAG]
         return values
 
     def residuals(self, theta: FloatArray) -> FloatArray:
-        """Scaled innovations of each sample and channel, and what is believed beforehand of the terms."""
+        """Return the scaled innovations of each sample and channel, then the priors' residuals."""
         residuals: FloatArray = self.residuals_each(theta[None])[0]
         return residuals
 
     def residuals_each(self, thetas: FloatArray) -> FloatArray:
-        """Residuals for several vectors of unknowns, shape (m, n_unknowns)."""
+        """Return residuals for several vectors of unknowns, shape (m, n_unknowns)."""
         out, logs = self.record.predict_each(self.values_each(thetas))
         first, last = np.flatnonzero(self.record.seen > 0.0)[[0, -1]]
         white = out[:, :, first : last + 1].reshape(len(thetas), -1)
@@ -85,7 +85,7 @@ class Problem:
 
     @cached_property
     def every(self) -> dict[str, Term]:
-        """All terms that its record may have, in units of what is known."""
+        """All terms that the record may have, in units of what is known."""
         return terms(self.record, self.known)
 
     @cached_property
@@ -93,18 +93,16 @@ class Problem:
         """Number of readings."""
         return self.record.count
 
-    def jacobian(self, theta: FloatArray, base: FloatArray) -> FloatArray:
-        """Derivatives of the residuals, which are `base` there, by differences in one direction."""
-        return self.columns(theta, range(len(theta)), base)
-
-    def columns(self, theta: FloatArray, chosen: Sequence[int], base: FloatArray) -> FloatArray:
-        """Some columns of it."""
-        moved, steps = self.steps(theta, chosen)
+    def jacobian(
+        self, theta: FloatArray, base: FloatArray, chosen: Sequence[int] | None = None
+    ) -> FloatArray:
+        """Return one-sided derivatives of the residuals, which are `base` there, by all or the chosen unknowns."""
+        moved, steps = self.steps(theta, range(len(theta)) if chosen is None else chosen)
         slopes: FloatArray = ((self.residuals_each(moved) - base) / steps[:, None]).T
         return slopes
 
     def steps(self, theta: FloatArray, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Unknowns of which one has moved, shape (m, n_unknowns), and by how much, (m,): away from the nearer bound."""
+        """Move one unknown in each row, away from its nearer bound: rows, shape (m, n_unknowns), and steps, (m,)."""
         moved, steps = np.tile(theta, (len(chosen), 1)), np.empty(len(chosen))
         for row, n in enumerate(chosen):
             step = STEP * max(1.0, abs(theta[n]))
@@ -113,10 +111,9 @@ class Problem:
         return moved, steps
 
     def secants(self, theta: FloatArray, chosen: Sequence[int], steps: FloatArray) -> FloatArray:
-        """Some columns of it over wide steps in both directions, as far as the bounds allow.
+        """Return derivatives by chosen unknowns over wide steps in both directions, within the bounds.
 
-        Where the motor starts and stops the residuals have kinks: what counts for an interval is their slope over
-        its width.
+        Where the motor starts and stops the residuals have kinks: an interval needs their slope over its width.
         """
         low, high = self.bounds
         rows, below = np.arange(len(chosen)), np.tile(theta, (len(chosen), 1))
@@ -134,12 +131,12 @@ class Problem:
         return np.array([term.low for term in self.free]), np.array([term.high for term in self.free])
 
     def solve(self, theta: FloatArray, most: int = 40, steps: FloatArray | None = None) -> Solution:
-        """The best unknowns from a beginning; never worse than that.
+        """Find the best unknowns from a beginning; never worse than that.
 
         Args:
             theta: the beginning.
             most: evaluations.
-            steps: of each unknown, over which the residuals' derivatives are taken, see `secants`.
+            steps: of each unknown, for derivatives by `secants`.
         """
         low, high = self.bounds
         begin = np.clip(theta, low + 1e-9, high - 1e-9)
@@ -161,7 +158,7 @@ class Problem:
                 return self.secants(unknowns(point), range(len(steps)), steps)
             return self.jacobian(unknowns(point), residuals(point))
 
-        found = least_squares(
+        optimum = least_squares(
             residuals,
             begin - zero,
             jac=jacobian,
@@ -170,14 +167,14 @@ class Problem:
             max_nfev=most,
             ftol=_ENOUGH / self.count,
         )
-        return Solution(self, unknowns(found.x), self.misfit(2.0 * found.cost))
+        return Solution(self, unknowns(optimum.x), self.misfit(2.0 * optimum.cost))
 
     def misfit(self, squares: float) -> float:
-        """-2 log likelihood, noise level concentrated out."""
+        """Return -2 log likelihood, noise level concentrated out."""
         return self.count * math.log(max(squares, 1e-300) / self.count)
 
     def with_terms(self, added: Sequence[Term]) -> Problem:
-        """The problem with more terms."""
+        """Return the problem with more terms."""
         return replace(self, free=(*self.free, *added))
 
     @property
@@ -194,13 +191,13 @@ class Solution:
         problem: what was solved.
         theta: the best unknowns.
         misfit: theirs.
-        rivals: unknowns and misfits of other optima.
+        alternative_optima: unknowns and misfits of others.
     """
 
     problem: Problem
     theta: FloatArray
     misfit: float
-    rivals: tuple[tuple[FloatArray, float], ...] = ()
+    alternative_optima: tuple[tuple[FloatArray, float], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -213,16 +210,16 @@ class Solution:
         values = self.problem.values(self.theta)
         out, _ = self.problem.record.predict(values)
         left = float(np.mean(out[:, :2][self.problem.record.told] ** 2))
-        values[places.NOISE_I : places.WALK + 1] *= math.sqrt(left)
+        values[index.NOISE_I : index.WALK + 1] *= math.sqrt(left)
         return values
 
-    def settled(self) -> Solution:
-        """The fit; where it is caught in a notch, one that has gone on from it.
+    def escape_local_minimum(self) -> Solution:
+        """Continue a fit that is caught between two jumps of its likelihood; return it if there is no way out.
 
-        Where the motor starts or stops at another sample the likelihood jumps. In a notch between two such jumps
-        derivatives at a point see no way out. Those over steps as wide as the unknowns are uncertain may promise one.
+        Where the motor starts or stops at another sample the likelihood jumps. Between two such jumps derivatives at a
+        point see no way out; those over steps as wide as the unknowns are uncertain may.
         """
-        problem, theta, motor = self.problem, self.theta, motor_places(self.problem)
+        problem, theta, motor = self.problem, self.theta, motor_unknowns(self.problem)
         base, (low, high) = problem.residuals(theta), problem.bounds
         size, slopes = float(base @ base) / problem.count, problem.jacobian(theta, base)
         sd = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ slopes, hermitian=True)) * size)
@@ -231,51 +228,51 @@ class Solution:
         ways = (low - theta)[motor], (high - theta)[motor]
         if 2.0 * lsq_linear(wide, -base, ways).cost > (problem.count - _WORTH) * size:
             return self
-        found = problem.solve(theta, _MOST_OUT, steps)
-        if found.misfit > self.misfit - _WORTH:
+        escaped = problem.solve(theta, _MOST_OUT, steps)
+        if escaped.misfit > self.misfit - _WORTH:
             return self
         # Its rivals may be caught, too: they stay as far behind.
-        gain = found.misfit - self.misfit
-        rivals = tuple((other, misfit + gain) for other, misfit in self.rivals)
-        return replace(found, rivals=rivals).settled()
+        gain = escaped.misfit - self.misfit
+        rivals = tuple((other, misfit + gain) for other, misfit in self.alternative_optima)
+        return replace(escaped, alternative_optima=rivals).escape_local_minimum()
 
-    def weighed(self) -> Problem:
-        """The problem with the noise of each channel as large as what is left of it."""
+    def reweighted(self) -> Problem:
+        """Return the problem with each channel's noise as large as what is left of it."""
         problem, known = self.problem, self.problem.known.copy()
         left = problem.record.readings - problem.record.predict(problem.values(self.theta))[0][:, 2:4]
         left[~problem.record.told] = np.nan
-        for n, place in enumerate((places.NOISE_I, places.NOISE_W)):
+        for n, place in enumerate((index.NOISE_I, index.NOISE_W)):
             if problem.record.seen[n] > 0.0:
                 known[place] = max(float(np.nanstd(left[:, n])), _LEAST_NOISE * known[place])
         return replace(problem, known=known)
 
     @cached_property
     def free(self) -> tuple[FloatArray, FloatArray]:
-        """The filter's table, and that of the model that runs freely under the voltage and the filter's load."""
+        """The filter's table, and that of the free run under the voltage and the filter's load."""
         record, values = self.problem.record, self.values
         filtered, _ = record.predict(values)
         return filtered, record.predict(values, learn=False, load=filtered[:, 4])[0]
 
     def explained(self) -> tuple[float | None, float | None]:
-        """Share of the variance of current and speed that the free model explains; None where not used."""
+        """Return the share of the variance of current and speed that the free run explains; None where not used."""
         record = self.problem.record
         left = record.readings - self.free[1][:, 2:4]
         r2 = [
-            r_squared(record.readings[told, n], left[told, n]) if record.seen[n] else None
-            for n, told in enumerate(record.told.T)
+            r_squared(record.readings[counted, n], left[counted, n]) if record.seen[n] else None
+            for n, counted in enumerate(record.told.T)
         ]
         return r2[0], r2[1]
 
-    def penalised(self) -> float:
-        """Bayesian information criterion (Schwarz 1978)."""
+    def bic(self) -> float:
+        """Return the Bayesian information criterion (Schwarz 1978)."""
         return self.misfit + len(self.theta) * math.log(self.problem.count)
 
 
-def motor_places(problem: Problem) -> list[int]:
-    """Places of the unknowns that are no noises."""
+def motor_unknowns(problem: Problem) -> list[int]:
+    """Return the positions of the unknowns that are no noises."""
     return [n for n, name in enumerate(problem.names) if name not in NOISES]
 
 
 def r_squared(measured: FloatArray, left: FloatArray) -> float:
-    """Share of the variance of what was measured that a fit explains, given what it leaves."""
+    """Return the share of the variance of measured values that a fit explains, given its residual."""
     return 1.0 - float(np.sum(left**2) / max(np.sum((measured - measured.mean()) ** 2), 1e-300))

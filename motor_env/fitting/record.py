@@ -1,4 +1,4 @@
-"""What is fitted: voltage, current and speed of one or several recordings of a motor, side by side."""
+"""What is fitted: voltage, current and speed of one or several recordings of a motor, in a row."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from motor_env.fitting import simple
-from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each, room_to_work
-from motor_env.fitting.places import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
+from motor_env.fitting.ekf import BEGIN, FOUND, LOST, OPEN, REST, SWITCH, predict_each, room_to_work
+from motor_env.fitting.parameter_index import AFTER, CURVE, DELAY, NOISE_I, OFFSET_I, ONSET, RISE, ZONE, R
 from motor_env.motor.parameters import FloatArray
 
 Hold = Literal["held", "straight", "late"]
 HOLDS: tuple[Hold, ...] = ("held", "straight", "late")
-"""The voltage of a sample lasts until the next; runs in a straight line to it; or has lasted since the one before."""
+"""The voltage of a sample lasts until the next; runs straight to it; or has lasted since the one before."""
 CURVE_PARTS = 5
 """Parts of a supply's rise of free shape."""
 _OF_SUPPLY = np.r_[DELAY, ONSET, RISE, np.arange(CURVE.start, CURVE.stop)]
@@ -36,16 +36,13 @@ class Record:
         voltage_v: shape (n,); a guess where it is not known.
         readings: current and speed, shape (n, 2); zero where not recorded, NaN where a sample does not count.
         seen: 1 where current, speed were recorded, shape (2,).
-        marks: `kernel.BEGIN` at the first sample of each recording, and at the next ones until all channels are read;
-            `kernel.OPEN` where the circuit is open, `kernel.LOST` and `kernel.FOUND` after a hole; (n,). A start begins
-            with `kernel.REST` or `kernel.STEADY`.
-        hold: what the voltage does between two samples; in a start it changes once between them, in the middle where
-            there is no delay.
+        marks: see `ekf.BEGIN`, shape (n,); a recording that begins is marked until all channels are read.
+        hold: what the voltage does between two samples; in a start it changes once between them.
         averaged: number of samples whose mean is one sample here.
         share: of the recordings that is here, its liveliest stretches.
         onset_s: from the first sample to the step of a supply that is switched on once, about; None for any other.
         shunt_ohm: resistance in series with the motor.
-        rectified_a: noise of a current's sensor that shows none below 0; None for any other.
+        rectified_a: noise of a current sensor that shows none below 0; None for any other.
     """
 
     dt_s: float
@@ -72,7 +69,7 @@ class Record:
 
     @property
     def told(self) -> NDArray[np.bool_]:
-        """Which readings the motor's quantities are told by, shape (n, 2): all that are there and not behind a hole."""
+        """Readings that tell the motor's quantities, shape (n, 2): all that are there and not behind a hole."""
         told: NDArray[np.bool_] = np.isfinite(self.readings) & np.outer(
             (self.marks != LOST) & (self.marks != FOUND), self.seen > 0.0
         )
@@ -80,7 +77,7 @@ class Record:
 
     @property
     def steps_seen(self) -> float:
-        """Share of the voltage's changes, squared, that no hole hides: they tell L, and how the voltage is held."""
+        """Share of the voltage's squared changes that no hole hides: they tell L and the hold."""
         if LOST not in self.marks:
             return 1.0
         changes = np.square(np.diff(self.voltage_v)) * (self.marks[1:] != BEGIN)
@@ -88,7 +85,7 @@ class Record:
 
     @property
     def count(self) -> int:
-        """Number of these readings, without those that a recording begins with."""
+        """Number of `told` readings, without those that a recording begins with."""
         return int(self.told[self.marks != BEGIN].sum())
 
     @property
@@ -98,7 +95,7 @@ class Record:
 
     @property
     def peaks(self) -> tuple[float, float, float]:
-        """Largest voltage, current and speed, wild samples left out."""
+        """Largest voltage, current and speed, without outliers."""
         columns = (self.voltage_v, self.readings[:, 0], self.readings[:, 1])
         v, i, w = (float(np.nanquantile(np.abs(column), 0.999)) for column in columns)
         return v, i, w
@@ -112,10 +109,10 @@ class Record:
         return np.where(np.isfinite(least), least, 0.0)
 
     def between(self, delay: float = 0.0) -> FloatArray:
-        """Voltage at the begin and end of the interval that ends at each sample, shape (n, 2).
+        """Return the voltage at begin and end of the interval that ends at each sample, shape (n, 2).
 
         Args:
-            delay: how much later the voltage comes than it was logged, in samples, -1 .. 1.
+            delay: of the voltage behind its log, in samples, -1 .. 1.
         """
         if self.is_start:
             whole = round(delay)
@@ -129,7 +126,7 @@ class Record:
         return np.ascontiguousarray(np.stack(pairs[self.hold], axis=1))
 
     def supply(self, values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Voltage over each interval, see `between`; marks; seconds from a switch to the sample after it."""
+        """Return the voltage over each interval, see `between`; marks; seconds from a switch to the sample after it."""
         if self.onset_s is None:
             return self.between(float(values[DELAY])), self.marks, 0.0
         since = self.dt_s * np.arange(len(self.voltage_v)) - (self.onset_s + values[ONSET])
@@ -147,24 +144,24 @@ class Record:
     def predict(
         self, values: FloatArray, *, learn: bool = True, load: FloatArray | None = None
     ) -> tuple[FloatArray, float]:
-        """Run the filter; its table (see `kernel.predict_each`) and the sum of the innovations' log variances."""
+        """Run the filter; return its table, see `ekf.predict_each`, and the sum of the innovations' log variances."""
         tables, logs = self.predict_each(values[None], learn=learn, load=load)
         return tables[0], float(logs[0])
 
     def predict_each(
         self, values: FloatArray, *, learn: bool = True, load: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """What `predict` gives for several vectors of values, shape (m, N_VALUES): tables, and the sums."""
+        """Do `predict` for several vectors of values, shape (m, N_VALUES)."""
         out, p = np.zeros((len(values), len(self.voltage_v), 6)), values.copy()
         if load is not None:
             out[:, :, 4] += load
         p[:, R] += self.shunt_ohm
-        keys = [one[_OF_SUPPLY].tobytes() for one in p]
+        keys = [row[_OF_SUPPLY].tobytes() for row in p]
         supplies: dict[bytes, tuple[FloatArray, FloatArray, float]] = {}
-        for key, one in zip(keys, p, strict=True):
+        for key, row in zip(keys, p, strict=True):
             if key not in supplies:
-                supplies[key] = self.supply(one)
-            one[AFTER] = supplies[key][2]
+                supplies[key] = self.supply(row)
+            row[AFTER] = supplies[key][2]
         voltage, marks = (np.stack([each[n] for each in supplies.values()]) for n in (0, 1))
         which = np.array([list(supplies).index(key) for key in keys])
         logs, read = np.zeros(len(p)), (self.readings, self.seen)
@@ -173,13 +170,13 @@ class Record:
         else:
             reach = 1e-9 + np.abs(voltage).max((1, 2))
             predict_each(p, self.dt_s, voltage, marks, reach, which, *read, learn, out, logs, room_to_work())
-        for one, table in zip(p, out, strict=True):
-            if one[ZONE] > 0.0 or self.rectified_a is not None:
-                self._hide(one, table)
+        for row, table in zip(p, out, strict=True):
+            if row[ZONE] > 0.0 or self.rectified_a is not None:
+                self._hide(row, table)
         return out, logs
 
     def _hide(self, p: FloatArray, table: FloatArray) -> None:
-        """What a sensor shows that has a dead zone or no current below 0."""
+        """Replace what a sensor with a dead zone, or none below 0, shows."""
         current, zone = table[:, 2] - p[OFFSET_I], p[ZONE]
         if zone > 0.0:
             # Nothing below the zone is shown and all above it; the commutation carries the current across its edge.
@@ -190,11 +187,11 @@ class Record:
         table[:, 0] = np.nan_to_num((self.readings[:, 0] - table[:, 2]) / p[NOISE_I])
 
     def closed(self) -> Record:
-        """The record without open circuits."""
+        """Return the record without open circuits."""
         return replace(self, marks=np.where(self.marks == OPEN, 0.0, self.marks))
 
     def sample(self, count: int) -> Record:
-        """So many of its samples: stretches of equal length, evenly spread."""
+        """Return `count` of its samples: evenly spread stretches of equal length."""
         firsts = np.arange(STRETCHES) * (len(self.voltage_v) // STRETCHES)
         some = (firsts[:, None] + np.arange(count // STRETCHES)).ravel()
         marks, readings = self.marks[some], self.readings[some]
@@ -203,12 +200,12 @@ class Record:
         return replace(self, voltage_v=self.voltage_v[some], readings=readings, marks=marks)
 
     def only(self, *, current: bool, speed: bool) -> Record:
-        """The record with some of its channels."""
+        """Return the record with some of its channels."""
         return replace(self, seen=self.seen * np.array([current, speed], dtype=np.float64))
 
 
 def with_begins(marks: FloatArray, readings: FloatArray, seen: FloatArray) -> FloatArray:
-    """Marks of recordings that begin again until the voltage is known and each channel is read twice in a row."""
+    """Mark recordings as begun until the voltage is known and each channel is read twice in a row."""
     marks = marks.copy()
     is_read: NDArray[np.bool_] = np.all(np.isfinite(readings[:, seen > 0.0]), axis=1)
     known = is_read[:-1] & is_read[1:] & (marks[1:] != LOST)
@@ -222,11 +219,11 @@ def with_begins(marks: FloatArray, readings: FloatArray, seen: FloatArray) -> Fl
 def with_holes(
     marks: FloatArray, missing: NDArray[np.bool_], readings: FloatArray, seen: FloatArray
 ) -> FloatArray:
-    """Marks of a record whose voltage has missing samples.
+    """Mark a record whose voltage has missing samples.
 
-    Not known is the voltage of two intervals before such a sample and of two after it: it may be held either way, and
-    come late; and of those after them until each channel is read again. One reading more of each finds the state that
-    no reading shows.
+    Unknown is the voltage of two intervals before such a sample and two after it, as it may be held either way and come
+    late. Then LOST lasts until each channel is read, FOUND until each is read once more, which finds the states that no
+    reading shows.
     """
     unknown = np.pad(missing, 2)
     lost: NDArray[np.bool_] = unknown[:-4] | unknown[1:-3] | unknown[2:-2] | unknown[3:-1]
@@ -244,7 +241,7 @@ def with_holes(
 
 
 def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:
-    """Mean over the intervals [begin, end] of a supply that rises to 1, part by part in straight lines."""
+    """Return the mean over intervals [begin, end] of a supply that rises to 1 in straight parts."""
     if values[RISE] <= 0.0:
         return np.ones_like(begin_s)
     shares = np.append(1.0, values[CURVE])
@@ -265,7 +262,7 @@ def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> Flo
 
 
 def rectified_mean(current: FloatArray, noise_a: float) -> FloatArray:
-    """Mean of max(i + noise, 0): what a sensor shows that cannot go below 0."""
+    """Return the mean of max(i + noise, 0): what a sensor shows that cannot go below 0."""
     if noise_a <= 0.0:
         return np.maximum(current, 0.0)
     z = np.clip(current / noise_a, -40.0, 40.0)
@@ -274,7 +271,6 @@ def rectified_mean(current: FloatArray, noise_a: float) -> FloatArray:
 
 
 def _shifted(values: FloatArray, samples: float) -> FloatArray:
-    """Values as they were so many samples, or parts of one, before."""
     places = np.arange(len(values), dtype=np.float64)
     shifted: FloatArray = values if samples == 0.0 else np.interp(places - samples, places, values)
     return shifted

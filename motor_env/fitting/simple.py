@@ -1,7 +1,7 @@
-"""Starts of a simple motor, compiled: nothing disturbs it, it stays cool, and has no gear and no Stribeck curve.
+"""Starts of a simple motor, compiled: no disturbance, no heating, no gear, no Stribeck curve.
 
-The numbers are those of `motor_env.fitting.kernel`, whose filter has nothing to learn here. Starts are fitted so in a
-third of the time, and need no more than this to be compiled.
+The numbers are those of `motor_env.fitting.ekf`, whose filter has nothing to learn here. Starts are fitted so in a
+third of the time, and need no more than this compiled.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.fitting.kernel import REST, STEADY, SWITCH
-from motor_env.fitting.places import (
+from motor_env.fitting.ekf import REST, STEADY, SWITCH, lag_of, steady
+from motor_env.fitting.integrator import FINE, braked_step, discretize_each, smooth_step
+from motor_env.fitting.parameter_index import (
     AFTER,
     COULOMB,
     GEAR,
@@ -28,8 +29,6 @@ from motor_env.fitting.places import (
     STRIBECK,
     WALK,
 )
-from motor_env.fitting.steps import FINE, braked_step, discretize_each, smooth_step
-from motor_env.fitting.update import lag_of, steady
 from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import FloatArray
 
@@ -37,14 +36,14 @@ _BEYOND = np.array([STRIBECK, GEAR, HEATING, NOISE_V, NOISE_T, WALK])
 
 
 def are_simple(p: FloatArray, marks: FloatArray) -> bool:
-    """Whether all rows are simple motors, shape (m, N_VALUES), and all marks those of a start, shape (supplies, n)."""
+    """Return whether all rows are simple motors, shape (m, N_VALUES), and all marks a start's, shape (supplies, n)."""
     first, others = marks[:, 0], marks[:, 1:]
     is_start = bool((first >= REST).all()) and not ((others != 0.0) & (others != SWITCH)).any()
     return is_start and not p[:, _BEYOND].any()
 
 
 def room() -> tuple[FloatArray, ...]:
-    """Arrays in which `run_each` works."""
+    """Return arrays in which `run_each` works."""
     return tuple(np.zeros(shape) for shape in ((2, 3, 1, 3, 6), (5,), (4,), (3, 5), (3, 6, 6)))
 
 
@@ -57,7 +56,6 @@ def _advance(
     p: FloatArray,
     f: FloatArray,
 ) -> None:
-    """State after an interval: current, speed, load, shown current, shown speed; `f` is room for its slopes."""
     w = x[1]
     # It stands before the switch. There, dry friction would have each interval cut into parts.
     if x[0] == w == x[3] == x[4] == u[0] == u[1] == 0.0 and abs(u[2]) <= p[COULOMB]:
@@ -83,7 +81,7 @@ def run_each(
     logs: FloatArray,
     room: tuple[FloatArray, ...],
 ) -> None:
-    """What `kernel.predict_each` does, and with its arguments, for simple starts."""
+    """Do what `ekf.predict_each` does, with its arguments, for simple starts."""
     models, x, u, f, work = room
     for row in range(len(p)):
         of, table, supply = p[row], out[row], which[row]

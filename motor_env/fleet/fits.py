@@ -22,16 +22,15 @@ import numpy as np
 from motor_env.diagnosis.running.windows import over_speed
 from motor_env.diagnosis.views import Fitted, FittedWindow
 from motor_env.errors import InputError, require_extra
-from motor_env.fitting import places
-from motor_env.fitting.recorded import from_recordings
-from motor_env.fitting.starts.choice import NUISANCES
-from motor_env.fitting.starts.identified import Identified
-from motor_env.fitting.starts.identify import identify
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.preprocessing import from_recordings
+from motor_env.fitting.starts.start_fit import StartFit as Identified
+from motor_env.fitting.starts.start_identification import NUISANCES, identify
 from motor_env.fitting.window import WindowFit, fit_window
 from motor_env.fleet.initial_fit import REASONS, FitCache, InitialFit, Reading, classify_record, fit_record
 from motor_env.motor.healthy import Windows
 from motor_env.processes import end_with_parent
-from motor_env.recordings.recording import understood
+from motor_env.recordings.recording import describe_reading as understood
 
 _LOADS = ("load_constant", "load_square", "load_walk")
 _DRY = (0.0, 0.35, 0.7, 1.0)  # shares of dry friction that are tried

@@ -19,14 +19,13 @@ from motor_env.diagnosis.running.windows import averaged
 from motor_env.diagnosis.views import NAMES
 from motor_env.errors import InputError
 from motor_env.files import read_file
-from motor_env.fitting.identify import identify_operation
-from motor_env.fitting.recorded import at_terminals
-from motor_env.fitting.starts.choice import NUISANCES, identify_best
+from motor_env.fitting.operation_fit import identify_operation
+from motor_env.fitting.preprocessing import at_terminals
+from motor_env.fitting.starts.start_identification import NUISANCES, identify_best
 from motor_env.recordings.headers import ColumnChoice
 from motor_env.recordings.recording import Recording, recording_of
 from motor_env.recordings.regime import taken_for
-from motor_env.recordings.splitting import chosen_starts
-from motor_env.recordings.start import Circuit, Start, prepare
+from motor_env.recordings.start import Circuit, Start, chosen_starts, prepare
 
 REASONS = (ValueError, ArithmeticError, LookupError)
 """What a fit raises on values far from any motor."""

@@ -16,8 +16,8 @@ from motor_env.diagnosis.misreading import POWERS
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.windows import viscous
 from motor_env.errors import InputError
-from motor_env.fitting import places
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.fleet.fits import FleetFits, Map, fit_fleet
 from motor_env.fleet.initial_fit import Reading
 from motor_env.fleet.population import HealthyPopulation, Motors, learn_population

@@ -26,10 +26,8 @@ from motor_env.live.pieces import LONGEST_LINE, NEW_FILE, Notice, Piece
 from motor_env.live.state import State
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.headers import understand
-from motor_env.recordings.plausible import LARGEST_CURRENT_A
-from motor_env.recordings.recording import Recording, evened
+from motor_env.recordings.headers import LARGEST_CURRENT_A, understand
+from motor_env.recordings.recording import Recording, UnusableError, resampled as evened
 
 STUCK_AFTER = 200
 _GAP_STEPS = 20.0

@@ -16,7 +16,7 @@ from motor_env.console import printable
 from motor_env.diagnosis.files import why_not
 from motor_env.diagnosis.learning import fit_healthy
 from motor_env.errors import InputError
-from motor_env.fitting.starts.identify import identify
+from motor_env.fitting.starts.start_identification import identify
 from motor_env.motor.parameters import FloatArray
 from motor_env.pages.html import render
 from motor_env.pages.svg import Axis, Chart, round_ticks

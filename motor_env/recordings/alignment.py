@@ -8,11 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.noise import difference_noise, hidden_level, wild_samples, without_wild
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.noise import (
+    FEW,
+    difference_noise,
+    outlier_samples,
+    quantisation_bias,
+    without_outliers,
+)
+from motor_env.recordings.recording import Recording, UnusableError, stretches
 
-_FEW = 5  # samples below which neither a mean nor a run of equal values says anything
 _HEAD_PARTS = 50  # the first fiftieth of a recording shows the level before the start ...
 _QUIET_SPAN = 0.1  # ... where it moves by less than a tenth of the whole current,
 _QUIET_NOISES = 8.0  # or by no more than the range of some hundred normal numbers
@@ -41,12 +45,11 @@ class Alignment:
         offset_a: mean current of the quiet part; 0 without one.
         noise_a: standard deviation of a current sample, from its differences.
         quantum_a: smallest step of the current.
-        unseen_level_a: standard deviation of the error that the converter's steps leave in a steady current, however
-            long it is.
+        unseen_level_a: standard deviation of the converter's error in a steady current, however long it is.
         rectified: the sensor shows no current below 0.
-        saturation: that the current is clipped, in words; empty where it is not.
-        defects: what is wrong with the recording, in words, the saturation among them.
-        wild: single samples far off both neighbours; they do not count.
+        saturation: that the current is clipped, in words; else empty.
+        defects: of the recording, in words, the saturation among them.
+        wild: outliers, single samples that do not count.
     """
 
     onset_index: int
@@ -69,8 +72,8 @@ def align(recording: Recording) -> Alignment:
     Raises:
         UnusableError: the current is constant, or never leaves its noise.
     """
-    wild = wild_samples(recording.current_a)
-    current = without_wild(recording.current_a, wild)
+    wild = outlier_samples(recording.current_a)
+    current = without_outliers(recording.current_a, wild)
     span = float(np.ptp(current))
     if span == 0.0:
         raise UnusableError(f"the current is constant at {current[0]:g} A")
@@ -83,7 +86,7 @@ def align(recording: Recording) -> Alignment:
     quantum = float(np.min(steps, where=steps > 0.0, initial=span))
     rectified = _is_rectified(current, onset, quantum)
     quiet = current[: max(onset - _GUARD, 0)]
-    quiet = quiet if len(quiet) >= _FEW else quiet[:0]
+    quiet = quiet if len(quiet) >= FEW else quiet[:0]
     offset, spread = 0.0, noise
     if rectified:
         # Half of a rectified normal number's second moment is left; its mean is no offset.
@@ -104,7 +107,7 @@ def align(recording: Recording) -> Alignment:
         offset_a=offset,
         noise_a=max(spread or noise, quantum / math.sqrt(12.0) if quantum > _SEEN_STEP * span else 0.0),
         quantum_a=quantum,
-        unseen_level_a=hidden_level(quiet, noise, quantum),
+        unseen_level_a=quantisation_bias(quiet, noise, quantum),
         rectified=rectified,
         saturation=saturation,
         defects=tuple(words for words, is_shown in defects.items() if is_shown),
@@ -113,14 +116,14 @@ def align(recording: Recording) -> Alignment:
 
 
 def _level_before(current: FloatArray, span: float) -> float:
-    """Level of the sensor before the start; 0 where the recording begins with it: the sensor is believed then."""
-    head = current[: max(_FEW, len(current) // _HEAD_PARTS)]
+    """Return the sensor's level before the start; 0 where the recording begins with it."""
+    head = current[: max(FEW, len(current) // _HEAD_PARTS)]
     is_quiet = float(np.ptp(head)) < max(_QUIET_SPAN * span, _QUIET_NOISES * difference_noise(head))
     return float(np.median(head)) if is_quiet else 0.0
 
 
 def _onset(rise: FloatArray, noise: float) -> int:
-    """First sample of the start: from the first clear rise back to its foot.
+    """Return the first sample of the start: from the first clear rise back to its foot.
 
     Raises:
         UnusableError: the current never leaves its noise.
@@ -142,9 +145,9 @@ def _onset(rise: FloatArray, noise: float) -> int:
 
 
 def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:
-    """Whether the sensor cuts off what is below 0: no negative sample, and many zeros before the start.
+    """Return whether the sensor shows none below 0: no negative sample, and many zeros before the start.
 
-    Where the steps are as large as the noise, no current below 0 is none that was thrown away.
+    Where the steps are as large as the noise, no reading below 0 was thrown away.
     """
     if onset == 0 or np.any(current < 0.0) or float(np.mean(current[:onset] == 0.0)) <= _RECTIFIED_SHARE:
         return False
@@ -152,22 +155,22 @@ def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:
 
 
 def _saturation(current: FloatArray, quantum: float) -> str:
-    """That the current is clipped, in words; empty where it is not."""
+    """Say that the current is clipped; empty where it is not."""
     if quantum >= _COARSE_STEP * float(np.ptp(current)) or not (run := clipped_run(current, quantum)):
         return ""
     return f"saturation: {run} samples in a row stand at {np.max(np.abs(current)):.4g} A"
 
 
 def clipped_run(current: FloatArray, quantum: float) -> int:
-    """Number of samples in a row at the top of a clipped channel; 0 where it is not clipped."""
+    """Return the number of samples in a row at the top of a clipped channel; 0 where it is not clipped."""
     top = float(np.max(np.abs(current)))
     at_top = np.abs(np.abs(current) - top) <= 1e-9 * top
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], at_top.astype(np.int8), [0]])))
-    firsts, runs = edges[::2], edges[1::2] - edges[::2]
-    first, run = int(firsts[np.argmax(runs)]), int(runs.max())
+    firsts, ends = stretches(at_top)
+    longest = int(np.argmax(ends - firsts))
+    first, run = int(firsts[longest]), int(ends[longest] - firsts[longest])
     # Half a run beyond its end a round peak has fallen by 4 steps at most. How fast it rose tells as much only where
     # the recording ends before.
     beyond = first + run + run // 2
     if beyond >= len(current):
         beyond = max(first - run // 2, 0)
-    return run if run >= _FEW and top - abs(current[beyond]) > _CLIPPED_DROP * quantum else 0
+    return run if run >= FEW and top - abs(current[beyond]) > _CLIPPED_DROP * quantum else 0

@@ -39,7 +39,7 @@ def check_count(numbers: int, most: int = MOST_NUMBERS) -> None:
 
 
 def parse_matlab(content: bytes) -> dict[str, Any]:
-    """Variables of a MATLAB file; those of structs by their own name, or as `struct.name` where it is there twice."""
+    """Return a MATLAB file's variables; those of structs by their own name, `struct.name` where that occurs twice."""
     from scipy.io import loadmat
 
     variables = loadmat(cast("Any", io.BytesIO(content)), simplify_cells=True)
@@ -72,27 +72,27 @@ def _named(variables: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, A
 
 
 def parse_hdf5(content: bytes) -> dict[str, Any]:
-    """Arrays of numbers of an HDF5 file, such as MATLAB 7.3 writes; nothing that it points to is read."""
+    """Return an HDF5 file's arrays of numbers, such as MATLAB 7.3 writes; nothing that it points to is read."""
     import h5py
 
-    found: dict[str, Any] = {}
+    datasets: dict[str, Any] = {}
 
-    def take(name: str, one: Any) -> None:
-        if not isinstance(one, h5py.Dataset) or one.dtype.kind not in "fiub" or name.startswith("#"):
+    def take(name: str, dataset: Any) -> None:
+        if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiub" or name.startswith("#"):
             return
-        is_text = one.attrs.get("MATLAB_class") == b"char"
+        is_text = dataset.attrs.get("MATLAB_class") == b"char"
         # Values of a virtual or an external data set stand in other files.
-        if not (is_text or one.is_virtual or one.external or one.attrs.get("MATLAB_empty")):
-            found[name.replace("/", ".")] = one
+        if not (is_text or dataset.is_virtual or dataset.external or dataset.attrs.get("MATLAB_empty")):
+            datasets[name.replace("/", ".")] = dataset
 
     with h5py.File(io.BytesIO(content), "r") as file:
         file.visititems(take)  # follows no link
-        check_count(sum(one.size for one in found.values()))
-        return _by_short_names((name, one[()]) for name, one in found.items())
+        check_count(sum(dataset.size for dataset in datasets.values()))
+        return _by_short_names((name, dataset[()]) for name, dataset in datasets.items())
 
 
 def parse_workbook(content: bytes) -> str:
-    """The first sheet of a workbook that holds rows of numbers, as CSV: values, no formulas."""
+    """Return a workbook's first sheet with rows of numbers as CSV: values, no formulas."""
     import openpyxl
 
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -116,7 +116,7 @@ def parse_workbook(content: bytes) -> str:
 
 
 def parse_parquet(path: str) -> tuple[dict[str, Any], int]:
-    """Columns of numbers of a Parquet file, and how many of its rows are averaged to one."""
+    """Return a Parquet file's columns of numbers, and how many rows are averaged to one."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -157,18 +157,18 @@ def main() -> int:
         else:
             parse = parse_hdf5 if sys.argv[1] == "HDF5" else parse_matlab
             arrays, averaged = parse(sys.stdin.buffer.read()), 1
-        found = {
+        numbers = {
             name: array.astype(np.float64, copy=False)
             for name, array in arrays.items()
             if array.dtype.kind in "fiub"
         }
-        check_count(sum(array.size for array in found.values()))
+        check_count(sum(array.size for array in numbers.values()))
     except Exception as error:  # noqa: BLE001  # a damaged file makes a parser raise anything
         sys.stderr.write(str(error) or type(error).__name__)
         return 1
-    shapes = [(name, array.shape) for name, array in found.items()]
+    shapes = [(name, array.shape) for name, array in numbers.items()]
     sys.stdout.buffer.write(json.dumps([averaged, shapes]).encode() + b"\n")
-    for array in found.values():
+    for array in numbers.values():
         sys.stdout.buffer.write(np.ascontiguousarray(array).data)
     return 0
 

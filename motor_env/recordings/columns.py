@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.headers import (
+    LARGE_CURRENT_A,
+    LARGEST_CURRENT_A,
     NUMBERED,
     QUANTITIES,
     SI,
     UNITS,
     ColumnChoice,
     Meaning,
+    follows,
+    has_counts,
     is_channel,
     is_other,
     understand,
@@ -26,22 +30,16 @@ from motor_env.recordings.headers import (
     unit_quantity,
 )
 from motor_env.recordings.noise import filled
-from motor_env.recordings.plausible import (
-    LARGE_CURRENT_A,
-    LARGEST_CURRENT_A,
-    evenly_rounded,
-    follows,
-    has_counts,
-)
 from motor_env.recordings.suggestions import Suggestions
-from motor_env.recordings.text.settings import Table
+from motor_env.recordings.text.block import Table
 
 _NONE = "none"
 _SMALL = {"time": "ms", "current": "mA", "voltage": "mV", "speed": "rpm"}
+_DENSEST = 0.9  # of a step of the rounding: times further apart hardly repeat
 
 
 class Column(NamedTuple):
-    """A quantity: its values in SI units, in words where they come from, and what is odd about them."""
+    """A quantity: SI values, where they come from in words, and what is odd about them."""
 
     values: FloatArray
     origin: str
@@ -51,57 +49,57 @@ class Column(NamedTuple):
 def recognise(
     path: Path, table: Table, choices: Sequence[ColumnChoice] = ()
 ) -> tuple[dict[str, Column], tuple[str, ...]]:
-    """The quantities of a table, `time` and `current` among them, and the names of the columns that are not used.
+    """Recognise the quantities of a table, `time` and `current` included; return them and the unused columns' names.
 
-    A value that is missing is NaN; where the time is missing, all others are.
+    A missing value is NaN; where the time is missing, all others are.
 
     Raises:
-        InputError: one of these two is missing, two columns look alike, or a column's unit cannot be told; the sentence
-            names the option that helps.
+        InputError: one of these two is missing, two columns look alike, or a column's unit is unknown; the sentence
+        names the option that helps.
     """
     meanings = [understand(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
     missing = np.isnan(table.values)
     table = replace(table, values=_whole(table.values))
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     chosen: dict[str, int] = {}
     suggested = Suggestions(path, table, meanings, chosen)
     for choice in choices:
         if choice.sampling_rate_hz is not None:
-            found["time"] = _even(table, 0.0, 1.0 / choice.sampling_rate_hz, "as asked")
+            columns["time"] = _even(table, 0.0, 1.0 / choice.sampling_rate_hz, "as asked")
         elif choice.column.lower() != _NONE:
             k = chosen[choice.quantity] = _place(path, table, meanings, choice)
-            found[choice.quantity] = _chosen(suggested, k, choice)
+            columns[choice.quantity] = _chosen(suggested, k, choice)
     if not any(table.names) and not choices and table.values.shape[1] == 2 and not any(table.units):
         meanings[:] = [Meaning("time", 1.0, "", ""), Meaning("current", 1.0, "", "")]
     free = [k for k in range(len(meanings)) if k not in chosen.values()]
-    told = {meanings[k].quantity for k in free} - {choice.quantity for choice in choices}
-    if "current" not in found and "current" not in told:
+    named = {meanings[k].quantity for k in free} - {choice.quantity for choice in choices}
+    if "current" not in columns and "current" not in named:
         raise InputError(suggested.missing_current(free))
     places = dict(chosen)
     for quantity in dict.fromkeys(meanings[k].quantity for k in free):
-        if quantity is not None and quantity in told:
+        if quantity is not None and quantity in named:
             alike = [k for k in free if meanings[k].quantity == quantity]
             if quantity == "time" and len(alike) > 1:  # what does not rise is no time axis
                 rising = [k for k in alike if suggested.can_be(quantity, k)]
                 alike = rising if len(rising) == 1 else alike
             if len(alike) > 1:
                 raise InputError(suggested.ambiguous(quantity, alike))
-            found[quantity] = _column(suggested, meanings[alike[0]], alike[0], quantity)
+            columns[quantity] = _column(suggested, meanings[alike[0]], alike[0], quantity)
             places[quantity] = alike[0]
     counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
-    if "time" not in found:
-        found["time"] = _counted(suggested, counter)
+    if "time" not in columns:
+        columns["time"] = _counted(suggested, counter)
     if "time" in places:
-        found["time"] = _timed(found["time"], missing[:, places["time"]])
-    found["time"] = _unrounded(found["time"])
-    _refuse_no_current(path, found)
+        columns["time"] = _timed(columns["time"], missing[:, places["time"]])
+    columns["time"] = _unrounded(columns["time"])
+    _refuse_no_current(path, columns)
     unused = tuple(suggested.name(k) for k in free if k not in places.values() and k != counter)
-    _restore(path, found, places, missing)
-    return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}, unused
+    _restore(path, columns, places, missing)
+    return {quantity: columns[quantity] for quantity in QUANTITIES if quantity in columns}, unused
 
 
 def _whole(values: FloatArray) -> FloatArray:
-    """Columns with their missing values filled; of whole numbers with whole ones, since counts are known by that."""
+    """Fill missing values; with whole numbers in columns of whole ones, as these may be counts."""
     if not np.isnan(values).any():
         return values
     with np.errstate(invalid="ignore"):  # a file may hold a signalling NaN
@@ -111,7 +109,7 @@ def _whole(values: FloatArray) -> FloatArray:
 
 
 def _timed(time: Column, missing: NDArray[np.bool_]) -> Column:
-    """A time that goes on at its usual pace where it is missing at the begin and at the end."""
+    """Extrapolate a time at its usual pace where it is missing at the begin and at the end."""
     known = np.flatnonzero(~missing)
     if len(known) in (0, 1, len(missing)):
         return time
@@ -121,7 +119,7 @@ def _timed(time: Column, missing: NDArray[np.bool_]) -> Column:
 
 
 def _restore(
-    path: Path, found: dict[str, Column], places: Mapping[str, int], missing: NDArray[np.bool_]
+    path: Path, columns: dict[str, Column], places: Mapping[str, int], missing: NDArray[np.bool_]
 ) -> None:
     """Make the missing values of each quantity NaN again, all of them where the time is missing.
 
@@ -132,15 +130,15 @@ def _restore(
     for quantity in sorted(places.keys() - {"time"}):  # a set's order changes from run to run
         lost = missing[:, places[quantity]] | untimed
         if lost.any():
-            values, origin, warning = found[quantity]
+            values, origin, warning = columns[quantity]
             if lost.all():
                 raise InputError(f"{path}: the {quantity} ({origin}) has no value")
             words = f"{origin}, {np.count_nonzero(lost)} of {len(lost)} values missing"
-            found[quantity] = Column(np.where(lost, np.nan, values), words, warning)
+            columns[quantity] = Column(np.where(lost, np.nan, values), words, warning)
 
 
 def _unrounded(time: Column) -> Column:
-    """A time whose values repeat by rounding, spread evenly; any other as it is."""
+    """Spread a time evenly whose values repeat by rounding."""
     if (spread := evenly_rounded(time.values)) is None:
         return time
     values, rate_hz, rounding_s = spread
@@ -148,20 +146,20 @@ def _unrounded(time: Column) -> Column:
     return Column(values, f"{time.origin}; {words}", time.warning)
 
 
-def _refuse_no_current(path: Path, found: dict[str, Column]) -> None:
+def _refuse_no_current(path: Path, columns: dict[str, Column]) -> None:
     """Refuse a current that no motor draws, or that is computed from another column.
 
     Raises:
-        InputError: it is one of these.
+        InputError: it is.
     """
-    current, origin, _ = found["current"]
+    current, origin, _ = columns["current"]
     largest = float(np.max(np.abs(current)))
     if largest > LARGEST_CURRENT_A:
         raise InputError(
             f"{path}: the current ({origin}) reaches {largest:.4g} A, which is no reading of a motor"
             f" (at most {LARGEST_CURRENT_A:g} A): is it in another unit, or another quantity?"
         )
-    for quantity, column in found.items():
+    for quantity, column in columns.items():
         if quantity != "current" and follows(current, column.values, quantity):
             raise InputError(
                 f"{path}: the current ({origin}) is a linear function of the {quantity} ({column.origin}), without any"
@@ -170,7 +168,7 @@ def _refuse_no_current(path: Path, found: dict[str, Column]) -> None:
 
 
 def _place(path: Path, table: Table, meanings: Sequence[Meaning], choice: ColumnChoice) -> int:
-    """Which column is meant: by its header, with or without its unit, or by its number in the file."""
+    """Find the column that is meant: by its header, with or without its unit, or by its number in the file."""
     wanted = (choice.text, choice.column)
     lower = [text.lower() for text in wanted]
     for spelling, texts in (
@@ -232,7 +230,7 @@ def _chosen(suggested: Suggestions, k: int, choice: ColumnChoice) -> Column:
 def _column(
     suggested: Suggestions, meaning: Meaning, k: int, quantity: str, *, is_scaled: bool = False
 ) -> Column:
-    """A column in the unit of its header; without unit and scale it is taken as SI, unless it holds counts."""
+    """Convert a column by its header's unit; without unit and scale it is SI, unless it holds counts."""
     table, name = suggested.table, suggested.name(k)
     header = f" ({table.names[k]})" if table.names[k] else ""
     unit = (
@@ -257,7 +255,7 @@ def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Colum
 
 
 def _counted(suggested: Suggestions, counter: int | None) -> Column:
-    """The time of a file that counts its samples, or only says how far apart they are."""
+    """Make the time of a file that counts its samples, or only says how far apart they are."""
     path, table = suggested.path, suggested.table
     unknown = any(meaning.quantity is None for meaning in suggested.meanings)
     if table.interval_s is None or (counter is None and unknown):
@@ -277,3 +275,31 @@ def _counted(suggested: Suggestions, counter: int | None) -> Column:
             f"{path}: holds {len(table.values)} rows and says that there are {table.samples}; no column tells which"
         )
     return _even(table, begin_s, table.interval_s, "as the file says above its numbers")
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def evenly_rounded(time_s: FloatArray) -> tuple[FloatArray, float, float] | None:
+    """Spread times evenly that repeat because they were rounded.
+
+    Returns:
+        times, rate in Hz, and the step of the rounding; None where they do not repeat, or not by rounding.
+    """
+    steps = np.diff(time_s)
+    rising = steps[steps > 0.0]
+    if not len(rising) or (steps < 0.0).any() or (steps > 0.0).all():
+        return None
+    rounding_s = float(np.min(rising))
+    count = np.arange(len(time_s), dtype=np.float64) - 0.5 * (len(time_s) - 1)
+    middle_s = float(np.mean(time_s))
+    interval_s = float(count @ (time_s - middle_s) / (count @ count))
+    if interval_s > _DENSEST * rounding_s or float(np.max(rising)) > 1.01 * rounding_s:
+        return None
+
+    def spread(dt_s: float) -> float:
+        return float(np.ptp(time_s - count * dt_s)) / rounding_s
+
+    if spread(interval_s) > 1.1:
+        return None
+    rates = (float(f"{1.0 / interval_s:.{digits}g}") for digits in range(1, 6))
+    rate_hz = next((rate for rate in rates if spread(1.0 / rate) <= 1.001), 1.0 / interval_s)
+    return middle_s + count / rate_hz, rate_hz, rounding_s

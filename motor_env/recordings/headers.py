@@ -1,4 +1,4 @@
-"""Headers of columns: which quantity, in which unit, and what the user says instead."""
+"""Headers of columns: which quantity, in which unit, what the user says instead, and what its numbers rule out."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from motor_env.errors import InputError
-from motor_env.motor.parameters import RAD_S_PER_RPM
+from motor_env.motor.parameters import RAD_S_PER_RPM, FloatArray
 
 QUANTITIES = ("time", "current", "voltage", "speed", "duty")
 UNITS: dict[str, dict[str, float]] = {
@@ -75,6 +77,13 @@ _CHOICE = re.compile(
     r"^(?P<column>.+?)(?::(?P<unit>[^:*]+?))?"
     rf"(?:\s*(?P<mark>[*/])\s*(?P<scale>{_NUMBER}))?(?:\s*(?P<sign>[-+])\s*(?P<offset>{_NUMBER}))?\s*$"
 )
+LARGEST_CURRENT_A = 1_000.0
+LARGE_CURRENT_A = 100.0
+"""Beyond it a current that the user named is warned of."""
+_MANY_WHOLE = 20
+"""Different whole numbers: counts of a converter or of a clock, not a voltage that is 0 or 12."""
+_FEWEST_LEVELS = 50  # of numbers whose rounding can be told from noise
+_MOST_COMPARED = 20_000  # samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +110,7 @@ class ColumnChoice:
 
     @classmethod
     def parse(cls, text: str) -> ColumnChoice:
-        """From the option's text.
+        """Parse the option's text.
 
         Raises:
             InputError: not of the form quantity=column:unit*scale+offset, or an unknown quantity or unit.
@@ -138,7 +147,7 @@ class ColumnChoice:
 
     @classmethod
     def sampled(cls, sampling_rate_hz: float) -> ColumnChoice:
-        """The time of a recording whose rows lie evenly, whatever its columns say.
+        """Choose an even time, whatever the columns say.
 
         Raises:
             InputError: the rate is not positive.
@@ -154,7 +163,7 @@ class Meaning(NamedTuple):
     Attributes:
         quantity: of the name, or of the unit where the name says nothing; None where neither does.
         factor: to SI.
-        unit: as it stands; empty where none is stated.
+        unit: as written; empty where none is stated.
         name: without the unit.
     """
 
@@ -165,12 +174,12 @@ class Meaning(NamedTuple):
 
 
 def unit_key(unit: str) -> str:
-    """A unit as the tables here spell it."""
+    """Return a unit as the tables here spell it."""
     return unit.strip().replace("µ", "u").replace("μ", "u").lower()
 
 
 def unit_quantity(unit: str) -> str | None:
-    """The quantity that is measured in a unit; None for what is no unit of a recording."""
+    """Return the quantity that is measured in a unit; None for no unit of a recording."""
     return _UNIT_QUANTITIES.get(unit_key(unit))
 
 
@@ -181,7 +190,7 @@ def is_unit_cell(cell: str) -> bool:
 
 
 def understand(header: str, unit: str = "") -> Meaning:
-    """What a header such as `current_a`, `I (mA)`, `Speed [rpm]`, `t_ms` says, with the unit that stands elsewhere."""
+    """Interpret a header such as `current_a`, `I (mA)`, `Speed [rpm]`, `t_ms`, with the unit that stands elsewhere."""
     name = header.strip()
     match = _UNIT_IN_HEADER.match(name)
     if match:
@@ -207,23 +216,23 @@ def understand(header: str, unit: str = "") -> Meaning:
 
 
 def name_parts(name: str) -> list[str]:
-    """The words and the numbers of a name, in small letters: `MotorCurrent_2` has three."""
+    """Return the words and numbers of a name, in small letters: `MotorCurrent_2` has three."""
     return [part.lower() for part in _PART.findall(name)]
 
 
-def said_of(name: str) -> frozenset[str]:
-    """What the words of a name, or its single letters, say that it is: quantities, `reference`, `other`."""
+def kinds_named(name: str) -> frozenset[str]:
+    """Return what the words or single letters of a name say that it is: quantities, `reference`, `other`."""
     parts = name_parts(name)
     return _words_of(name) | {_WORDS[part] for part in (*parts, _word(name)) if part in _WORDS}
 
 
 def is_other(name: str, quantity: str, said: frozenset[str] | None = None) -> bool:
-    """Whether the words of a name say that a column is no such quantity: `Gyro x`, `Current setpoint`.
+    """Return whether a name's words rule a quantity out: `Gyro x`, `Current setpoint`.
 
     Args:
         name: of the column.
         quantity: in doubt.
-        said: what the name says; without it, what its words do, since a letter counts less than a unit.
+        said: what the name says; by default what its words do, since a letter counts less than a unit.
     """
     said = _words_of(name) if said is None else said
     if "reference" in said and quantity in ("current", "speed"):
@@ -237,12 +246,12 @@ def _words_of(name: str) -> frozenset[str]:
 
 
 def is_channel(name: str) -> bool:
-    """Whether a name is that of an instrument's channel, whose volts may be those of a probe."""
+    """Return whether a name is an instrument's channel, whose volts may be a probe's."""
     return bool(_CHANNEL.search(name))
 
 
 def is_no_unit(unit: str) -> bool:
-    """Whether what stands in the place of a unit says none: empty, `raw`, `counts`."""
+    """Return whether the text in a unit's place says none: empty, `raw`, `counts`."""
     return unit_key(unit) in _NO_UNIT | _COUNTED
 
 
@@ -251,7 +260,7 @@ def _word(name: str) -> str:
 
 
 def _split(word: str) -> tuple[str, str]:
-    """Word and unit of `current_ma`, of `rpm`; a word that is no quantity keeps its ending."""
+    """Split `current_ma`, `rpm` into word and unit; a word that is no quantity keeps its ending."""
     if unit_quantity(word) is not None and len(word) > 1:
         return word, word
     for unit, quantity in _UNIT_QUANTITIES.items():
@@ -260,3 +269,39 @@ def _split(word: str) -> tuple[str, str]:
             if stem != word and _WORDS.get(name) == quantity:
                 return name, unit
     return word, ""
+
+
+def has_counts(values: FloatArray, averaged: int = 1) -> bool:
+    """Return whether numbers are a converter's or a clock's: whole, or whole times `averaged` for means."""
+    sums = values * averaged
+    is_whole = np.abs(sums - np.round(sums)) <= 1e-6 * (averaged > 1)
+    return bool(np.all(is_whole)) and len(np.unique(sums)) > _MANY_WHOLE
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of numbers that nobody measured
+def follows(values: FloatArray, other: FloatArray, of: str) -> bool:
+    """Return whether numbers are a linear function of others, to rounding: computed from them, not measured.
+
+    Args:
+        values: those of the current.
+        other: those of another quantity.
+        of: which. A current that falls as the speed rises may be an ideal motor's.
+    """
+    each = -(-len(values) // _MOST_COMPARED)
+    values, other = values[::each], other[::each]
+    span, other_span = float(np.ptp(values)), float(np.ptp(other))
+    if not span or not other_span:
+        return False
+    y, x = (values - values.mean()) / span, (other - other.mean()) / other_span
+    slope = float(x @ y / (x @ x))
+    error = float(np.max(np.abs(y - slope * x)))
+    if not error <= 0.05 or error > 1e-6 + 0.6 * (_step(y) + _step(x)):  # the slope is 1 or -1 then
+        return False
+    sizes = np.abs(values) - np.abs(values).mean(), np.abs(other) - np.abs(other).mean()
+    return of != "speed" or float(sizes[0] @ sizes[1]) > 0.0
+
+
+def _step(values: FloatArray) -> float:
+    """Return the rounding step of numbers; 0 for few levels."""
+    levels = np.unique(values)
+    return float(np.min(np.diff(levels))) if len(levels) >= _FEWEST_LEVELS else 0.0

@@ -1,17 +1,18 @@
-"""Noise of a sensor: how large, which samples stand out of it, what a converter's steps hide."""
+"""Noise and ripple of a sensor: how large, which samples stand out, what steps hide, lines of constant frequency."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import ndtr
 
 from motor_env.motor.parameters import FloatArray
 
-_FEW = 5
+FEW = 5  # samples below which neither a mean nor a run of equal values says anything
 _MAD_TO_STD = 1.4826
 _INNER_SHARE = 0.75
 _INNER_VARIANCE = 0.36852  # mean square of the smallest three quarters of normal numbers: |z| < 1.15035
@@ -22,34 +23,36 @@ _WILD_NOISES = 10.0
 _WILD_SHARE = 0.05  # of the current's range: a smaller jump spoils no fit
 _AGREE = 0.2  # of the jump: the neighbours of a wild sample agree so well among themselves
 _SAMPLES_PER_WILD = 1000
+_FEWEST_SAMPLES = 64
+_MOST_LINES = 8
 
 
 def difference_noise(values: FloatArray) -> float:
-    """Standard deviation of white noise on a smooth curve, from its second differences; outliers do not count.
+    """Return the standard deviation of white noise on a smooth curve, from second differences, without outliers.
 
     The second difference of white noise has the variance 6 sigma^2. Its smallest three quarters are squared and
-    averaged: a median of a converter's few steps would jump from one step to the next, by a half of the noise.
+    averaged: a median of a converter's few steps would jump by a half of the noise.
     """
-    if len(values) < _FEW:
+    if len(values) < FEW:
         return 0.0
     second = np.diff(values, n=2)
-    off = np.sort(np.abs(second - np.median(second)))
-    inner = off[: max(round(_INNER_SHARE * len(off)), 1)]
+    deviation = np.sort(np.abs(second - np.median(second)))
+    inner = deviation[: max(round(_INNER_SHARE * len(deviation)), 1)]
     spread = math.sqrt(float(np.mean(inner**2)) / _INNER_VARIANCE)
     return max(spread, 0.5 * float(np.std(second))) / math.sqrt(6.0)
 
 
 def explainable(values: FloatArray) -> float:
-    """Share of the variance that a model can explain, as no model explains white noise; 0.4 at least."""
+    """Return the share of the variance that is not white noise, which a model can explain; 0.4 at least."""
     noise = difference_noise(values) ** 2 / max(float(np.var(values)), 1e-300)
     return 1.0 - min(noise, _MOST_NOISE)
 
 
 def floor_noise(values: FloatArray) -> float:
-    """Standard deviation of white noise beside lines of any frequency: of a residual, a ripple may be left in it.
+    """Return the standard deviation of white noise beside lines of any frequency, as a residual's ripple.
 
-    The smallest nine tenths of the periodogram above an eighth of the sampling rate are averaged: lines hold few of
-    its values, what the model lacks lies below. The powers of white noise are exponentially distributed.
+    The smallest nine tenths of the periodogram above an eighth of the sampling rate are averaged: lines hold few
+    values, model error lies below. Powers of white noise are exponentially distributed.
     """
     n = len(values)
     if n < _FEWEST_FOR_SPECTRUM:
@@ -62,25 +65,27 @@ def floor_noise(values: FloatArray) -> float:
     return math.sqrt(float(np.mean(power[:count])) / mean)
 
 
-def wild_samples(current: FloatArray) -> tuple[int, ...]:
-    """Single samples that stand far off two neighbours on each side, which agree among themselves.
+def outlier_samples(current: FloatArray) -> tuple[int, ...]:
+    """Find single samples far off two neighbours on each side, which agree among themselves.
 
-    Where there are more than one in a thousand they are the nature of the signal, and none is called wild.
+    More than one in a thousand are the nature of the signal: none is an outlier then.
     """
     if len(current) < _FEWEST_FOR_WILD:
         return ()
     around = np.stack([current[:-4], current[1:-3], current[3:-1], current[4:]])
-    off = np.abs(current[2:-2] - np.median(around, axis=0))
+    jump = np.abs(current[2:-2] - np.median(around, axis=0))
     second = np.diff(current, n=2)
     noise = _MAD_TO_STD * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6.0)
     level = float(np.percentile(np.abs(current - np.median(current)), 99))
-    is_wild = (off > max(_WILD_NOISES * noise, _WILD_SHARE * level)) & (np.ptp(around, axis=0) < _AGREE * off)
+    is_wild = (jump > max(_WILD_NOISES * noise, _WILD_SHARE * level)) & (
+        np.ptp(around, axis=0) < _AGREE * jump
+    )
     wild = np.flatnonzero(is_wild) + 2
     return tuple(wild.tolist()) if len(wild) <= len(current) / _SAMPLES_PER_WILD else ()
 
 
-def without_wild(current: FloatArray, wild: Sequence[int]) -> FloatArray:
-    """The current with each wild sample replaced by the mean of its neighbours."""
+def without_outliers(current: FloatArray, wild: Sequence[int]) -> FloatArray:
+    """Replace each outlier by the mean of its neighbours."""
     mended = current.copy()
     for k in wild:
         mended[k] = 0.5 * (mended[k - 1] + mended[k + 1])
@@ -88,7 +93,7 @@ def without_wild(current: FloatArray, wild: Sequence[int]) -> FloatArray:
 
 
 def filled(values: FloatArray) -> FloatArray:
-    """Values with straight lines in place of NaN; zeros where nothing else is there."""
+    """Interpolate over NaN; zeros where nothing else is there."""
     known = ~np.isnan(values)
     if known.all():
         return values
@@ -98,8 +103,8 @@ def filled(values: FloatArray) -> FloatArray:
     return np.interp(places, places[known], values[known])
 
 
-def hidden_level(quiet: FloatArray, noise: float, quantum: float) -> float:
-    """What a converter's steps hide of a steady current, given the quiet part, or without one the noise all through.
+def quantisation_bias(quiet: FloatArray, noise: float, quantum: float) -> float:
+    """Return a converter's bias of a steady current, by the quiet part, or without one by the noise throughout.
 
     Noise dithers it away: the bias falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).
     """
@@ -113,7 +118,7 @@ def hidden_level(quiet: FloatArray, noise: float, quantum: float) -> float:
 
 
 def _noise_before_rounding(quiet: FloatArray, quantum: float) -> float:
-    """Standard deviation of the noise that a converter then rounds: most likely, from the counts of its steps.
+    """Return the most likely standard deviation of noise before rounding, from the counts of its steps.
 
     The variance less step^2 / 12 (Sheppard) is too small where the noise is below half a step.
     """
@@ -128,3 +133,116 @@ def _noise_before_rounding(quiet: FloatArray, quantum: float) -> float:
 
     begin = np.array([float(codes @ counts) / len(quiet), math.log(0.4)])
     return quantum * math.exp(minimize(unlikely, begin, method="Nelder-Mead").x[1])
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicLine:
+    """Ripple of constant frequency: cosine_a cos(2 pi f t) + sine_a sin(2 pi f t)."""
+
+    frequency_hz: float
+    cosine_a: float
+    sine_a: float
+
+    @property
+    def amplitude_a(self) -> float:
+        """Amplitude."""
+        return math.hypot(self.cosine_a, self.sine_a)
+
+    def current_a(self, time_s: FloatArray) -> FloatArray:
+        """Return the ripple at some times."""
+        phase = 2.0 * math.pi * self.frequency_hz * time_s
+        out: FloatArray = self.cosine_a * np.cos(phase) + self.sine_a * np.sin(phase)
+        return out
+
+
+def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLine, ...]:
+    """Find lines that stand out of a residual's upper spectrum, strongest first: a converter's PWM.
+
+    A line holds more than a third of the power above a sixteenth of the sampling rate that stronger lines leave.
+    Aliased lines keep their power and lose their true frequency.
+    """
+    left = residual - residual.mean()
+    lines: list[PeriodicLine] = []
+    while len(lines) < _MOST_LINES:
+        line = _strongest_line(left, time_s)
+        if line is None:
+            break
+        lines.append(line)
+        left = left - line.current_a(time_s)
+    return tuple(lines)
+
+
+def constant_lines(residual: FloatArray, time_s: FloatArray, speed: FloatArray) -> tuple[PeriodicLine, ...]:
+    """Find lines that stand out of a current's residual.
+
+    Where the strongest one is sharper over the angle than over time, it is the commutator's: there are none.
+
+    Args:
+        residual: shape (n,).
+        time_s: evenly spaced, shape (n,).
+        speed: of the fitted motor, in any unit, shape (n,).
+    """
+    lines = periodic_lines(residual, time_s)
+    if not lines:
+        return ()
+    turning = over_angle(residual, time_s, speed)
+    turns = turning is not None and line_share(turning[1], turning[0]) > line_share(residual, time_s)
+    return () if turns else lines
+
+
+def over_angle(
+    values: FloatArray, time_s: FloatArray, speed: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Resample values evenly over the motor's angle, in seconds at its last speed; None where it does not turn.
+
+    Args:
+        values: shape (n,).
+        time_s: shape (n,).
+        speed: in any unit, shape (n,).
+
+    Returns:
+        The even axis and the values on it, each of shape (n,).
+    """
+    n = len(time_s)
+    last = float(np.mean(speed[-max(n // 20, 1) :]))
+    if last <= 0.0:
+        return None
+    shape = np.maximum(speed / last, 0.0)
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (shape[1:] + shape[:-1]) * np.diff(time_s))])
+    turned += 1e-12 * np.arange(n)  # strictly rising, where the motor stands too
+    even = np.linspace(0.0, turned[-1], n)
+    return even, np.interp(even, turned, values)
+
+
+def line_share(residual: FloatArray, time_s: FloatArray) -> float:
+    """Return the share of a residual's power in its strongest line; 0 where none stands out."""
+    line = _strongest_line(residual - residual.mean(), time_s)
+    return 0.0 if line is None else 0.5 * line.amplitude_a**2 / max(float(np.var(residual)), 1e-300)
+
+
+def _strongest_line(residual: FloatArray, time_s: FloatArray) -> PeriodicLine | None:
+    n = len(residual)
+    if n < _FEWEST_SAMPLES:
+        return None
+    dt_s = float(time_s[-1] - time_s[0]) / (n - 1)
+    window = np.hanning(n)
+    power = np.abs(np.fft.rfft((residual - residual.mean()) * window)) ** 2
+    power[: n // 16] = 0.0
+    peak = int(np.argmax(power))
+    line = float(power[max(peak - 2, 0) : peak + 3].sum())
+    if line < power.sum() / 3.0:
+        return None
+
+    def fit(frequency_hz: float) -> tuple[float, FloatArray]:
+        phase = 2.0 * math.pi * frequency_hz * time_s
+        columns = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+        amplitudes = np.linalg.lstsq(columns, residual, rcond=None)[0]
+        return float(np.sum((residual - columns @ amplitudes) ** 2)), amplitudes
+
+    near = (max(peak - 1, 0) / (n * dt_s), min((peak + 1) / n, 0.5) / dt_s)
+    best = minimize_scalar(
+        lambda f: fit(f)[0], bounds=near, method="bounded", options={"xatol": 1e-5 / (n * dt_s)}
+    )
+    frequency = float(best.x)
+    cosine, sine = fit(frequency)[1]
+    return PeriodicLine(frequency, float(cosine), float(sine))

@@ -47,7 +47,7 @@ class Profile:
         }
 
     def over(self, kept: Profile) -> Profile:
-        """This profile, with what it leaves open taken from one that was kept; a column counts as one quantity."""
+        """Complete this profile from a kept one; a column counts as one quantity."""
         named = {text.partition("=")[0] for text in self.column}
         columns = [text for text in kept.column if text.partition("=")[0] not in named]
         own = {name: value for name, value in asdict(self).items() if value is not None}
@@ -55,7 +55,7 @@ class Profile:
 
 
 def profile_from(given: Mapping[str, Any]) -> Profile:
-    """A profile out of options of a command.
+    """Make a profile out of a command's options.
 
     Raises:
         InputError: a number out of its range.
@@ -67,7 +67,7 @@ def profile_from(given: Mapping[str, Any]) -> Profile:
 
 
 def load_profile(path: Path) -> Profile:
-    """A profile out of its TOML file.
+    """Read a profile from its TOML file.
 
     Raises:
         InputError: no such file, not TOML, an unknown key, a value out of range, or a column that is no choice.

@@ -17,8 +17,8 @@ from motor_env.recordings.columns import recognise
 from motor_env.recordings.headers import SI, ColumnChoice
 from motor_env.recordings.noise import filled
 from motor_env.recordings.tables import read_table
-from motor_env.recordings.text.block import FEWEST_SAMPLES
-from motor_env.recordings.text.settings import Table
+from motor_env.recordings.text.block import FEWEST_SAMPLES, Table
+from motor_env.recordings.text.number_parser import MOST_ROWS
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -31,17 +31,20 @@ _Record = TypeVar("_Record", bound="DataclassInstance")
 _AS_LONG, _ALIKE = 0.2, 0.05  # of the median step: usual ones; standard deviation of a clock's
 _MOSTLY = 0.8  # of the steps: where fewer are usual, times near even ones were rounded
 _HOLE = 1.75  # median steps of a clock that is not even: nearly all of its own steps are shorter
-_MOST_PLACES = 4_000_000
 _MOST_READINGS = 3  # that are told apart in a list
 _CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
+
+
+class UnusableError(ValueError):
+    """A recording that can be read but not judged; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
     """One recording, in SI units, on an even time axis.
 
-    NaN is a missing sample. It is filled in a straight line, so that pictures and first guesses have numbers, and is
-    kept as `missing`, so that no fit takes them for readings.
+    NaN is a missing sample. It is interpolated for pictures and first guesses, and kept as `missing`, so that no fit
+    takes it for a reading.
 
     Attributes:
         path: where it was read from.
@@ -52,7 +55,7 @@ class Recording:
         duty: duty cycle of the supply, shape (n_samples,), or None: a voltage of unknown scale.
         columns: how the columns were understood, for the user.
         averaged: number of samples of the file whose mean is one sample here.
-        warnings: what contradicts itself in what was said of the columns.
+        warnings: contradictions in what was said of the columns.
         missing: which samples of voltage (or duty), current and speed are missing, shape (n_samples, 3); None for none.
     """
 
@@ -86,10 +89,16 @@ class Recording:
 
 
 def cut(record: _Record, part: slice) -> _Record:
-    """A record with all of its arrays cut to a part of their samples."""
+    """Cut all arrays of a record to a part of their samples."""
     values = {field.name: getattr(record, field.name) for field in fields(record)}
     arrays = {name: value[part] for name, value in values.items() if isinstance(value, np.ndarray)}
     return replace(record, **arrays)
+
+
+def stretches(flags: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first sample of each run in which a flag is set, and the first after it."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
+    return edges[::2], edges[1::2]
 
 
 def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
@@ -115,12 +124,12 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
 
 
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
-    """A recording, or that of a file."""
+    """Return a recording, or that of a file."""
     return recording if isinstance(recording, Recording) else read_recording(recording, choices)
 
 
-def understood(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:
-    """How files were read, for the user: each reading once, without the numbers and ranges of their samples.
+def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:
+    """Say how files were read: each way once, without numbers and ranges of samples.
 
     Args:
         readings: files, with the `columns` of their recordings.
@@ -164,7 +173,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
     if stretch.stop - stretch.start < FEWEST_SAMPLES:
         raise InputError(f"{path}: has gaps between all of its samples")
     columns = {name: values[stretch] for name, values in columns.items()}
-    even, columns, note = evened(columns["time"], columns)
+    even, columns, note = resampled(columns["time"], columns)
     notes = (*notes, *gap_note, *note, _summary(even, columns))
     return Recording(
         path=path,
@@ -179,7 +188,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
 
 
 def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:
-    """Number, rate and ranges of the samples, by which a wrong unit is seen."""
+    """Say number, rate and ranges of the samples, which show a wrong unit."""
     rate = (len(time_s) - 1) / (time_s[-1] - time_s[0])
     ranges = [
         f"{name} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} {SI[name]}"
@@ -190,7 +199,7 @@ def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:
 
 
 def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[str, ...]]:
-    """The longest stretch of samples without a long gap, and a note where there is one."""
+    """Return the longest stretch of samples without a long gap, and a note where there is one."""
     gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
     edges = [0, *(gaps + 1).tolist(), len(time_s)]
     begin, end = max(pairwise(edges), key=lambda stretch: stretch[1] - stretch[0])
@@ -201,14 +210,14 @@ def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[s
     return slice(begin, end), (note,) if len(gaps) else ()
 
 
-def evened(
+def resampled(
     time_s: FloatArray, columns: dict[str, FloatArray], step_s: float | None = None
 ) -> tuple[FloatArray, dict[str, FloatArray], tuple[str, ...]]:
-    """Columns on an even time axis, and a note where they had to be changed.
+    """Put columns on an even time axis; note where they had to be changed.
 
-    A clock that is not quite even is interpolated. Where an even one left samples out, or changed its rate, what lies
-    between two samples is not known: it is NaN on the axis, and an interval of another length has one NaN in it at
-    least. A voltage that was interpolated there would step at another time than the motor's.
+    A clock that is not quite even is interpolated. Where an even one left samples out, or changed its rate, the values
+    between two samples are NaN, one at least in an interval of another length: an interpolated voltage would step at
+    another time than the motor's.
 
     Args:
         time_s: rising.
@@ -217,21 +226,21 @@ def evened(
     """
     count, steps = len(time_s), np.diff(time_s)
     even = np.linspace(time_s[0], time_s[-1], count)
-    off = float(np.max(np.abs(even - time_s)) / (even[1] - even[0]))
+    shift = float(np.max(np.abs(even - time_s)) / (even[1] - even[0]))
     is_other = step_s is not None and abs(even[1] - even[0] - step_s) > _AS_LONG * step_s
-    if off <= 0.02 and not is_other:
+    if shift <= 0.02 and not is_other:
         return even, columns, ()
-    step_s, is_usual, is_clock = _usual(steps, step_s, is_other=is_other)
-    if is_clock and not is_usual.all() and (off >= 0.5 or is_other or float(np.mean(is_usual)) > _MOSTLY):
-        samples, places = _placed(time_s, step_s, is_usual)
-        if places[-1] < max(4 * count, _MOST_PLACES):
+    step_s, is_usual, is_clock = _usual_step(steps, step_s, is_other=is_other)
+    if is_clock and not is_usual.all() and (shift >= 0.5 or is_other or float(np.mean(is_usual)) > _MOSTLY):
+        samples, places = _placed_samples(time_s, step_s, is_usual)
+        if places[-1] < max(4 * count, MOST_ROWS):
             even = time_s[0] + step_s * np.arange(places[-1] + 1)
             whole = {name: np.full(len(even), np.nan) for name in columns}
             for name, values in columns.items():
                 whole[name][places] = values[samples]
             words = f"{count} samples, most of them {step_s:.6g} s apart: what lies between others counts as missing"
             return even, whole, (words,)
-    if off >= 0.5:  # evenly at the median step
+    if shift >= 0.5:  # evenly at the median step
         many = int(min((time_s[-1] - time_s[0]) / np.median(steps), 4 * count))
         even = np.linspace(time_s[0], time_s[-1], max(many, 1) + 1)
     columns = {name: np.interp(even, time_s, values) for name, values in columns.items()}
@@ -246,10 +255,10 @@ def evened(
     return even, columns, ("the time axis is uneven: interpolated to an even one",)
 
 
-def _usual(
+def _usual_step(
     steps: FloatArray, before_s: float | None, *, is_other: bool
 ) -> tuple[float, NDArray[np.bool_], bool]:
-    """The usual step, which steps are about as long, and whether they are so alike that a clock made them."""
+    """Return the usual step, which steps are about as long, and whether they are alike enough for a clock."""
     about = float(np.median(steps))
     if before_s is not None and (is_other or (np.abs(steps - before_s) <= _AS_LONG * before_s).any()):
         about = before_s
@@ -258,12 +267,12 @@ def _usual(
     return float(usual.mean()), is_usual, float(usual.std()) < _ALIKE * about
 
 
-def _placed(
+def _placed_samples(
     time_s: FloatArray, step_s: float, is_usual: NDArray[np.bool_]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Samples, and their places on an even axis: neighbours a usual step apart, two places at least between others.
+    """Return samples and their places on an even axis: neighbours a usual step apart, others two places at least.
 
-    Samples that lie too close to those before are left out until there is room.
+    Samples too close to those before are left out.
     """
     firsts = np.append(0, np.flatnonzero(~is_usual) + 1)
     samples, places, end = [], [], -2

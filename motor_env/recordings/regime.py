@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 
 REGIMES = ("auto", "start", "operation")
 _OFF, _ON = 0.1, 0.8
@@ -31,7 +30,7 @@ _NOISE_SPAN = 10.0  # a voltage that is only noise spans so many standard deviat
 _LEVEL, _OFF_LEVEL = 0.05, 0.02  # of the way between two levels; share of the samples that may lie off them
 
 
-class Taken(NamedTuple):
+class RegimeDecision(NamedTuple):
     """What a recording is taken for.
 
     Attributes:
@@ -47,8 +46,8 @@ class Taken(NamedTuple):
         return f"{word} ({self.why})"
 
 
-def taken_for(recording: Recording, regime: str = "auto", start: int | None = None) -> Taken:
-    """What a recording is: as asked, or by what its voltage does; a `start` that is chosen makes it one.
+def taken_for(recording: Recording, regime: str = "auto", start: int | None = None) -> RegimeDecision:
+    """Decide what a recording is: as asked, by what its voltage does, or a start where one is chosen.
 
     Raises:
         InputError: an unknown regime.
@@ -56,16 +55,16 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
     if regime not in REGIMES:
         raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {regime!r}")
     if regime != "auto" or start is not None:
-        return Taken("operation" if regime == "operation" else "start", "as asked")
-    work = work_seen(recording)
+        return RegimeDecision("operation" if regime == "operation" else "start", "as asked")
+    work = operation_evidence(recording)
     if work is not None:
-        return Taken("operation", work)
+        return RegimeDecision("operation", work)
     unknown = recording.voltage_v is None and recording.duty is None
-    return Taken("start", "no voltage was recorded" if unknown else "the voltage is switched on")
+    return RegimeDecision("start", "no voltage was recorded" if unknown else "the voltage is switched on")
 
 
-def work_seen(recording: Recording) -> str | None:
-    """What shows that a recording is no plain start, in words; None for starts.
+def operation_evidence(recording: Recording) -> str | None:
+    """Say what shows that a recording is no plain start; None for starts.
 
     A start is a supply that goes from off to on and stays; short gaps in it are a bouncing switch. Several starts in
     one file lie apart by pauses.
@@ -88,25 +87,25 @@ def work_seen(recording: Recording) -> str | None:
     shown = {
         "the voltage reverses": reversed_share > _REVERSED_SHARE,
         "the voltage takes several levels": has_levels,
-        "the motor starts under one voltage, and another follows": _starts_below(recording, size),
+        "the motor starts under one voltage, and another follows": _starts_at_part_voltage(recording, size),
         "the voltage is switched faster than a motor stops": is_pulsed,
-        "the voltage comes back before the motor stands": _restarted(recording, size, levels == 0),
+        "the voltage comes back before the motor stands": _restarts_turning(recording, size, levels == 0),
         # Without its voltage no log can be judged: what was recorded with a duty is taken for a start.
         "the motor turns already": recording.voltage_v is not None
         and size[0] > _OFF
-        and _turns(recording, np.arange(min(_FIRST, len(size)))),
+        and _is_turning(recording, np.arange(min(_FIRST, len(size)))),
     }
     return next((words for words, is_shown in shown.items() if is_shown), None)
 
 
-def _restarted(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
-    """Whether the motor still turns when it is switched on again: by its speed, else by an inrush that is too small."""
+def _restarts_turning(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
+    """Return whether the motor turns when switched on again: by its speed, else by an inrush that is too small."""
     on = np.flatnonzero(~is_off)
     restarts = on[1:][np.diff(on) * recording.dt_s > BOUNCE_S]
     if len(restarts) == 0:
         return False
     if recording.speed_rad_s is not None:
-        return _turns(recording, restarts - 1)
+        return _is_turning(recording, restarts - 1)
     current = np.where(is_off, 0.0, np.abs(recording.current_a - np.median(recording.current_a[is_off])))
     without_wild = np.append(np.minimum(current[:-1], current[1:]), 0.0)
     begins = np.append(on[0], restarts)
@@ -114,8 +113,8 @@ def _restarted(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_
     return bool(np.median(inrush[1:]) < _INRUSH * inrush.max())
 
 
-def _starts_below(recording: Recording, share: FloatArray) -> bool:
-    """Whether a recording begins under a voltage that another one follows, and with a motor that is not settled."""
+def _starts_at_part_voltage(recording: Recording, share: FloatArray) -> bool:
+    """Return whether another voltage follows the first, under which the motor is not settled."""
     steps = np.flatnonzero(np.abs(np.diff(share)) > _OFF)
     if not _OFF < share[0] < _ON or len(steps) == 0 or steps[0] < _BETWEEN_SHARE * len(share):
         return False
@@ -124,8 +123,8 @@ def _starts_below(recording: Recording, share: FloatArray) -> bool:
     return bool(abs(moved) > _STILL_TURNS * np.quantile(np.abs(shown), 0.999))
 
 
-def _turns(recording: Recording, samples: NDArray[np.intp]) -> bool:
-    """Whether the motor turns at most of some samples, by its speed."""
+def _is_turning(recording: Recording, samples: NDArray[np.intp]) -> bool:
+    """Return whether the motor turns at most of some samples, by its speed."""
     if recording.speed_rad_s is None:
         return False
     speed = np.abs(recording.speed_rad_s)
@@ -133,18 +132,18 @@ def _turns(recording: Recording, samples: NDArray[np.intp]) -> bool:
 
 
 def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
-    """Refuse a raw pulse-width modulation that was sampled more slowly than it switches: its mean is not in the record.
+    """Refuse a raw pulse-width modulation that was sampled more slowly than it switches: its mean is lost.
 
-    Its voltage jumps between two levels, or stays at one; the current knows nothing of the jumps or of the noise,
-    neither at once nor until the next jump.
+    Its voltage jumps between two levels, or stays at one; the current follows neither jumps nor noise, at once or until
+    the next jump.
 
     Raises:
         UnusableError: it is one.
     """
     low, high = np.quantile(voltage_v, (0.02, 0.98))
-    off = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
+    distance = np.minimum(np.abs(voltage_v - low), np.abs(voltage_v - high))
     is_noise = float(np.ptp(voltage_v)) < _NOISE_SPAN * difference_noise(voltage_v)
-    if not is_noise and float(np.mean(off > _LEVEL * (high - low))) > _OFF_LEVEL:
+    if not is_noise and float(np.mean(distance > _LEVEL * (high - low))) > _OFF_LEVEL:
         return
     jumps = np.flatnonzero(np.diff((voltage_v > 0.5 * (low + high)).astype(np.int8))) + 1
     jumps = jumps[(jumps > 1) & (jumps < len(voltage_v) - 2)]
@@ -165,19 +164,19 @@ def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
 
 
 def _ranks(values: FloatArray) -> FloatArray:
-    """Rank of each value; equal ones share the mean of theirs."""
+    """Return the rank of each value; equal ones share the mean of theirs."""
     _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[which])
 
 
 def changes(share: FloatArray) -> int:
-    """How often a voltage goes to another level and stays there for three samples."""
+    """Count how often a voltage goes to another level and stays there for three samples."""
     steps = np.flatnonzero(np.abs(np.diff(share)) > _OFF)
     return int(np.count_nonzero(np.diff(steps, prepend=-3) >= 3))
 
 
 def slow_rises(share: FloatArray, dt_s: float) -> int:
-    """How often a voltage climbs by a fifth of its top, and more slowly than any switch."""
+    """Count how often a voltage climbs by a fifth of its top, and more slowly than any switch."""
     block = max(round(_BLOCK_S / dt_s), 1)
     means = share[: len(share) // block * block].reshape(-1, block).mean(axis=1)
     count, climbs, extreme, since = 0, False, math.inf, 0
@@ -197,6 +196,6 @@ def slow_rises(share: FloatArray, dt_s: float) -> int:
 
 
 def gaps_s(is_off: NDArray[np.bool_], dt_s: float) -> FloatArray:
-    """Lengths in seconds of the stretches without voltage between two with it."""
+    """Return the lengths in seconds of the stretches without voltage between two with it."""
     steps = np.diff(np.flatnonzero(~is_off))
     return np.asarray((steps[steps > 1] - 1) * dt_s, dtype=np.float64)

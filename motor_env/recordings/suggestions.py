@@ -1,7 +1,7 @@
-"""What a refusal suggests: only columns that can be what is asked, by name, by unit and by range.
+"""What a refusal suggests: only columns that can be what is asked, by name, unit and range.
 
-An option is suggested whole where the name or the unit of a column says what it holds. Else it has blanks in capitals
-(UNIT, SCALE, COLUMN), which only the user can fill.
+An option is whole where name or unit of a column say what it holds. Else it has blanks in capitals (UNIT, SCALE,
+COLUMN), which only the user can fill.
 """
 
 from __future__ import annotations
@@ -13,18 +13,20 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.recordings.headers import (
+    LARGEST_CURRENT_A,
     NUMBERED,
     SI,
     Meaning,
+    follows,
+    has_counts,
     is_channel,
     is_no_unit,
     is_other,
+    kinds_named,
     name_parts,
-    said_of,
     unit_quantity,
 )
-from motor_env.recordings.plausible import LARGEST_CURRENT_A, follows, has_counts
-from motor_env.recordings.text.settings import Table
+from motor_env.recordings.text.block import Table
 
 _SCALE = "SCALE is how many A a volt is, 10 for a probe of 100 mV/A"
 _OFFSET = "SCALE and OFFSET are those of the converter's counts, such as *0.0132-6.76"
@@ -41,7 +43,7 @@ class Suggestions:
     Attributes:
         path: of the file.
         table: its columns.
-        meanings: what the header of each says.
+        meanings: of their headers.
         chosen: columns that are named already, by their quantities.
     """
 
@@ -51,12 +53,12 @@ class Suggestions:
     chosen: Mapping[str, int]
 
     def name(self, k: int) -> str:
-        """What the user may call a column."""
+        """Return what the user may call a column."""
         name = self.table.names[k]
         return name if name and self.table.names.count(name) == 1 else str(self.table.numbers[k])
 
     def can_be(self, quantity: str, k: int) -> bool:
-        """Whether a column can be what is asked."""
+        """Return whether a column can be what is asked."""
         return self._is_named(quantity, self.meanings[k]) and self._is_ranged(quantity, k)
 
     def _is_named(self, quantity: str, meaning: Meaning) -> bool:
@@ -66,7 +68,7 @@ class Suggestions:
             return False
         if measured == quantity:
             return not is_other(meaning.name, quantity)
-        said = said_of(meaning.name)
+        said = kinds_named(meaning.name)
         is_open = is_channel(meaning.name) and said == {"voltage"}
         return (is_probe or measured is None) and (is_open or not is_other(meaning.name, quantity, said))
 
@@ -82,7 +84,7 @@ class Suggestions:
         )
 
     def ambiguous(self, quantity: str, columns: Sequence[int]) -> str:
-        """The sentence for several columns that look alike: each that can be the quantity is offered."""
+        """Return the sentence for columns that look alike; each that can be the quantity is offered."""
         fitting = self._beside([k for k in columns if self.can_be(quantity, k)])
         options = [f"--column {_quoted(f'{quantity}={self.name(k)}')}" for k in fitting[:_MOST_NAMED]]
         if quantity not in ("time", "current"):
@@ -94,9 +96,9 @@ class Suggestions:
         return f"{self.path}: the columns {alike} {both} look like the {quantity}; {which}"
 
     def missing_current(self, free: Collection[int]) -> str:
-        """The sentence for a file without a column of the current among those that are not taken."""
+        """Return the sentence for a file without a column of the current among the free ones."""
         fitting = self._beside([k for k in free if self.can_be("current", k)])
-        said = [k for k in fitting if "current" in said_of(self.meanings[k].name)]
+        said = [k for k in fitting if "current" in kinds_named(self.meanings[k].name)]
         if not fitting:
             hint = "none of the others can be a current, by name, unit and range"
         elif said:
@@ -108,26 +110,28 @@ class Suggestions:
             hint = f"if {self.name(fitting[0])} is the current, say --column {_quoted(form)} ({words})"
         else:
             first = self._form(fitting[0], is_said=False)
-            form, words = (one.replace(f"current={self.name(fitting[0])}", "current=COLUMN") for one in first)
+            form, words = (
+                text.replace(f"current={self.name(fitting[0])}", "current=COLUMN") for text in first
+            )
             names = ", ".join(map(self.name, fitting[:_MOST_NAMED]))
             hint = f'say --column "{form}", where COLUMN is one of {names}, and {words}'
         return self.missing("current_a", hint)
 
     def missing(self, column: str, hint: str) -> str:
-        """The sentence for a column that is not there."""
+        """Return the sentence for a column that is not there."""
         table = self.table
         names = ", ".join(repr(name[:30]) for name in table.names[:_MOST_NAMED])
-        found = names if any(table.names) else f"{len(table.names)} columns without a header"
+        header = names if any(table.names) else f"{len(table.names)} columns without a header"
         where = f"{self.path}, {table.where} {max(table.lines[0] - 1, 1)}"
-        return f"{where}: the column {column} is missing, found {found}; {hint}"
+        return f"{where}: the column {column} is missing, found {header}; {hint}"
 
     def scale(self, quantity: str, k: int) -> str:
-        """The option for a column in a unit of something else."""
+        """Return the option for a column in another quantity's unit."""
         words = _SCALE if quantity == "current" else f"SCALE is how many {SI[quantity]} one of its units is"
         return f"--column {_quoted(f'{quantity}={self.name(k)}*SCALE')}, where {words}"
 
     def times(self) -> str:
-        """The option for a column that may be the time, with `or` behind it; empty where none can be."""
+        """Return the option for a column that may be the time, with `or` behind it; empty where none can be."""
         fitting = [k for k in range(len(self.meanings)) if self._is_free(k) and self.can_be("time", k)]
         options = [f"--column {_quoted(f'time={self.name(k)}:UNIT')}" for k in fitting[:_MOST_NAMED]]
         return f"name it: {' or '.join(options)} (UNIT is s, ms or us), or " if options else ""
@@ -136,7 +140,7 @@ class Suggestions:
         return k not in self.chosen.values() and self.meanings[k].quantity is None
 
     def _form(self, k: int, *, is_said: bool) -> tuple[str, str]:
-        """The option that makes a column the current, and what its blanks are."""
+        """Return the option that makes a column the current, and what its blanks are."""
         name, has_unit = f"current={self.name(k)}", unit_quantity(self.meanings[k].unit)
         if has_unit == "voltage":
             return f"{name}*SCALE", _SCALE
@@ -153,7 +157,7 @@ class Suggestions:
         return (f"{name}*SCALE", _READING) if is_channel(self.meanings[k].name) else (f"{name}:UNIT", _UNIT)
 
     def _largest_a(self, k: int) -> float:
-        """The smallest that the largest reading of a column can be in A; 0 where a scale is to be told."""
+        """Return the least that a column's largest reading can be in A; 0 where a scale is needed."""
         unit = unit_quantity(self.meanings[k].unit)
         if unit == "voltage" or has_counts(self.table.values[:, k], self.table.averaged):
             return 0.0
@@ -169,7 +173,7 @@ class Suggestions:
         ]
 
     def _beside(self, columns: list[int]) -> list[int]:
-        """Columns of the motor of which one is chosen already, where the file has several motors."""
+        """Return columns of the motor of which one is chosen already, where the file has several motors."""
         parts = [set(name_parts(self.meanings[k].name)) for k in self.chosen.values()]
         shared = [sum(len(own & set(name_parts(self.meanings[k].name))) for own in parts) for k in columns]
         return [k for k, count in zip(columns, shared, strict=True) if count == max(shared)]

@@ -24,9 +24,8 @@ from motor_env.files import LARGEST_DATA_BYTES, LARGEST_TABLE_BYTES, read_file
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser
 from motor_env.recordings.headers import understand
-from motor_env.recordings.text.block import FEWEST_SAMPLES, MOST_COLUMNS, TextTable, cells
-from motor_env.recordings.text.pieces import large_block, whole_block
-from motor_env.recordings.text.settings import Table
+from motor_env.recordings.text.block import FEWEST_SAMPLES, MOST_COLUMNS, Table, TextTable, cells
+from motor_env.recordings.text.number_parser import large_block, whole_block
 
 LARGEST_WHOLE_BYTES = 50_000_000
 """Size of a text up to which it is read whole; a longer one is read in pieces."""
@@ -95,7 +94,7 @@ def _content(path: Path, largest: int = LARGEST_DATA_BYTES) -> bytes:
 
 
 def _decoded(path: Path, content: bytes) -> str:
-    """Text in UTF-8 or UTF-16, or in the code page of an old scope."""
+    """Decode text in UTF-8 or UTF-16, or in the code page of an old scope."""
     _refuse_foreign(path, content)
     wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     for encoding in ["utf-16"] if wide else ["utf-8-sig", "cp1252"]:
@@ -115,7 +114,7 @@ def _refuse_foreign(path: Path, content: bytes) -> None:
 
 
 def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> bytes:
-    """What the parser says of a file."""
+    """Return what the parser says of a file."""
     if kind != "HDF5" and content[:2] != b"PK":
         _refuse_foreign(path, content)
     # -P: modules of this folder must not hide others of the same name.
@@ -138,7 +137,7 @@ def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> byte
 
 
 def _arrays(said: bytes) -> tuple[dict[str, Any], int]:
-    """Arrays by name, and how many rows are averaged to one."""
+    """Return arrays by name, and how many rows are averaged to one."""
     head, _, body = said.partition(b"\n")
     averaged, shapes = json.loads(head)
     ends = np.cumsum([np.prod(shape) for _, shape in shapes], dtype=np.int64)
@@ -154,7 +153,7 @@ def _numpy(path: Path, content: bytes) -> dict[str, Any]:
         loaded = np.load(io.BytesIO(content), allow_pickle=False)
         if not isinstance(loaded, np.ndarray):
             members = {name: loaded[name] for name in loaded.files}
-            return {name: one for name, one in members.items() if isinstance(one, np.ndarray)}
+            return {name: array for name, array in members.items() if isinstance(array, np.ndarray)}
         return (
             {name: loaded[name] for name in loaded.dtype.names} if loaded.dtype.names else {"array": loaded}
         )
@@ -168,11 +167,10 @@ def _unreadable(path: Path, kind: str, reason: object) -> InputError:
 
 
 def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence[str]) -> Table:
-    """Table of the arrays of one length, that of a wanted one or the most frequent, and of the columns of a matrix.
+    """Return the table of the arrays of one length, a wanted one's or the most frequent, and of a matrix's columns.
 
     Raises:
-        InputError: no such array, a value that is infinite, or a quantity would be lost with an array of another
-            length.
+        InputError: no such array, an infinite value, or a quantity would be lost with an array of another length.
     """
     numbers: dict[str, FloatArray] = {
         name: np.squeeze(given).astype(np.float64)

@@ -26,7 +26,7 @@ from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.verdict import Judgement
 
 # Reaches in: fits are altered by hand.
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.motor.identifiable import matrix, names
 from motor_env.motor.parameters import FloatArray
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 # Reaches in: records and unknowns are made by hand, as tests of several rooms need them.
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as index
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import Hold, Record
 from motor_env.fitting.terms import Term, terms
@@ -17,9 +17,9 @@ NOISE = {"NOISE_I": 2e-3, "NOISE_W": 0.2}
 
 
 def values(**given: float) -> FloatArray:
-    out = np.zeros(places.N_VALUES)
+    out = np.zeros(index.N_VALUES)
     for name, value in (MOTOR | NOISE | given).items():
-        out[getattr(places, name)] = value
+        out[getattr(index, name)] = value
     return out
 
 
@@ -43,7 +43,7 @@ def worked(
     each = round(40 * DT_S / dt_s)
     record = plain(n, np.repeat(rng.uniform(lowest, 9.0, -(-n // each)), each)[:n], hold, dt_s)
     clean = record.predict(p, learn=False)[0][:, 2:4]
-    shown = clean + noise * rng.standard_normal((n, 2)) * p[[places.NOISE_I, places.NOISE_W]]
+    shown = clean + noise * rng.standard_normal((n, 2)) * p[[index.NOISE_I, index.NOISE_W]]
     return replace(record, readings=shown)
 
 
@@ -76,7 +76,7 @@ class Line:
     def residuals(self, theta: FloatArray) -> FloatArray:
         return self.design @ theta - self.target
 
-    def columns(self, _: FloatArray, chosen: list[int], __: FloatArray) -> FloatArray:
+    def jacobian(self, _: FloatArray, __: FloatArray, chosen: list[int]) -> FloatArray:
         return np.asarray(self.design[:, chosen])
 
     def secants(self, _: FloatArray, chosen: list[int], __: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ import numpy as np
 from motor_env import MotorParameters
 
 # Reaches in: dry friction, a fan and slow sensors, which `simulate` has not, are those of the model that is fitted.
-from motor_env.fitting import kernel, places
+from motor_env.fitting import ekf, parameter_index as index
 from motor_env.fitting.record import Record
 from motor_env.motor.parameters import FloatArray
 
@@ -13,27 +13,27 @@ Beyond = float | list[float]
 
 
 def values_of(motor: MotorParameters, **beyond: Beyond) -> FloatArray:
-    """Values of a motor; what it has beyond the textbook by the names of `motor_env.fitting.places`.
+    """Values of a motor; what it has beyond the textbook by the names of `motor_env.fitting.parameter_index`.
 
     There the two constants are one: torques, inertia and friction are those over the torque constant, times the other.
     """
     constant = float(motor.back_emf_constant_v_s_per_rad)
     torques = constant / float(motor.torque_constant_n_m_per_a)
-    out = np.zeros(places.N_VALUES)
-    out[[places.R, places.L, places.K]] = float(motor.resistance_ohm), float(motor.inductance_h), constant
-    out[[places.J, places.B]] = float(motor.inertia_kg_m2), float(motor.viscous_friction_n_m_s_per_rad)
-    out[[places.NOISE_I, places.NOISE_W]] = 1.0
-    out[places.CURVE] = 1.0
+    out = np.zeros(index.N_VALUES)
+    out[[index.R, index.L, index.K]] = float(motor.resistance_ohm), float(motor.inductance_h), constant
+    out[[index.J, index.B]] = float(motor.inertia_kg_m2), float(motor.viscous_friction_n_m_s_per_rad)
+    out[[index.NOISE_I, index.NOISE_W]] = 1.0
+    out[index.CURVE] = 1.0
     for name, value in beyond.items():
-        out[getattr(places, name)] = value
-    out[[places.J, places.B, places.COULOMB, places.LOAD, places.SQUARE, places.WALK]] *= torques
+        out[getattr(index, name)] = value
+    out[[index.J, index.B, index.COULOMB, index.LOAD, index.SQUARE, index.WALK]] *= torques
     return out
 
 
 def step_record(time_s: FloatArray, onset_s: float, voltage_v: float) -> Record:
     """A start from rest without readings: a step of the supply."""
     n = len(time_s)
-    dt_s, marks = float((time_s[-1] - time_s[0]) / (n - 1)), kernel.REST * np.eye(1, n)[0]
+    dt_s, marks = float((time_s[-1] - time_s[0]) / (n - 1)), ekf.REST * np.eye(1, n)[0]
     volts, none = np.full(n, voltage_v), np.full((n, 2), np.nan)
     return Record(dt_s, volts, none, np.ones(2), marks, onset_s=onset_s - float(time_s[0]))
 
@@ -41,7 +41,7 @@ def step_record(time_s: FloatArray, onset_s: float, voltage_v: float) -> Record:
 def driven_record(voltage_v: FloatArray, dt_s: float, *, from_rest: bool) -> Record:
     """A motor under a measured voltage, from rest or from its steady state, without readings."""
     n = len(voltage_v)
-    marks = (kernel.REST if from_rest else kernel.STEADY) * np.eye(1, n)[0]
+    marks = (ekf.REST if from_rest else ekf.STEADY) * np.eye(1, n)[0]
     return Record(dt_s, voltage_v, np.full((n, 2), np.nan), np.ones(2), marks)
 
 

@@ -25,8 +25,7 @@ from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.shown.report import as_json
 from motor_env.motor.data_sheet import Motor, Tolerance
 from motor_env.motor.faults import HEALTHY, FaultKind
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, read_recording
+from motor_env.recordings.recording import Recording, UnusableError, read_recording
 from motor_env.simulation.recipes import Recipe
 
 UNDECIDED = "unusable"

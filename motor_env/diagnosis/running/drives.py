@@ -10,8 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from motor_env.motor.healthy import Drive
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 
 ALIKE, FAR = 0.12, 3.0
 """Distance of two windows up to which they are driven alike, see `apart`; and how many times that tells no fault."""

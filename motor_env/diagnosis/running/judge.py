@@ -15,12 +15,11 @@ from motor_env.diagnosis.running.windows import WindowJudge, viscous
 from motor_env.diagnosis.sensors.failed import failed_sensor
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import EXPONENTS, NAMES
-from motor_env.fitting import places
-from motor_env.fitting.identify import identify_record
-from motor_env.fitting.recorded import at_terminals, from_recordings
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.operation_fit import identify_record
+from motor_env.fitting.preprocessing import at_terminals, from_recordings
 from motor_env.motor.data_sheet import Motor
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 from motor_env.recordings.start import Circuit
 
 _COARSE = (0.1, 0.1, 0.1, 0.5)  # of the logarithms of R, K, J and the drag

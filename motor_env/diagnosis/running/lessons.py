@@ -16,17 +16,21 @@ from motor_env.diagnosis.running.replay import replay
 from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
 from motor_env.diagnosis.running.windows import MOST_SAMPLES, WindowJudge, judge_of, over_speed, windows_of
 from motor_env.diagnosis.views import NAMES, FittedWindow
-from motor_env.fitting import places
-from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, identify_operation
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.operation_fit import (
+    FEWEST_STEPS,
+    UNSEEN_STEPS,
+    OperationFit as Operation,
+    identify_operation,
+)
+from motor_env.fitting.preprocessing import MOST, from_recordings
 from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
-from motor_env.fitting.recorded import MOST, from_recordings
-from motor_env.fitting.uncertainty import beyond
+from motor_env.fitting.uncertainty import excess_covariance as beyond
 from motor_env.fitting.window import LOAD, WindowFit, fit_window, without_load
 from motor_env.motor.healthy import Drive, Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 
 FEWEST_WINDOWS = 4
 MOST_LEARNED = 40

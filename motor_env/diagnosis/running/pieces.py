@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.diagnosis.running.windows import WindowJudge
-from motor_env.fitting import kernel
+from motor_env.fitting import ekf as kernel
 from motor_env.fitting.record import Record
 from motor_env.fitting.window import Scores, scores
 from motor_env.motor.healthy import Scale

@@ -21,7 +21,7 @@ from motor_env.diagnosis.running.pieces import N_STATES, Pieces
 from motor_env.diagnosis.running.windows import WARMTH
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import EXPONENTS, NAMES
-from motor_env.fitting.uncertainty import beyond
+from motor_env.fitting.uncertainty import excess_covariance as beyond
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Scale

@@ -19,16 +19,15 @@ from motor_env.diagnosis.running.lessons import (
 )
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of, viscous, windows_of
 from motor_env.diagnosis.views import NAMES
-from motor_env.fitting.identify import identify_record
+from motor_env.fitting.operation_fit import identify_record
+from motor_env.fitting.preprocessing import from_recordings
 from motor_env.fitting.record import STRETCHES, Record
-from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.window import LOAD
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 
 _WINDOWS = 10  # of a log
 _SHORTEST = 40.0  # a window: mechanical time constants

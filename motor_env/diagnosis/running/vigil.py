@@ -33,11 +33,10 @@ from motor_env.diagnosis.running.windows import WindowJudge, averaged
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.errors import InputError
-from motor_env.fitting.recorded import from_recordings
+from motor_env.fitting.preprocessing import from_recordings
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, cut
+from motor_env.recordings.recording import Recording, UnusableError, cut
 
 YEAR_S = 365.25 * 86_400.0
 CONTEXT = 256

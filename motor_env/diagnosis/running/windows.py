@@ -24,15 +24,14 @@ from motor_env.diagnosis.sensors.seen import Seen
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import EXPONENTS, NAMES, FittedWindow
 from motor_env.errors import InputError
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.preprocessing import block_means, from_recordings, missing_blocks
 from motor_env.fitting.record import Record
-from motor_env.fitting.recorded import block_means, from_recordings, missing_blocks
 from motor_env.fitting.window import WindowFit, fit_window, per_log
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, cut
+from motor_env.recordings.recording import Recording, UnusableError, cut
 
 MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20

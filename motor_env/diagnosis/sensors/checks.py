@@ -14,7 +14,7 @@ import numpy as np
 from motor_env.diagnosis.misreading import READ_SO
 from motor_env.diagnosis.sensors.seen import Seen, free_run, held_current, likeness, size
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import clipped_run

@@ -12,13 +12,12 @@ import numpy as np
 from motor_env.diagnosis.sensors.checks import failure_in, sensor_failed
 from motor_env.diagnosis.sensors.seen import Seen
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import align
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.recording import Recording, UnusableError
 from motor_env.recordings.start import Circuit
 
 _BACKWARDS = "the current has the other sign than in all healthy starts: it is reversed, or the motor started backwards"
@@ -66,7 +65,7 @@ def failed_sensor(
 
 
 def physical_of(motor: Motor) -> FloatArray:
-    """Values of a healthy motor in the order of `motor_env.fitting.places`; those of windows hold their friction."""
+    """Values of a healthy motor in the order of `fitting.parameter_index`; those of windows hold their friction."""
     if motor.healthy is not None and motor.healthy.windows is not None:
         physical = motor.healthy.windows.physical.copy()
         learned = dict(zip(motor.healthy.quantities, motor.healthy.values.tolist(), strict=True))

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.fitting import kernel, places
+from motor_env.fitting import ekf as kernel, parameter_index as places
 from motor_env.fitting.record import Record
 from motor_env.motor.parameters import FloatArray
 

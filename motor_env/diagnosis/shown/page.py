@@ -11,9 +11,9 @@ from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.shown.report import as_text, warnings_of
 from motor_env.diagnosis.shown.words import KIND, RUN_ON, SIZE, WORDS
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
-from motor_env.fitting import places
-from motor_env.fitting.starts.belief import absolute
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.starts.start_fit import StartFit as Identified
+from motor_env.fitting.starts.start_prior import absolute_parameters as absolute
 from motor_env.motor.parameters import FloatArray
 from motor_env.pages.html import render
 from motor_env.pages.svg import Axis, Chart, round_ticks

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from motor_env.console import printable
 from motor_env.diagnosis.shown.report import quality
 from motor_env.diagnosis.views import Fitted
-from motor_env.fitting.identify import Operation
-from motor_env.fitting.starts.identified import Identified
+from motor_env.fitting.operation_fit import OperationFit as Operation
+from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.motor.parameters import FloatArray
 from motor_env.plotting import COLOUR, drawing, save, subplots
 

@@ -11,8 +11,7 @@ import numpy as np
 from motor_env.diagnosis.verdict import Diagnosis, Judgement
 from motor_env.diagnosis.views import Fitted
 from motor_env.fitting.starts.commutation import constants_at, find_ripple
-from motor_env.fitting.starts.identified import Identified
-from motor_env.fitting.starts.plausibility import implausible
+from motor_env.fitting.starts.start_fit import StartFit as Identified, implausible
 from motor_env.motor.parameters import RAD_S_PER_RPM
 from motor_env.recordings.recording import Recording
 

@@ -1,9 +1,8 @@
 """Speed from the commutation ripple of the current: order tracking on the angle that the fitted start turns.
 
-The commutator modulates the current so many times a turn. Over time the ripple's frequency rises with the speed;
-over the angle it is a line. The residual of a fit is therefore resampled evenly over the angle that the fitted motor
-turns (computed order tracking: Fyfe & Munck 1997), and its strongest line gives the frequency at the last
-speed: the start's shape comes from the fit, its scale from the ripple alone.
+Over time the ripple's frequency rises with the speed; over the angle it is a line. The residual of a fit is resampled
+evenly over the fitted angle (computed order tracking: Fyfe & Munck 1997); its strongest line gives the frequency at the
+last speed. The start's shape comes from the fit, its scale from the ripple alone.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.fitting.starts.identified import Identified
-from motor_env.recordings.periodic_lines import over_angle
+from motor_env.fitting.starts.start_fit import StartFit
+from motor_env.recordings.noise import over_angle
 
 _FEWEST_SAMPLES = 256
 _FEWEST_PERIODS = 15.0
@@ -40,8 +39,8 @@ class CommutationRipple:
     strength: float
 
 
-def find_ripple(fit: Identified) -> CommutationRipple | None:
-    """The commutation ripple of a start, or None where no line stands out, or the motor's ripple is a converter's.
+def find_ripple(fit: StartFit) -> CommutationRipple | None:
+    """Find the commutation ripple of a start; None where no line stands out, or the ripple is a converter's.
 
     Args:
         fit: a fitted start from rest; a ripple of constant frequency has been taken off it.
@@ -59,14 +58,14 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
     window = np.hanning(n)
     power = np.abs(np.fft.rfft((resampled - resampled.mean()) * window, _PADDING * n)) ** 2
     frequency = np.fft.rfftfreq(_PADDING * n, even[1])
-    seen = (frequency > _FEWEST_PERIODS / even[-1]) & (frequency < 0.45 / start.dt_s)
-    if not seen.any():
+    in_band = (frequency > _FEWEST_PERIODS / even[-1]) & (frequency < 0.45 / start.dt_s)
+    if not in_band.any():
         return None
     from scipy.ndimage import median_filter  # it takes long to import, and few need it
 
     # The median of the power of noise is log 2 of its mean.
     background = median_filter(power, _BACKGROUND_BINS, mode="nearest") / math.log(2.0)
-    strength = np.where(seen, power / np.maximum(background, 1e-300), 0.0)
+    strength = np.where(in_band, power / np.maximum(background, 1e-300), 0.0)
     peak = int(np.argmax(np.where(strength > _STRONG, power, 0.0)))
     if strength[peak] <= _STRONG:
         return None
@@ -82,18 +81,18 @@ def find_ripple(fit: Identified) -> CommutationRipple | None:
     )
 
 
-def ripple_quantities(fit: Identified) -> tuple[float, float] | None:
-    """Frequency at the last speed, and K times the periods a turn, in V s (s where the voltage is unknown)."""
+def ripple_quantities(fit: StartFit) -> tuple[float, float] | None:
+    """Return the frequency at the last speed, and K times the periods a turn, V s (s where the voltage is unknown)."""
     ripple = find_ripple(fit)
     if ripple is None:
         return None
     return ripple.frequency_hz, back_emf_v(fit) / (2.0 * math.pi * ripple.frequency_hz)
 
 
-def constants_at(fit: Identified, speed_rad_s: float) -> dict[str, float]:
-    """K, J and B (over volt where the voltage is unknown) by name, which the current alone does not tell, of a speed.
+def constants_at(fit: StartFit, speed_rad_s: float) -> dict[str, float]:
+    """Return K, J and B by name at a known last speed, over volt where the voltage is unknown.
 
-    At the last sample V = R i + K w; with K, J follows from K^2/J and B from B/J.
+    There V = R i + K w; with K, J follows from K^2/J and B from B/J.
     """
     constant, p = back_emf_v(fit) / speed_rad_s, fit.parameters
     # The fit's K^2/J and B/J hold whatever K it believed.
@@ -104,8 +103,8 @@ def constants_at(fit: Identified, speed_rad_s: float) -> dict[str, float]:
     return {f"K{per_volt}": constant, f"J{per_volt}": inertia, f"B{per_volt}": friction}
 
 
-def back_emf_v(fit: Identified) -> float:
-    """Back-EMF at the end of the start: what the resistance leaves of the voltage (1 V where it is unknown)."""
+def back_emf_v(fit: StartFit) -> float:
+    """Return the back-EMF at the end of the start: what R leaves of the voltage (1 V where it is unknown)."""
     tail = slice(-max(len(fit.states) // 20, 1), None)
     ohm = float(np.max(fit.parameters.resistance_ohm)) + fit.start.circuit.shunt_ohm
     return float(fit.start.level_v - ohm * np.mean(fit.states[tail, 0]))

@@ -30,7 +30,7 @@ from motor_env import Channel, FaultKind, Recipe, Recording, Timing, load_recipe
 from motor_env.console import ExitStatus
 from motor_env.inference.features import FEATURE_NAMES
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 from motor_env.simulation.recipes import FaultClass
 
 RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))

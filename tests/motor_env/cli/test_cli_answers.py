@@ -36,7 +36,7 @@ from motor_env.embedded.monitor import CusumBank
 from motor_env.live import command
 from motor_env.prognosis import files as trends
 from motor_env.recordings.profiles import Profile, load_profile
-from motor_env.recordings.regime import Taken
+from motor_env.recordings.regime import RegimeDecision as Taken
 from motor_env.recordings.start import Circuit
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

@@ -30,7 +30,7 @@ from motor_env.diagnosis.misreading import wrong_scales
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.shown.page import reference_current
 from motor_env.diagnosis.views import FittedWindow
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 
 # Reaches in: a window is off in the direction of a fault.
 from motor_env.motor.faults import apply_fault

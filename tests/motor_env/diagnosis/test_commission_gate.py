@@ -12,10 +12,8 @@ from simulated_captures import DEFECTS, captures
 
 from motor_env import PAPER_MOTOR, Recording
 from motor_env.cli import main
-
-# Reaches in: no public name tells how many starts a recording holds without a fit of each, nor what cannot be used.
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.splitting import split_starts
+from motor_env.recordings.recording import UnusableError
+from motor_env.recordings.start import split_starts
 
 DT_S = 1e-4
 

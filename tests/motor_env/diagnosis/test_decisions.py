@@ -29,8 +29,8 @@ from motor_env.diagnosis.views import covariance_at_one_temperature, views_of
 from motor_env.filters.consistency import check_consistency
 
 # Reaches in: fits are moved by hand in directions that no public name gives.
-from motor_env.fitting import places
-from motor_env.fitting.uncertainty import beyond
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.uncertainty import excess_covariance as beyond
 from motor_env.motor.healthy import Starts
 from motor_env.motor.identifiable import visible_direction
 from motor_env.motor.parameters import FloatArray

@@ -23,7 +23,7 @@ from motor_env.diagnosis.verdict import Judgement
 from motor_env.errors import InputError
 
 # Reaches in: motors that one recording teaches, and the checks by themselves.
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray

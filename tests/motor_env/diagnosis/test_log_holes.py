@@ -24,10 +24,10 @@ from motor_env import (
 from motor_env.diagnosis.commission import commission
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import NAMES
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.start import prepare
 
 FINE_S, DT_S, EACH_S = 5e-4, 2e-3, 0.05  # of the simulation, of the log; how long a voltage lasts

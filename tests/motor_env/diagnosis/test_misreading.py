@@ -18,9 +18,7 @@ from motor_env.diagnosis.running import judge as judging
 from motor_env.diagnosis.running.windows import WindowJudge
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import NAMES, FittedWindow
-
-# Reaches in: values of a log's fit are made by hand.
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.motor.healthy import Windows
 from motor_env.recordings.recording import Recording
 

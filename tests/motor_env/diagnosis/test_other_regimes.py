@@ -20,7 +20,7 @@ from motor_env.diagnosis.verdict import Verdict
 from motor_env.diagnosis.views import FittedWindow
 
 # Reaches in: windows and scores are made by hand.
-from motor_env.fitting.identify import identify_operation
+from motor_env.fitting.operation_fit import identify_operation
 from motor_env.fitting.window import Scores
 from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy

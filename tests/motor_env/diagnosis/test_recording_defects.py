@@ -33,8 +33,7 @@ from motor_env import (
 # Reaches in: the estimate of a start's noise by itself, and the starts of a recording without their fits.
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise
-from motor_env.recordings.splitting import chosen_starts
-from motor_env.recordings.start import Circuit
+from motor_env.recordings.start import Circuit, chosen_starts
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
 FAULTS = {

@@ -29,7 +29,7 @@ from motor_env import (
     simulate,
 )
 from motor_env.diagnosis.files import diagnose_files
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.start import prepare
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

@@ -25,7 +25,7 @@ from motor_env.diagnosis.healthy_motor import Moved, reference_of, reference_of_
 from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, the_next
 from motor_env.diagnosis.shown import page, report
 from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
-from motor_env.fitting.uncertainty import beyond
+from motor_env.fitting.uncertainty import excess_covariance as beyond
 
 # Reaches in: what a reference must hold follows from a motor's equations and from the noise of its starts.
 from motor_env.motor.healthy import Fleet

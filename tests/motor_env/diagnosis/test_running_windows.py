@@ -20,7 +20,7 @@ from motor_env.diagnosis.running import windows
 from motor_env.diagnosis.running.windows import WindowJudge
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import EXPONENTS, NAMES
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 
 # Reaches in: the oracle of the joint share needs the direction in which each fault shows.
 from motor_env.motor import identifiable as quantities

@@ -34,10 +34,10 @@ from motor_env.diagnosis.running.windows import (
 )
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import FittedWindow
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
+from motor_env.fitting.preprocessing import from_recordings
 from motor_env.fitting.record import Record
-from motor_env.fitting.recorded import from_recordings
-from motor_env.fitting.uncertainty import beyond
+from motor_env.fitting.uncertainty import excess_covariance as beyond
 from motor_env.fitting.window import WindowFit, fit_window
 from motor_env.motor.healthy import Drive, Healthy
 from motor_env.motor.parameters import FloatArray

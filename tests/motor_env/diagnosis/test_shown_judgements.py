@@ -27,8 +27,8 @@ from motor_env.diagnosis.files import picture_of
 from motor_env.diagnosis.shown import page, report
 
 # Reaches in: fits are altered by hand.
-from motor_env.fitting.starts.identified import Identified
-from motor_env.recordings.periodic_lines import PeriodicLine
+from motor_env.fitting.starts.start_fit import StartFit as Identified
+from motor_env.recordings.noise import PeriodicLine
 
 
 def test_every_other_verdict_is_a_fault() -> None:

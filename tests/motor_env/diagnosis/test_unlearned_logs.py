@@ -27,14 +27,14 @@ from motor_env.diagnosis.running import lessons, unlearned
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import viscous
 from motor_env.diagnosis.views import NAMES
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 
 # Reaches in: the long test judges by the joint fit itself, made once for two motors.
-from motor_env.fitting.identify import identify_operation
+from motor_env.fitting.operation_fit import identify_operation
 from motor_env.fitting.record import Record
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 
 P, DT_S = PAPER_MOTOR, 0.002
 FRICTION = float(P.viscous_friction_n_m_s_per_rad)

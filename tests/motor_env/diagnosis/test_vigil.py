@@ -31,7 +31,7 @@ from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
 from motor_env.diagnosis.running.windows import judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import NAMES, FittedWindow
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Drive, Healthy, Scale, Windows
 from motor_env.motor.parameters import FloatArray

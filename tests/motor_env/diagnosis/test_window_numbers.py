@@ -39,7 +39,7 @@ from motor_env.diagnosis.sensors.failed import physical_of
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.diagnosis.views import EXPONENTS, NAMES, FittedWindow, covariance_at_one_temperature
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.fitting.record import Record
 
 # Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
@@ -47,8 +47,8 @@ from motor_env.fitting.window import WindowFit
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction, warmth_direction
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.regime import Taken
+from motor_env.recordings.recording import UnusableError
+from motor_env.recordings.regime import RegimeDecision as Taken
 from motor_env.recordings.start import Circuit
 
 WHITE: FloatArray = np.random.default_rng(3).standard_normal((200, 2))

@@ -11,7 +11,7 @@ from motor_env import KalmanFilter, MotorParameters, discretize, run_filter, sim
 
 # Reaches in: `KalmanFilter` has two states; a load that walks is a third.
 from motor_env.filters.kalman import measurement_update
-from motor_env.fitting import kernel, places
+from motor_env.fitting import ekf, parameter_index as index
 from motor_env.motor.model import continuous_model
 from motor_env.motor.parameters import FloatArray
 
@@ -33,10 +33,10 @@ def motor_of(name: str) -> MotorParameters:
 
 
 def values(name: str, **given: float) -> FloatArray:
-    out = np.zeros(places.N_VALUES)
-    out[[places.R, places.L, places.K, places.J, places.B]] = MOTORS[name]
+    out = np.zeros(index.N_VALUES)
+    out[[index.R, index.L, index.K, index.J, index.B]] = MOTORS[name]
     for place, value in ({"NOISE_I": NOISE_I, "NOISE_W": NOISE_W} | given).items():
-        out[getattr(places, place)] = value
+        out[getattr(index, place)] = value
     return out
 
 
@@ -61,8 +61,8 @@ def predicted(
         np.zeros(1),
         1e-9 + np.abs(voltage).max(keepdims=True)[0],
     )
-    which, room = np.zeros(1, int), kernel.room_to_work()
-    kernel.predict_each(
+    which, room = np.zeros(1, int), ekf.room_to_work()
+    ekf.predict_each(
         p[None], dt_s, voltage[None], marks[None], reach, which, readings, seen, learn, out, logs, room
     )
     return out[0], float(logs[0])
@@ -76,7 +76,7 @@ def steps(name: str, dt_s: float) -> Iterator[FloatArray]:
         p, readings, marks = (
             values(name, LOAD=torque[0]),
             np.tile(begin, (2, 1)),
-            np.array([kernel.BEGIN, 0.0]),
+            np.array([ekf.BEGIN, 0.0]),
         )
         table, _ = predicted(p, dt_s, voltage, readings, np.ones(2), marks, learn=False)
         yield table[1, 2:4]
@@ -125,10 +125,10 @@ def begun(p: FloatArray, record: Recorded, seen: FloatArray) -> FloatArray:
     """Variances of current, speed and load where the kernel begins; what is not recorded is known to 30 %."""
     reach, sd_i, sd_w = float(np.abs(record.volts).max()) + 1e-9, NOISE_I, NOISE_W
     if not seen[1]:
-        sd_w = np.hypot(0.3 * reach, p[places.L] / record.dt_s * NOISE_I) / p[places.K]
+        sd_w = np.hypot(0.3 * reach, p[index.L] / record.dt_s * NOISE_I) / p[index.K]
     if not seen[0]:
-        sd_i = 0.3 * reach / p[places.R]
-    return np.square([sd_i, sd_w, 0.1 * p[places.K] * reach / p[places.R]])
+        sd_i = 0.3 * reach / p[index.R]
+    return np.square([sd_i, sd_w, 0.1 * p[index.K] * reach / p[index.R]])
 
 
 each_sensor = pytest.mark.parametrize(

@@ -9,15 +9,15 @@ import pytest
 from operation_simulator import draw_motor, simulate
 
 from motor_env import Recording
-from motor_env.fitting import places
-from motor_env.fitting.identify import identify_operation, without_lines
+from motor_env.fitting import parameter_index as index
+from motor_env.fitting.operation_fit import identify_operation, without_lines
+from motor_env.fitting.preprocessing import from_recordings
 from motor_env.fitting.problem import Solution
-from motor_env.fitting.recorded import from_recordings
 from motor_env.fitting.window import fit_window
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: what the fits of starts and of logs take for ripple.
-from motor_env.recordings.periodic_lines import constant_lines
+from motor_env.recordings.noise import constant_lines
 
 
 def work(seed: int, profile: str, samples: int) -> Recording:
@@ -49,7 +49,7 @@ def test_hum_changes_neither_motor_nor_noise() -> None:
         before, after = plain.quantity(name), found.quantity(name)
         assert abs(math.log(after.value / before.value)) < 0.5 * before.log_sd
         assert after.log_sd == pytest.approx(before.log_sd, rel=0.35)
-    noises = [one.solution.values[places.NOISE_I] for one in (plain, found)]
+    noises = [one.solution.values[index.NOISE_I] for one in (plain, found)]
     assert noises[1] == pytest.approx(noises[0], rel=0.05)
     assert not any("ripple" in note for note in plain.notes)
     (note,) = (note for note in found.notes if "ripple" in note)
@@ -68,7 +68,7 @@ def test_each_recording_has_lines_of_its_own() -> None:
     left = cleaned.readings[:, 0] - from_recordings([clean, clean]).readings[:, 0]
     assert float(np.std(left)) < 0.05 * 0.5
     known = plain.values
-    known[places.DRAG] = 1.0
+    known[index.DRAG] = 1.0
     quiet, loud = (fit_window(from_recordings([one]), known, plain.names) for one in (clean, first))
     assert np.diag(loud.covariance) == pytest.approx(np.diag(quiet.covariance), rel=0.2)
     assert float(np.std(loud.whitened[:, 0])) == pytest.approx(1.0, abs=0.1)
@@ -80,8 +80,8 @@ def test_what_the_voltage_has_too_is_the_motors_answer() -> None:
     record, values = plain.problem.record, plain.values
     rng, sine = np.random.default_rng(5), 10.0 * np.sin(0.2 * math.pi * np.arange(800))
     record = replace(record, voltage_v=sine, marks=np.eye(1, 800)[0])
-    answer = record.predict(values * np.where(np.arange(len(values)) == places.R, 1.1, 1.0), learn=False)[0]
-    noise = values[places.NOISE_I] * rng.standard_normal(800)
+    answer = record.predict(values * np.where(np.arange(len(values)) == index.R, 1.1, 1.0), learn=False)[0]
+    noise = values[index.NOISE_I] * rng.standard_normal(800)
     record = replace(record, readings=np.stack([answer[:, 2] + noise, answer[:, 3]], axis=1))
     found = replace(plain, problem=replace(plain.problem, record=record))
     residual = record.readings[:, 0] - found.free[1][:, 2]
@@ -110,8 +110,8 @@ def test_the_fit_of_a_window_arrives_however_far_it_is_from_the_healthy_motor(
 ) -> None:
     """Of R, K and J; eight rounds from the healthy motor would leave J off by 2 to 7 %."""
     clean, plain = fitted()
-    known, motor = plain.values, [places.R, places.K, places.J]
-    known[places.DRAG] = 1.0
+    known, motor = plain.values, [index.R, index.K, index.J]
+    known[index.DRAG] = 1.0
     true = np.log(known[motor])
     known[motor] /= factors
     found = fit_window(from_recordings([clean]), known, plain.names)

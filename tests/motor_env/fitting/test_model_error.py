@@ -9,12 +9,12 @@ import pytest
 from recorded_motor import LOGS, Line, least_squares, plain, solution, values, worked
 from scipy.linalg import sqrtm
 
-from motor_env.fitting import fit as fitting, places, uncertainty
-from motor_env.fitting.fit import fit
-from motor_env.fitting.problem import Solution, motor_places
+from motor_env.fitting import model_selection as fitting, parameter_index as index, uncertainty
+from motor_env.fitting.model_selection import fit
+from motor_env.fitting.problem import Solution, motor_unknowns
 from motor_env.fitting.record import Record
-from motor_env.fitting.score import lacking
-from motor_env.fitting.uncertainty import beyond, covariance, model_error, normalised, sandwich
+from motor_env.fitting.score_tests import unmodelled_effects
+from motor_env.fitting.uncertainty import covariance, excess_covariance, model_error, normalised, sandwich
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: of a residual, white noise alone averages away.
@@ -57,7 +57,7 @@ def test_scores_of_parts_are_scaled_as_bell_and_mccaffrey_have_it() -> None:
         scale = np.linalg.inv(np.real(sqrtm(np.eye(some.sum()) - hat[np.ix_(some, some)])))
         moved = bread @ design[some].T @ scale @ left[some]
         expected += np.outer(moved, moved)
-    np.testing.assert_allclose(found, beyond(series, expected), rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(found, excess_covariance(series, expected), rtol=1e-3, atol=1e-9)
     assert found[0, 0] > 1.5 * series[0, 0]  # what no stationary series shows
 
 
@@ -107,14 +107,16 @@ def lossy(gear: float = 0.0, brushes: float = 0.0, noise: float = 1.0, knee: flo
         one = plain(len(shown), record.voltage_v - drop, record.hold)
         free = one.predict(values(GEAR=gear), learn=False)[0][:, 2:4]
         shown = 0.7 * shown + 0.3 * free
-    shown = shown + noise * rng.standard_normal(shown.shape) * p[[places.NOISE_I, places.NOISE_W]]
+    shown = shown + noise * rng.standard_normal(shown.shape) * p[[index.NOISE_I, index.NOISE_W]]
     return replace(record, readings=shown)
 
 
 @pytest.mark.parametrize(("gear", "brushes"), [(0.0, 0.0), (0.035, 0.0), (0.0, 0.04)])
 def test_what_real_motors_have_is_found_at_its_size(gear: float, brushes: float) -> None:
-    found = lacking(solution(lossy(gear, brushes), LOGS, values()))
-    assert len(lacking(solution(lossy(gear, brushes), [*LOGS, "gear_loss"], values()))) == 2  # of the brushes
+    found = unmodelled_effects(solution(lossy(gear, brushes), LOGS, values()))
+    assert (
+        len(unmodelled_effects(solution(lossy(gear, brushes), [*LOGS, "gear_loss"], values()))) == 2
+    )  # of the brushes
     sizes = [(test.value, test.sd) for test in (found[0], found[2])]
     for (value, sd), true in zip(sizes, (brushes / 0.04, gear / 0.07), strict=True):
         assert sd < 0.2
@@ -122,7 +124,7 @@ def test_what_real_motors_have_is_found_at_its_size(gear: float, brushes: float)
 
 
 def test_brushes_that_resist_nearly_all_currents_alike_are_found_at_their_size() -> None:
-    found = lacking(solution(lossy(brushes=0.08, knee=1.0), LOGS, values()))
+    found = unmodelled_effects(solution(lossy(brushes=0.08, knee=1.0), LOGS, values()))
     assert found[1].value == pytest.approx(1.0, abs=0.25)
     assert found[1].sd < 0.2
 
@@ -130,7 +132,7 @@ def test_brushes_that_resist_nearly_all_currents_alike_are_found_at_their_size()
 def test_what_real_motors_have_widens_the_errors_by_what_it_moves() -> None:
     wrong = solution(lossy(brushes=0.08), LOGS, values())
     spread = np.sqrt(np.diag(covariance(wrong)))
-    test = lacking(wrong)[0]
+    test = unmodelled_effects(wrong)[0]
     assert test.value > 1.0
     assert abs(wrong.theta[0]) > 0.02  # R is off by more than 2 %
     assert spread[0] > 0.5 * abs(wrong.theta[0])
@@ -150,7 +152,9 @@ def test_a_share_of_what_no_term_says_never_averages_away() -> None:
         np.tile(once.marks, 2),
         once.hold,
     )
-    one, two = (np.diag(uncertainty._following(solution(each, LOGS, p), [0, 1])) for each in (once, twice))
+    one, two = (
+        np.diag(uncertainty._systematic_covariance(solution(each, LOGS, p), [0, 1])) for each in (once, twice)
+    )
     np.testing.assert_allclose(two, one, rtol=0.02)
     best = solution(once.only(current=True, speed=False), ["R"], p)
     shown = best.free[1][:, 2]
@@ -158,15 +162,15 @@ def test_a_share_of_what_no_term_says_never_averages_away() -> None:
     left = once.readings[:, 0] - shown
     size = np.sqrt(np.mean(left**2) - difference_noise(left) ** 2 * (1.0 + 4.0 / np.sqrt(len(left))))
     sd = 0.15 * size / np.sqrt(np.mean(np.square((moved - shown) / 1e-4)))
-    assert np.sqrt(uncertainty._following(best, [0])[0, 0]) == pytest.approx(sd, rel=1e-3)
+    assert np.sqrt(uncertainty._systematic_covariance(best, [0])[0, 0]) == pytest.approx(sd, rel=1e-3)
     right = solution(lossy(), ["R"], p)
-    assert uncertainty._following(right, [0])[0, 0] < 0.1 * covariance(right)[0, 0]
+    assert uncertainty._systematic_covariance(right, [0])[0, 0] < 0.1 * covariance(right)[0, 0]
 
 
 def test_the_speed_alone_says_nothing_of_brushes_and_gears() -> None:
     p = values()
     record = worked(p).only(current=False, speed=True)
-    assert lacking(solution(record, ["K", "J"], p)) == []
+    assert unmodelled_effects(solution(record, ["K", "J"], p)) == []
 
 
 @pytest.mark.parametrize("chosen_on", [4000, 300])
@@ -174,20 +178,20 @@ def test_a_voltage_without_steps_may_be_timed_otherwise(
     chosen_on: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A sample late or early looks like a lag of L/R, here 0.5 ms with samples 2 ms apart; in long records, too."""
-    monkeypatch.setattr("motor_env.fitting.fit.CHOSEN_ON", chosen_on)
+    monkeypatch.setattr("motor_env.fitting.model_selection.SELECTION_SAMPLES", chosen_on)
     p, at, rng = values(), np.arange(800.0), np.random.default_rng(2)
     waves = 6.0 * np.sin(2.0 * np.pi * at / 150.0) + 3.0 * np.sin(2.0 * np.pi * at / 67.0)
     for volts, is_open in ((waves, True), (np.repeat(rng.uniform(-9.0, 9.0, 40), 20), False)):
         record = plain(800, volts)
         clean = record.predict(p, learn=False)[0][:, 2:4]
-        shown = clean + 10.0 * rng.standard_normal((800, 2)) * p[[places.NOISE_I, places.NOISE_W]]
+        shown = clean + 10.0 * rng.standard_normal((800, 2)) * p[[index.NOISE_I, index.NOISE_W]]
         found = fit(replace(record, readings=shown))
         spread = covariance(found)
-        row = motor_places(found.problem).index(found.names.index("L"))
+        row = motor_unknowns(found.problem).index(found.names.index("L"))
         told = found.problem.free[found.names.index("L")].unit * np.sqrt(spread[row, row])
-        others = [found.problem.values(theta)[places.L] for theta, _ in found.rivals]
-        assert (max(others, default=0.0) > 3.0 * p[places.L]) == is_open
-        assert (told > p[places.L]) == is_open
+        others = [found.problem.values(theta)[index.L] for theta, _ in found.alternative_optima]
+        assert (max(others, default=0.0) > 3.0 * p[index.L]) == is_open
+        assert (told > p[index.L]) == is_open
 
 
 @pytest.mark.parametrize(("left", "is_rival"), [([0.69, 0.69], True), ([0.70, 0.70], False)])
@@ -203,15 +207,17 @@ def test_a_fit_without_noise_inside_is_a_rival_if_it_explains_nearly_as_much(
         asked.append(of)
         return [other]
 
-    monkeypatch.setattr(fitting, "_undisturbed", undisturbed)
-    monkeypatch.setattr(fitting, "_left", lambda one: np.array(left if one is other else [0.0, 0.0]))
-    rivals = fitting._doubted(replace(best, rivals=((p, 7.0),))).rivals
+    monkeypatch.setattr(fitting, "_output_error_fits", undisturbed)
+    monkeypatch.setattr(
+        fitting, "_log_unexplained", lambda one: np.array(left if one is other else [0.0, 0.0])
+    )
+    rivals = fitting._without_process_noise(replace(best, alternative_optima=((p, 7.0),))).alternative_optima
     assert rivals[0] == (p, 7.0)
     assert [(theta.tolist(), misfit) for theta, misfit in rivals[1:]] == [
         ([0.4, 0.2, 0.5], best.misfit)
     ] * is_rival
     assert len(asked) == 1
-    assert fitting._doubted(other) is other
+    assert fitting._without_process_noise(other) is other
     assert len(asked) == 1
 
 
@@ -229,7 +235,7 @@ def test_errors_allow_for_what_the_steps_of_a_reading_hide(
     wrong = solution(coarse, LOGS, values())
     at = wrong.names.index(told)
     allowed = abs(wrong.theta[at]) / math.sqrt(covariance(wrong)[at, at])
-    monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
+    monkeypatch.setattr(uncertainty, "quantisation_effects", lambda _: [])
     monkeypatch.setattr(uncertainty, "_FOLLOWS", 1e-6)
     assert 1.0 < allowed < 1.5
     assert abs(wrong.theta[at]) > 3.0 * math.sqrt(covariance(wrong)[at, at])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recorded_motor import LOGS, solution, values, worked
 
-from motor_env.fitting import fit as fitting
+from motor_env.fitting import model_selection as fitting
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.uncertainty import secants
 from motor_env.motor.parameters import FloatArray
@@ -40,19 +40,19 @@ def caught(monkeypatch: pytest.MonkeyPatch) -> Solution:
     monkeypatch.setattr(Problem, "residuals_each", residuals_each)
     at = np.zeros(len(BEST))
     squares = float(np.sum(one.problem.residuals(at) ** 2))
-    return replace(one, theta=at, misfit=one.problem.misfit(squares), rivals=((at, 1.0),))
+    return replace(one, theta=at, misfit=one.problem.misfit(squares), alternative_optima=((at, 1.0),))
 
 
 def test_a_fit_leaves_a_notch(caught: Solution) -> None:
     stuck = caught.problem.solve(caught.theta)
     assert np.abs(stuck.theta).max() < 5e-5
-    found = caught.settled()
+    found = caught.escape_local_minimum()
     np.testing.assert_allclose(found.theta, BEST, atol=1e-4)
     assert found.misfit < caught.misfit - 50.0
-    ((theta, misfit),) = found.rivals
+    ((theta, misfit),) = found.alternative_optima
     assert theta is caught.theta
     assert misfit - found.misfit == pytest.approx(1.0 - caught.misfit)  # as far behind as before
-    assert found.settled() is found
+    assert found.escape_local_minimum() is found
 
 
 def test_a_fit_stays_where_hardly_anything_is_promised(
@@ -69,11 +69,11 @@ def test_a_fit_stays_where_hardly_anything_is_promised(
     monkeypatch.setattr(Problem, "solve", solve)
     for off, goes_on in ((0.0036, []), (0.0072, [True])):
         one = replace(caught, theta=BEST - np.array([0.0, 0.0, off, 0.0]), misfit=-1e9)
-        assert one.settled() is one
+        assert one.escape_local_minimum() is one
         assert tried == goes_on
     bounded = tuple(replace(term, high=1e-3) for term in caught.problem.free)
     one = replace(caught, problem=replace(caught.problem, free=bounded), theta=np.full(len(BEST), 1e-3))
-    assert one.settled() is one
+    assert one.escape_local_minimum() is one
     assert tried == [True]
 
 
@@ -81,7 +81,7 @@ def test_a_fit_that_gains_little_stays(caught: Solution, monkeypatch: pytest.Mon
     for gain, stays in ((0.9, True), (1.1, False)):
         other = replace(caught, theta=BEST, misfit=caught.misfit - gain)
         monkeypatch.setattr(Problem, "solve", lambda *_, found=other: found)
-        assert (caught.settled() is caught) is stays
+        assert (caught.escape_local_minimum() is caught) is stays
 
 
 def test_a_fit_goes_on_until_nothing_is_promised(caught: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,7 +89,7 @@ def test_a_fit_goes_on_until_nothing_is_promised(caught: Solution, monkeypatch: 
     halfway = replace(caught, theta=0.5 * BEST, misfit=caught.misfit - 2.0)
     found = [replace(caught, theta=BEST, misfit=caught.misfit - 4.0), halfway]
     monkeypatch.setattr(Problem, "solve", lambda *_: found.pop())
-    assert caught.settled().theta is BEST
+    assert caught.escape_local_minimum().theta is BEST
     assert not found
 
 
@@ -105,12 +105,12 @@ def test_wide_steps_stay_between_a_thousandth_and_a_tenth(
         taken.append(steps)
         return slopes
 
-    monkeypatch.setattr(Problem, "columns", lambda *_: slopes)
+    monkeypatch.setattr(Problem, "jacobian", lambda *_: slopes)
     monkeypatch.setattr(Problem, "secants", over)
     secants(problem, np.zeros(3))
     np.testing.assert_allclose(taken, step, rtol=1e-9)
 
 
-def test_the_smallest_model_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Solution, "settled", lambda one: replace(one, misfit=-1234.5))
-    assert fitting._smallest(worked(values())).misfit == -1234.5
+def test_the_smallest_model_escapes_local_minima(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Solution, "escape_local_minimum", lambda one: replace(one, misfit=-1234.5))
+    assert fitting._smallest_model(worked(values())).misfit == -1234.5

@@ -10,8 +10,8 @@ import pytest
 from operation_simulator import SWITCHES, Motor, draw_motor, simulate
 
 from motor_env import Recording, read_recording
-from motor_env.fitting.identify import Operation, _refuse_poor, identify_operation
-from motor_env.recordings.defects import UnusableError
+from motor_env.fitting.operation_fit import OperationFit, _refuse_poor_fit, identify_operation
+from motor_env.recordings.recording import UnusableError
 
 recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")
 real = pytest.mark.skipif(
@@ -69,7 +69,7 @@ def test_current_alone_tells_ratios() -> None:
     assert any("K, J and B" in note for note in found.notes)
     blind = tuple(replace(one, is_told=one.name != "J/K^2") for one in found.quantities)
     with pytest.raises(UnusableError, match="not determine J/K"):
-        _refuse_poor(replace(found, quantities=blind))
+        _refuse_poor_fit(replace(found, quantities=blind))
 
 
 def test_a_motor_behind_a_diode_is_found() -> None:
@@ -112,7 +112,7 @@ def test_noise_is_no_motor() -> None:
         identify_operation([noise])
 
 
-def recorded(file: str) -> Operation:
+def recorded(file: str) -> OperationFit:
     return identify_operation([read_recording(Path(recordings_path or "") / file)])
 
 

@@ -14,9 +14,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from motor_env import MotorParameters, discretize
-from motor_env.fitting import kernel, places, steps
+from motor_env.fitting import ekf, integrator, parameter_index as index
+from motor_env.fitting.preprocessing import open_circuit
 from motor_env.fitting.record import HOLDS, Hold, Record
-from motor_env.fitting.recorded import open_circuit
 from motor_env.motor.parameters import FloatArray
 
 
@@ -32,7 +32,7 @@ def free_run(p: FloatArray, voltage: FloatArray) -> FloatArray:
 
 def solved(p: FloatArray, voltage: FloatArray) -> FloatArray:
     """The same by an implicit solver, friction and drop with a knee, steep where there is none."""
-    k = places
+    k = index
 
     def slope(_: float, x: FloatArray, volts: float) -> list[float]:
         dry = (
@@ -83,33 +83,33 @@ def test_where_current_and_speed_hardly_move_beside_their_knees_one_part_is_enou
     [
         (5.1, 9.0, 0),
         (5.0, 0.1, 1),
-        (4.0, 0.11, steps.COARSE),
-        (-1.0, 1.0, steps.COARSE),
-        (1.0, 1.1, steps.FINE),
-        (1.1, 9.0, steps.COARSE),
+        (4.0, 0.11, integrator.COARSE),
+        (-1.0, 1.0, integrator.COARSE),
+        (1.0, 1.1, integrator.FINE),
+        (1.1, 9.0, integrator.COARSE),
     ],
 )
 def test_an_interval_is_taken_in_as_many_parts_as_its_knee_asks_for(
     least: float, change: float, parts: int
 ) -> None:
     for knee in (0.5, 1.0):
-        assert steps._parts.py_func(least * knee, change * knee, knee) == parts
-    assert steps._parts.py_func(0.0, 1e-9, 0.0) == steps.FINE  # without a knee it turns at once
-    assert steps._parts.py_func(1e-9, 1.0, 0.0) == 0
+        assert integrator._parts.py_func(least * knee, change * knee, knee) == parts
+    assert integrator._parts.py_func(0.0, 1e-9, 0.0) == integrator.FINE  # without a knee it turns at once
+    assert integrator._parts.py_func(1e-9, 1.0, 0.0) == 0
 
 
 @pytest.mark.parametrize("sliding", [0.0, 5.0])
 def test_a_coasting_motor_that_its_load_turns_back_follows_a_stiff_solver(sliding: float) -> None:
     p = values(COULOMB=0.001, SLIDING=sliding, LOAD=0.003, SQUARE=2e-7)
     n = 60
-    readings, marks = np.zeros((n, 2)), np.full(n, kernel.OPEN)
-    readings[0, 1], marks[0] = 100.0, kernel.BEGIN
+    readings, marks = np.zeros((n, 2)), np.full(n, ekf.OPEN)
+    readings[0, 1], marks[0] = 100.0, ekf.BEGIN
     got = Record(DT_S, np.full(n, 3.0), readings, np.ones(2), marks).predict(p, learn=False)[0][1:, 3]
 
     def slope(_: float, w: FloatArray) -> FloatArray:
         dry = 0.001 * w / np.hypot(w, max(sliding, 0.01))
-        torque = dry + p[places.B] * w + 2e-7 * w * np.abs(w) + 0.003
-        return np.asarray(-torque / p[places.J])
+        torque = dry + p[index.B] * w + 2e-7 * w * np.abs(w) + 0.003
+        return np.asarray(-torque / p[index.J])
 
     span = DT_S * np.arange(n - 1)
     run = solve_ivp(slope, (0.0, span[-1]), got[:1], "LSODA", t_eval=span, rtol=1e-8, atol=1e-8)
@@ -128,7 +128,7 @@ def test_innovations_of_the_right_model_are_white_and_of_unit_size() -> None:
     p = values(COULOMB=0.004, DROP=0.2)
     voltage = np.repeat(rng.uniform(-8.0, 8.0, 100), 30)
     true = free_run(p, voltage)
-    readings = true + rng.standard_normal(true.shape) * [p[places.NOISE_I], p[places.NOISE_W]]
+    readings = true + rng.standard_normal(true.shape) * [p[index.NOISE_I], p[index.NOISE_W]]
     white = replace(plain(len(voltage), voltage), readings=readings).predict(p)[0][1:, :2]
     assert np.std(white, axis=0) == pytest.approx([1.0, 1.0], abs=0.05)
     assert abs(np.corrcoef(white[1:, 0], white[:-1, 0])[0, 1]) < 0.06
@@ -185,7 +185,7 @@ def test_a_motor_that_idles_at_a_small_current_is_no_open_circuit() -> None:
 def test_the_knee_of_the_brush_drop_solves_its_equation() -> None:
     for free in (-3.0, -0.02, 0.0, 1e-4, 0.5, 20.0):
         for near in (0.0, 0.03, 1.0, 30.0):
-            i = steps._kneed.py_func(free, 1.5, 0.03, near)
+            i = integrator._solve_knee.py_func(free, 1.5, 0.03, near)
             assert i + 1.5 * i / math.hypot(i, 0.03) == pytest.approx(free, rel=1e-6, abs=1e-9)
 
 
@@ -205,11 +205,11 @@ def test_a_voltage_that_steps_while_the_motor_idles_is_no_open_circuit() -> None
 
 def exact_step(p: FloatArray, dt_s: float, warm_k: float = 0.0) -> FloatArray:
     """Rows current and speed; columns current, speed, voltage before, its rise over the interval, torque."""
-    ohm, constant, drag = p[places.R] * (1.0 + 0.00393 * warm_k), p[places.K], p[places.B]
+    ohm, constant, drag = p[index.R] * (1.0 + 0.00393 * warm_k), p[index.K], p[index.B]
     constant, drag = constant * (1.0 - 0.001 * warm_k), drag * (1.0 - 0.003 * warm_k)
     whole = np.zeros((5, 5))
-    whole[0, :3] = array(-ohm, -constant, 1.0) / p[places.L]
-    whole[1, [0, 1, 4]] = array(constant, -drag, -1.0) / p[places.J]
+    whole[0, :3] = array(-ohm, -constant, 1.0) / p[index.L]
+    whole[1, [0, 1, 4]] = array(constant, -drag, -1.0) / p[index.J]
     whole[2, 3] = 1.0 / dt_s
     rows: FloatArray = expm(whole * dt_s)[:2]
     return rows
@@ -248,7 +248,7 @@ class Filter(NamedTuple):
 
 def interval(p: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
     """Transition of current, speed, load, shown current and speed; how they follow voltage before, its rise, load."""
-    k = places
+    k = index
     m, f, g = exact_step(p, dt_s), np.zeros((5, 5)), np.zeros((5, 3))
     f[:2, :2], f[:2, 2], g[:2], f[2, 2] = m[:, :2], m[:, 4], m[:, 2:], 1.0
     f[3], g[3] = f[0], g[0]
@@ -272,21 +272,21 @@ def interval(p: FloatArray, dt_s: float) -> tuple[FloatArray, FloatArray]:
 def begun(p: FloatArray, record: Record, volts: float) -> tuple[FloatArray, FloatArray]:
     """State at the first sample, and its covariance: none where the state is known."""
     x, cov = np.zeros(5), np.zeros((5, 5))
-    if record.marks[0] == kernel.STEADY:
-        balance = [[p[places.R], p[places.K]], [p[places.K], -p[places.B]]]
-        x[:2] = x[3:] = np.linalg.solve(balance, [volts, p[places.LOAD]])
-    elif record.marks[0] != kernel.REST:
+    if record.marks[0] == ekf.STEADY:
+        balance = [[p[index.R], p[index.K]], [p[index.K], -p[index.B]]]
+        x[:2] = x[3:] = np.linalg.solve(balance, [volts, p[index.LOAD]])
+    elif record.marks[0] != ekf.REST:
         x[:2] = x[3:] = record.readings[0]
         for row in range(2):
-            sd = p[[places.NOISE_I, places.NOISE_W]][row]
+            sd = p[[index.NOISE_I, index.NOISE_W]][row]
             cov[np.ix_([row, 3 + row], [row, 3 + row])] = sd**2
-        reach = np.abs(record.between(p[places.DELAY])).max()
-        cov[2, 2] = (p[places.K] * 0.1 * reach / p[places.R]) ** 2 if p[places.WALK] > 0.0 else 0.0
+        reach = np.abs(record.between(p[index.DELAY])).max()
+        cov[2, 2] = (p[index.K] * 0.1 * reach / p[index.R]) ** 2 if p[index.WALK] > 0.0 else 0.0
     return x, cov
 
 
 def textbook_filter(p: FloatArray, record: Record) -> Filter:
-    k, n, volts = places, len(record.voltage_v), record.between(p[places.DELAY])
+    k, n, volts = index, len(record.voltage_v), record.between(p[index.DELAY])
     (f, g), after = interval(p, record.dt_s), record.dt_s * np.ones(n)
     x, cov = begun(p, record, volts[0, 1])
     switched = -1
@@ -367,14 +367,14 @@ def noisy(record: Record, p: FloatArray, seed: int) -> Record:
 
 
 @pytest.mark.parametrize("given", BEYOND)
-@pytest.mark.parametrize("mark", [0.0, kernel.REST, kernel.STEADY])
+@pytest.mark.parametrize("mark", [0.0, ekf.REST, ekf.STEADY])
 def test_a_known_beginning_and_missing_readings_are_those_of_a_textbook_filter(
     mark: float, given: dict[str, float]
 ) -> None:
     """What is known has no covariance until the voltage's noise gives it one; what is missing weighs nothing."""
     n, p = 60, values(B=2e-5, **given)
     volts = np.repeat(np.random.default_rng(8).uniform(2.0, 8.0, 10), 6)
-    marks = (mark or kernel.BEGIN) * np.eye(1, n)[0]
+    marks = (mark or ekf.BEGIN) * np.eye(1, n)[0]
     record = noisy(replace(plain(n, volts), marks=marks), p, 9)
     out, logs = record.predict(p)
     expected = textbook_filter(p, record)
@@ -396,7 +396,7 @@ def test_a_known_beginning_and_missing_readings_are_those_of_a_textbook_filter(
 def test_a_switched_motor_is_that_of_a_textbook_filter(onset: float, given: dict[str, float]) -> None:
     """Its first interval is one of its own, also before the first sample; the voltage's noise acts in it."""
     n, p = 60, values(B=2e-5, **(given | {"LOAD": 0.0}))  # which would turn a motor that waits for its supply
-    waiting = replace(plain(n, np.full(n, 6.0)), marks=kernel.REST * np.eye(1, n)[0], onset_s=onset * DT_S)
+    waiting = replace(plain(n, np.full(n, 6.0)), marks=ekf.REST * np.eye(1, n)[0], onset_s=onset * DT_S)
     record = noisy(waiting, p, 10)
     out, logs = record.predict(p)
     expected = textbook_filter(p, record)
@@ -458,7 +458,7 @@ def test_uncertainty_spreads_as_differences_of_the_free_model_say(
         return Record(DT_S, np.full(2, at[2]), np.tile(at[:2], (2, 1)), np.ones(2), np.eye(1, 2)[0])
 
     f = slopes(lambda one: record(one).predict(p, learn=False)[0][1, 2:4], at)
-    sd = p[[places.NOISE_I, places.NOISE_W, places.NOISE_V]]
+    sd = p[[index.NOISE_I, index.NOISE_W, index.NOISE_V]]
     expected = f @ np.diag(sd**2) @ f.T + np.diag(sd[:2] ** 2)
     assert record(at).predict(p)[1] == pytest.approx(np.linalg.slogdet(expected)[1], abs=0.03)
 
@@ -478,14 +478,14 @@ def test_uncertainty_of_a_coasting_motor(
     given: dict[str, float], speed: float, noises: dict[str, float]
 ) -> None:
     """The circuit opens at once: in the first interval the filter still believes it closed."""
-    p, marks = values(**{"B": 2e-5} | given | noises), array(kernel.BEGIN, kernel.OPEN, kernel.OPEN)
+    p, marks = values(**{"B": 2e-5} | given | noises), array(ekf.BEGIN, ekf.OPEN, ekf.OPEN)
 
     def speeds(at: FloatArray) -> FloatArray:
         readings = np.tile(at[:2], (3, 1))
         record = Record(DT_S, np.full(3, at[2]), readings, np.ones(2), marks)
         return record.predict(p, learn=False)[0][1:, 3]
 
-    at, sd = array(0.2, speed, 3.0), p[[places.NOISE_I, places.NOISE_W, places.NOISE_V]]
+    at, sd = array(0.2, speed, 3.0), p[[index.NOISE_I, index.NOISE_W, index.NOISE_V]]
     first, second = slopes(speeds, at)
     before = first @ np.diag(sd**2) @ first
     after = before * sd[1] ** 2 / (before + sd[1] ** 2) * (second[1] / first[1]) ** 2
@@ -498,8 +498,8 @@ def test_uncertainty_of_a_coasting_motor(
 def test_a_fan_and_coasting_follow_their_closed_forms() -> None:
     """J dw/dt = -c w^2 and J dw/dt = -B w - T, without a current."""
     n, drag, torque = 40, 3e-5, 0.002
-    marks, readings = np.full(n, kernel.OPEN), np.zeros((n, 2))
-    readings[0, 1], marks[0] = 300.0, kernel.BEGIN
+    marks, readings = np.full(n, ekf.OPEN), np.zeros((n, 2))
+    readings[0, 1], marks[0] = 300.0, ekf.BEGIN
     time_s = DT_S * np.arange(n - 1.0)
 
     def coasted(**given: float) -> FloatArray:
@@ -516,7 +516,7 @@ def test_a_fan_and_coasting_follow_their_closed_forms() -> None:
 
 def test_a_diode_lets_a_current_end_and_not_turn() -> None:
     """Where the circuit opens, a current that would turn meanwhile is none, and the motor coasts from there on."""
-    p, marks = values(B=2e-5, L=2e-2), array(kernel.BEGIN, kernel.OPEN)
+    p, marks = values(B=2e-5, L=2e-2), array(ekf.BEGIN, ekf.OPEN)
     m = exact_step(p, DT_S)
     for i, coasts in ((0.05, True), (0.5, False), (-0.05, True), (-0.5, False)):
         speed = math.copysign(20.0, i)
@@ -538,7 +538,7 @@ def test_dry_friction_is_larger_at_low_speed(speed: float, part: float) -> None:
         p = values(COULOMB=0.003, STRIBECK=share, B=0.0)
         i = 0.003 * (1.0 + share * part) / 0.03
         volts = np.array([12.0, 12.0, *3 * [2.0 * i + 0.03 * speed]])
-        marks = np.array([kernel.BEGIN, 0.0, kernel.BEGIN, 0.0, 0.0])
+        marks = np.array([ekf.BEGIN, 0.0, ekf.BEGIN, 0.0, 0.0])
         record = Record(DT_S, volts, np.tile([i, speed], (5, 1)), np.ones(2), marks)
         assert record.predict(p, learn=False)[0][4, 2:4] == pytest.approx([i, speed], rel=1e-3)
 
@@ -553,6 +553,6 @@ def test_a_warm_motor_is_another_linear_motor() -> None:
     m = exact_step(p, DT_S, 30.0)
     expected = m @ [0.5, 100.0, 5.0, 0.0, 0.002 * (1.0 - 0.003 * 30.0)]
     assert out[1, 2:4] == pytest.approx(expected, rel=1e-9)
-    p[places.HEATING] *= 35.0 / 30.0  # between two temperatures of the table
+    p[index.HEATING] *= 35.0 / 30.0  # between two temperatures of the table
     expected = 0.5 * (m + exact_step(p, DT_S, 40.0)) @ [0.5, 100.0, 5.0, 0.0, 0.002 * (1.0 - 0.003 * 35.0)]
     assert record.predict(p, learn=False)[0][1, 2:4] == pytest.approx(expected, rel=1e-9)

@@ -19,20 +19,26 @@ from motor_env.cli import main
 # Reaches in: a fit made by hand is patched in below `identify`, and told by the answer that it gives.
 from motor_env.diagnosis import identify as identifying
 from motor_env.diagnosis.motor_files import motor_of_log
-from motor_env.fitting import fit as fitting, kernel, places, uncertainty
-from motor_env.fitting.beginnings import _sign, beginnings
-from motor_env.fitting.identify import Operation, _drag, _refuse_poor, identify_operation, identify_record
-from motor_env.fitting.problem import Problem, Solution, motor_places
-from motor_env.fitting.record import Hold, Record
-from motor_env.fitting.recorded import (
+from motor_env.fitting import ekf, model_selection as fitting, parameter_index as index, uncertainty
+from motor_env.fitting.initial_values import _sign, initial_values
+from motor_env.fitting.operation_fit import (
+    OperationFit,
+    _drag,
+    _refuse_poor_fit,
+    identify_operation,
+    identify_record,
+)
+from motor_env.fitting.preprocessing import (
     at_terminals,
     block_means,
     from_recordings,
-    liveliest,
-    noise_of,
+    liveliest_stretches,
+    median_noise,
     open_circuit,
 )
-from motor_env.fitting.score import ScoreTest, candidates, score_tests
+from motor_env.fitting.problem import Problem, Solution, motor_unknowns
+from motor_env.fitting.record import Hold, Record
+from motor_env.fitting.score_tests import ScoreTest, candidates, score_tests
 from motor_env.fitting.terms import terms
 from motor_env.fitting.uncertainty import (
     information_covariance,
@@ -42,9 +48,9 @@ from motor_env.fitting.uncertainty import (
 )
 from motor_env.fitting.window import fit_window, scores, without_load
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.noise import difference_noise
-from motor_env.recordings.regime import Taken
+from motor_env.recordings.recording import UnusableError
+from motor_env.recordings.regime import RegimeDecision
 from motor_env.recordings.start import Circuit
 
 
@@ -72,18 +78,18 @@ def test_the_voltage_between_samples_by_hand() -> None:
 def test_parts_of_a_record_by_hand() -> None:
     volts = np.arange(100.0)
     record = replace(plain(100), readings=np.stack([volts + 0.5, -volts], axis=1))
-    record.marks[[30, 31, 55]] = kernel.OPEN
-    assert record.closed().marks.tolist() == [kernel.BEGIN, *[0.0] * 99]
+    record.marks[[30, 31, 55]] = ekf.OPEN
+    assert record.closed().marks.tolist() == [ekf.BEGIN, *[0.0] * 99]
     some = record.sample(40)
     assert some.voltage_v.tolist() == [10.0 * k + n for k in range(10) for n in range(4)]
-    marks = np.where(np.arange(40) % 4 == 0, kernel.BEGIN, 0.0)
-    marks[13] = kernel.OPEN
+    marks = np.where(np.arange(40) % 4 == 0, ekf.BEGIN, 0.0)
+    marks[13] = ekf.OPEN
     assert some.marks.tolist() == marks.tolist()
     assert some.readings.tolist() == [[volts + 0.5, -volts] for volts in some.voltage_v]
     assert record.duration_s == pytest.approx(100 * DT_S)
     assert record.peaks == pytest.approx([98.901, 99.401, 98.901])
     assert record.only(current=False, speed=True).seen.tolist() == [0.0, 1.0]
-    assert record.marks[30] == kernel.OPEN  # the record itself stays
+    assert record.marks[30] == ekf.OPEN  # the record itself stays
 
 
 def recorded(
@@ -102,7 +108,7 @@ def recorded(
 def lost(current: FloatArray) -> float:
     """Share of the variance that goes where two neighbours are averaged, beyond that of the noise."""
     pairs = current.reshape(-1, 2).mean(axis=1)
-    return 1.0 - float(np.var(pairs) + 0.5 * noise_of(current) ** 2) / float(np.var(current))
+    return 1.0 - float(np.var(pairs) + 0.5 * median_noise(current) ** 2) / float(np.var(current))
 
 
 def test_neighbours_are_averaged_as_long_as_their_means_tell_nearly_all() -> None:
@@ -170,24 +176,24 @@ def test_what_stands_still_counts_as_not_recorded() -> None:
 
 def test_the_noise_of_a_column() -> None:
     white = np.random.default_rng(5).standard_normal(20_000)
-    assert noise_of(0.03 * white + np.linspace(0.0, 2.0, 20_000)) == pytest.approx(0.03, rel=0.02)
+    assert median_noise(0.03 * white + np.linspace(0.0, 2.0, 20_000)) == pytest.approx(0.03, rel=0.02)
     steps = np.repeat(np.arange(40.0), 50)
-    assert noise_of(0.1 * steps) == pytest.approx(0.1 / math.sqrt(12.0))
-    assert noise_of(steps % 2) == pytest.approx(0.02)  # a switch is no converter's step
-    assert noise_of(np.full(50, 3.0)) == pytest.approx(3e-6)
-    assert noise_of(np.zeros(50)) == 1e-12
+    assert median_noise(0.1 * steps) == pytest.approx(0.1 / math.sqrt(12.0))
+    assert median_noise(steps % 2) == pytest.approx(0.02)  # a switch is no converter's step
+    assert median_noise(np.full(50, 3.0)) == pytest.approx(3e-6)
+    assert median_noise(np.zeros(50)) == 1e-12
 
 
 def test_the_liveliest_stretch_of_each_part() -> None:
     volts = np.zeros(1000)
     volts[130:160:2] = volts[700:730:2] = 5.0
-    found = liveliest(recorded(np.zeros(1000), volts=volts), 0.1, count=2)
+    found = liveliest_stretches(recorded(np.zeros(1000), volts=volts), 0.1, count=2)
     spans = [one.time_s[[0, -1]] * 1e3 for one in found]
     assert [len(one.time_s) for one in found] == [50, 50]
     for (first, last), begin, end in zip(spans, (130, 700), (160, 730), strict=True):
         assert first < begin
         assert last >= end - 2.5
-    assert len(liveliest(recorded(np.arange(1000.0), volts=volts), 0.1)) == 10
+    assert len(liveliest_stretches(recorded(np.arange(1000.0), volts=volts), 0.1)) == 10
 
 
 def test_six_samples_without_a_current_are_an_open_circuit() -> None:
@@ -279,10 +285,10 @@ def test_values_of_the_unknowns() -> None:
     known = values(DRAG=1.5)
     one = solution(worked(values()), ["R", "L"], known, np.array([math.log(1.1), 0.4]))
     found = one.problem.values(one.theta)
-    assert found[places.R] == pytest.approx(2.2)
-    assert found[[places.B, places.COULOMB]] == pytest.approx([3e-6, 0.003])
-    assert found[places.L] == pytest.approx(math.hypot(0.4 * 2.0 * DT_S, 0.01 * 2.2 * DT_S))
-    assert known[places.B] == 2e-6
+    assert found[index.R] == pytest.approx(2.2)
+    assert found[[index.B, index.COULOMB]] == pytest.approx([3e-6, 0.003])
+    assert found[index.L] == pytest.approx(math.hypot(0.4 * 2.0 * DT_S, 0.01 * 2.2 * DT_S))
+    assert known[index.B] == 2e-6
 
 
 def test_the_misfit_is_the_likelihood_at_the_best_noise_level() -> None:
@@ -297,10 +303,10 @@ def test_the_misfit_is_the_likelihood_at_the_best_noise_level() -> None:
         for s in np.geomspace(0.1, 1e3, 20_001)
     ]
     assert one.misfit == pytest.approx(min(likelihoods), abs=1e-3)
-    assert one.penalised() == pytest.approx(one.misfit + 3.0 * math.log(count))
+    assert one.bic() == pytest.approx(one.misfit + 3.0 * math.log(count))
     level = math.sqrt(np.mean(out[:, :2] ** 2))
-    assert one.values[places.NOISE_I] == pytest.approx(level * 2e-3)
-    assert one.values[places.NOISE_V] == pytest.approx(level * 0.01)
+    assert one.values[index.NOISE_I] == pytest.approx(level * 2e-3)
+    assert one.values[index.NOISE_V] == pytest.approx(level * 0.01)
 
 
 def test_beliefs_count_as_readings_do() -> None:
@@ -325,7 +331,7 @@ def test_slopes_of_the_fit_are_central_differences(small: Solution) -> None:
         wide = problem.secants(theta, [n], np.array([1e-5]))[:, 0]
         np.testing.assert_allclose(wide, exact, atol=1e-6 * size)
     high = np.array([0.0, 0.0, 0.0, 2.0])
-    bound = problem.columns(high, [3], problem.residuals(high))[:, 0]
+    bound = problem.jacobian(high, problem.residuals(high), [3])[:, 0]
     wide = problem.secants(high, [2, 3], np.array([1e-3, 1e-4]))
     np.testing.assert_allclose(bound, wide[:, 1], atol=0.02 * np.abs(bound).max())
 
@@ -421,7 +427,7 @@ def test_a_term_is_taken_where_the_evidence_is_strong(
         misfit = best.misfit - math.log(best.problem.count) - better[0]
         return Solution(problem, np.append(best.theta, 0.0), misfit)
 
-    monkeypatch.setattr(fitting, "_solved", solved)
+    monkeypatch.setattr(fitting, "_refit", solved)
     for score, gain, is_taken in (
         (border + 0.01, 6.01, True),
         (border + 0.01, 5.99, False),
@@ -434,7 +440,7 @@ def test_a_term_is_taken_where_the_evidence_is_strong(
         monkeypatch.setattr(fitting, "score_tests", lambda *_, tests=tests: tests)
         better[0] = gain
         refits.clear()
-        found = fitting._richer(small)
+        found = fitting._add_best_term(small)
         assert (found is not None and found.names[-1] == "delay") is is_taken
         assert refits == (["delay"] if score > border else [])
 
@@ -455,7 +461,7 @@ def test_errors_of_white_residuals_are_those_of_least_squares() -> None:
     left = line.residuals(theta)
     expected = np.linalg.inv(line.design[:, :2].T @ line.design[:, :2]) * (left @ left) / 600
     np.testing.assert_allclose(found, expected, rtol=1e-9)
-    assert motor_places(cast("Any", line)) == [0, 1]
+    assert motor_unknowns(cast("Any", line)) == [0, 1]
     line.design *= [1e6, 1e-3, 1.0]
     units, scaled = np.array([1e-6, 1e3]), theta * np.array([1e-6, 1e3, 1.0])
     np.testing.assert_allclose(
@@ -491,11 +497,13 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     theta = least_squares(line)
     tests = {"delay": ScoreTest(4.0, 0.5, 0.2, np.array([0.1, -0.3, 9.0]))}
     line.every["delay"] = cast("Any", SimpleNamespace(usual=0.6))
-    best = SimpleNamespace(problem=line, theta=theta, rivals=(), misfit=10.0, free=(None, np.zeros((600, 4))))
-    monkeypatch.setattr(uncertainty, "_following", lambda *_: np.zeros((2, 2)))
+    best = SimpleNamespace(
+        problem=line, theta=theta, alternative_optima=(), misfit=10.0, free=(None, np.zeros((600, 4)))
+    )
+    monkeypatch.setattr(uncertainty, "_systematic_covariance", lambda *_: np.zeros((2, 2)))
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
-    monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
-    monkeypatch.setattr(uncertainty, "rounded", lambda _: [])
+    monkeypatch.setattr(uncertainty, "unmodelled_effects", lambda _: [])
+    monkeypatch.setattr(uncertainty, "quantisation_effects", lambda _: [])
     without = uncertainty.covariance(cast("Any", best))
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: tests)
     added = uncertainty.covariance(cast("Any", best)) - without
@@ -503,22 +511,25 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     size = odds / (1.0 + odds) * (0.5**2 + 0.2**2)
     np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
     monkeypatch.setattr(uncertainty, "score_tests", lambda *_: {})
-    best.rivals = ((theta + np.array([0.2, 0.0, 5.0]), 12.0), (theta - np.array([0.0, 0.1, 5.0]), 11.0))
+    best.alternative_optima = (
+        (theta + np.array([0.2, 0.0, 5.0]), 12.0),
+        (theta - np.array([0.0, 0.1, 5.0]), 11.0),
+    )
     added = uncertainty.covariance(cast("Any", best)) - without
     shares = np.exp([-1.0, -0.5])
     shares /= 1.0 + shares.sum()
     np.testing.assert_allclose(added, np.diag(shares * [0.04, 0.01]), rtol=1e-7, atol=1e-12)
     # What no term says is believed to be of size 1; the record settles a share of it.
-    best.rivals = ()
-    monkeypatch.setattr(uncertainty, "lacking", lambda _: [tests["delay"]])
+    best.alternative_optima = ()
+    monkeypatch.setattr(uncertainty, "unmodelled_effects", lambda _: [tests["delay"]])
     added = uncertainty.covariance(cast("Any", best)) - without
     settled = 1.0 / (1.0 + 0.2**2)
     size = (settled * 0.5) ** 2 + settled * 0.2**2
     np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
     # What rounding moves counts in full, and what follows the unknowns throughout.
-    monkeypatch.setattr(uncertainty, "lacking", lambda _: [])
-    monkeypatch.setattr(uncertainty, "rounded", lambda _: [tests["delay"]])
-    monkeypatch.setattr(uncertainty, "_following", lambda *_: np.diag([0.02, 0.03]))
+    monkeypatch.setattr(uncertainty, "unmodelled_effects", lambda _: [])
+    monkeypatch.setattr(uncertainty, "quantisation_effects", lambda _: [tests["delay"]])
+    monkeypatch.setattr(uncertainty, "_systematic_covariance", lambda *_: np.diag([0.02, 0.03]))
     added = uncertainty.covariance(cast("Any", best)) - without
     moved = np.outer([0.1, -0.3], [0.1, -0.3]) + np.diag([0.02, 0.03])
     np.testing.assert_allclose(added, moved, rtol=1e-7, atol=1e-12)
@@ -543,27 +554,27 @@ def test_regressions_begin_near_the_motor() -> None:
     """Without noise, at fine steps: each of the three kinds finds what its channels tell."""
     p = values(L=4e-3, B=4e-5, COULOMB=0.001, NOISE_I=1e-9, NOISE_W=1e-9)
     record = worked(p, n=16_000, hold="straight", noise=0.0, dt_s=1e-4)
-    told = [places.R, places.L, places.K, places.J]
-    best = min(beginnings(record), key=lambda one: float(np.abs(np.log(one[told] / p[told])).sum()))
+    told = [index.R, index.L, index.K, index.J]
+    best = min(initial_values(record), key=lambda one: float(np.abs(np.log(one[told] / p[told])).sum()))
     np.testing.assert_allclose(best[told], p[told], rtol=0.02)
-    assert best[[places.B, places.COULOMB]] == pytest.approx(p[[places.B, places.COULOMB]], rel=0.1)
+    assert best[[index.B, index.COULOMB]] == pytest.approx(p[[index.B, index.COULOMB]], rel=0.1)
     alone = record.only(current=True, speed=False)
     # The resistance is one of nine, so that a motor is taken whose resistance is among them.
     volts, amps, _ = record.peaks
     share = min(np.geomspace(0.04, 2.0, 9), key=lambda one: abs(math.log(one * volts / amps / 2.0)))
     scale = 2.0 / (share * volts / amps)
-    found = [one for one in beginnings(alone) if one[places.R] == pytest.approx(2.0 / scale)]
-    assert {one[places.K] for one in found} == {1.0}
-    near = min(found, key=lambda one: abs(math.log(one[places.J] / (4e-6 / 0.03**2))))
-    assert near[places.J] == pytest.approx(4e-6 / 0.03**2, rel=0.35)
+    found = [one for one in initial_values(alone) if one[index.R] == pytest.approx(2.0 / scale)]
+    assert {one[index.K] for one in found} == {1.0}
+    near = min(found, key=lambda one: abs(math.log(one[index.J] / (4e-6 / 0.03**2))))
+    assert near[index.J] == pytest.approx(4e-6 / 0.03**2, rel=0.35)
     speed = record.only(current=False, speed=True)
     lag, dead = 2.0 * 4e-6 / 0.03, 2.0 * 0.001 / 0.03
     drag = 2.0 * 4e-5 / 0.03
-    near = min(beginnings(speed), key=lambda one: abs(math.log(one[places.K] / (0.03 + drag))))
-    assert near[[places.R, places.B]].tolist() == [1.0, 0.0]
-    assert near[places.K] == pytest.approx(0.03 + drag, rel=0.02)
-    assert near[places.J] / near[places.K] == pytest.approx(lag, rel=0.25)
-    assert near[places.COULOMB] / near[places.K] == pytest.approx(dead, rel=0.3)
+    near = min(initial_values(speed), key=lambda one: abs(math.log(one[index.K] / (0.03 + drag))))
+    assert near[[index.R, index.B]].tolist() == [1.0, 0.0]
+    assert near[index.K] == pytest.approx(0.03 + drag, rel=0.02)
+    assert near[index.J] / near[index.K] == pytest.approx(lag, rel=0.25)
+    assert near[index.COULOMB] / near[index.K] == pytest.approx(dead, rel=0.3)
 
 
 def at(record: Record, names: list[str], p: FloatArray) -> Solution:
@@ -605,9 +616,9 @@ def test_a_fit_without_a_load_begins_with_its_drag_as_friction(
     known = dict(zip(names, begin.theta, strict=True))
     for name, one in zip(problem.names, theta, strict=True):
         assert one == pytest.approx((share if name in drags else 1.0) * known[name], rel=1e-6), name
-    at_drag = [places.COULOMB, places.B, places.SQUARE]
+    at_drag = [index.COULOMB, index.B, index.SQUARE]
     np.testing.assert_allclose(problem.known[at_drag], share * p[at_drag])
-    assert problem.known[places.LOAD] == 0.0
+    assert problem.known[index.LOAD] == 0.0
 
 
 def test_a_fit_without_a_load_finds_the_friction() -> None:
@@ -616,9 +627,9 @@ def test_a_fit_without_a_load_finds_the_friction() -> None:
     record = worked(truth, n=600, lowest=4.0)
     wrong = values(COULOMB=0.02, LOAD=-0.018, WALK=1e-3)
     found = without_load(at(record, [*LOGS, "coulomb", "B", "load_constant"], wrong), 250.0)
-    drag, expected = (p[places.COULOMB] + 250.0 * p[places.B] for p in (found.values, truth))
+    drag, expected = (p[index.COULOMB] + 250.0 * p[index.B] for p in (found.values, truth))
     assert drag == pytest.approx(expected, rel=0.05)
-    assert found.values[places.LOAD] == 0.0
+    assert found.values[index.LOAD] == 0.0
 
 
 @pytest.mark.parametrize("turns", [1.0, -1.0])
@@ -636,7 +647,7 @@ def test_all_that_brakes_is_the_drag_where_a_load_walks_and_the_motor_turns_one_
     assert abs(balanced - fitted) > 3.0 * sd
     np.testing.assert_array_equal(fits[0].logs[:3], fits[1].logs[:3])
     loaded = known.copy()
-    loaded[places.LOAD] = turns * 0.002
+    loaded[index.LOAD] = turns * 0.002
     less = fit_window(record, loaded, ("load_walk",), one_way=True)
     speed = float(np.mean(np.square(record.readings[:, 1]))) / float(np.mean(np.abs(record.readings[:, 1])))
     assert balanced - math.exp(less.logs[3]) == pytest.approx(0.002 / (0.002 + 2e-6 * speed), rel=0.02)
@@ -658,22 +669,22 @@ def test_the_balance_of_energy_by_hand() -> None:
 
     def whole(p: FloatArray) -> tuple[float, float]:
         i, w = record.predict(p)[0][:, 2:4].T
-        given = w @ (p[places.K] * i - 1e-3 - 2e-8 * w**2)
+        given = w @ (p[index.K] * i - 1e-3 - 2e-8 * w**2)
         gained = sum(
-            float(w[n + 1] ** 2 - w[n] ** 2) for n in range(len(w) - 1) if begins[n + 1] != kernel.BEGIN
+            float(w[n + 1] ** 2 - w[n] ** 2) for n in range(len(w) - 1) if begins[n + 1] != ekf.BEGIN
         )
         work = float(w @ (0.002 + 2e-6 * w))
-        noise = p[places.K] * math.sqrt(p[places.NOISE_I] ** 2 * (w @ w) + p[places.NOISE_W] ** 2 * (i @ i))
-        return (given - 0.5 * p[places.J] * gained / record.dt_s) / work, noise / work
+        noise = p[index.K] * math.sqrt(p[index.NOISE_I] ** 2 * (w @ w) + p[index.NOISE_W] ** 2 * (i @ i))
+        return (given - 0.5 * p[index.J] * gained / record.dt_s) / work, noise / work
 
     factor, noise = whole(fit.values)
     assert math.exp(fit.logs[3]) == pytest.approx(factor, rel=1e-5)
     assert factor == pytest.approx(3.0, rel=0.02)
     moved = np.tile(fit.values, (4, 1))
-    for row, at_ in zip(moved, ([places.R], [places.K], [places.J]), strict=False):
+    for row, at_ in zip(moved, ([index.R], [index.K], [index.J]), strict=False):
         row[at_] *= math.exp(1e-5)
     f = math.exp(plainly.logs[3])
-    moved[3, [places.COULOMB, places.B]] *= 1.0 + 1e-5 / f
+    moved[3, [index.COULOMB, index.B]] *= 1.0 + 1e-5 / f
     slopes = np.array([whole(row)[0] - factor for row in moved]) / (1e-5 * factor)
     spread = plainly.covariance.copy()
     spread[3] /= math.log(f) / (f - 1.0)
@@ -706,11 +717,11 @@ def test_scores_of_sections_are_linear_least_squares() -> None:
 
     def white(step: FloatArray) -> FloatArray:
         p = known.copy()
-        p[[places.R, places.K, places.J]] *= np.exp(step[:3])
-        p[[places.B, places.COULOMB]] *= known[places.DRAG] + step[3]
-        p[places.DRAG] = 0.0
-        p[[places.LOAD, places.OFFSET_W]] = step[4:]
-        p[places.L] = math.hypot(p[places.L], 0.01 * p[places.R] * DT_S)
+        p[[index.R, index.K, index.J]] *= np.exp(step[:3])
+        p[[index.B, index.COULOMB]] *= known[index.DRAG] + step[3]
+        p[index.DRAG] = 0.0
+        p[[index.LOAD, index.OFFSET_W]] = step[4:]
+        p[index.L] = math.hypot(p[index.L], 0.01 * p[index.R] * DT_S)
         return whole.predict(p)[0][:, :2]
 
     slopes = np.array([(white(1e-4 * axis) - white(-1e-4 * axis)) / 2e-4 for axis in np.eye(6) * units])
@@ -729,8 +740,8 @@ def test_scores_of_sections_are_linear_least_squares() -> None:
             covariance / np.outer(size, size), (spread[:4, :4]) / np.outer(size, size), atol=5e-3
         )
     twice = known.copy()
-    twice[places.DRAG] = 2.0
-    twice[[places.B, places.COULOMB]] /= 2.0
+    twice[index.DRAG] = 2.0
+    twice[[index.B, index.COULOMB]] /= 2.0
     again = scores(whole, twice, wanted, peaks, ends)
     for logs_, covariance, ours, once in zip(*again.steps(), *found.steps(), strict=True):
         np.testing.assert_allclose(logs_, ours, rtol=2e-3, atol=2e-4)
@@ -740,12 +751,12 @@ def test_scores_of_sections_are_linear_least_squares() -> None:
     np.testing.assert_allclose(found.gradients.sum(axis=0), both, rtol=1e-9)
     # Where all innovations are wild, they are cut, but a fault is still seen.
     far = known.copy()
-    far[places.R] *= 0.3
+    far[index.R] *= 0.3
     wild = scores(whole, far, (), peaks, [10, 310])
     assert wild.steps()[0][0, 0] > 10.0 * math.sqrt(wild.steps()[1][0, 0, 0])
 
 
-@pytest.mark.parametrize("place", [places.NOISE_I, places.NOISE_W])
+@pytest.mark.parametrize("place", [index.NOISE_I, index.NOISE_W])
 def test_values_of_no_motor_are_refused(place: int) -> None:
     known = values(DRAG=1.0)
     known[place] = 0.0
@@ -761,11 +772,11 @@ def test_a_window_is_fitted_near_the_healthy_motor() -> None:
     sd = np.sqrt(np.diag(found.covariance))
     assert np.all(np.abs(found.logs - exact) < 3.5 * sd)
     assert np.all(sd < 0.05)
-    assert found.values[places.COULOMB] == pytest.approx(0.008, rel=0.05)
+    assert found.values[index.COULOMB] == pytest.approx(0.008, rel=0.05)
     # The drag's factor f has the error of the information; its logarithm that over the way from 1 to f.
     fitted = solution(worked(changed, n=800), LOGS, known, np.zeros(3)).problem
     every = terms(fitted.record, known)
-    drag = replace(every["coulomb"], name="drag", place=places.DRAG, unit=1.0, low=0.05, high=20.0)
+    drag = replace(every["coulomb"], name="drag", place=index.DRAG, unit=1.0, low=0.05, high=20.0)
     problem = Problem(fitted.record, known, (*fitted.free, drag))
     factor = math.exp(found.logs[3])
     theta = np.array([*(found.logs[:3] - np.log([2.0, 0.03, 4e-6])), factor])
@@ -775,7 +786,7 @@ def test_a_window_is_fitted_near_the_healthy_motor() -> None:
 
 
 @pytest.fixture(scope="module")
-def identified() -> Operation:
+def identified() -> OperationFit:
     """A record with current and speed that is quickly fitted."""
     record = worked(values(B=2e-5, NOISE_V=1e-3), n=500)
     time_s = DT_S * np.arange(500.0)
@@ -784,12 +795,12 @@ def identified() -> Operation:
     return identify_operation([Recording(Path("log.csv"), time_s, current, volts, speed)])
 
 
-def test_intervals_are_those_of_the_covariance(identified: Operation) -> None:
+def test_intervals_are_those_of_the_covariance(identified: OperationFit) -> None:
     """Each interval by its unknown's standard error: 95 of 100, 1.959964 of them on either side."""
     found = identified
     spread, problem = found.covariance, found.solution.problem
-    free = [problem.free[n] for n in motor_places(problem)]
-    theta = found.solution.theta[motor_places(problem)]
+    free = [problem.free[n] for n in motor_unknowns(problem)]
+    theta = found.solution.theta[motor_unknowns(problem)]
     assert len(spread) == len(free)
     shown = iter(found.quantities)
     for row, (term, one) in enumerate(zip(free, theta, strict=True)):
@@ -813,7 +824,7 @@ def test_intervals_are_those_of_the_covariance(identified: Operation) -> None:
     p, speed = found.solution.values, found.record.predict(found.solution.values)[0][:, 3]
     w = math.sqrt(np.mean(speed**2))
     drag = next(shown)
-    torque = p[places.B] * w + p[places.COULOMB] + p[places.SQUARE] * w * w
+    torque = p[index.B] * w + p[index.COULOMB] + p[index.SQUARE] * w * w
     moves = {"B": w, "coulomb": 1.0, "load_square": w * w}
     gradient = np.array([moves.get(term.name, 0.0) * term.unit for term in free])
     sd = math.sqrt(gradient @ spread @ gradient)
@@ -841,7 +852,7 @@ def test_the_drag_is_as_uncertain_as_its_parts_together() -> None:
     assert found.log_sd * found.value == pytest.approx(np.linalg.norm(parts * sds))
 
 
-def test_one_channel_alone_tells_ratios_in_their_units(identified: Operation) -> None:
+def test_one_channel_alone_tells_ratios_in_their_units(identified: OperationFit) -> None:
     units = {
         "current": {"R": "ohm", "L": "H", "J/K^2": "A s/V", "B/K^2": "A/V", "coulomb/K": "A", "drag/K": "A"},
         "speed": {"K": "V s/rad", "R J": "A s2/rad ohm", "R coulomb": "V2 s/rad"},
@@ -859,20 +870,20 @@ def test_one_channel_alone_tells_ratios_in_their_units(identified: Operation) ->
     assert found.r2_current is None
     p = found.solution.values
     told = [
-        f"{1.0 / p[places.K]:.4g} rad/s a volt",
-        f"time constant of {p[places.J] / p[places.K] ** 2:.3g} s",
+        f"{1.0 / p[index.K]:.4g} rad/s a volt",
+        f"time constant of {p[index.J] / p[index.K] ** 2:.3g} s",
     ]
-    told += [f"dead voltage of {p[places.COULOMB] / p[places.K]:.3g} V"]
+    told += [f"dead voltage of {p[index.COULOMB] / p[index.K]:.3g} V"]
     assert all(words in found.notes[0] for words in told)
 
 
-def known(joint: Operation) -> identifying.Identification:
+def known(joint: OperationFit) -> identifying.Identification:
     """Of one log."""
     log = Recording(Path("log.csv"), np.arange(2.0), np.zeros(2))
-    return identifying.Identification((), (log,), {log.path: Taken("operation", "as asked")}, joint)
+    return identifying.Identification((), (log,), {log.path: RegimeDecision("operation", "as asked")}, joint)
 
 
-def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
+def test_text_json_and_motor_file_say_the_same(identified: OperationFit) -> None:
     (told,), text = known(identified).to_json(), known(identified).text().splitlines()
     for one, line in zip(identified.quantities, text[3:], strict=False):
         said = told["parameters"][one.name]
@@ -904,24 +915,24 @@ def test_text_json_and_motor_file_say_the_same(identified: Operation) -> None:
         one.name: one.unit for one in identified.quantities
     }
     motor, p = motor_of_log(identified, "mine"), identified.solution.values
-    assert motor.parameters.resistance_ohm == p[places.R]
-    assert motor.parameters.inductance_h == p[places.L]
+    assert motor.parameters.resistance_ohm == p[index.R]
+    assert motor.parameters.inductance_h == p[index.L]
     assert (
         motor.parameters.torque_constant_n_m_per_a
         == motor.parameters.back_emf_constant_v_s_per_rad
-        == p[places.K]
+        == p[index.K]
     )
-    assert motor.parameters.inertia_kg_m2 == p[places.J]
-    assert motor.parameters.viscous_friction_n_m_s_per_rad == p[places.B]
-    assert (motor.coulomb_friction_n_m, motor.brush_drop_v) == (p[places.COULOMB], p[places.DROP])
-    assert (motor.current_noise_a, motor.speed_noise_rad_s) == (p[places.NOISE_I], p[places.NOISE_W])
+    assert motor.parameters.inertia_kg_m2 == p[index.J]
+    assert motor.parameters.viscous_friction_n_m_s_per_rad == p[index.B]
+    assert (motor.coulomb_friction_n_m, motor.brush_drop_v) == (p[index.COULOMB], p[index.DROP])
+    assert (motor.current_noise_a, motor.speed_noise_rad_s) == (p[index.NOISE_I], p[index.NOISE_W])
     assert motor.nominal_voltage_v == identified.record.peaks[0]
     warm = replace(identified, warmth_k=np.array([0.0, 12.4]))
     assert "the winding warms by up to 12 K" in known(warm).text()
     assert "warms" not in known(replace(identified, warmth_k=np.array([0.49]))).text()
 
 
-def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
+def test_only_what_a_motor_can_be_is_told(identified: OperationFit) -> None:
     """The free model explains half of what is no noise, and a fifth of all in any case; L/R lies below 0.2 s."""
     record, rng = identified.record, np.random.default_rng(1)
     moves = np.where(np.arange(len(record.voltage_v)) // 40 % 2 == 0, 1.0, -1.0)
@@ -935,7 +946,7 @@ def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
             for r2, is_refused in ((least - 1e-6, True), (least + 1e-6, False), (math.nan, True)):
                 refusal = pytest.raises(UnusableError, match=f"no motor model explains the {name[3:]}")
                 with refusal if is_refused else nullcontext():
-                    _refuse_poor(replace(shown, **cast("Any", {name: r2})))
+                    _refuse_poor_fit(replace(shown, **cast("Any", {name: r2})))
     ohm = identified.quantity("R").value
     for lag, is_refused in ((0.201, True), (0.199, False)):
         slow = tuple(
@@ -944,11 +955,14 @@ def test_only_what_a_motor_can_be_is_told(identified: Operation) -> None:
         )
         refusal = pytest.raises(UnusableError, match="is that of no motor")
         with refusal if is_refused else nullcontext():
-            _refuse_poor(replace(identified, quantities=slow))
+            _refuse_poor_fit(replace(identified, quantities=slow))
 
 
 def test_the_command_tells_logs_from_starts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], identified: Operation
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    identified: OperationFit,
 ) -> None:
     """A log and a start together: both are told, as text and as JSON; the status is that of the worse."""
     record = identified.record
@@ -968,7 +982,7 @@ def test_the_command_tells_logs_from_starts(
     assert f"{log}: model {model}; 95 % intervals\n  taken for a motor at work (the voltage reverses" in said
     assert main(["identify", str(log), "--regime", "operation", "-o", str(toml)]) == 0
     assert "(as asked)" in capsys.readouterr().out
-    assert load_motor(toml).parameters.inertia_kg_m2 == identified.solution.values[places.J]
+    assert load_motor(toml).parameters.inertia_kg_m2 == identified.solution.values[index.J]
     assert main(["identify", str(log), "--regime", "rest"]) == 2
     monkeypatch.setattr(identifying, "identify_operation", lambda _: refuse())
     assert main(["identify", str(log), start]) == 3
@@ -977,14 +991,14 @@ def test_the_command_tells_logs_from_starts(
     assert "no motor file: no motor" in capsys.readouterr().err
 
 
-def refuse() -> Operation:
+def refuse() -> OperationFit:
     raise UnusableError("no motor")
 
 
 def test_a_duty_and_a_shunt_reach_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Recording] = []
 
-    def unfitted(recordings: tuple[Recording, ...]) -> Operation:
+    def unfitted(recordings: tuple[Recording, ...]) -> OperationFit:
         given.extend(recordings)
         return refuse()
 

@@ -9,12 +9,12 @@ import pytest
 from recorded_motor import plain, values
 
 from motor_env import Recording
-from motor_env.fitting import places
-from motor_env.fitting.kernel import BEGIN, FOUND, LOST, OPEN
+from motor_env.fitting import parameter_index as index
+from motor_env.fitting.ekf import BEGIN, FOUND, LOST, OPEN
+from motor_env.fitting.preprocessing import at_terminals, from_recordings, missing_blocks
 from motor_env.fitting.record import Record, with_begins, with_holes
-from motor_env.fitting.recorded import at_terminals, from_recordings, missing_blocks
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.start import Circuit
 
 BOTH = np.ones(2)
@@ -92,7 +92,7 @@ def worked() -> tuple[Record, FloatArray]:
 def test_behind_an_unknown_voltage_the_model_is_as_sure_as_before(lag: float) -> None:
     record, volts = worked()
     lagging = VALUES.copy()
-    lagging[places.LAG_I] = lag
+    lagging[index.LAG_I] = lag
     clean = record.predict(lagging, learn=False)[0][:, 2:4]
     readings = clean + np.random.default_rng(8).standard_normal((400, 2)) * [0.02, 0.5]
     steps = np.append(False, np.diff(volts) != 0.0)

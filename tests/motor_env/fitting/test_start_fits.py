@@ -10,25 +10,36 @@ from scipy.stats import norm
 from started_motor import Beyond, step_start, values_of
 
 from motor_env import PAPER_MOTOR
-from motor_env.fitting import places
-from motor_env.fitting.fit import STRONG_EVIDENCE
+from motor_env.fitting import parameter_index as index
+from motor_env.fitting.model_selection import STRONG_EVIDENCE
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import rectified_mean
-from motor_env.fitting.score import score_tests, unmeasured
-
-# Reaches in: what is believed of a start before it is fitted, and which samples are wild, are told by no result alone.
-from motor_env.fitting.starts.belief import FIT_SAMPLES, absolute, believed
-from motor_env.fitting.starts.choice import _applies, evidence, identify_best
+from motor_env.fitting.score_tests import score_tests, supply_effects
 from motor_env.fitting.starts.commutation import (
     back_emf_v,
     constants_at,
     find_ripple,
     ripple_quantities,
 )
-from motor_env.fitting.starts.identified import Identified, record_of
-from motor_env.fitting.starts.identify import _wild_against, identify
-from motor_env.fitting.starts.plausibility import NOT_TURNING, implausible, is_blocked, shows_turning
-from motor_env.fitting.uncertainty import capped, model_error, normalised, sandwich, states_of
+from motor_env.fitting.starts.start_fit import (
+    NOT_TURNING,
+    StartFit,
+    implausible,
+    is_blocked,
+    record_of,
+    shows_turning,
+)
+from motor_env.fitting.starts.start_identification import (
+    _is_applicable,
+    _outliers_of_fit,
+    evidence,
+    identify,
+    identify_best,
+)
+
+# Reaches in: what is believed of a start before it is fitted, and which samples are wild, are told by no result alone.
+from motor_env.fitting.starts.start_prior import FIT_SAMPLES, absolute_parameters, start_prior
+from motor_env.fitting.uncertainty import capped, free_run_states, model_error, normalised, sandwich
 from motor_env.motor.parameters import FloatArray
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.
@@ -64,7 +75,7 @@ def start(
 ) -> Start:
     """A start of the paper's motor at 12 V, its onset between two samples, white noise, an offset of the sensor.
 
-    What it has beyond the textbook is named as in `motor_env.fitting.places`.
+    What it has beyond the textbook is named as in `motor_env.fitting.parameter_index`.
     """
     first = 0 if quiet else QUIET
     time_s = TIME_S[first:]
@@ -84,7 +95,7 @@ def problem_of(
     constant: float | None = 0.02352,
     typical: dict[str, float] | None = None,
 ) -> Problem:
-    return believed(measured, constant, typical).problem(model)
+    return start_prior(measured, constant, typical).problem(model)
 
 
 def truth(problem: Problem, measured: Start, **extras: float) -> FloatArray:
@@ -112,7 +123,7 @@ def test_residuals_at_the_truth_are_the_noise(speed: bool) -> None:
     problem = problem_of(measured)
     assert problem.names == ("R", "L", *(("K",) if speed else ()), "J", "B", "onset", "offset_current")
     states = step_start(MOTOR, TIME_S, ONSET_S, 12.0)
-    noise_i, noise_w = problem.known[[places.NOISE_I, places.NOISE_W]]
+    noise_i, noise_w = problem.known[[index.NOISE_I, index.NOISE_W]]
     assert noise_i == pytest.approx(0.02 * np.ptp(measured.current_a))
     got, beliefs = left_of(problem, truth(problem, measured))
     scale = np.sqrt(noise_i * noise_w) if speed else noise_i
@@ -127,8 +138,8 @@ def test_residuals_at_the_truth_are_the_noise(speed: bool) -> None:
     assert got.shape == (500, 2 if speed else 1)
     assert not beliefs.any()
     # Weighed by what is left, they have the scatter 1.
-    weighed = Solution(problem, truth(problem, measured), 0.0).weighed()
-    noises = weighed.known[[places.NOISE_I, places.NOISE_W]] if speed else weighed.known[[places.NOISE_I]]
+    weighed = Solution(problem, truth(problem, measured), 0.0).reweighted()
+    noises = weighed.known[[index.NOISE_I, index.NOISE_W]] if speed else weighed.known[[index.NOISE_I]]
     again = left_of(weighed, truth(problem, measured))[0] / np.exp(np.mean(np.log(noises)))
     assert again.std(axis=0) == pytest.approx(np.ones(2 if speed else 1))
 
@@ -137,7 +148,7 @@ def test_residuals_at_the_truth_are_the_noise(speed: bool) -> None:
 def test_by_eye_a_motor_is_known_to_a_factor_of_three(speed: bool) -> None:
     """Where a fit begins, and without a constant that is believed: the current alone then tells K^2/J and B/J."""
     known = problem_of(start(speed=speed), constant=None).known
-    base = dict(zip("RLKJB", known[[places.R, places.L, places.K, places.J, places.B]], strict=True))
+    base = dict(zip("RLKJB", known[[index.R, index.L, index.K, index.J, index.B]], strict=True))
     assert base["K"] == pytest.approx(0.02352 if speed else 0.12, rel=0.05)
     told = {"R": base["R"], "L": base["L"], "K^2/J": base["K"] ** 2 / base["J"], "B/J": base["B"] / base["J"]}
     for name, value in told.items():
@@ -151,7 +162,7 @@ def test_the_offset_is_held_near_that_of_the_quiet_part(quiet: bool, share: floa
     unknowns, span = truth(problem, measured), np.ptp(measured.current_a)
     offset, onset_term = problem.free[-1], problem.free[-2]
     unknowns[-1] += 0.01 / offset.unit
-    belief = left_of(problem, unknowns)[1][-1] / problem.known[places.NOISE_I]
+    belief = left_of(problem, unknowns)[1][-1] / problem.known[index.NOISE_I]
     assert belief == pytest.approx(0.01 / (share * span))
     assert (offset.unit * offset.low, offset.unit * offset.high) == pytest.approx((-0.5 * span, 0.5 * span))
     assert (problem.free[0].low, problem.free[0].high) == (-12.0, 12.0)
@@ -180,7 +191,7 @@ def test_a_typical_inductance_is_believed_to_thirty_per_cent() -> None:
     """Where a lag of supply or sensor takes its place; the current alone tells J and B as multiples of K^2."""
     typical = {"R": 2.0, "L": 3e-4, "K^2/J": 500.0, "B/J": 1.2}
     measured = start()
-    belief = believed(measured, 0.02352, typical)
+    belief = start_prior(measured, 0.02352, typical)
     plain, ramp = belief.problem(()), belief.problem(("supply_ramp",))
     off = np.log(0.238e-3 / 3e-4) / 0.3
     assert plain.free[1].prior_sd == np.inf
@@ -190,30 +201,30 @@ def test_a_typical_inductance_is_believed_to_thirty_per_cent() -> None:
     assert belief.problem(("coulomb",)).free[1].prior_sd == np.inf
     unknowns = truth(ramp, measured, supply_ramp=1e-3)
     assert belief.inductance_off(unknowns) == pytest.approx(off)
-    assert left_of(ramp, unknowns)[1][1] / ramp.known[places.NOISE_I] == pytest.approx(off)
-    assert belief.typical["J"] == pytest.approx(np.log(0.02352**2 / 500.0 / ramp.known[places.J]))
-    assert belief.typical["B"] == pytest.approx(np.log(1.2 * 0.02352**2 / 500.0 / ramp.known[places.B]))
+    assert left_of(ramp, unknowns)[1][1] / ramp.known[index.NOISE_I] == pytest.approx(off)
+    assert belief.typical["J"] == pytest.approx(np.log(0.02352**2 / 500.0 / ramp.known[index.J]))
+    assert belief.typical["B"] == pytest.approx(np.log(1.2 * 0.02352**2 / 500.0 / ramp.known[index.B]))
     assert belief.is_typical(truth(plain, measured))
     far = truth(plain, measured)
     far[0] = belief.typical["R"] + 1.01
     assert not belief.is_typical(far)
-    unknown = believed(measured, 0.02352, None)
+    unknown = start_prior(measured, 0.02352, None)
     assert unknown.problem(("supply_ramp",)).free[1].prior_sd == np.inf
     assert unknown.inductance_off(unknowns) == 0.0
     driven = replace(measured, voltage_v=np.full(500, 12.0))  # the two lags change places there, too
-    assert believed(driven, 0.02352, typical).problem(("sensor_lag",)).free[1].prior_sd == 0.3
+    assert start_prior(driven, 0.02352, typical).problem(("sensor_lag",)).free[1].prior_sd == 0.3
 
 
 def test_quantities_become_parameters() -> None:
     """With the constant that is believed, or that of the quantities; ratios per volt stay ratios."""
     alone = {name: QUANTITIES[name] for name in ("R", "L", "K^2/J", "B/J")}
-    got = absolute(alone, 0.02352)
+    got = absolute_parameters(alone, 0.02352)
     assert {name: got[name] for name in "RLKJB"} == pytest.approx(
         {name: QUANTITIES[name] for name in "RLKJB"}
     )
-    per_volt = absolute({"R/V": 1.0, "K/V": 2.0, "J/V": 3.0, "B/V": 4.0}, 0.5)
+    per_volt = absolute_parameters({"R/V": 1.0, "K/V": 2.0, "J/V": 3.0, "B/V": 4.0}, 0.5)
     assert per_volt == {"K": 2.0, "R": 1.0, "J": 3.0, "B": 4.0}
-    assert absolute({"K^2/(J V)": 5.0, "B/J": 2.0}, 0.5)["J"] == pytest.approx(0.05)
+    assert absolute_parameters({"K^2/(J V)": 5.0, "B/J": 2.0}, 0.5)["J"] == pytest.approx(0.05)
 
 
 def test_a_curve_of_the_supply_is_shares_of_its_rise() -> None:
@@ -223,9 +234,9 @@ def test_a_curve_of_the_supply_is_shares_of_its_rise() -> None:
     assert problem.names[4:-2] == ("supply_ramp", *curve)
     unknowns = truth(problem, measured, supply_ramp=1e-3, **curve)
     values = problem.values(unknowns)
-    assert values[places.RISE] == pytest.approx(1e-3)
-    assert values[places.CURVE] == pytest.approx([2.0, 0.5, 1.0, 3.0])
-    beliefs = left_of(problem, unknowns)[1][5:-2] / problem.known[places.NOISE_I]
+    assert values[index.RISE] == pytest.approx(1e-3)
+    assert values[index.CURVE] == pytest.approx([2.0, 0.5, 1.0, 3.0])
+    beliefs = left_of(problem, unknowns)[1][5:-2] / problem.known[index.NOISE_I]
     np.testing.assert_allclose(beliefs, np.log([2.0, 0.5, 1.0, 3.0]) / 1.5)
 
 
@@ -233,8 +244,8 @@ def test_a_rise_without_a_curve_is_a_straight_line() -> None:
     """Five equal parts: before the fit, in it and after it; its current is that of the means of a straight line."""
     fit = identify(start(RISE=2e-3), ("supply_ramp",), constant=0.02352)
     for values in (fit.solution.problem.known, fit.physical, identify(start(), constant=0.02352).physical):
-        assert values[places.CURVE].tolist() == [1.0] * 4
-    rise_s, since = float(fit.physical[places.RISE]), TIME_S - fit.onset_s
+        assert values[index.CURVE].tolist() == [1.0] * 4
+    rise_s, since = float(fit.physical[index.RISE]), TIME_S - fit.onset_s
     area = np.where(since < rise_s, 0.5 * np.maximum(since, 0.0) ** 2 / rise_s, since - 0.5 * rise_s)
     pair = fit.solution.problem.record.supply(fit.physical)[0]
     np.testing.assert_array_equal(pair[:, 0], pair[:, 1])
@@ -245,7 +256,7 @@ def test_a_shunt_is_in_the_circuit_and_not_in_the_motor() -> None:
     measured = replace(start(), circuit=Circuit(shunt_ohm=0.3, sensor_lag_s=2e-4))
     problem = problem_of(measured)
     values = problem.values(truth(problem, measured))
-    assert values[places.R] == pytest.approx(2.18)
+    assert values[index.R] == pytest.approx(2.18)
     states = problem.record.predict(values, learn=False)[0][:, 2:4]
     whole = MOTOR.scaled(resistance_ohm=2.48 / 2.18)
     expected = step_start(whole, TIME_S, ONSET_S, 12.0, LAG_I=2e-4)
@@ -306,7 +317,7 @@ def test_a_fit_is_given_finite_numbers() -> None:
     unknowns = truth(problem, measured)
     for wild in (np.inf, -np.inf):
         problem.record.readings[:3, 0] = [wild, wild, np.nan]
-        got, scale = left_of(problem, unknowns)[0][:, 0], problem.known[places.NOISE_I]
+        got, scale = left_of(problem, unknowns)[0][:, 0], problem.known[index.NOISE_I]
         # Two of 500 count otherwise.
         assert got[:3] == pytest.approx([1e6 * scale, 1e6 * scale, 0.0], rel=0.01)
     assert problem.count == 497
@@ -321,7 +332,7 @@ def test_a_score_foretells_what_an_extension_gains(lag_s: float, least: float, m
     simple = identify(measured, constant=0.02352)
     rich = identify(measured, ("sensor_lag",), simpler=simple, constant=0.02352)
     gain = 500.0 * np.log(simple.misfit[0] / rich.misfit[0])
-    every = believed(measured, 0.02352, None).every
+    every = start_prior(measured, 0.02352, None).every
     tests = score_tests(simple.solution, every, ("sensor_lag",), np.exp([-2.0, 0.0, 2.0, 4.0]).tolist())
     score = tests["sensor_lag"].chi_square
     assert least <= score < most
@@ -338,13 +349,13 @@ def dense_covariance(problem: Problem, theta: FloatArray, measured: Start) -> tu
     """The sandwich of dense matrices: residuals correlated over many samples (Newey & West 1987)."""
     n, p, begin = len(measured.time_s), len(theta), measured.alignment.onset_index
     channels, values = int(problem.record.seen.sum()), problem.values(theta)
-    noises = values[[places.NOISE_I, places.NOISE_W][:channels]]
+    noises = values[[index.NOISE_I, index.NOISE_W][:channels]]
     left = problem.residuals(theta)
     scale = np.sqrt(left @ left / problem.count)
     jacobian, left = central_jacobian(problem, theta) / scale, left / scale
     # Logarithms are known to 3 beforehand, and so are sizes in theirs; the onset to half an interval and half the
     # rise of the current; the offset as far as its quiet part tells.
-    rise = values[places.L] / values[places.R] + values[places.RISE] + values[places.LAG_I]
+    rise = values[index.L] / values[index.R] + values[index.RISE] + values[index.LAG_I]
     sd = np.array(
         [
             3.0 * (1.0 if term.is_log else max(abs(one), term.usual))
@@ -380,9 +391,9 @@ def test_the_covariance_is_the_sandwich_of_dense_matrices(unseen_a: float) -> No
     measured = replace(measured, alignment=replace(measured.alignment, unseen_level_a=unseen_a))
     problem = problem_of(measured, ("supply_ramp",), None, QUANTITIES)
     theta = truth(problem, measured, supply_ramp=2e-4)
-    problem = Solution(problem, theta, 0.0).weighed()
+    problem = Solution(problem, theta, 0.0).reweighted()
     jacobian = problem.jacobian(theta, problem.residuals(theta))
-    level, begin = unseen_a / problem.known[places.NOISE_I], measured.alignment.onset_index
+    level, begin = unseen_a / problem.known[index.NOISE_I], measured.alignment.onset_index
     white, rows = normalised(problem, theta, jacobian, range(len(theta)))
     got, independent = sandwich(white, rows, begin=begin, level=level)
     expected, counts = dense_covariance(problem, theta, measured)
@@ -429,7 +440,7 @@ def test_standard_errors_are_the_scatter_of_repeated_starts() -> None:
 def moved_by_an_inductance(best: Solution, share: float) -> FloatArray:
     """Unknowns of the fit with more L, by that share of the mechanical time constant, less the best; to first order."""
     values, at, small = best.values, best.names.index("L"), 1e-2
-    more = share * values[places.R] ** 2 * values[places.J] / values[places.K] ** 2 / values[places.L]
+    more = share * values[index.R] ** 2 * values[index.J] / values[index.K] ** 2 / values[index.L]
     begun = best.theta.copy()
     begun[at] += np.log1p(small * more)
     free = tuple(term for term in best.problem.free if term.name != "L")
@@ -469,7 +480,7 @@ def test_what_a_fit_says_of_itself() -> None:
     series = np.sqrt(np.diag(fit.series_covariance))
     np.testing.assert_allclose(series, np.sqrt(np.diag(covariance))[:5], rtol=0.02)
     jacobian = problem.jacobian(theta, problem.residuals(theta))
-    states = states_of(fit.solution)
+    states = free_run_states(fit.solution)
     np.testing.assert_allclose(states[:, :2], fit.run(fit.physical), atol=0.03)
     np.testing.assert_allclose(states[1:-1, 2:], 0.5 * (states[2:, :2] - states[:-2, :2]))
     told = normalised(problem, theta, jacobian, range(len(theta)))
@@ -519,12 +530,12 @@ def test_a_supply_that_may_sag_widens_what_is_told_in_ohms() -> None:
         sd.append(float(np.sqrt(fit.log_covariance[0, 0])))
         if known:
             off = float(fit.log_values[0]) - np.log(QUANTITIES["R"])
-            sag = unmeasured(fit.solution)[1]
+            sag = supply_effects(fit.solution)[1]
             assert sag.value == pytest.approx(20.0 * share, abs=0.2)
             assert off == pytest.approx(share, abs=0.02)
             assert abs(off) < 2.0 * sd[-1]
     rising = identify(sagging(start(noise_a=1e-3), -0.05))
-    assert unmeasured(rising.solution)[1].chi_square == 0.0  # no supply rises under its load
+    assert supply_effects(rising.solution)[1].chi_square == 0.0  # no supply rises under its load
     assert sd[1] > 5.0 * sd[0]
     assert sd[2] < 0.5 * sd[1]
 
@@ -557,16 +568,16 @@ def test_wild_samples_stand_out_of_a_fit_that_goes_through_their_neighbours() ->
         residual, current = even.copy(), np.full(41, 3.0)
         residual[20], residual[21] = off, -beside
         current[20] += np.copysign(jump, off)
-        assert _wild_against(residual, current) == ([20] if wild else [])
+        assert _outliers_of_fit(residual, current) == ([20] if wild else [])
         current[21:] = 2.0 * current[20] - 3.0  # a slope and no spike
-        assert _wild_against(residual, current) == []
+        assert _outliers_of_fit(residual, current) == []
 
 
 def test_evidence_counts_independent_samples() -> None:
     """The Bayesian information criterion (Schwarz 1978), and the prior of an inductance that is known."""
     plain = identify(start(speed=True))
 
-    def with_unknowns(count: int) -> Identified:
+    def with_unknowns(count: int) -> StartFit:
         return replace(plain, solution=replace(plain.solution, theta=np.zeros(count)))
 
     simple = replace(with_unknowns(7), inductance_off=3.0)
@@ -592,10 +603,10 @@ def test_terms_are_tried_only_where_a_start_can_tell_them() -> None:
     above = start(noise_a=0.0, offset_a=0.0)
     below = replace(above, current_a=above.current_a - 0.05)
     for measured, hides in ((above, True), (below, False), (replace(above, from_rest=False), False)):
-        assert _applies("dead_zone", measured, (), knows_inductance=False) is hides
+        assert _is_applicable("dead_zone", measured, (), knows_inductance=False) is hides
     for lag_s, knows_inductance, is_tried in ((0.0, True, True), (0.0, False, False), (1e-4, True, False)):
         known = replace(above, circuit=Circuit(sensor_lag_s=lag_s))
-        assert _applies("sensor_lag", known, (), knows_inductance=knows_inductance) is is_tried
+        assert _is_applicable("sensor_lag", known, (), knows_inductance=knows_inductance) is is_tried
 
 
 def test_values_that_no_motor_has_are_named() -> None:
@@ -654,7 +665,7 @@ def test_a_current_that_hardly_falls_is_of_a_blocked_rotor() -> None:
     untold = replace(fit, log_covariance=1.01 * np.eye(len(fit.quantity_names)))
     lasts, after = float(fit.start.time_s[-1]) - fit.onset_s, fit.start.time_s >= fit.onset_s
 
-    def held(share: float, *, of: Identified = untold) -> Identified:
+    def held(share: float, *, of: StartFit = untold) -> StartFit:
         current = np.where(after, 3.0, 0.0)
         current[-len(current) // 10 :] *= share
         shown = fit.expected.copy()

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from started_motor import driven, driven_record, step_record, step_start, values_of
 
 from motor_env import PAPER_MOTOR, discretize
-from motor_env.fitting import kernel, places
+from motor_env.fitting import ekf, parameter_index as index
 from motor_env.fitting.record import Record, mean_rise
 from motor_env.motor.model import continuous_model, steady_state
 from motor_env.motor.parameters import FloatArray
@@ -288,7 +288,7 @@ def test_many_motors_at_once_are_each_alone(noise_v: float) -> None:
         {"DELAY": 0.3, "R": 3.0, "COULOMB": 1e-3}, {"ZONE": 1.0, "LAG_I": 1e-4}, {"LAG_W": 1e-4}, {"ONSET": 1.0},
     ]  # fmt: skip
     each = np.stack([values_of(PAPER_MOTOR, **({"NOISE_V": noise_v} | one)) for one in moved])
-    each[4, places.CURVE] = [2.0, 1.0, 0.5, 0.1]
+    each[4, index.CURVE] = [2.0, 1.0, 0.5, 0.1]
     given = each.copy()
     for record in (measured, stepped, log):
         tables, logs = record.predict_each(each)
@@ -360,7 +360,7 @@ def test_a_start_that_something_disturbs_is_filtered(name: str, value: float) ->
 
 def test_an_open_circuit_carries_no_current_in_a_start_either() -> None:
     record = driven_record(np.full(100, 9.0), DT_S, from_rest=True)
-    record.marks[60:] = kernel.OPEN
+    record.marks[60:] = ekf.OPEN
     current = record.predict(values_of(PAPER_MOTOR), learn=False)[0][:, 2]
     assert current[50] > 0.1
     assert not current[62:].any()

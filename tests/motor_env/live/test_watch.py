@@ -16,7 +16,7 @@ from operation_simulator import draw_motor, simulate
 
 from motor_env import InputError, Recording
 from motor_env.cli import main
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.live.pieces import SILENCE, Piece
 from motor_env.live.state import State
 from motor_env.live.watch import Watch

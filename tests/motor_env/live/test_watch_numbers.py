@@ -31,7 +31,7 @@ from motor_env.diagnosis.running.windows import WindowJudge, judge_of
 from motor_env.diagnosis.sensors.checks import sensor_failed
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import FittedWindow
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as places
 from motor_env.live import command, watch as watching
 from motor_env.live.command import showing
 from motor_env.live.events import Event
@@ -41,7 +41,7 @@ from motor_env.live.watch import Lesson, Watch
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.parameters import RAD_S_PER_RPM
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 
 HEADER = b"speed_rpm,t_ms,voltage_mv,current_ma\n"
 WINDOWS = Windows(

@@ -14,8 +14,9 @@ from suggested_options import fits, has_blanks, options_of
 
 from motor_env import ColumnChoice, Recording, cli, read_recording
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.plausible import evenly_rounded, follows
-from motor_env.recordings.text.legend import legend_of
+from motor_env.recordings.columns import evenly_rounded
+from motor_env.recordings.headers import follows
+from motor_env.recordings.text.block import legend_of
 
 _DEEPEST = 5  # options one after another
 

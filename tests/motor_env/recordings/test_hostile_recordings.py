@@ -21,8 +21,8 @@ from scipy.io import savemat
 from motor_env import InputError, Recording, cli, read_recording
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser, tables
-from motor_env.recordings.splitting import chosen_starts, split_starts
-from motor_env.recordings.text import pieces
+from motor_env.recordings.start import chosen_starts, split_starts
+from motor_env.recordings.text import number_parser as pieces
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 TIME = np.linspace(0.0, 0.0399, 400)

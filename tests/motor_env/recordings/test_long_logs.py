@@ -13,9 +13,9 @@ from recording_csv import write_csv
 from motor_env import ColumnChoice, InputError, Recording, read_recording
 
 # Reaches in: which stretches of a long log are fitted is pinned without the fit.
-from motor_env.fitting.recorded import from_recordings
+from motor_env.fitting.preprocessing import from_recordings
 from motor_env.recordings import array_parser, tables
-from motor_env.recordings.text import pieces
+from motor_env.recordings.text import number_parser as pieces
 
 ROWS, RATE_HZ = 5_000, 1_000.0
 

@@ -7,7 +7,7 @@ import pytest
 
 from motor_env import InputError, Recording, read_recording
 from motor_env.recordings.alignment import align
-from motor_env.recordings.recording import cut, evened
+from motor_env.recordings.recording import cut, resampled
 
 PLACES = np.arange(40.0)
 WAVE = 1.5 + np.sin(PLACES)
@@ -16,7 +16,7 @@ WAVE = 1.5 + np.sin(PLACES)
 @pytest.mark.parametrize("gone", [[10, 11, 12], [19, 20], list(range(5, 40, 10)), [1, 38]])
 def test_samples_that_a_clock_left_out_are_missing(gone: list[int]) -> None:
     time = np.delete(PLACES, gone)
-    even, values, notes = evened(0.5 * time, {"current": WAVE[time.astype(int)]})
+    even, values, notes = resampled(0.5 * time, {"current": WAVE[time.astype(int)]})
     np.testing.assert_allclose(even, 0.5 * PLACES)
     np.testing.assert_array_equal(values["current"], np.where(np.isin(PLACES, gone), np.nan, WAVE))
     assert notes == (
@@ -36,7 +36,7 @@ def test_samples_that_a_clock_left_out_are_missing(gone: list[int]) -> None:
 def test_intervals_of_another_length_have_a_hole_in_them(steps: list[float], places: list[int]) -> None:
     """And no sample is further from its time than an interval."""
     time = np.append(0.0, np.cumsum(steps))
-    even, values, _ = evened(time, {"time": time, "speed": np.ones(len(time))})
+    even, values, _ = resampled(time, {"time": time, "speed": np.ones(len(time))})
     there = np.flatnonzero(np.isfinite(values["speed"]))
     np.testing.assert_allclose(np.diff(even), 1.0)
     assert there.tolist() == places
@@ -48,29 +48,29 @@ def test_intervals_of_another_length_have_a_hole_in_them(steps: list[float], pla
 def test_what_looks_like_holes_and_is_none() -> None:
     """Times that were rounded, that jitter, and those of a clock that drifts; a clock that jitters may have holes."""
     rounded = np.round(PLACES * 4.0 / 3.0)
-    even, values, _ = evened(rounded, {"current": WAVE})
+    even, values, _ = resampled(rounded, {"current": WAVE})
     assert len(even) == 40
     assert np.isfinite(values["current"]).all()
     jitter = np.random.default_rng(1).uniform(-0.3, 0.3, 40)
-    assert np.isfinite(evened(PLACES + jitter, {"current": WAVE})[1]["current"]).all()
+    assert np.isfinite(resampled(PLACES + jitter, {"current": WAVE})[1]["current"]).all()
     some = np.delete(PLACES + jitter, range(20, 25))
-    even, values, _ = evened(some, {"time": some})
+    even, values, _ = resampled(some, {"time": some})
     inside = (even > some[19]) & (even < some[20])
     np.testing.assert_array_equal(np.isnan(values["time"]), inside)
     drifting = PLACES + 0.004 * PLACES**2
-    assert np.isfinite(evened(drifting, {"current": WAVE})[1]["current"]).all()
+    assert np.isfinite(resampled(drifting, {"current": WAVE})[1]["current"]).all()
 
 
 def test_the_interval_of_before_counts_for_a_stream_that_changes_its_rate() -> None:
     columns = {"current": WAVE}
-    assert evened(1.25 * PLACES, columns)[1] is columns
-    assert evened(1.25 * PLACES, columns, 1.1)[1] is columns
-    even, values, _ = evened(1.25 * PLACES, columns, 1.0)
+    assert resampled(1.25 * PLACES, columns)[1] is columns
+    assert resampled(1.25 * PLACES, columns, 1.1)[1] is columns
+    even, values, _ = resampled(1.25 * PLACES, columns, 1.0)
     np.testing.assert_allclose(np.diff(even), 1.0)
     known = np.flatnonzero(np.isfinite(values["current"]))
     assert (np.diff(known) > 1).all()
     time = np.append(PLACES, 39.0 + 1.3 * np.arange(1.0, 60.0))
-    even, _, _ = evened(time, {"current": time}, 1.0)
+    even, _, _ = resampled(time, {"current": time}, 1.0)
     np.testing.assert_allclose(np.diff(even), 1.0)
 
 

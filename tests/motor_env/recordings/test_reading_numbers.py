@@ -17,15 +17,21 @@ from motor_env import ColumnChoice, InputError, Recording, read_recording
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings import array_parser
 from motor_env.recordings.alignment import align
-from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import UNITS, understand
-from motor_env.recordings.noise import difference_noise, hidden_level, wild_samples, without_wild
-from motor_env.recordings.periodic_lines import PeriodicLine, line_share, over_angle, periodic_lines
+from motor_env.recordings.noise import (
+    PeriodicLine,
+    difference_noise,
+    line_share,
+    outlier_samples,
+    over_angle,
+    periodic_lines,
+    quantisation_bias,
+    without_outliers,
+)
 from motor_env.recordings.profiles import Profile, load_profile, save_profile
-from motor_env.recordings.recording import evened
-from motor_env.recordings.regime import changes, gaps_s, refuse_aliased, slow_rises, work_seen
-from motor_env.recordings.splitting import chosen_starts, split_starts
-from motor_env.recordings.start import Circuit, mean_tail, prepare
+from motor_env.recordings.recording import UnusableError, resampled
+from motor_env.recordings.regime import changes, gaps_s, operation_evidence, refuse_aliased, slow_rises
+from motor_env.recordings.start import Circuit, chosen_starts, mean_tail, prepare, split_starts
 
 RPM = 2.0 * math.pi / 60.0
 FACTORS = {
@@ -248,7 +254,7 @@ def test_uneven_times_are_evened_from_a_fiftieth_of_an_interval_on() -> None:
     for off, is_kept in ((0.0199, True), (0.0201, False)):
         time = PLACES.copy()
         time[10] += off
-        even, values, note = evened(time, columns)
+        even, values, note = resampled(time, columns)
         np.testing.assert_allclose(even, PLACES)
         assert (values is columns, note == ()) == (is_kept, is_kept)
         expected = WAVE if is_kept else np.interp(PLACES, time, WAVE)
@@ -422,11 +428,11 @@ def test_a_wild_sample_stands_out_of_neighbours_that_agree() -> None:
     for size, is_wild in ((0.0499, False), (0.0501, True)):
         current = base.copy()
         current[500] += size * level
-        assert wild_samples(current) == ((500,) if is_wild else ())
+        assert outlier_samples(current) == ((500,) if is_wild else ())
     for apart, is_wild in ((0.199, True), (0.201, False)):
         current = base.copy()
         current[500], current[501] = 1.0, apart
-        assert (500 in wild_samples(current)) is is_wild
+        assert (500 in outlier_samples(current)) is is_wild
     noise = 0.05 * np.random.default_rng(4).standard_normal(2000)
     second = np.diff(base + noise, n=2)
     spread = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6.0)
@@ -435,14 +441,14 @@ def test_a_wild_sample_stands_out_of_neighbours_that_agree() -> None:
         current = base + noise
         current[[498, 499, 501, 502]] = around
         current[500] = around + size * spread
-        assert (500 in wild_samples(current)) is is_wild
+        assert (500 in outlier_samples(current)) is is_wild
     spikes = base.copy()
     spikes[[100, 200]] = 1.0
-    assert wild_samples(spikes) == (100, 200)  # one in a thousand
+    assert outlier_samples(spikes) == (100, 200)  # one in a thousand
     spikes[300] = 1.0
-    assert wild_samples(spikes) == ()
-    assert wild_samples(spikes[80:129]) == ()  # 49 samples are too few
-    mended = without_wild(np.array([1.0, 9.0, 3.0]), [1])
+    assert outlier_samples(spikes) == ()
+    assert outlier_samples(spikes[80:129]) == ()  # 49 samples are too few
+    mended = without_outliers(np.array([1.0, 9.0, 3.0]), [1])
     assert mended.tolist() == [1.0, 2.0, 3.0]
 
 
@@ -451,14 +457,14 @@ def test_what_steps_hide_of_a_level() -> None:
     quantum = 0.1
     before = 0.4 * quantum
     expected = quantum / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * 0.4) ** 2)
-    assert hidden_level(np.empty(0), math.hypot(before, quantum / math.sqrt(12.0)), quantum) == pytest.approx(
-        expected
-    )
+    assert quantisation_bias(
+        np.empty(0), math.hypot(before, quantum / math.sqrt(12.0)), quantum
+    ) == pytest.approx(expected)
     rng = np.random.default_rng(5)
     quiet = quantum * np.round((0.033 + before * rng.standard_normal(50_000)) / quantum)
-    assert hidden_level(quiet, 9.0, quantum) == pytest.approx(expected, rel=0.05)
-    assert hidden_level(np.zeros(9), 9.0, quantum) == pytest.approx(quantum / math.sqrt(12.0))
-    assert hidden_level(np.array([0.0, 0.21, 0.0, 0.21]), 9.0, quantum) == 0.0
+    assert quantisation_bias(quiet, 9.0, quantum) == pytest.approx(expected, rel=0.05)
+    assert quantisation_bias(np.zeros(9), 9.0, quantum) == pytest.approx(quantum / math.sqrt(12.0))
+    assert quantisation_bias(np.array([0.0, 0.21, 0.0, 0.21]), 9.0, quantum) == 0.0
 
 
 def test_lines_of_the_spectrum_have_their_frequency_and_amplitude() -> None:
@@ -521,7 +527,7 @@ def off_on(*lengths: int) -> FloatArray:
     ids=["start", "bouncing switch", "three starts", "always on"],
 )
 def test_starts_stay_starts(voltage: FloatArray) -> None:
-    assert work_seen(driven(voltage)) is None
+    assert operation_evidence(driven(voltage)) is None
 
 
 def waves(period: float, low: float, high: float, *, n: int = 6000) -> FloatArray:
@@ -551,7 +557,9 @@ def test_slow_rises_of_a_voltage(voltage: FloatArray, dt_s: float, rises: int) -
 
 @pytest.mark.parametrize(("n", "is_work"), [(1200, False), (1900, True)])
 def test_a_voltage_that_rises_slowly_again_and_again_is_of_a_motor_at_work(n: int, is_work: bool) -> None:
-    assert (work_seen(driven(waves(600.0, 0.0, 1.0, n=n))) == "the voltage takes several levels") is is_work
+    assert (
+        operation_evidence(driven(waves(600.0, 0.0, 1.0, n=n))) == "the voltage takes several levels"
+    ) is is_work
 
 
 def test_of_several_starts_one_that_had_begun_is_left_out() -> None:
@@ -601,33 +609,34 @@ def test_borders_of_a_motor_at_work() -> None:
     for reversed_, is_work in ((50, False), (51, True)):
         volts = start.copy()
         volts[2000 : 2000 + reversed_] = -12.0
-        assert (work_seen(driven(volts)) == "the voltage reverses") is is_work
+        assert (operation_evidence(driven(volts)) == "the voltage reverses") is is_work
     for between, is_work in ((1000, False), (1004, True)):  # a tenth of the time, in three changes or more
         volts = start.copy()
         for k in range(4):
             volts[2000 + 2000 * k : 2000 + 2000 * k + between // 4] = 5.0
-        assert (work_seen(driven(volts)) == "the voltage takes several levels") is is_work
+        assert (operation_evidence(driven(volts)) == "the voltage takes several levels") is is_work
     once = start.copy()
     once[1000:4000] = 5.0
-    assert work_seen(driven(once)) is None  # two changes: off to 5 V, 5 V to 12 V
+    assert operation_evidence(driven(once)) is None  # two changes: off to 5 V, 5 V to 12 V
     once[3000:4000] = 8.0
-    assert work_seen(driven(once)) == "the voltage takes several levels"
+    assert operation_evidence(driven(once)) == "the voltage takes several levels"
     for level, is_between in ((0.79, True), (0.81, False), (0.11, True), (0.09, False)):
         volts = start.copy()
         for k in range(4):
             volts[2000 + 2000 * k : 3000 + 2000 * k] = 12.0 * level
-        said = work_seen(driven(volts))
+        said = operation_evidence(driven(volts))
         assert (said == "the voltage takes several levels") is is_between
     for pause, is_work in ((99, True), (101, False)):
         volts = np.tile(off_on(pause, 300), 6)
         speed = np.tile(np.concatenate([np.zeros(pause), np.ones(300)]), 6)
         assert (
-            work_seen(driven(volts, speed=speed)) == "the voltage is switched faster than a motor stops"
+            operation_evidence(driven(volts, speed=speed))
+            == "the voltage is switched faster than a motor stops"
         ) is is_work
-    assert work_seen(driven(np.zeros(100))) is None
-    assert work_seen(replace(driven(start), voltage_v=None)) is None
+    assert operation_evidence(driven(np.zeros(100))) is None
+    assert operation_evidence(replace(driven(start), voltage_v=None)) is None
     assert (
-        work_seen(replace(driven(start), voltage_v=None, duty=np.tile([0.5, -0.5], 5000)))
+        operation_evidence(replace(driven(start), voltage_v=None, duty=np.tile([0.5, -0.5], 5000)))
         == "the voltage reverses"
     )
 
@@ -637,7 +646,7 @@ def test_the_largest_voltage_leaves_one_sample_in_a_thousand_out() -> None:
     for spikes, is_work in ((8, True), (15, False)):
         volts = np.tile(np.repeat([12.0, -12.0], 500), 10)
         volts[100 : 100 + spikes] = 120.0
-        assert (work_seen(driven(volts)) == "the voltage reverses") is is_work
+        assert (operation_evidence(driven(volts)) == "the voltage reverses") is is_work
 
 
 def test_a_motor_that_still_turns_when_it_is_switched_on_is_at_work() -> None:
@@ -645,18 +654,18 @@ def test_a_motor_that_still_turns_when_it_is_switched_on_is_at_work() -> None:
     volts = off_on(100, 400, 200, 400, 200, 400)
     for left, is_work in ((0.099, False), (0.101, True)):
         speed = np.where(volts > 0.0, 100.0, 100.0 * left)
-        assert (work_seen(driven(volts, speed=speed)) is not None) is is_work
+        assert (operation_evidence(driven(volts, speed=speed)) is not None) is is_work
     for share, is_work in ((0.76, False), (0.74, True)):
         current = np.where(volts > 0.0, 1.0, 0.0)
         for first, size in ((100, 8.0), (700, 8.0 * share), (1300, 8.0 * share)):
             current[first : first + 5] = size
         for offset in (0.0, 4.0):  # of the sensor
-            assert (work_seen(driven(volts, current=current + offset)) is not None) is is_work
+            assert (operation_evidence(driven(volts, current=current + offset)) is not None) is is_work
     short = off_on(100, 400, 19, 400, 19, 400)  # a contact that bounces
-    assert work_seen(driven(short, speed=np.full(len(short), 100.0))) is None
+    assert operation_evidence(driven(short, speed=np.full(len(short), 100.0))) is None
     longer = off_on(100, 400, 21, 400, 21, 400)
     assert (
-        work_seen(driven(longer, speed=np.full(len(longer), 100.0)))
+        operation_evidence(driven(longer, speed=np.full(len(longer), 100.0)))
         == "the voltage comes back before the motor stands"
     )
 
@@ -671,11 +680,11 @@ def test_a_motor_that_turns_when_the_recording_begins_is_at_work() -> None:
         (10.1, 1.19, False),
     ):
         volts[0], speed[:3] = begun, [0.0, turning, turning]
-        assert (work_seen(driven(volts, speed=speed)) == "the motor turns already") is is_work
-    assert work_seen(driven(volts)) is None  # nobody knows
+        assert (operation_evidence(driven(volts, speed=speed)) == "the motor turns already") is is_work
+    assert operation_evidence(driven(volts)) is None  # nobody knows
     by_duty = replace(driven(volts, speed=np.full(2000, 100.0)), voltage_v=None, duty=volts / 12.0)
-    assert work_seen(by_duty) is None  # a log needs its voltage
-    assert work_seen(driven(np.full(2, 12.0), speed=np.full(2, 9.0))) == "the motor turns already"
+    assert operation_evidence(by_duty) is None  # a log needs its voltage
+    assert operation_evidence(driven(np.full(2, 12.0), speed=np.full(2, 9.0))) == "the motor turns already"
 
 
 def test_levels_and_gaps_by_hand() -> None:

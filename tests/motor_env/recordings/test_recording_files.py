@@ -10,7 +10,7 @@ from recording_csv import csv_text, write_csv
 from scipy.io import savemat
 
 from motor_env import ColumnChoice, InputError, Recording, cli, load_motor, read_recording
-from motor_env.recordings.recording import understood
+from motor_env.recordings.recording import describe_reading
 
 TIME = np.linspace(0.0, 0.049, 50)
 CURRENT = np.sin(50.0 * TIME) + 1.0
@@ -133,14 +133,14 @@ def test_identify_writes_a_motor_file(tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_files_that_were_read_in_different_ways_are_told_apart() -> None:
     files = [(Path(f"{n}.csv"), (f"current is column {n // 2}", f"{n} samples")) for n in range(9)]
-    assert understood(files[:2]) == ["  read: current is column 0"]
-    assert understood(files) == [
+    assert describe_reading(files[:2]) == ["  read: current is column 0"]
+    assert describe_reading(files) == [
         "  read: 0.csv and 1 more: current is column 0",
         "  read: 2.csv and 1 more: current is column 1",
         "  read: 4.csv and 1 more: current is column 2",
         "  read: in 2 more ways",
     ]
-    assert understood([(Path("a.csv"), ())]) == []
+    assert describe_reading([(Path("a.csv"), ())]) == []
 
 
 def test_commission_needs_three_starts(tmp_path: Path) -> None:
@@ -161,9 +161,11 @@ def test_commissioned_motor_judges_its_own_starts(tmp_path: Path, capsys: pytest
     )
     target = str(tmp_path / "m.toml")
     assert cli.main(["commission", *healthy, "-o", target]) == 0
-    understood = "time is column 1 (time_s); current is column 3 (current_a); voltage is column 2 (voltage_v)"
+    describe_reading = (
+        "time is column 1 (time_s); current is column 3 (current_a); voltage is column 2 (voltage_v)"
+    )
     assert [line for line in capsys.readouterr().out.splitlines() if "read: " in line] == [
-        f"  read: {understood}"
+        f"  read: {describe_reading}"
     ]
     assert cli.main(["diagnose", judged, "--motor", target]) == 0
     write_csv(Path(judged), columns | {"current_a": 0.8 * noisy[3]})

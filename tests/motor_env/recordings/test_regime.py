@@ -10,9 +10,9 @@ import pytest
 
 from motor_env import InputError, Recording
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.regime import Taken, refuse_aliased, taken_for, work_seen
-from motor_env.recordings.splitting import chosen_starts
+from motor_env.recordings.recording import UnusableError
+from motor_env.recordings.regime import RegimeDecision, operation_evidence, refuse_aliased, taken_for
+from motor_env.recordings.start import chosen_starts
 
 FINE_S = 1e-4
 OHM, CONSTANT, INERTIA, DRY = 2.0, 0.03, 2.3e-5, 3.6e-3
@@ -43,15 +43,15 @@ def test_pulses_are_no_starts(pwm_hz: float, duty: float, has_speed: bool) -> No
         recording = Recording(recording.path, recording.time_s, recording.current_a, recording.voltage_v)
     taken = taken_for(recording)
     assert taken.regime == "operation"
-    assert f"{taken}" == f"a motor at work ({work_seen(recording)})"
+    assert f"{taken}" == f"a motor at work ({operation_evidence(recording)})"
     assert recording.voltage_v is not None
     refuse_aliased(recording.voltage_v, recording.current_a)
 
 
 def test_a_motor_that_brakes_to_rest_starts_again() -> None:
     recording = pulsed(1.0, 0.5, 10, coasts=False)
-    assert work_seen(recording) is None
-    assert taken_for(recording) == Taken("start", "the voltage is switched on")
+    assert operation_evidence(recording) is None
+    assert taken_for(recording) == RegimeDecision("start", "the voltage is switched on")
     assert len(chosen_starts(recording)) == 4
 
 
@@ -60,8 +60,8 @@ def test_the_user_or_the_choice_of_a_start_says_what_a_recording_is() -> None:
     silent = Recording(at_work.path, at_work.time_s, at_work.current_a)
     assert taken_for(at_work).regime == "operation"
     for regime, start in (("start", None), ("auto", 2), ("start", 2)):
-        assert taken_for(at_work, regime, start) == Taken("start", "as asked")
-    assert taken_for(silent, "operation", 2) == Taken("operation", "as asked")
+        assert taken_for(at_work, regime, start) == RegimeDecision("start", "as asked")
+    assert taken_for(silent, "operation", 2) == RegimeDecision("operation", "as asked")
     assert str(taken_for(silent)) == "a start (no voltage was recorded)"
     with pytest.raises(InputError, match="regime must be one of auto, start, operation, got 'work'"):
         taken_for(silent, "work")
@@ -103,9 +103,9 @@ def stepped(
 def test_a_motor_that_starts_under_one_voltage_and_goes_on_under_another_is_at_work(has_speed: bool) -> None:
     """A start from a motor that runs steadily, or stands, under the first one is a start all the same."""
     words = "the motor starts under one voltage, and another follows"
-    assert work_seen(stepped(3.0, has_speed=has_speed)) == words
-    assert work_seen(stepped(1.2, has_speed=has_speed)) == words
-    assert work_seen(stepped(3.0, first_s=0.11, has_speed=has_speed)) == words
+    assert operation_evidence(stepped(3.0, has_speed=has_speed)) == words
+    assert operation_evidence(stepped(1.2, has_speed=has_speed)) == words
+    assert operation_evidence(stepped(3.0, first_s=0.11, has_speed=has_speed)) == words
     # One of another kind: 1 V is off, 8.5 V is on, 90 ms are no level, and a motor of 50 ms is steady after 0.3 s.
     for other in (
         stepped(1.0, has_speed=has_speed),
@@ -113,7 +113,7 @@ def test_a_motor_that_starts_under_one_voltage_and_goes_on_under_another_is_at_w
         stepped(3.0, first_s=0.09, has_speed=has_speed),
         stepped(3.0, first_s=0.5, rest_s=0.3, has_speed=False),
     ):
-        assert work_seen(other) is None
+        assert operation_evidence(other) is None
     # The current still falls by 8 or by 12 % of the largest one.
-    assert work_seen(stepped(3.0, first_s=0.5, rest_s=0.078, has_speed=False)) is None
-    assert work_seen(stepped(3.0, first_s=0.5, rest_s=0.064, has_speed=False)) == words
+    assert operation_evidence(stepped(3.0, first_s=0.5, rest_s=0.078, has_speed=False)) is None
+    assert operation_evidence(stepped(3.0, first_s=0.5, rest_s=0.064, has_speed=False)) == words

@@ -15,9 +15,8 @@ from judged_by_hand import SHEET, start
 from motor_env import Fault, FaultKind, Recording, diagnose
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.alignment import align
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.splitting import end_of_supply, split_starts
-from motor_env.recordings.start import prepare
+from motor_env.recordings.recording import UnusableError
+from motor_env.recordings.start import end_of_supply, prepare, split_starts
 
 QUIET, ON, OFF = 100, 400, 300
 END = QUIET + ON

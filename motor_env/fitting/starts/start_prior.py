@@ -1,4 +1,4 @@
-"""A start to fit: what is believed of it by eye, by what is typical, and of its terms."""
+"""A start to fit: rough values, typical values and the priors of its terms."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from itertools import product
 
 import numpy as np
 
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as index
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.record import CURVE_PARTS
-from motor_env.fitting.starts.identified import record_of
+from motor_env.fitting.starts.start_fit import record_of
 from motor_env.fitting.terms import Term, terms
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
+from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.start import Start, mean_tail
 
 FIT_SAMPLES = 40_000
@@ -29,8 +29,8 @@ _OFFSET_SD_WITHOUT_QUIET, _OFFSET_SD_WITH_QUIET = 0.0002, 0.05
 _LARGEST_SKEW = 1.5  # of the voltage's samples, in intervals
 
 
-def _by_eye(start: Start, constant: float | None) -> FloatArray:
-    """Values by eye: R from the peak, J from the decay, B from the final current."""
+def _rough_values(start: Start, constant: float | None) -> FloatArray:
+    """Estimate roughly: R from the peak, J from the decay, B from the final current."""
     after = np.where(start.counted, start.current_a, np.nan)[start.alignment.onset_index :]
     after = np.where(np.isnan(after), np.nanmedian(after), after) - start.alignment.offset_a
     peak_at = int(np.argmax(after))
@@ -44,29 +44,29 @@ def _by_eye(start: Start, constant: float | None) -> FloatArray:
         k = back_emf / max(abs(mean_tail(start.speed_rad_s)), 1e-9)
     else:
         k = constant if constant is not None else 0.01 * start.level_v
-    values = np.zeros(places.N_VALUES)
-    values[[places.R, places.L]] = resistance, resistance * 0.3 * max(peak_at, 1) * start.dt_s
-    values[[places.K, places.J]] = k, decay * k * k / resistance
-    values[places.B] = max(final * k * k / back_emf, 1e-300)
-    values[places.CURVE] = 1.0
-    values[places.LAG_I] = start.circuit.sensor_lag_s
-    values[places.NOISE_I] = _FIRST_NOISE * float(np.ptp(_current(start)))
-    values[places.NOISE_W] = (
+    values = np.zeros(index.N_VALUES)
+    values[[index.R, index.L]] = resistance, resistance * 0.3 * max(peak_at, 1) * start.dt_s
+    values[[index.K, index.J]] = k, decay * k * k / resistance
+    values[index.B] = max(final * k * k / back_emf, 1e-300)
+    values[index.CURVE] = 1.0
+    values[index.LAG_I] = start.circuit.sensor_lag_s
+    values[index.NOISE_I] = _FIRST_NOISE * float(np.ptp(_current(start)))
+    values[index.NOISE_W] = (
         1.0 if start.speed_rad_s is None else _FIRST_NOISE * float(np.ptp(start.speed_rad_s))
     )
     return values
 
 
 def _current(start: Start) -> FloatArray:
-    """The samples that count, without ripple."""
+    """Return the counted samples, without ripple."""
     out: FloatArray = (start.current_a - start.ripple_a)[start.counted]
     return out
 
 
-def absolute(told: Mapping[str, float], constant: float) -> dict[str, float]:
-    """R, L, K, J and B as far as quantities tell them; K is believed where the current alone was measured.
+def absolute_parameters(told: Mapping[str, float], constant: float) -> dict[str, float]:
+    """Return R, L, K, J and B as far as quantities tell them, with the assumed K.
 
-    The current depends on K^2/J and B/J only, whatever K is believed.
+    The current alone depends on K^2/J and B/J only.
     """
     values = {"K": constant} | {
         name.replace("(J V)", "J").replace("/V", ""): value for name, value in told.items()
@@ -78,13 +78,13 @@ def absolute(told: Mapping[str, float], constant: float) -> dict[str, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
-    """A start to fit, with what is believed of it beforehand.
+class StartPrior:
+    """A start to fit, with what is known beforehand.
 
     Attributes:
         start: what is fitted.
-        known: values by eye.
-        typical: logarithms of the typical parameters over those by eye; empty where they are not known.
+        known: rough values.
+        typical: logarithms of typical parameters over rough ones; empty where not known.
         every: all terms.
     """
 
@@ -105,22 +105,22 @@ class Belief:
         return (late,) if self.start.alignment.rectified else (late, "offset_current")
 
     def has_inductance_prior(self, model: Sequence[str]) -> bool:
-        """Whether L is held near the typical one."""
+        """Return whether L is held near the typical one."""
         return "L" in self.typical and hides_inductance(model)
 
     def problem(self, model: Sequence[str]) -> Problem:
-        """What is solved, with the terms of a model."""
+        """Return the problem with the terms of a model."""
         every = self.every
         if self.has_inductance_prior(model):
             mean = self.typical["L"]
             every = every | {"L": replace(every["L"], prior_sd=INDUCTANCE_PRIOR_SD, prior_mean=mean)}
-        names = (*self.core, *parts_of(model), *self.ends)
+        names = (*self.core, *expanded_terms(model), *self.ends)
         return Problem(
             record_of(self.start.shortened(FIT_SAMPLES)), self.known, tuple(every[n] for n in names)
         )
 
-    def guesses(self, problem: Problem) -> list[FloatArray]:
-        """The typical motor where it is known, and for each of three inductances the best of a small grid."""
+    def initial_guesses(self, problem: Problem) -> list[FloatArray]:
+        """Return the typical motor where known, and for each of three inductances the best of a small grid."""
         begin = np.array([0.0 if term.is_log else _FIRST_SIZES[1] * term.usual for term in problem.free])
         begin[len(begin) - len(self.ends) :] = 0.0
         fits = []
@@ -134,55 +134,55 @@ class Belief:
             fits.append(grid[np.argmin(np.sum(problem.residuals_each(grid) ** 2, axis=1))])
         return fits
 
-    def richer(self, problem: Problem, simpler: Solution) -> list[FloatArray]:
-        """A simpler fit with a weak and a strong beginning of one more term."""
+    def extended_guesses(self, problem: Problem, simpler: Solution) -> list[FloatArray]:
+        """Extend a simpler fit by a weak and a strong beginning of one more term."""
         known = dict(zip(simpler.names, simpler.theta.tolist(), strict=True))
         added = [term for term in problem.free if term.name not in known]
-        found = []
+        guesses = []
         for size in _FIRST_SIZES if len(added) == 1 else (1.0,):
             begun = known | {term.name: 0.0 if term.is_log else size * term.usual for term in added}
-            found.append(np.array([begun[name] for name in problem.names]))
-        if self.has_inductance_prior(parts_of(problem.names)):
+            guesses.append(np.array([begun[name] for name in problem.names]))
+        if self.has_inductance_prior(expanded_terms(problem.names)):
             core = [self.typical.get(name, known[name]) for name in self.core]
-            found[0] = np.append(core, found[-1][len(core) :])
-        return found
+            guesses[0] = np.append(core, guesses[-1][len(core) :])
+        return guesses
 
     def is_typical(self, theta: FloatArray) -> bool:
-        """Whether the textbook parameters are those of the typical motor to a factor of e: no other optimum then."""
+        """Return whether the parameters are typical to a factor of e: then no other optimum is sought."""
         return len(self.typical) == len(self.core) and all(
-            abs(one - self.typical[name]) < 1.0 for one, name in zip(theta, self.core, strict=False)
+            abs(value - self.typical[name]) < 1.0 for value, name in zip(theta, self.core, strict=False)
         )
 
     def inductance_off(self, theta: FloatArray) -> float:
-        """How far L lies from the typical one, in standard deviations of its prior; 0 where none is known."""
+        """Return L's distance from the typical one, in standard deviations of its prior; 0 where none is known."""
         return (float(theta[1]) - self.typical["L"]) / INDUCTANCE_PRIOR_SD if "L" in self.typical else 0.0
 
 
 def hides_inductance(model: Sequence[str]) -> bool:
-    """Whether a term of a model is a lag between the voltage and the current, as L/R is: each may pass for the other.
+    """Return whether a term is a lag between voltage and current, as L/R is: each may pass for the other.
 
-    A measured voltage has no ramp; the lag of the current's sensor and L/R can change places under any voltage.
+    A measured voltage has no ramp; under any voltage the current sensor's lag and L/R can change places.
     """
     return not _LAGS.isdisjoint(model)
 
 
-def parts_of(model: Sequence[str]) -> tuple[str, ...]:
-    """Terms of a model by name: a supply curve has several."""
+def expanded_terms(model: Sequence[str]) -> tuple[str, ...]:
+    """Return the terms of a model by name: a supply curve has several."""
     return tuple(part for name in model for part in (CURVE if name == "supply_curve" else (name,)))
 
 
-def believed(start: Start, constant: float | None, typical: Mapping[str, float] | None) -> Belief:
-    """What is believed of a start before it is fitted, see `identify`.
+def start_prior(start: Start, constant: float | None, typical: Mapping[str, float] | None) -> StartPrior:
+    """Return what is known of a start before it is fitted, see `identify`.
 
     Raises:
         UnusableError: the current flows against the voltage.
     """
-    known = _by_eye(start, constant)
-    if known[places.R] <= 0.0:
+    known = _rough_values(start, constant)
+    if known[index.R] <= 0.0:
         raise UnusableError("no motor explains the current: it flows against the voltage")
-    values = absolute(typical or {}, known[places.K])
+    values = absolute_parameters(typical or {}, known[index.K])
     logs = {
-        name: math.log(values[name] / known[getattr(places, name)])
+        name: math.log(values[name] / known[getattr(index, name)])
         for name in "RLKJB"
         if values.get(name, 0.0) > 0.0 and (name != "K" or start.speed_rad_s is not None)
     }
@@ -200,6 +200,6 @@ def believed(start: Start, constant: float | None, typical: Mapping[str, float] 
     every["dead_zone"] = replace(every["dead_zone"], unit=span)
     rise = max(0.5 * (peak_at - alignment.onset_index), 2.0)
     every["supply_ramp"] = replace(every["supply_ramp"], usual=rise)
-    drag = 0.3 * known[places.B] * start.level_v / known[places.K]
+    drag = 0.3 * known[index.B] * start.level_v / known[index.K]
     every["coulomb"] = replace(every["coulomb"], usual=drag / every["coulomb"].unit)
-    return Belief(start, known, logs, every)
+    return StartPrior(start, known, logs, every)

@@ -1,4 +1,4 @@
-"""From recordings of a motor at work to one record: averaged where it may be, with its open circuits."""
+"""Recordings of a motor at work as one record: averaged where they may be, with their open circuits."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from motor_env.fitting.kernel import BEGIN, OPEN
+from motor_env.fitting.ekf import BEGIN, OPEN
 from motor_env.fitting.record import STRETCHES, Record, with_begins, with_holes
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.recording import Recording, cut
+from motor_env.recordings.recording import Recording, UnusableError, cut
 from motor_env.recordings.regime import refuse_aliased
 from motor_env.recordings.start import Circuit
 
@@ -29,10 +28,10 @@ _BESIDE_JUMP, _JUMP, _JUMP_NOISE = 5, 2.5, 6.0
 
 
 def from_recordings(recordings: Sequence[Recording], *, most: int = MOST) -> Record:
-    """Recordings of one motor as one record, averaged where they hold more samples than are needed.
+    """Join recordings of one motor to a record, averaged where they hold more samples than are needed.
 
     Args:
-        recordings: of one motor, with the same columns and the same sampling interval.
+        recordings: of one motor, with the same columns and sampling interval.
         most: number of samples beyond which neighbours are averaged.
 
     Raises:
@@ -50,7 +49,7 @@ def from_recordings(recordings: Sequence[Recording], *, most: int = MOST) -> Rec
     if factor < wanted:
         share = most * factor / total
         count = math.ceil(STRETCHES / len(recordings))
-        parts = [part for recording in recordings for part in liveliest(recording, share, count)]
+        parts = [part for recording in recordings for part in liveliest_stretches(recording, share, count)]
     columns = [_columns(part, factor) for part in parts]
     volts, current, speed, begins = (np.concatenate(each) for each in zip(*columns, strict=True))
     missing = np.concatenate([missing_blocks(part, factor) for part in parts])
@@ -73,24 +72,24 @@ def from_recordings(recordings: Sequence[Recording], *, most: int = MOST) -> Rec
         averaged=factor * recordings[0].averaged,
         share=share,
     )
-    told = int(record.told[begins != BEGIN][:, seen > 0.0].sum(axis=0).min())
-    if missing.any() and told < FEWEST:
+    n_counted = int(record.told[begins != BEGIN][:, seen > 0.0].sum(axis=0).min())
+    if missing.any() and n_counted < FEWEST:
         raise UnusableError(
-            f"only {told} of {len(volts)} samples are there, and follow others {record.dt_s:.4g} s apart without a"
+            f"only {n_counted} of {len(volts)} samples are there, and follow others {record.dt_s:.4g} s apart without a"
             f" hole; at least {FEWEST} are needed"
         )
     return record
 
 
 def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray) -> NDArray[np.bool_]:
-    """Where a motor coasts with an open circuit, shape (n,).
+    """Find where a motor coasts with an open circuit, shape (n,).
 
-    The voltage jumps where the circuit opens and where it closes. A diode may carry the current until it is gone. Then
-    there is none, and the voltage at the terminals moves with the speed, not by steps; or the voltage is recorded as
-    none, and the speed moves. Without a recorded speed a motor that stands counts as well, to which it is all one.
+    The voltage jumps where the circuit opens and closes; a diode may carry the current until it is gone. Then there is
+    none, and the terminals' voltage moves with the speed, not in steps; or it is recorded as none and the speed moves.
+    Without a recorded speed a motor that stands counts as well.
     """
     current, peak = readings[:, 0], float(np.quantile(np.abs(voltage_v), 0.999))
-    noise, largest = noise_of(current), float(np.quantile(np.abs(current), 0.99))
+    noise, largest = median_noise(current), float(np.quantile(np.abs(current), 0.99))
     none = np.abs(current) < 3.0 * noise + 0.01 * largest
     edges = np.union1d(np.flatnonzero(_jumps(voltage_v) | (begins > 0.0)), [0, len(current)])
     out = np.zeros(len(current), dtype=np.bool_)
@@ -119,17 +118,17 @@ def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray
 
 
 def _jumps(voltage_v: FloatArray) -> NDArray[np.bool_]:
-    """Samples at which the voltage has moved much more than it does before and after, shape (n,)."""
+    """Find samples at which the voltage moves much more than before and after, shape (n,)."""
     moved = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
     beside = _BESIDE_JUMP
     medians = np.median(sliding_window_view(np.pad(moved, beside, mode="edge"), beside), axis=1)
     usual = np.maximum(medians[: len(moved)], medians[-len(moved) :])
-    found: NDArray[np.bool_] = (moved > _JUMP * usual) & (moved > _JUMP_NOISE * noise_of(voltage_v))
-    return found
+    is_jump: NDArray[np.bool_] = (moved > _JUMP * usual) & (moved > _JUMP_NOISE * median_noise(voltage_v))
+    return is_jump
 
 
-def noise_of(column: FloatArray) -> float:
-    """Standard deviation of white noise: the median second difference, no less than a converter's step."""
+def median_noise(column: FloatArray) -> float:
+    """Return the standard deviation of white noise by the median second difference; a converter's step at least."""
     second, moved = np.abs(np.diff(column, 2)), np.abs(np.diff(column))
     steps = moved[moved > 0.0]
     quantum = float(np.min(steps)) / math.sqrt(12.0) if len(steps) else 0.0
@@ -139,7 +138,7 @@ def noise_of(column: FloatArray) -> float:
 
 
 def block_means(values: FloatArray, factor: int) -> FloatArray:
-    """Means of neighbours, the last incomplete block left out."""
+    """Return means of neighbours, without the last incomplete block."""
     if factor == 1:
         return values
     whole = len(values) // factor * factor
@@ -148,7 +147,7 @@ def block_means(values: FloatArray, factor: int) -> FloatArray:
 
 
 def missing_blocks(recording: Recording, factor: int) -> NDArray[np.bool_]:
-    """Which means of neighbours are missing, shape (n, 3): those of which more than a tenth is."""
+    """Return which means of neighbours lack more than a tenth, shape (n, 3)."""
     if recording.missing is None:
         return np.zeros((len(recording.time_s) // factor, 3), dtype=np.bool_)
     whole = len(recording.time_s) // factor * factor
@@ -158,12 +157,12 @@ def missing_blocks(recording: Recording, factor: int) -> NDArray[np.bool_]:
 
 
 def _averageable(recording: Recording, wanted: int) -> int:
-    """Number of neighbours whose means keep nearly all that the current, beyond its noise, or the speed tells."""
+    """Return how many neighbours can be averaged and keep nearly all that current or speed tell."""
     column = (
         recording.current_a if _seen(recording)[0] or recording.speed_rad_s is None else recording.speed_rad_s
     )
     column, factor = column[:_LOOKED_AT], 1
-    noise, variance = (noise_of(column) ** 2, float(np.var(column))) if wanted > 1 else (0.0, 0.0)
+    noise, variance = (median_noise(column) ** 2, float(np.var(column))) if wanted > 1 else (0.0, 0.0)
     while factor < wanted:
         kept = float(np.var(block_means(column, 2 * factor))) + noise * (1.0 - 0.5 / factor)
         if kept < (1.0 - _LOST) * variance:
@@ -172,21 +171,21 @@ def _averageable(recording: Recording, wanted: int) -> int:
     return factor
 
 
-def liveliest(recording: Recording, share: float, count: int = STRETCHES) -> list[Recording]:
-    """A share of a recording: of each of some equal parts the stretch in which the voltage moves most."""
+def liveliest_stretches(recording: Recording, share: float, count: int = STRETCHES) -> list[Recording]:
+    """Return a share of a recording: of each of `count` equal parts the stretch in which the voltage moves most."""
     n = len(recording.time_s)
     volts = recording.current_a if recording.voltage_v is None else recording.voltage_v
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(volts)))])
-    part, length, found = n // count, int(share * n / count), []
+    part, length, chosen = n // count, int(share * n / count), []
     for first in range(0, part * count, part):
         ends = moved[first + length : first + part] - moved[first : first + part - length]
         begin = first + int(np.argmax(ends))
-        found.append(cut(recording, slice(begin, begin + length)))
-    return found
+        chosen.append(cut(recording, slice(begin, begin + length)))
+    return chosen
 
 
 def _seen(recording: Recording) -> tuple[bool, bool]:
-    """Whether current and speed were recorded: a channel that never moves counts as not recorded."""
+    """Return whether current and speed were recorded: a channel that never moves was not."""
     speed = recording.speed_rad_s
     return float(np.ptp(recording.current_a)) > 0.0, speed is not None and float(np.ptp(speed)) > 0.0
 
@@ -194,7 +193,7 @@ def _seen(recording: Recording) -> tuple[bool, bool]:
 def at_terminals(
     recording: Recording, voltage_v: float | None = None, circuit: Circuit | None = None
 ) -> Recording:
-    """The recording with the voltage at the motor's terminals: a duty cycle in volts, what is in series taken off."""
+    """Return the recording with the voltage at the motor's terminals: duty in volts, less that of the shunt."""
     voltage = recording.voltage_v
     if voltage is None and recording.duty is not None and voltage_v is not None:
         voltage = recording.duty * voltage_v
@@ -206,10 +205,10 @@ def at_terminals(
 
 
 def _columns(recording: Recording, factor: int) -> list[FloatArray]:
-    """Voltage, current, speed, zeros where one is not recorded, and 1 where the recording begins; means of neighbours.
+    """Return means of voltage, current, speed (zeros where not recorded), and 1 where the recording begins.
 
     Raises:
-        UnusableError: no voltage, neither current nor speed, or an alias of a pulse-width modulation.
+        UnusableError: no voltage, neither current nor speed, or an aliased pulse-width modulation.
     """
     voltage, (has_current, has_speed) = recording.voltage_v, _seen(recording)
     if voltage is None:

@@ -1,4 +1,4 @@
-"""What adding a term to a fit would do, without fitting it (Rao 1948)."""
+"""Score tests: what adding a term to a fit would do, without fitting it (Rao 1948)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motor_env.fitting import places
+from motor_env.fitting import parameter_index as index
 from motor_env.fitting.problem import Problem, Solution
 from motor_env.fitting.terms import Term
 from motor_env.motor.parameters import FloatArray
@@ -16,21 +16,21 @@ from motor_env.motor.parameters import FloatArray
 _NO_NUMBER = 1e60
 _BRUSHES = 0.04  # of the largest voltage
 _KNEES = {0.1: 1.0, 1.0: 2.0}
-"""Shares of the largest current at which half of the brushes' voltage may be there, and that voltage over the usual."""
+"""Share of the largest current at which half of the brushes' voltage is there: that voltage over the usual."""
 _SAG = 0.05  # of the supply's voltage, at the largest current
 _GEAR = 0.07
 """Share of the motor's torque that a gear usually takes."""
 _CONVERTED = math.sqrt(0.5 * (1.0 / 12.0 + 0.25))
-"""Share of a step by which a converter errs (rms): it rounds, or it cuts off, which takes half a step in the mean."""
+"""Error of a converter in steps (rms): it rounds, or cuts off, which takes half a step on average."""
 _CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 
 
 @dataclass(frozen=True, slots=True)
 class ScoreTest:
-    """What adding a term would do (Rao 1948).
+    """What adding a term would do.
 
     Attributes:
-        chi_square: by how much -2 log likelihood would fall.
+        chi_square: fall of -2 log likelihood.
         value, sd: of the unknown.
         moves: of the other unknowns, for one unit of it.
     """
@@ -42,7 +42,7 @@ class ScoreTest:
 
 
 def candidates(best: Solution) -> list[str]:
-    """Terms that a record may tell and the model lacks."""
+    """Name the terms that a record may tell and the model lacks."""
     seen, names = best.problem.record.seen, best.problem.names
     left = [name for name in _CANDIDATES if name not in names]
     if "heating" in names and "cooling" not in names:
@@ -59,7 +59,7 @@ def candidates(best: Solution) -> list[str]:
 def score_tests(
     best: Solution, every: dict[str, Term], tested: Sequence[str], sizes: Sequence[float] = ()
 ) -> dict[str, ScoreTest]:
-    """A test of each of some terms, without fitting it.
+    """Test each of some terms without fitting it.
 
     Args:
         best: a fit without them.
@@ -69,8 +69,8 @@ def score_tests(
     """
     if not tested:
         return {}
-    direction = _Direction(best)
-    found = {}
+    direction = _ResidualSlopes(best)
+    tests = {}
     for name in tested:
         term = every[name]
         problem = best.problem.with_terms([term])
@@ -79,15 +79,15 @@ def score_tests(
         moved = np.delete(moved, len(direction.base), axis=1)
         test = direction.test(moved, sides, is_positive=term.low >= 0.0)
         if test is not None:
-            found[name] = test
-    return found
+            tests[name] = test
+    return tests
 
 
-class _Direction:
-    """The residuals of a fit and how they follow its unknowns: what a further column of slopes would tell.
+class _ResidualSlopes:
+    """Residuals of a fit and their slopes at the point: what a further column of slopes would tell.
 
-    These are slopes at the point. Wide steps of one unknown at a time make dry friction and a load look well told where
-    only standstill tells them apart: with them more records of one motor disagreed.
+    Wide steps of one unknown at a time make dry friction and a load look well determined where only standstill tells
+    them apart: with them more records of one motor disagreed.
     """
 
     def __init__(self, best: Solution) -> None:
@@ -97,7 +97,7 @@ class _Direction:
         self.inverse = np.linalg.pinv(self.jacobian)
 
     def test(self, moved: FloatArray, sides: FloatArray, *, is_positive: bool) -> ScoreTest | None:
-        """The most telling of several sizes of what is added, by residuals, shape (m, n); None where none tells."""
+        """Test the most telling of several sizes of an addition, by residuals, shape (m, n); None where none tells."""
         moved = np.clip(moved, -_NO_NUMBER, _NO_NUMBER)  # a size at which the model has no numbers
         columns = (moved - self.base).T / sides
         moves = -self.inverse @ columns
@@ -112,26 +112,25 @@ class _Direction:
         return ScoreTest(float(gains[most]), float(values[most]), sd, moves[:, most])
 
 
-def lacking(best: Solution) -> list[ScoreTest]:
-    """What real motors have and no term says, each of the size that it usually has (1), at the fitted motion.
+def unmodelled_effects(best: Solution) -> list[ScoreTest]:
+    """Test what real motors have and no term says, each of its usual size (1), at the fitted motion.
 
-    Brushes whose resistance falls with the current (Holm 1967): a voltage that the fitted current tells. Where it
-    falls is not known: at small currents, which the record shows to be bent, or at larger ones, which look like R. And
-    a gear that loses a share of the torque, where it is no term.
+    Brushes whose resistance falls with the current (Holm 1967), at small currents, which bends the record, or at larger
+    ones, which looks like R; and a gear that loses torque, where it is no term.
     """
     problem, record = best.problem, best.problem.record
     if not record.seen[0]:
         return []
-    lacked = [_behind_brushes(best, *usual) for usual in _KNEES.items()]
+    lacked = [_with_brush_resistance(best, *usual) for usual in _KNEES.items()]
     if "gear_loss" not in best.names:
         geared = problem.known.copy()
-        geared[places.GEAR] = _GEAR
+        geared[index.GEAR] = _GEAR
         lacked.append(replace(problem, known=geared))
-    return _of_size_one(best, lacked)
+    return _unit_size_tests(best, lacked)
 
 
-def rounded(best: Solution) -> list[ScoreTest]:
-    """What converters do to the readings of each channel, by a standard deviation, where all of one sign err alike.
+def quantisation_effects(best: Solution) -> list[ScoreTest]:
+    """Test what converters do to each channel, by a standard deviation, where all readings of one sign err alike.
 
     Noise smaller than a step does not average it away, and a motor may stay within a few steps.
     """
@@ -140,31 +139,33 @@ def rounded(best: Solution) -> list[ScoreTest]:
         readings = record.readings.copy()
         readings[:, channel] += _CONVERTED * record.steps[channel] * np.sign(readings[:, channel])
         erred.append(replace(best.problem, record=replace(record, readings=readings)))
-    return _of_size_one(best, erred)
+    return _unit_size_tests(best, erred)
 
 
-def unmeasured(best: Solution) -> list[ScoreTest]:
-    """What may stand between a voltage that was told and the motor, each of its usual size (1), at the fitted current.
+def supply_effects(best: Solution) -> list[ScoreTest]:
+    """Test what may stand between a stated voltage and the motor, each of its usual size (1), at the fitted current.
 
-    Brushes as in `lacking`, and a supply whose voltage falls with the square of the current.
+    Brushes as in `unmodelled_effects`, and a supply that falls with the square of the current.
     """
     record, current = best.problem.record, best.free[0][:, 2]
     lost = _SAG * record.voltage_v * (current / np.abs(current).max()) ** 2
     sagged = replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
-    return _of_size_one(best, [_behind_brushes(best, min(_KNEES), 1.0), sagged], is_positive=True)
+    return _unit_size_tests(best, [_with_brush_resistance(best, min(_KNEES), 1.0), sagged], is_positive=True)
 
 
-def _behind_brushes(best: Solution, knee: float, size: float) -> Problem:
-    """The voltage behind brushes whose resistance falls with the current (Holm 1967), at a usual size times `size`."""
+def _with_brush_resistance(best: Solution, knee: float, size: float) -> Problem:
+    """Return the problem behind brushes whose resistance falls with the current (Holm 1967), `size` times the usual."""
     record, current = best.problem.record, best.free[0][:, 2]
     volts, amps, _ = record.peaks
     lost = _BRUSHES * (size * volts) * current / (np.abs(current) + knee * amps)
     return replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
 
 
-def _of_size_one(best: Solution, lacked: Sequence[Problem], *, is_positive: bool = False) -> list[ScoreTest]:
-    """A test of each problem that has something of size 1 which that of the fit lacks."""
-    direction = _Direction(best)
+def _unit_size_tests(
+    best: Solution, lacked: Sequence[Problem], *, is_positive: bool = False
+) -> list[ScoreTest]:
+    """Test each problem that has something of size 1 which that of the fit lacks."""
+    direction = _ResidualSlopes(best)
     tests = [
         direction.test(each.residuals(best.theta)[None], np.ones(1), is_positive=is_positive)
         for each in lacked

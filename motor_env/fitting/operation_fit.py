@@ -1,4 +1,4 @@
-"""`identify_operation`: what any record of a motor at work tells of the motor, and what it does not."""
+"""`identify_operation`: what records of a motor at work tell of the motor, and what they do not."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motor_env.fitting import kernel, places
-from motor_env.fitting.fit import fit
-from motor_env.fitting.problem import Solution, motor_places
+from motor_env.fitting import ekf, parameter_index as index
+from motor_env.fitting.model_selection import fit
+from motor_env.fitting.preprocessing import MOST, from_recordings
+from motor_env.fitting.problem import Solution, motor_unknowns
 from motor_env.fitting.record import Record
-from motor_env.fitting.recorded import MOST, from_recordings
 from motor_env.fitting.terms import NOISES, SHAPES
 from motor_env.fitting.uncertainty import covariance
 from motor_env.motor.parameters import FloatArray
 from motor_env.motor.threads import on_one_thread
-from motor_env.recordings.defects import UnusableError
-from motor_env.recordings.noise import explainable
-from motor_env.recordings.periodic_lines import PeriodicLine, constant_lines, periodic_lines
-from motor_env.recordings.recording import Recording
+from motor_env.recordings.noise import PeriodicLine, constant_lines, explainable, periodic_lines
+from motor_env.recordings.recording import Recording, UnusableError
 
 FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's
 UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the inductance"
@@ -57,7 +55,7 @@ class Quantity:
         value: SI.
         low, high: interval, 95 %.
         unit: of these.
-        is_told: whether the record knows it to better than half of its value.
+        is_told: whether the record determines it to better than half of its value.
         log_sd: standard deviation of its logarithm, or relative standard deviation.
     """
 
@@ -71,17 +69,17 @@ class Quantity:
 
 
 @dataclass(frozen=True, slots=True)
-class Operation:
+class OperationFit:
     """A motor at work, identified.
 
     Attributes:
         record: what was fitted.
         solution: the fit.
-        quantities: of the motor, those that are not told among them.
+        quantities: of the motor, undetermined ones included.
         covariance: of the unknowns that are no noises, shape (p, p), in their units.
-        expected: current and speed of the model that runs freely under the voltage, shape (n, 2).
-        warmth_k: how much warmer the winding is than at the begin, shape (n,).
-        r2_current, r2_speed: share of the variance that the free model explains; None where not used.
+        expected: current and speed of the free run under the voltage, shape (n, 2).
+        warmth_k: warming of the winding since the begin, shape (n,).
+        r2_current, r2_speed: share of the variance that the free run explains; None where not used.
         notes: what the record cannot tell, in sentences.
     """
 
@@ -97,18 +95,18 @@ class Operation:
 
     @property
     def model(self) -> tuple[str, ...]:
-        """Names of the terms that are no noises, a slowly varying load among them; shapes where they are told."""
+        """Names of the terms that are no noises, a slowly varying load included; shapes only where determined."""
         walks = ["load_walk"] if "load_walk" in self.solution.names else []
-        told = {one.name for one in self.quantities}
-        left_out = {*NOISES, *(name for name in SHAPES if name not in told)}
+        reported = {quantity.name for quantity in self.quantities}
+        left_out = {*NOISES, *(name for name in SHAPES if name not in reported)}
         return (*(name for name in self.solution.names if name not in left_out), *walks)
 
     def quantity(self, name: str) -> Quantity:
-        """One of them by its name."""
-        return next(one for one in self.quantities if one.name == name)
+        """Return a quantity by its name."""
+        return next(quantity for quantity in self.quantities if quantity.name == name)
 
 
-def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> Operation:
+def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> OperationFit:
     """Fit one motor to recordings of it at work, jointly.
 
     Args:
@@ -121,33 +119,33 @@ def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> 
     return identify_record(from_recordings(recordings, most=most))
 
 
-def without_lines(found: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
-    """A record of a motor at work without the lines of its current, and these lines; each recording has its own.
+def without_lines(solution: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
+    """Take the lines off a record's current; return it with them. Each recording has its own.
 
     A line that the voltage has too is the motor's answer to it, and stays.
 
     Args:
-        found: its fit.
+        solution: its fit.
         record: what was fitted.
     """
     if record.seen[0] == 0.0:
         return record, ()
-    free = found.free[1]
+    free = solution.free[1]
     residual, readings = np.nan_to_num(record.readings[:, 0] - free[:, 2]), record.readings.copy()
-    begins, every = np.flatnonzero(record.marks == kernel.BEGIN), []
+    begins, every = np.flatnonzero(record.marks == ekf.BEGIN), []
     for first, end in zip(begins, [*begins[1:], len(residual)], strict=True):
         some, time_s = slice(first, end), record.dt_s * np.arange(end - first)
         own = [line.frequency_hz for line in periodic_lines(record.voltage_v[some], time_s)]
         beside = _SAME_LINE / (record.dt_s * (end - first))
         for line in constant_lines(residual[some], time_s, np.abs(free[some, 3])):
-            if all(abs(line.frequency_hz - one) > beside for one in own):
+            if all(abs(line.frequency_hz - frequency_hz) > beside for frequency_hz in own):
                 readings[some, 0] -= line.current_a(time_s)
                 every.append(line)
     return replace(record, readings=readings) if every else record, tuple(every)
 
 
 @on_one_thread
-def identify_record(record: Record) -> Operation:
+def identify_record(record: Record) -> OperationFit:
     """Fit one motor to a record.
 
     Raises:
@@ -155,39 +153,41 @@ def identify_record(record: Record) -> Operation:
     """
     solution = fit(record)
     record, lines = without_lines(solution, record)
-    found = _described(fit(record) if lines else solution, lines)  # its terms may have stood for the lines
-    if found.r2_current is not None and found.r2_current < _CURRENT_TELLS and record.seen[1]:
-        found = _described(fit(record.only(current=False, speed=True)))
-    _refuse_poor(found)
-    return found
+    # Its terms may have stood for the lines.
+    operation = _operation_fit(fit(record) if lines else solution, lines)
+    if operation.r2_current is not None and operation.r2_current < _CURRENT_TELLS and record.seen[1]:
+        operation = _operation_fit(fit(record.only(current=False, speed=True)))
+    _refuse_poor_fit(operation)
+    return operation
 
 
-def _refuse_poor(found: Operation) -> None:
-    for n, (name, r2) in enumerate((("current", found.r2_current), ("speed", found.r2_speed))):
+def _refuse_poor_fit(operation: OperationFit) -> None:
+    for n, (name, r2) in enumerate((("current", operation.r2_current), ("speed", operation.r2_speed))):
         if r2 is None:
             continue
-        least = _POOR * explainable(found.record.readings[found.record.told[:, n], n])
+        least = _POOR * explainable(operation.record.readings[operation.record.told[:, n], n])
         if not r2 >= least:
             raise UnusableError(
                 f"no motor model explains the {name} (R2 {r2:.2f}; at least {least:.2g} is needed)"
             )
-    told = {one.name: one.value for one in found.quantities if one.is_told}
-    needed = [one.name for one in found.quantities if one.name.split("/")[0] in ("R", "K", "J", "R J")]
-    untold = ", ".join(name for name in needed if name not in told)
+    determined = {quantity.name: quantity.value for quantity in operation.quantities if quantity.is_told}
+    names = [quantity.name for quantity in operation.quantities]
+    needed = [name for name in names if name.split("/")[0] in ("R", "K", "J", "R J")]
+    untold = ", ".join(name for name in needed if name not in determined)
     # Without a recorded speed, which is what R leaves of the voltage, all else rests on R and J/K^2.
-    if not (any if found.record.seen[1] else all)(name in told for name in needed):
+    if not (any if operation.record.seen[1] else all)(name in determined for name in needed):
         raise UnusableError(f"the record does not determine {untold}: {_UNFIT}")
-    if told.get("L", 0.0) > _LONGEST_LAG_S * told.get("R", math.inf):
-        raise UnusableError(f"L/R of {told['L'] / told['R']:.3g} s is that of no motor: {_UNFIT}")
+    if determined.get("L", 0.0) > _LONGEST_LAG_S * determined.get("R", math.inf):
+        raise UnusableError(f"L/R of {determined['L'] / determined['R']:.3g} s is that of no motor: {_UNFIT}")
 
 
-def _described(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> Operation:
+def _operation_fit(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> OperationFit:
     record = solution.problem.record
     spread = covariance(solution)
     filtered, free = solution.free
     r2 = solution.explained()
     quantities = tuple(_quantities(solution, spread))
-    return Operation(
+    return OperationFit(
         record=record,
         solution=solution,
         quantities=quantities,
@@ -201,11 +201,11 @@ def _described(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> Oper
 
 
 def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
-    """Each unknown with its interval, and the whole drag at the speed that the motor mostly runs at."""
+    """Return each unknown with its interval, and the whole drag at the effective speed."""
     problem, theta = solution.problem, solution.theta
-    chosen = motor_places(problem)
-    names, units = _naming(problem.record)
-    found = []
+    chosen = motor_unknowns(problem)
+    names, units = _names_and_units(problem.record)
+    quantities = []
     for row, n in enumerate(chosen):
         term, sd = problem.free[n], math.sqrt(max(spread[row, row], 0.0))
         value, half = term.value(theta[n]), _TWO_SIDED * sd
@@ -216,26 +216,26 @@ def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
             low, high = value - half * term.unit, value + half * term.unit
             low = max(low, 0.0) if term.low >= 0.0 else low
             relative = sd * term.unit / max(abs(value), 1e-300)
-        told = bool(relative < _UNTOLD)
+        is_told = bool(relative < _UNTOLD)
         name = term.name
-        if name in SHAPES and not told:
+        if name in SHAPES and not is_told:
             continue
-        found.append(Quantity(names.get(name, name), value, low, high, units[name], told, relative))
+        quantities.append(Quantity(names.get(name, name), value, low, high, units[name], is_told, relative))
     drag = _drag(solution, spread, names.get("drag", "drag"), units["drag"])
-    return [*found, drag] if drag else found
+    return [*quantities, drag] if drag else quantities
 
 
 def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quantity | None:
-    """Friction torque at the effective speed, B w + Tc (+ c w^2): known better than its parts."""
+    """Return the friction torque at the effective speed, B w + Tc (+ c w^2): known better than its parts."""
     problem, values = solution.problem, solution.values
     if "B" not in problem.names:
         return None
     speed = solution.free[0][:, 3]
     w = float(np.sqrt(np.mean(speed**2)))
     slopes = {"B": w, "coulomb": 1.0, "load_square": w * w}
-    terms_ = [problem.free[n] for n in motor_places(problem)]
+    terms_ = [problem.free[n] for n in motor_unknowns(problem)]
     gradient = np.array([slopes.get(term.name, 0.0) * term.unit for term in terms_])
-    value = values[places.B] * w + values[places.COULOMB] + values[places.SQUARE] * w * w
+    value = values[index.B] * w + values[index.COULOMB] + values[index.SQUARE] * w * w
     sd = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
     half = _TWO_SIDED * sd
     relative = sd / max(value, 1e-300)
@@ -244,7 +244,7 @@ def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quant
     )
 
 
-def _naming(record: Record) -> tuple[dict[str, str], dict[str, str]]:
+def _names_and_units(record: Record) -> tuple[dict[str, str], dict[str, str]]:
     if record.seen.all():
         return {}, _UNITS_FULL
     if record.seen[0]:
@@ -262,16 +262,16 @@ def _notes(
     if record.seen[0] and not record.seen[1]:
         sentences.append("the current alone tells J/K^2 and B/K^2, not K, J and B")
     if not record.seen[0]:
-        gain, lag = 1.0 / values[places.K], values[places.J] / values[places.K] ** 2
-        dead = values[places.COULOMB] / values[places.K]
+        gain, lag = 1.0 / values[index.K], values[index.J] / values[index.K] ** 2
+        dead = values[index.COULOMB] / values[index.K]
         sentences.append(
             f"the current tells nothing: R, L and the friction are not determined; the speed alone gives"
             f" {gain:.4g} rad/s a volt, a dead voltage of {dead:.3g} V and a time constant of {lag:.3g} s"
         )
     untold = [
-        one.name
-        for one in quantities
-        if not one.is_told and one.name.split("/")[0] in ("R", "L", "K", "J", "B")
+        quantity.name
+        for quantity in quantities
+        if not quantity.is_told and quantity.name.split("/")[0] in ("R", "L", "K", "J", "B")
     ]
     if untold:
         sentences.append(f"not determined by this record: {', '.join(untold)}")

@@ -16,8 +16,7 @@ import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.text.block import CLOCK, CUT_OFF, Block, block_of, filled, rows_of
-from motor_env.recordings.text.settings import Table, table_of
+from motor_env.recordings.text.block import CLOCK, CUT_OFF, Block, Table, block_of, filled, rows_of, table_of
 
 MOST_ROWS = 4_000_000
 _AT_ONCE = 2  # pieces: pandas lets other threads run while it parses
@@ -67,7 +66,7 @@ def large_block(path: Path) -> Table:
 
 
 def _pieces(file: BinaryIO, block: Block) -> Iterator[FloatArray]:
-    """The numbers of each piece of whole lines, shape (rows, columns); several are parsed at once."""
+    """Yield the numbers of each piece of whole lines, shape (rows, columns); several are parsed at once."""
     line = block.begin
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         waiting: deque[Future[tuple[FloatArray, Sequence[int]]]] = deque()
@@ -85,19 +84,19 @@ def _pieces(file: BinaryIO, block: Block) -> Iterator[FloatArray]:
 
 
 def _means(parts: Iterable[FloatArray], factor: int) -> FloatArray:
-    """Means of neighbouring rows of all parts, the last incomplete ones left out, shape (rows, columns)."""
-    found, rest = [], None
+    """Return means of neighbouring rows of all parts, without the last incomplete ones, shape (rows, columns)."""
+    means, rest = [], None
     for part in parts:
         values = part if rest is None else np.concatenate([rest, part])
         whole = len(values) // factor * factor
         sums = np.add.reduceat(values[:whole], np.arange(0, whole, factor)) if factor > 1 else values
-        found.append(sums / factor)
+        means.append(sums / factor)
         rest = values[whole:]
-    return np.concatenate(found)
+    return np.concatenate(means)
 
 
 def _numbers(block: Block, piece: bytes, begin: int, rows: int) -> tuple[FloatArray, Sequence[int]]:
-    """Numbers of whole lines, shape (rows, columns), and the line of the file that each row is; the first is `begin`.
+    """Return the numbers of whole lines, shape (rows, columns), and the file's line of each row, from `begin`.
 
     Raises:
         InputError: a cell is no number.
@@ -111,7 +110,7 @@ def _numbers(block: Block, piece: bytes, begin: int, rows: int) -> tuple[FloatAr
 
 
 def _plain_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
-    """Those of a small block of nothing but numbers in rows of one length; ValueError for any other.
+    """Parse a small block of nothing but numbers in rows of one length; ValueError for any other.
 
     To import pandas takes as long as to read some megabytes without it.
     """
@@ -127,7 +126,7 @@ def _plain_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
 
 
 def _most_numbers(block: Block, piece: bytes, rows: int, *, holes: bool = False) -> FloatArray:
-    """Numbers of a block without quotes or blank lines; ValueError or KeyError for any other."""
+    """Parse a block without quotes or blank lines; ValueError or KeyError for any other."""
     import pandas as pd
 
     delimiter, missing = block.table.delimiter, ["", "nan", "NaN"]
@@ -155,7 +154,7 @@ def _most_numbers(block: Block, piece: bytes, rows: int, *, holes: bool = False)
 
 
 def _numbers_with_holes(block: Block, piece: bytes, rows: int) -> FloatArray:
-    """Numbers of a piece with empty cells as nan; ValueError where a row ends before them."""
+    """Parse a piece with empty cells as NaN; ValueError where a row ends before them."""
     mark = None if block.table.delimiter == " " else block.table.delimiter.encode()
     if min(len(line.split(mark)) for line in piece.removesuffix(b"\n").split(b"\n")) <= max(block.columns):
         raise ValueError("a row that ends too soon")
@@ -163,7 +162,7 @@ def _numbers_with_holes(block: Block, piece: bytes, rows: int) -> FloatArray:
 
 
 def _numbers_cell_by_cell(block: Block, lines: list[str], begin: int) -> tuple[FloatArray, Sequence[int]]:
-    """Numbers of a piece, cell by cell: with blank lines and quotes; a sentence tells the cell that is none."""
+    """Parse a piece with blank lines and quotes; a sentence names the cell that is no number."""
     table = block.table
     at: list[int] = []
     columns: list[list[Any]] = [[] for _ in block.columns]
@@ -187,7 +186,7 @@ def _numbers_cell_by_cell(block: Block, lines: list[str], begin: int) -> tuple[F
 
 
 def _value(block: Block, place: int, row: list[str], line: int) -> float | str:
-    """The number of a cell, NaN of an empty one; its text in a column of a clock."""
+    """Return the number of a cell, NaN of an empty one; its text in a column of a clock."""
     column = block.columns[place]
     cell = row[column] if column < len(row) else ""
     where = f"{block.table.path}, line {line}: the column {block.names[place] or f'number {column + 1}'}"
@@ -205,7 +204,7 @@ def _value(block: Block, place: int, row: list[str], line: int) -> float | str:
 
 
 def _seconds(times: list[str]) -> FloatArray:
-    """Times of a clock in seconds since the first; ValueError for what is none."""
+    """Return times of a clock in seconds since the first; ValueError for what is none."""
     import pandas as pd
 
     if not all(map(CLOCK.match, times)):

@@ -1,15 +1,15 @@
 """One interval of a recorded motor, compiled: exact steps of the linear part, dry friction and brush drop with events.
 
-Between two samples the linear motor, and a sensor that shows its current with a lag, are solved exactly for a voltage
-that is a straight line. Coulomb friction and the brush drop are constant inputs as long as motion and current keep
-their signs; an interval in which one of them changes is cut into parts in which both brake to zero and never beyond it.
+Between two samples the linear motor, and a current sensor's lag, are solved exactly for a voltage that is a straight
+line. Coulomb friction and brush drop are constant inputs while motion and current keep their signs; else the interval
+is cut into parts in which both brake to zero and never beyond it.
 """
 
 from __future__ import annotations
 
 import math
 
-from motor_env.fitting.places import (
+from motor_env.fitting.parameter_index import (
     DROP,
     HEATING,
     KNEE,
@@ -31,7 +31,7 @@ from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, M
 FINE, COARSE = 16, 4
 """Parts of an interval in which drop or friction turn, and in which they turn slowly, at a knee, or are about to."""
 TEMPERATURES = 22
-"""At how many the discrete models are made, where the winding warms."""
+"""Number of temperatures of the discrete models, where the winding warms."""
 _COLDEST_K, _GRID_K = -20.0, 10.0
 _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
 _SLIGHT = 0.1  # knees: an input hardly changes over such a change, and one part will do
@@ -42,9 +42,9 @@ _SHORTEST_LAG = 1e-6  # of an interval: with a shorter one the squarings of the 
 
 @compiled_part
 def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray, work: FloatArray) -> None:
-    """Rows current, speed, shown current; `work` has room for three matrices of six.
+    """Fill rows current, speed, shown current of a discrete model; `work` has room for three matrices of six.
 
-    Columns current, speed, voltage before, its rise over the interval, torque, shown current.
+    Columns: current, speed, voltage before, its rise over the interval, torque, shown current.
     """
     resistance = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k)
     constant = p[K] * (1.0 + MAGNET_PER_KELVIN * warm_k)
@@ -74,9 +74,9 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray, work
 
 @compiled_part
 def discretize_each(p: FloatArray, dt_s: float, out: FloatArray, work: FloatArray) -> None:
-    """Discrete models of an interval, of its fine and of its coarse parts, over the winding's temperature.
+    """Fill the discrete models of an interval, of its fine and its coarse parts, over the winding's temperature.
 
-    Shape (3, TEMPERATURES, 3, 6); the first temperature alone where nothing warms.
+    Shape (3, TEMPERATURES, 3, 6); only the first temperature where nothing warms.
     """
     count = TEMPERATURES if p[HEATING] > 0.0 else 1
     for part in range(3):
@@ -88,7 +88,7 @@ def discretize_each(p: FloatArray, dt_s: float, out: FloatArray, work: FloatArra
 
 @inlined
 def at(table: FloatArray, part: int, warm_k: float, p: FloatArray, out: FloatArray) -> None:
-    """The discrete model of some part at one temperature, between two of the table."""
+    """Interpolate the discrete model of a part at one temperature."""
     if p[HEATING] <= 0.0:
         for r in range(3):
             for c in range(6):
@@ -103,15 +103,15 @@ def at(table: FloatArray, part: int, warm_k: float, p: FloatArray, out: FloatArr
 
 
 @inlined
-def _dry(p: FloatArray, dry: float, w: float, slow: float) -> float:
-    """Dry friction at a speed (Stribeck 1902)."""
+def _dry_friction(p: FloatArray, dry: float, w: float, slow: float) -> float:
+    """Return dry friction at a speed (Stribeck 1902)."""
     over = (w / slow) ** 2
     return dry * (1.0 + p[STRIBECK] * math.exp(-over)) if p[STRIBECK] > 0.0 and over < _FAST else dry
 
 
 @inlined
 def _mean_square(before: float, after: float) -> float:
-    """Mean of w |w| while w goes in a straight line."""
+    """Return the mean of w |w| while w goes in a straight line."""
     if abs(after - before) <= 1e-6 * (abs(after) + abs(before)):
         return before * abs(before)
     return (abs(after) ** 3 - abs(before) ** 3) / (3.0 * (after - before))
@@ -119,7 +119,7 @@ def _mean_square(before: float, after: float) -> float:
 
 @inlined
 def _parts(least: float, change: float, knee: float) -> int:
-    """In how many parts an interval is taken in which a value comes so near to zero; 0 where its knee is far away."""
+    """Return in how many parts to take an interval in which a value nears zero; 0 where its knee is far away."""
     if least > _SATURATED * knee:
         return 0
     if change <= _SLIGHT * knee:
@@ -129,15 +129,15 @@ def _parts(least: float, change: float, knee: float) -> int:
 
 @inlined
 def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray) -> int:
-    """One interval in which drop and friction stay as they are; 0 if so, else in how many parts it is to be taken.
+    """Advance an interval in which drop and friction stay as they are; return 0, else in how many parts to take it.
 
     Args:
         m: discrete model.
         x: current, speed, load, shown current, shown speed.
         u: voltage before and after, load torque, speed at which dry friction is larger.
         p: physical values.
-        dry: dry friction, as warm as the motor is.
-        f: how current, speed and shown current follow current, speed, load, voltage and shown current; filled.
+        dry: dry friction at the motor's temperature.
+        f: slopes of current, speed and shown current by current, speed, load, voltage and shown current; filled.
     """
     i, w, shown = x[0], x[1], x[3]
     turning, carrying = math.copysign(1.0, w), math.copysign(1.0, i)
@@ -145,7 +145,7 @@ def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry:
     if p[KNEE] > 0.0:
         before = u[0] - p[DROP] * i / math.sqrt(i * i + p[KNEE] ** 2)
     sliding = w / math.sqrt(w * w + p[SLIDING] ** 2) if p[SLIDING] > 0.0 else turning
-    load = _dry(p, dry, w, u[3]) * sliding + u[2]
+    load = _dry_friction(p, dry, w, u[3]) * sliding + u[2]
     torque = load_in_kernel(load, p[SQUARE], w)
     new_i = m[0, 0] * i + m[0, 1] * w + m[0, 2] * before + m[0, 3] * (u[1] - u[0])
     new_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * (u[1] - u[0])
@@ -172,8 +172,8 @@ def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry:
 
 
 @inlined
-def _turned(before: float, free: float, reach: float) -> float:
-    """Value after an interval, given that without the opposing input, which changes it by `reach` and turns at zero."""
+def _held_at_zero(before: float, free: float, reach: float) -> float:
+    """Return a value after an interval from that without the opposing input, which takes `reach` and turns at zero."""
     sign = math.copysign(1.0, before if before != 0.0 else free)
     kept = free - sign * reach
     if kept * sign >= 0.0:
@@ -186,8 +186,8 @@ def _turned(before: float, free: float, reach: float) -> float:
 
 
 @inlined
-def _kneed(free: float, reach: float, knee: float, near: float) -> float:
-    """Solution i of i + reach i / hypot(i, knee) = free, by Newton's method from a size near it.
+def _solve_knee(free: float, reach: float, knee: float, near: float) -> float:
+    """Solve i + reach i / hypot(i, knee) = free by Newton's method from a size near i.
 
     The left side is concave beyond zero: from below each step stays below.
     """
@@ -204,11 +204,11 @@ def _kneed(free: float, reach: float, knee: float, near: float) -> float:
 
 
 @inlined
-def _opposed(before: float, free: float, reach: float, knee: float) -> float:
-    """What an input that sets in at a knee leaves of it."""
-    opposed: float = _turned(before, free, reach)
+def _opposing_input(before: float, free: float, reach: float, knee: float) -> float:
+    """Return what an input that sets in at a knee leaves of a value."""
+    opposed: float = _held_at_zero(before, free, reach)
     if knee > 0.0 and min(abs(before), abs(opposed)) < _SATURATED * knee:
-        opposed = _kneed(free, reach, knee, abs(before) if before * free > 0.0 else 0.0)
+        opposed = _solve_knee(free, reach, knee, abs(before) if before * free > 0.0 else 0.0)
     return opposed
 
 
@@ -216,7 +216,7 @@ def _opposed(before: float, free: float, reach: float, knee: float) -> float:
 def braked_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray, parts: int
 ) -> None:
-    """One interval in equal parts; friction and drop turn where speed and current cross zero, or hold them there."""
+    """Advance an interval in equal parts; friction and drop turn where speed and current cross zero, or hold them."""
     f[:] = 0.0
     f[0, 0] = f[1, 1] = f[2, 4] = 1.0
     rise = (u[1] - u[0]) / parts
@@ -227,12 +227,12 @@ def braked_step(
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * before + m[1, 3] * rise + m[1, 4] * torque
         new_i = free_i
         if p[DROP] > 0.0:
-            new_i = _opposed(i, free_i, m[0, 2] * p[DROP], p[KNEE])
+            new_i = _opposing_input(i, free_i, m[0, 2] * p[DROP], p[KNEE])
             dropped = (free_i - new_i) / m[0, 2]
             before, free_w = before - dropped, free_w - m[1, 2] * dropped
         new_w = free_w
         if dry > 0.0:
-            new_w = _opposed(w, free_w, -m[1, 4] * _dry(p, dry, w, u[3]), p[SLIDING])
+            new_w = _opposing_input(w, free_w, -m[1, 4] * _dry_friction(p, dry, w, u[3]), p[SLIDING])
             friction = (free_w - new_w) / -m[1, 4]
             torque, new_i = torque + friction, new_i + m[0, 4] * friction
         if p[LAG_I] > 0.0:
@@ -256,7 +256,7 @@ def braked_step(
 def coasting_step(
     x: FloatArray, u: FloatArray, p: FloatArray, dry: float, dt_s: float, f: FloatArray
 ) -> None:
-    """One interval with an open circuit, in equal parts: no current, the speed falls by friction and load."""
+    """Advance an interval with an open circuit, in equal parts: no current, the speed falls by friction and load."""
     f[:] = 0.0
     f[1, 1] = 1.0
     part_s = dt_s / FINE
@@ -266,6 +266,10 @@ def coasting_step(
     for _ in range(FINE):
         w = x[1]
         free = decay * w - reach * load_in_kernel(u[2], p[SQUARE], w)
-        x[1] = _opposed(w, free, reach * _dry(p, dry, w, u[3]), p[SLIDING]) if dry > 0.0 else free
+        x[1] = (
+            _opposing_input(w, free, reach * _dry_friction(p, dry, w, u[3]), p[SLIDING])
+            if dry > 0.0
+            else free
+        )
         slope = 0.0 if x[1] == 0.0 else decay - reach * 2.0 * p[SQUARE] * abs(w)
         f[1, 1], f[1, 2] = slope * f[1, 1], slope * f[1, 2] - reach * (x[1] != 0.0)
