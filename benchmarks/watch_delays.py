@@ -21,7 +21,7 @@ from watch_counts import NO_ALARM, RATES, Floats, delays_by_fault, duty, heavy, 
 
 from motor_env import FaultKind, KalmanFilter, SensorParameters, run_filter
 from motor_env.live.state import State
-from motor_env.live.watch import Lesson, Watch
+from motor_env.live.watch import LearningPhase, Watch
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import Channel, MotorParameters
 
@@ -64,7 +64,7 @@ def work(rng: np.random.Generator, *parts: tuple[MotorParameters, int]) -> Float
 
 def taught(samples: Floats) -> Healthy:
     """What the lesson of `watch` learns of a healthy motor at work, from what a device prints."""
-    watch = Watch(Lesson(WINDOW_S, LEARN_S, steady=True), State(), false_alarms_per_year=1.0)
+    watch = Watch(LearningPhase(WINDOW_S, LEARN_S, steady=True), State(), false_alarms_per_year=1.0)
     next(event for event in watch.events(lines([samples])) if event.kind == "learned")
     if watch.healthy is None:
         raise TypeError("nothing was learned")

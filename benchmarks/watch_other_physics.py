@@ -25,18 +25,18 @@ from tables import keep_table
 from watch_counts import ALARM_HEADER, RATES, alarm_row, alarms, due, lines
 
 from motor_env.live.state import State
-from motor_env.live.watch import Lesson, Watch
+from motor_env.live.watch import LearningPhase, Watch
 
 WINDOW_S, LEARN_S, DT_S = 20.0, 200.0, 0.01
 BLOCK_S, PAUSE_S = 100.0, 1.0
-PROMISES = {"tails": "if the fitted tails hold", "counting": "by counting alone", "nothing": "not compared"}
+SUPPORT = {"yes": "if the fitted tails hold", "no": "is not supported"}
 HEADER = (
     "profile",
     *ALARM_HEADER,
     "on one motor",
     "motors beyond 99 %",
     "unusable windows",
-    "by",
+    "rate supported",
 )
 
 
@@ -54,7 +54,7 @@ def one(job: tuple[int, int, float]) -> dict[str, Any]:
     recording = simulate(draw_motor(rng, SWITCHES), profile, rng, samples=samples, dt_s=DT_S)
     columns = (recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s)
     block = np.column_stack([np.asarray(column) for column in columns])
-    watch = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=RATES["hour"])
+    watch = Watch(LearningPhase(WINDOW_S, LEARN_S), State(), false_alarms_per_year=RATES["hour"])
     said = list(watch.events(lines([block], b"%.2f,%.6g,%.6g,%.6g\n")))
     names = Counter(event.name for event in said if event.kind in ("window", "another_motor"))
     promise = next((event.text for event in said if event.kind == "learned"), "")
@@ -64,7 +64,7 @@ def one(job: tuple[int, int, float]) -> dict[str, Any]:
         "hours": hours,
         "alarms": alarms(said),
         "names": {name: count for name, count in names.items() if name != "window healthy"},
-        "by": next((how for how, words in PROMISES.items() if words in promise), "nothing learned"),
+        "by": next((how for how, words in SUPPORT.items() if words in promise), "nothing learned"),
     }
 
 
@@ -91,7 +91,7 @@ def under_drives(job: tuple[int, int, bool]) -> dict[str, Any]:
         columns = (recording.time_s + end_s, recording.voltage_v, recording.current_a, recording.speed_rad_s)
         blocks.append(np.column_stack([np.asarray(column) for column in columns]))
         end_s = float(blocks[-1][-1, 0]) + PAUSE_S
-    watch = Watch(Lesson(WINDOW_S, LEARN_S), State(), false_alarms_per_year=RATES["hour"])
+    watch = Watch(LearningPhase(WINDOW_S, LEARN_S), State(), false_alarms_per_year=RATES["hour"])
     said = Counter[str]()
     for event in watch.events(lines(blocks, b"%.2f,%.6g,%.6g,%.6g\n")):
         if event.kind in ("window", "another_motor"):

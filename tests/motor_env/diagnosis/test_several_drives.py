@@ -21,8 +21,8 @@ from motor_env.diagnosis.motor_files import motor_of_windows
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
 from motor_env.diagnosis.running import lessons, windows
-from motor_env.diagnosis.running.drives import off_others, sorted_by_drive
-from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.running.operating_conditions import off_others, sorted_by_drive
+from motor_env.diagnosis.running.window_baseline import learn_windows
 from motor_env.diagnosis.running.pieces import Pieces
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
 from motor_env.diagnosis.running.windows import (

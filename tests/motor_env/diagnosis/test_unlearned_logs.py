@@ -24,7 +24,7 @@ from motor_env import (
     simulate_states,
 )
 from motor_env.diagnosis.running import lessons, unlearned
-from motor_env.diagnosis.running.unlearned import judge_for
+from motor_env.diagnosis.running.log_diagnosis import judge_for
 from motor_env.diagnosis.running.windows import viscous
 from motor_env.diagnosis.views import NAMES
 from motor_env.fitting import places

@@ -23,8 +23,8 @@ from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.learning import the_next, without
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons, windows
-from motor_env.diagnosis.running.drives import apart, driven, rms_volts
-from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.running.operating_conditions import apart, driven, rms_volts
+from motor_env.diagnosis.running.window_baseline import learn_windows
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of
 from motor_env.diagnosis.running.windows import (
     WARMTH,
