@@ -26,7 +26,6 @@ from motor_env.errors import InputError, require_options
 from motor_env.live.sources import LONGEST_LINE, NEW_FILE, Notice, Piece
 from motor_env.live.state import WINDOW, State
 from motor_env.motor.healthy import Healthy, Windows
-from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
 from motor_env.recordings.headers import understand
 from motor_env.recordings.plausible import LARGEST_CURRENT_A
@@ -39,8 +38,6 @@ _MOST_COLUMNS = 1000
 _LONGEST_NAME = 100
 _QUANTITIES = ("time", "voltage", "current", "speed")
 _NAME_THEM = 'name all columns in their order, such as --columns "t [s],I [mA],U [V],n [rpm]"'
-
-
 _SECOND = 1.0
 _OFTEN = frozenset(("malformed", "gap", "time_jump"))
 """Kinds that garbage gives with every line."""
@@ -154,11 +151,6 @@ class LearningPhase:
         return self.recordings[0].dt_s if self.recordings else math.inf
 
 
-def _recording(columns: dict[str, FloatArray], step_s: float | None) -> Recording:
-    even, values, _ = evened(columns["time"], {name: columns[name] for name in _QUANTITIES[1:]}, step_s)
-    return Recording(Path("stream"), even, values["current"], values["voltage"], values["speed"])
-
-
 # Garbage may look like a header for as long as it likes, and its words are mostly the same ones.
 _meaning = lru_cache(1024)(understand)
 
@@ -269,21 +261,20 @@ class Watch:
                 self._streamed_s += step
         self._window.extend(sample)
         if sample[0] - self._window[0] >= self._pace.window_s:
-            columns = dict(
-                zip(_QUANTITIES, np.array(self._window).reshape(-1, len(_QUANTITIES)).T, strict=True)
-            )
-            self._window = array("d")
-            event = self._close_window(columns)
+            event = self._close_window()
             if isinstance(self._phase, SequentialMonitor):  # before it is said: with it the state is kept
                 self.state.memory = self._phase.state_dict
             yield event
 
-    def _close_window(self, columns: dict[str, FloatArray]) -> Event:
+    def _close_window(self) -> Event:
+        time_s, *columns = np.array(self._window).reshape(-1, len(_QUANTITIES)).T
+        self._window, values = array("d"), dict(zip(_QUANTITIES[1:], columns, strict=True))
         for name in ("current", "speed"):
-            if columns["voltage"].any() and not np.ptp(columns[name]):
-                text = f"the {name} of a whole window is {columns[name][0]:.6g}"
+            if values["voltage"].any() and not np.ptp(values[name]):
+                text = f"the {name} of a whole window is {values[name][0]:.6g}"
                 return self._broken("stuck_sensor", text)
-        recording = _recording(columns, self._step_s)
+        even_s, values, _ = evened(time_s, values, self._step_s)
+        recording = Recording(Path("stream"), even_s, values["current"], values["voltage"], values["speed"])
         if abs(recording.dt_s - self._pace.dt_s) < _SAME_STEP * self._pace.dt_s:
             self._step_s = self._pace.dt_s
         if isinstance(self._phase, LearningPhase):
