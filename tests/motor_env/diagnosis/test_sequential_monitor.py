@@ -346,11 +346,10 @@ def test_a_window_under_an_unknown_condition_is_judged_by_itself_and_is_no_evide
 ) -> None:
     watch = monitor(with_conditions({1.0: np.zeros(4)}), HOUR)
     assert watch.diagnose(driven_by(1.1)).verdict is Verdict.WINDING
-    assert watch.alarm_active
-    before = watch.state_dict["sums"]
+    before = watch.state_dict
+    assert before["alarm"] == [1.0]
     assert watch.diagnose(driven_by(2.0)).verdict is Verdict.UNUSABLE
-    assert watch.state_dict["sums"] == before
-    assert not watch.alarm_active
+    assert watch.state_dict == before | {"alarm": [0.0]}
     assert rates == pytest.approx([WINDOW_S / 3600.0] * 2)
 
 
