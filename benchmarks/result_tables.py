@@ -16,14 +16,10 @@ import reference_scores
 from tables import KEPT, kept_tables, marked, table
 
 from motor_classifiers.report.trust_tables import trust_tables
-from motor_env.diagnosis.running.counting import fewest_in_a_row
-from motor_env.diagnosis.running.scales import AXES
-from motor_env.diagnosis.running.vigil import YEAR_S
 
 FOLDER = Path(__file__).resolve().parent
 DIGESTS = FOLDER.parent / "classifiers" / "motor_classifiers" / "contest" / "motor_bench.json"
 README, DOCS = FOLDER.parent / "README.md", FOLDER.parent / "docs"
-COUNTED_S = 20.0  # windows of the table of promises
 Row = dict[str, Any]
 
 _IN_README = {
@@ -188,16 +184,6 @@ def task_digests() -> str:
     return table(["task", "training starts", "test cases"], rows)
 
 
-def promises() -> str:
-    """Windows in a row that counting needs, by the number of healthy windows and the rate that is asked for."""
-    rates = {"an hour": 3600.0, "a day": 86_400.0, "a month": YEAR_S / 12.0, "a year": YEAR_S}
-    rows = [
-        [str(n), *(str(fewest_in_a_row(n, every_s / COUNTED_S, len(AXES))) for every_s in rates.values())]
-        for n in (4, 10, 20, 30, 100)
-    ]
-    return table(["healthy windows", *(f"one {name}" for name in rates)], rows)
-
-
 def pages() -> dict[Path, str]:
     """The pages with their tables made anew."""
     parts = {
@@ -223,7 +209,6 @@ def pages() -> dict[Path, str]:
     )
     parts[DOCS / "reference-scores.md"] = {"reference": reference_scores.table()}
     parts[DOCS / "citing.md"] = {"ids": id_digests(), "tasks": task_digests()}
-    parts[DOCS / "howto" / "watch.md"] = {"promises": promises()}
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 
 

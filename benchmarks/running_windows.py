@@ -31,7 +31,7 @@ from verdict_tables import HERE, Counts, How, Said, counted
 
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.motor_files import motor_of_windows
-from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.running.window_baseline import learn_windows
 from motor_env.recordings.recording import Recording, UnusableError
 
 WINDOW, LEARNED, JUDGED, RATE = 400, 10, 3, 0.01

@@ -45,7 +45,7 @@ def watch(
         baud: Of the serial port.
     """
     from motor_env.live import command
-    from motor_env.live.watch import Lesson
+    from motor_env.live.watch import LearningPhase
 
     return command.run(
         motor,
@@ -55,7 +55,7 @@ def watch(
         follow=follow,
         baud=baud,
         columns=columns,
-        lesson=None if learn is None else Lesson(window or learn / 20.0, learn, steady=steady),
+        learning=None if learn is None else LearningPhase(window or learn / 20.0, learn, steady=steady),
     )
 
 

@@ -138,7 +138,7 @@ def diagnose(
 
     def judged(one: Recording) -> Diagnosis:
         if taken.regime == "operation":
-            from motor_env.diagnosis.running.judge import judge_log
+            from motor_env.diagnosis.running.log_diagnosis import judge_log
 
             pieces, count = judge_log(one, motor, false_alarm_rate, **known)
             return Diagnosis(one, taken, tuple(pieces), count, periods_per_turn)

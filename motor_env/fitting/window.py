@@ -1,4 +1,4 @@
-"""One window of a motor at work near the healthy motor: its fit, or the first step of that fit alone.
+"""One window of a motor at work near the healthy motor: its fit.
 
 R, K, J and the drag, a factor on the whole friction, may change; all else stays as known.
 """
@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from motor_env.errors import InputError
 from motor_env.fitting import parameter_index as index
-from motor_env.fitting.ekf import BEGIN, OUTLIER_SDS
+from motor_env.fitting.ekf import BEGIN
 from motor_env.fitting.operation_fit import without_lines
 from motor_env.fitting.problem import STEP, Problem, Solution, motor_unknowns
 from motor_env.fitting.record import Record
@@ -32,8 +31,6 @@ _FAR = 0.4  # logarithm of R, K or J over the healthy one's, from where a fit go
 _DRAG, _DRAG_PLACES = ("coulomb", "B", "load_square"), [index.COULOMB, index.B, index.SQUARE]
 _LEAST_SHARE = 0.01  # of the friction, where a fit without a load begins
 _NO_WORK = 1e-12  # W, summed over the samples
-_TOLD_APART = 1e-10  # least eigenvalue of an information matrix whose diagonal is 1
-_UNTOLD = 10.0  # standard deviation of a logarithm of which the samples tell nothing
 
 
 class WindowFit(NamedTuple):
@@ -135,78 +132,13 @@ def without_load(best: Solution, speed_rad_s: float) -> Solution:
     return replace(best.problem, known=known, free=free).solve(theta[kept])
 
 
-class Scores(NamedTuple):
-    """Effects of small changes in sections of a record: of the logarithms of R, K, J and the drag, and of the loads.
-
-    Attributes:
-        gradients: of half the sum of squared innovations, shape (n, n_unknowns).
-        information: Fisher's, shape (n, n_unknowns, n_unknowns).
-        precision: of the prior, shape (n_unknowns,).
-    """
-
-    gradients: FloatArray
-    information: FloatArray
-    precision: FloatArray
-
-    def steps(self) -> tuple[FloatArray, FloatArray]:
-        """Return the first step of a fit of each (a score test), shape (n, 4), and its covariance, shape (n, 4, 4).
-
-        It is linear: its error is known however little a section tells. A load or an offset without information, as
-        while the circuit is open, stays as known.
-        """
-        known, eye = self.information + np.diag(self.precision), np.eye(len(self.precision))
-        untold = np.einsum("nii->ni", known) == 0.0
-        known = known + untold[:, None] * eye
-        sizes = np.einsum("nii->ni", known)
-        roots = np.sqrt(sizes)
-        least = np.linalg.eigvalsh(known / (roots[:, :, None] * roots[:, None, :]))[:, 0]
-        # Unknowns that nothing tells apart have an inverse of rounding errors alone.
-        apart = np.maximum(_TOLD_APART - least, 0.0)[:, None] * sizes
-        spread: FloatArray = np.asarray(np.linalg.inv(known + apart[:, None] * eye), dtype=np.float64)
-        step: FloatArray = -np.einsum("nij,nj->ni", spread, self.gradients)
-        return step[:, : len(_MOTOR)], spread[:, : len(_MOTOR), : len(_MOTOR)]
-
-
-def scores(
-    record: Record,
-    known: FloatArray,
-    wanted: Sequence[str],
-    peaks: tuple[float, float, float],
-    ends: Sequence[int],
-) -> Scores:
-    """Return scores of the sections of a record between given samples; the filter runs through.
-
-    Args:
-        record: with at least two samples.
-        known: physical values of the healthy motor, shape (parameter_index.N_VALUES,).
-        wanted: terms of its windows.
-        peaks: largest voltage, current and speed of its work.
-        ends: first sample of the first section, and where each ends.
-    """
-    problem, theta = _problem(record, known, [name for name in wanted if name in _LOADS], peaks)
-    white, slopes = _slopes(problem, theta)
-    slopes[_MOTOR.index("drag")] *= known[index.DRAG]  # of its logarithm
-    belief = [_UNTOLD] * len(_MOTOR) + [term.prior_sd for term in problem.free[len(_MOTOR) :]]
-    some = [
-        (slopes[:, first:end].reshape(len(theta), -1), white[first:end].ravel())
-        for first, end in pairwise(ends)
-    ]
-    return Scores(
-        np.array([slope @ innovations for slope, innovations in some]),
-        np.array([slope @ slope.T for slope, _ in some]),
-        np.power(belief, -2.0),
-    )
-
-
-def _problem(
-    record: Record, known: FloatArray, wanted: Sequence[str], peaks: tuple[float, float, float] | None = None
-) -> tuple[Problem, FloatArray]:
-    """Return a problem of R, K, J, the drag and the wanted terms that differ between windows, and its begin.
+def _problem(record: Record, known: FloatArray, wanted: Sequence[str]) -> tuple[Problem, FloatArray]:
+    """R, K, J, the drag and those of the wanted terms that differ from window to window as unknowns; known values.
 
     Raises:
         InputError: a noise or a constant that is 0 gives them no unit.
     """
-    every = terms(record, known, peaks)
+    every = terms(record, known)
     every["drag"] = replace(every["coulomb"], name="drag", place=index.DRAG, unit=1.0, low=0.05, high=20.0)
     free = tuple(every[name] for name in (*_MOTOR, *_LOADS, *NOISES) if name in (*_MOTOR, *wanted))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -217,14 +149,3 @@ def _problem(
         math.log(max(value, 1e-300)) if term.is_log else value for term, value in zip(free, at, strict=True)
     ]
     return Problem(record, known, free), np.array(begin)
-
-
-def _slopes(problem: Problem, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return whitened innovations, shape (n, n_channels), and their derivatives, (n_unknowns, n, n_channels).
-
-    Outliers are cut, not their derivatives: a fault that makes all innovations outliers is seen.
-    """
-    moved = theta + STEP * np.eye(len(theta))
-    out, _ = problem.record.predict_each(problem.values_each(np.vstack([theta, moved])))
-    base, *white = out[:, :, :2][:, :, problem.record.seen > 0.0]
-    return np.clip(base, -OUTLIER_SDS, OUTLIER_SDS), (np.array(white) - base) / STEP

@@ -13,8 +13,8 @@ from typing import IO, Any, NamedTuple
 from pydantic import TypeAdapter
 
 from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.running.drives import rms_volts
-from motor_env.diagnosis.running.lessons import effective_speed, known_of
+from motor_env.diagnosis.running.operating_conditions import rms_volts
+from motor_env.diagnosis.running.window_baseline import effective_speed, known_of
 from motor_env.diagnosis.running.windows import averaged
 from motor_env.diagnosis.views import NAMES
 from motor_env.errors import InputError

@@ -13,11 +13,9 @@ from motor_env.console import printable
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.errors import InputError
 from motor_env.files import LARGEST_NOTE_BYTES, read_file
-from motor_env.live.events import Event
-from motor_env.live.pieces import NEW_FILE, lines
-from motor_env.live.sources import identity, source
+from motor_env.live.sources import NEW_FILE, identity, lines, source
 from motor_env.live.state import State
-from motor_env.live.watch import Lesson, Watch
+from motor_env.live.watch import Event, LearningPhase, Watch
 from motor_env.motor.data_sheet import Motor, load_motor, save_motor
 from motor_env.motor.healthy import Healthy
 
@@ -31,21 +29,21 @@ def run(
     follow: bool,
     baud: int,
     columns: str | None,
-    lesson: Lesson | None,
+    learning: LearningPhase | None,
 ) -> int:
-    """Watch until the lines end or the user ends it; the exit status.
+    """Watch until the lines end or the user ends it; return the exit status.
 
     Raises:
         InputError: the motor was not learned from windows, or a source cannot be read.
     """
     if name is None and follow:
         raise InputError("--follow needs a log; standard input is waited for anyway")
-    known = _known(motor) if lesson is None or motor.exists() else lesson
+    known = _known(motor) if learning is None or motor.exists() else learning
     seen = State.load(state, _digest(motor), identity(name))
     seen.header = columns or seen.header
     watcher = Watch(known, seen, false_alarms_per_year=false_alarms_per_year)
-    if watcher.promise:
-        sys.stderr.write(f"{watcher.promise}\n")
+    if rate := watcher.describe_false_alarm_rate():
+        sys.stderr.write(f"{rate}\n")
     before = seen.last_read.encode("latin-1")
     pieces = source(name, follow=follow, baud=baud, offset=seen.offset, last_read=before)
     with suppress(KeyboardInterrupt), showing(seen.counts) as show:  # Ctrl-C is the usual end of a watch
@@ -84,12 +82,12 @@ def watch(
 
 
 def _digest(motor: Path) -> str:
-    """Digest of the motor file, which was read; empty where there is none, since it is to be learned."""
+    """Digest the motor file, which was read; empty where there is none, since it is to be learned."""
     return hashlib.sha256(read_file(motor, LARGEST_NOTE_BYTES)).hexdigest() if motor.exists() else ""
 
 
 def _known(motor: Path) -> Healthy:
-    """What windows have taught of the motor of a file."""
+    """Load what windows have taught of the motor of a file."""
     try:
         return _windows_of(load_motor(motor))
     except InputError as error:
@@ -107,7 +105,7 @@ def _windows_of(motor: Motor) -> Healthy:
 
 @contextmanager
 def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
-    """Yields the function that shows an event; the counts are those of all events."""
+    """Yield the function that shows an event; the counts are those of all events."""
     if not sys.stdout.isatty():
         yield _line
         return

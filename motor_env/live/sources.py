@@ -1,4 +1,4 @@
-"""Where lines come from: standard input, a growing file, a serial port, MQTT.
+"""Sources of lines: standard input, a growing file, a serial port, MQTT; and how their bytes are framed.
 
 A source yields bytes as they come, and nothing (b"") at least every second while none do.
 """
@@ -12,22 +12,70 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from motor_env.errors import InputError
-from motor_env.live.pieces import BLOCK_BYTES, NEW_FILE, Notice, Piece
 
+NEW_FILE = "new_file"
+SILENCE_S = 5.0
+LONGEST_LINE = 1 << 16
+BLOCK_BYTES = 512
+"""By so many bytes before its place a reader sees that a file is still the one that it has read."""
 _PAUSE_S = 0.2
 _CHUNK = 1 << 16
 _MOST_WAITING_BYTES = 1 << 26
 _PIECE_BYTES = 100  # of a piece beside what is in it
 
 
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A source's message beside lines: kind (silence, unplugged, lost, new_file), and words."""
+
+    kind: str
+    text: str
+
+
+Piece = bytes | Notice
+SILENCE = Notice("silence", f"no line for {SILENCE_S:g} s: is the cable in?")
+
+
+def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
+    """Frame pieces as whole lines; SILENCE once where none come for a while.
+
+    What is longer than LONGEST_LINE comes in parts, of which only the last one ends with a line end.
+
+    Args:
+        pieces: of a source.
+        rest: whether what follows the last line end is a line, too.
+    """
+    left, heard_s, is_silent = bytearray(), time.monotonic(), False
+    for piece in pieces:
+        if isinstance(piece, Notice):
+            left.clear()
+            yield piece
+            heard_s, is_silent = time.monotonic(), piece.kind == "unplugged"
+            continue
+        left += piece
+        if b"\n" in piece:
+            *whole, left = left.split(b"\n")
+            yield from (bytes(line) + b"\n" for line in whole)
+            heard_s, is_silent = time.monotonic(), False  # now: a window may have been judged meanwhile
+        if len(left) > LONGEST_LINE:
+            yield bytes(left)
+            left.clear()
+        if not is_silent and time.monotonic() - heard_s > SILENCE_S:
+            is_silent = True
+            yield SILENCE
+    if left and rest:
+        yield bytes(left)
+
+
 def identity(name: str | None) -> str:
-    """What is watched, as a state and sentences name it: a file by its whole path, a broker without a password.
+    """Name what is watched in states and sentences: a file by its whole path, a broker without a password.
 
     Raises:
         InputError: it names no source.
@@ -47,7 +95,7 @@ def identity(name: str | None) -> str:
 def source(
     name: str | None, *, follow: bool, baud: int, offset: int = 0, last_read: bytes = b""
 ) -> Iterator[Piece]:
-    """Pieces of what a user names: a file, serial:PORT, mqtt://HOST/TOPIC; standard input without a name.
+    """Open what a user names: a file, serial:PORT, mqtt://HOST/TOPIC; standard input without a name.
 
     Args:
         name: of the source.
@@ -82,7 +130,7 @@ def _standard_input() -> Iterator[Piece]:
 
 
 def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece]:
-    """Each read begins with the block before it: where that is another one, so is the file, however long it is."""
+    """Read a file. Each read begins with the block before it: where that is another one, so is the file."""
     file, following = _opened(path), None
     try:
         while True:
@@ -121,7 +169,7 @@ def _opened(path: Path) -> FileIO:
 
 
 def _following(path: Path, file: FileIO) -> FileIO | None:
-    """Another file in its place, once something is in it: before that, the old one may still grow."""
+    """Open another file in its place, once something is in it: before that, the old one may still grow."""
     with suppress(FileNotFoundError):
         now = path.stat()
         if now.st_size > 0 and not os.path.samestat(now, os.fstat(file.fileno())):
@@ -140,7 +188,7 @@ def _serial(port: str, baud: int) -> Iterator[Piece]:
     except (serial.SerialException, ValueError) as error:
         reason = os.strerror(error.errno).lower() if isinstance(error, OSError) and error.errno else error
         raise InputError(f"serial port {port}: {reason}") from None
-    waiting = _Waiting()
+    waiting = _BoundedQueue()
 
     def read() -> None:
         while True:
@@ -186,7 +234,7 @@ def _mqtt(broker: _Broker) -> Iterator[Piece]:
         from paho.mqtt.enums import CallbackAPIVersion
     except ImportError:
         raise InputError("MQTT needs paho-mqtt: pip install 'motor-env[live]'") from None
-    waiting = _Waiting()
+    waiting = _BoundedQueue()
     client = Client(CallbackAPIVersion.VERSION2)
     if broker.user:
         client.username_pw_set(broker.user, broker.password)
@@ -208,8 +256,8 @@ def _mqtt(broker: _Broker) -> Iterator[Piece]:
     return _from(waiting)
 
 
-class _Waiting(queue.Queue[Piece | None]):
-    """Pieces that wait for a watch that lags behind; of what finds no room the watch is told how much it was."""
+class _BoundedQueue(queue.Queue[Piece | None]):
+    """Queue pieces for a watch that lags behind, and count those that find no room."""
 
     def __init__(self) -> None:
         self._bytes, self._lost = 0, 0
@@ -244,7 +292,7 @@ def _size(item: Piece | None) -> int:
 
 
 def _from(waiting: queue.Queue[Piece | None]) -> Iterator[Piece]:
-    """What threads have put in, up to None."""
+    """Yield what threads have put in, up to None."""
     piece: Piece | None = b""
     while piece is not None:
         yield piece

@@ -1,4 +1,4 @@
-"""What a watch has seen so far, in a file, so that it goes on after it was killed."""
+"""The state of a watch in a file, so that it goes on after it was killed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.errors import InputError
 from motor_env.files import LARGEST_TABLE_BYTES, read_json, write_text
-from motor_env.live.pieces import BLOCK_BYTES
+from motor_env.live.sources import BLOCK_BYTES
 from motor_env.motor.parameters import require
 from motor_env.motor.toml_files import from_dict
 
@@ -24,7 +24,7 @@ WINDOW = "window "
 
 @dataclass
 class State:
-    """What has been seen so far, of which motor and where.
+    """The state of a watch: what was seen, of which motor and where.
 
     Attributes:
         motor: digest of the motor file; empty while the motor is being learned.
@@ -33,7 +33,7 @@ class State:
         last_read: the last of these bytes, a letter each: whether a file is still the one that was read.
         counts: verdicts of windows and kinds of other events.
         header: line that names the columns.
-        memory: evidence and what was learned since the commissioning, see `Vigil.memory`.
+        memory: evidence against the healthy motor, see `SequentialMonitor.state_dict`.
     """
 
     motor: str = ""
@@ -64,7 +64,7 @@ class State:
 
     @classmethod
     def load(cls, path: Path | None, motor: str, source: str) -> Self:
-        """From its file; new where there is none.
+        """Read it from its file; new where there is none.
 
         Raises:
             InputError: the file is no state of this command, or that of another motor or source.
@@ -94,18 +94,18 @@ class State:
         """Write it whole."""
         write_text(path, json.dumps(vars(self)))
 
-    def heard(self, line: bytes) -> None:
-        """Bytes that are judged."""
+    def advance(self, line: bytes) -> None:
+        """Count bytes that are judged."""
         self.offset += len(line)
         self.last_read = (self.last_read + line[-BLOCK_BYTES:].decode("latin-1"))[-BLOCK_BYTES:]
 
     def begin(self) -> None:
-        """A new file is read from its begin."""
+        """Begin anew, with a new file."""
         self.offset, self.last_read = 0, ""
 
     @property
     def exit_status(self) -> ExitStatus:
-        """Exit status of the verdicts on windows; undecided where there is none."""
+        """Exit status by the verdicts on windows; undecided where there is none."""
         return worst(
             Verdict(name.removeprefix(WINDOW)).status
             for name, n in self.counts.items()

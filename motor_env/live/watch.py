@@ -7,6 +7,7 @@ stream: a line that is no sample, a gap, a jump of time, a stuck sensor, silence
 from __future__ import annotations
 
 import math
+import time
 from array import array
 from codecs import BOM_UTF8
 from collections.abc import Iterable, Iterator
@@ -16,16 +17,15 @@ from pathlib import Path
 
 import numpy as np
 
-from motor_env.diagnosis.running.lessons import FEWEST_WINDOWS, learn_windows
-from motor_env.diagnosis.running.vigil import CONTEXT, YEAR_S, Vigil
+from motor_env.console import json_text
+from motor_env.diagnosis.running.sequential_monitor import SequentialMonitor
+from motor_env.diagnosis.running.window_baseline import FEWEST_WINDOWS, learn_windows
 from motor_env.diagnosis.running.windows import averaged, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
-from motor_env.live.events import Event, Seldom
-from motor_env.live.pieces import LONGEST_LINE, NEW_FILE, Notice, Piece
-from motor_env.live.state import State
+from motor_env.live.sources import LONGEST_LINE, NEW_FILE, Notice, Piece
+from motor_env.live.state import WINDOW, State
 from motor_env.motor.healthy import Healthy, Windows
-from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.headers import LARGEST_CURRENT_A, understand
 from motor_env.recordings.recording import Recording, UnusableError, resampled as evened
 
@@ -36,11 +36,94 @@ _MOST_COLUMNS = 1000
 _LONGEST_NAME = 100
 _QUANTITIES = ("time", "voltage", "current", "speed")
 _NAME_THEM = 'name all columns in their order, such as --columns "t [s],I [mA],U [V],n [rpm]"'
+_SECOND = 1.0
+_OFTEN = frozenset(("malformed", "gap", "time_jump"))
+"""Kinds that garbage gives with every line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """An event: a verdict on a window, or what is wrong with the stream.
+
+    Attributes:
+        time_s: end of the window, or when it was seen.
+        kind: window, learning, learned, not_learned, another_motor, malformed, gap, time_jump, stuck_sensor, silence,
+            unplugged, lost or new_file.
+        text: verdict of a window; else what was seen.
+        ratios: quantities of the window over the healthy ones.
+        reason: why a window is unusable, or what shows that a sensor failed.
+        fault_kind: kind of the fault, where it can be told from others of its family.
+        undecided: quantities of a window of which a doubling would not show.
+        count: how many of this kind there were since one was last said; this is the latest of them.
+    """
+
+    time_s: float
+    kind: str
+    text: str
+    ratios: dict[str, float] = field(default_factory=dict)
+    reason: str = ""
+    fault_kind: str | None = None
+    undecided: tuple[str, ...] = ()
+    count: int = 1
+
+    @property
+    def name(self) -> str:
+        """Name by which it is counted."""
+        return f"{WINDOW}{self.text}" if self.kind == "window" else self.kind
+
+    def as_json(self) -> str:
+        """Write it as one line."""
+        is_window = self.kind == "window"
+        fields = {
+            "time_s": self.time_s,
+            "event": self.kind,
+            "verdict": self.text if is_window else None,
+            "kind": self.fault_kind,
+            "reason": self.reason if is_window else self.text,
+            "ratios": {name: round(ratio, 4) for name, ratio in self.ratios.items()},
+            "undecided": list(self.undecided),
+            "count": self.count if self.count > 1 else None,
+        }
+        return json_text(
+            {name: value for name, value in fields.items() if value not in ("", {}, [], None)}, indent=None
+        )
+
+
+class EventThrottle:
+    """Passes at most one event a second of a kind that garbage gives with every line, with their count.
+
+    A second of the stream or of the wall clock: the first so that a log is told the same way however fast it is read,
+    the second so that a stream of nothing but garbage is told at all.
+    """
+
+    def __init__(self) -> None:
+        self._said_s: dict[str, tuple[float, float]] = {}
+        self._held: dict[str, Event] = {}
+
+    def passed(self, events: Iterable[Event], streamed_s: float) -> Iterator[Event]:
+        """Yield those that are said now, and those that were held back and are due."""
+        for event in events:
+            if event.kind not in _OFTEN:
+                yield event
+            else:
+                held = self._held.get(event.kind)
+                self._held[event.kind] = event if held is None else replace(event, count=held.count + 1)
+        if self._held:
+            now_s = (streamed_s, time.monotonic())
+            for kind in list(self._held):
+                before_s = self._said_s.get(kind, (-math.inf, -math.inf))
+                if any(now - before >= _SECOND for now, before in zip(now_s, before_s, strict=True)):
+                    self._said_s[kind] = now_s
+                    yield self._held.pop(kind)
+
+    def rest(self) -> Iterator[Event]:
+        """Yield what is still held back when the lines end."""
+        yield from self._held.values()
 
 
 @dataclass
-class Lesson:
-    """Windows of a healthy motor, until there are enough to learn from.
+class LearningPhase:
+    """Collects windows of a healthy motor, until there are enough to learn from.
 
     Attributes:
         window_s: length of a window.
@@ -66,21 +149,12 @@ class Lesson:
         return self.recordings[0].dt_s if self.recordings else math.inf
 
 
-def _columns(samples: array[float]) -> dict[str, FloatArray]:
-    return dict(zip(_QUANTITIES, np.array(samples).reshape(-1, len(_QUANTITIES)).T, strict=True))
-
-
-def _recording(columns: dict[str, FloatArray], step_s: float | None) -> Recording:
-    even, values, _ = evened(columns["time"], {name: columns[name] for name in _QUANTITIES[1:]}, step_s)
-    return Recording(Path("stream"), even, values["current"], values["voltage"], values["speed"])
-
-
 # Garbage may look like a header for as long as it likes, and its words are mostly the same ones.
 _meaning = lru_cache(1024)(understand)
 
 
 class Watch:
-    """Takes lines, gives events.
+    """Turns lines into events.
 
     Args:
         healthy: what windows of the healthy motor have taught, or what is to be learned from the stream.
@@ -91,48 +165,49 @@ class Watch:
         InputError: the state holds the memory of another motor.
     """
 
-    def __init__(self, healthy: Healthy | Lesson, state: State, *, false_alarms_per_year: float) -> None:
+    def __init__(
+        self, healthy: Healthy | LearningPhase, state: State, *, false_alarms_per_year: float
+    ) -> None:
         require_options(false_alarms_per_year=false_alarms_per_year)
         self.state = state
         self.healthy: Healthy | None = None
         self._per_year = false_alarms_per_year
-        self._work: Lesson | Vigil
-        if isinstance(healthy, Lesson):
-            self._work = healthy
+        self._phase: LearningPhase | SequentialMonitor
+        if isinstance(healthy, LearningPhase):
+            self._phase = healthy
         else:
-            self._guard(healthy, state.memory)
-        self.rate = min(false_alarms_per_year * self._pace.window_s / YEAR_S, 0.5)
+            self._monitor(healthy, state.memory)
         self._columns: list[tuple[int, float]] = []
-        self._window, self._before = array("d"), array("d")
-        self._heard_s, self._next_piece_s = 0.0, math.inf  # of this window; the end of the next piece
+        self._window = array("d")
         self._last: list[float] | None = None
         self._same = 0
         self._step_s: float | None = None  # between samples, once it was that of the healthy windows
         self._streamed_s = 0.0  # by the stream's own time, gaps left out
         self._is_begin = True  # whether the next bytes begin a line
-        self._seldom = Seldom()
+        self._throttle = EventThrottle()
         if state.header and not self._read_header(state.header):
             raise InputError(f"columns must name {', '.join(_QUANTITIES)}, got {state.header[:80]!r}")
 
-    def _guard(self, healthy: Healthy, memory: dict[str, list[float]] | None = None) -> None:
+    def _monitor(self, healthy: Healthy, state: dict[str, list[float]] | None = None) -> None:
         self.healthy = healthy
-        self._work = Vigil(judge_of(healthy), healthy, false_alarms_per_year=self._per_year, memory=memory)
+        self._phase = SequentialMonitor(
+            judge_of(healthy), healthy, false_alarms_per_year=self._per_year, state=state
+        )
+
+    def describe_false_alarm_rate(self) -> str:
+        """Say what holds of the rate of false alarms; empty before anything is learned."""
+        return "" if isinstance(self._phase, LearningPhase) else self._phase.describe_false_alarm_rate()
 
     @property
-    def promise(self) -> str:
-        """What holds of the rate of false alarms, in words; empty before anything is learned."""
-        return "" if isinstance(self._work, Lesson) else self._work.promise
-
-    @property
-    def _pace(self) -> Windows | Lesson:
+    def _pace(self) -> Windows | LearningPhase:
         """What tells the length of a window and the sampling interval."""
-        return self._work if isinstance(self._work, Lesson) else self._work.judge.windows
+        return self._phase if isinstance(self._phase, LearningPhase) else self._phase.judge.windows
 
     def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
-        """Events of lines and of what their source says."""
+        """Yield the events of lines and of what their source says."""
         for line in lines:
-            yield from self._seldom.told(self._counted(line), self._streamed_s)
-        yield from self._seldom.rest()
+            yield from self._throttle.passed(self._counted(line), self._streamed_s)
+        yield from self._throttle.rest()
         if not self._columns and self.state.counts["malformed"]:
             raise InputError(f"no line names the columns time, voltage, current and speed; {_NAME_THEM}")
 
@@ -144,7 +219,7 @@ class Watch:
             self._last, self._is_begin = None, True
         else:
             is_begin, self._is_begin = self._is_begin, line.endswith(b"\n")
-            self.state.heard(line)
+            self.state.advance(line)
             events = self._line(line) if is_begin else ()
         for event in events:
             self.state.counts[event.name] += 1
@@ -182,76 +257,50 @@ class Watch:
                 yield self._broken("gap", f"{step:.6g} s without a sample")
             else:
                 self._streamed_s += step
-        if not self._window:
-            self._heard_s, self._next_piece_s = sample[0], math.inf
-            if not isinstance(self._work, Lesson):
-                self._work.begin()
-                self._next_piece_s = sample[0] + self._work.piece_s
         self._window.extend(sample)
         if sample[0] - self._window[0] >= self._pace.window_s:
-            yield from self._heard()
-            self._before, self._window = self._window, array("d")
-            event = self._ended(_columns(self._before))
-            if not isinstance(self._work, Lesson):  # before it is said: with it the state is kept
-                self.state.memory = self._work.memory
+            event = self._close_window()
+            if isinstance(self._phase, SequentialMonitor):  # before it is said: with it the state is kept
+                self.state.memory = self._phase.state_dict
             yield event
-        elif sample[0] >= self._next_piece_s:
-            yield from self._heard()
 
-    def _heard(self) -> Iterator[Event]:
-        """What the window says up to now, if it is an alarm."""
-        vigil = self._work
-        if isinstance(vigil, Lesson):
-            return
-        samples = self._before[-CONTEXT * len(_QUANTITIES) :] + self._window
-        goes_on = vigil.goes_on
-        is_alarm = vigil.heard(_recording(_columns(samples), self._step_s), self._heard_s)
-        self._heard_s = self._time_s
-        self._next_piece_s += vigil.piece_s
-        if is_alarm:
-            whole = _recording(_columns(self._before + self._window), self._step_s)
-            if alarm := vigil.alarm(whole, self.rate):
-                # How large the fault is shows only at the window's end. A stretch in which it begins is of two motors.
-                event = self._judged(alarm, may_be_another=goes_on)
-                yield replace(event, ratios={}, undecided=(), span_s=round(alarm.duration_s, 6))
-
-    def _ended(self, columns: dict[str, FloatArray]) -> Event:
+    def _close_window(self) -> Event:
+        time_s, *columns = np.array(self._window).reshape(-1, len(_QUANTITIES)).T
+        self._window, values = array("d"), dict(zip(_QUANTITIES[1:], columns, strict=True))
         for name in ("current", "speed"):
-            if columns["voltage"].any() and not np.ptp(columns[name]):
-                text = f"the {name} of a whole window is {columns[name][0]:.6g}"
+            if values["voltage"].any() and not np.ptp(values[name]):
+                text = f"the {name} of a whole window is {values[name][0]:.6g}"
                 return self._broken("stuck_sensor", text)
-        recording = _recording(columns, self._step_s)
+        even_s, values, _ = evened(time_s, values, self._step_s)
+        recording = Recording(Path("stream"), even_s, values["current"], values["voltage"], values["speed"])
         if abs(recording.dt_s - self._pace.dt_s) < _SAME_STEP * self._pace.dt_s:
             self._step_s = self._pace.dt_s
-        vigil = self._work
-        if isinstance(vigil, Lesson):
-            return self._taught(recording, vigil)
+        if isinstance(self._phase, LearningPhase):
+            return self._learned(recording, self._phase)
         try:
-            is_alarm = None if vigil.sets_aside(recording) else vigil.ended
-            return self._judged(vigil.judge.judge(recording, self.rate, is_alarm)[0][0])
+            return self._verdict(self._phase.diagnose(recording))
         except UnusableError as error:
-            vigil.cut()
             return Event(self._time_s, "window", "unusable", reason=str(error))
 
-    def _taught(self, recording: Recording, lesson: Lesson) -> Event:
-        lesson.recordings.append(averaged(recording, lesson.window_s))
-        learned_s = len(lesson.recordings) * lesson.window_s
-        words = f"{learned_s:g} of {lesson.learn_s:g} s"
-        if learned_s < lesson.learn_s * (1.0 - 1e-9):
+    def _learned(self, recording: Recording, phase: LearningPhase) -> Event:
+        phase.recordings.append(averaged(recording, phase.window_s))
+        learned_s = len(phase.recordings) * phase.window_s
+        words = f"{learned_s:g} of {phase.learn_s:g} s"
+        if learned_s < phase.learn_s * (1.0 - 1e-9):
             return Event(self._time_s, "learning", words)
         try:
-            healthy, _ = learn_windows(lesson.recordings, lesson.window_s, steady=lesson.steady)
+            healthy, _ = learn_windows(phase.recordings, phase.window_s, steady=phase.steady)
         except UnusableError as error:
-            lesson.recordings.clear()
+            phase.recordings.clear()
             return Event(self._time_s, "not_learned", str(error))
-        self._guard(healthy)
-        return Event(self._time_s, "learned", f"{words}: {self.promise}")
+        self._monitor(healthy)
+        return Event(self._time_s, "learned", f"{words}: {self.describe_false_alarm_rate()}")
 
-    def _judged(self, window: Judgement, *, may_be_another: bool = True) -> Event:
+    def _verdict(self, window: Judgement) -> Event:
         ratios = {change.name: change.ratio for change in window.changes}
         moved = {change.name for change in window.changes if change.significant}
         # No wear moves both.
-        if may_be_another and window.verdict is Verdict.OTHER and {"K", "J"} <= moved:
+        if window.verdict is Verdict.OTHER and {"K", "J"} <= moved:
             return Event(
                 self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
             )
@@ -266,9 +315,7 @@ class Watch:
         )
 
     def _broken(self, kind: str, text: str) -> Event:
-        self._window, self._before = array("d"), array("d")
-        if not isinstance(self._work, Lesson):
-            self._work.cut()
+        self._window = array("d")
         return Event(self._time_s, kind, text)
 
     @property

@@ -291,7 +291,7 @@ def to_toml(motor: Motor) -> str:
         whole = content["healthy"]
         parts = {name: whole.pop(name) for name in ("starts", "windows", "fleet")}
         tables["healthy"] = whole
-        lists = {name: parts["windows"].pop(name) for name in ("drives", "scales") if parts["windows"]}
+        below = {name: parts["windows"].pop(name) for name in ("drives", "calibration") if parts["windows"]}
         tables |= {f"healthy.{name}": part for name, part in parts.items() if part is not None}
-        tables |= {f"healthy.windows.{name}": rows for name, rows in lists.items()}
+        tables |= {f"healthy.windows.{name}": part for name, part in below.items() if part}
     return toml_text(top, tables)

@@ -54,54 +54,43 @@ class Starts:
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
-    """What healthy pieces of one length have taught: of the logarithms of R, K, J and B over the healthy ones.
-
-    The states are those of `running.pieces`: standing, creeping, turning slowly or fast, each by direction.
+class ScoreCalibration:
+    """What healthy windows have taught `watch`: of the logarithms of R, K, J and B over the healthy ones.
 
     Attributes:
-        halvings: a window's length over that of a piece, as a power of 2.
-        counts: pieces by state, shape (n_states,).
-        centres: mean by state, shape (n_states, 4).
-        covariances: by state, of what is whitened by the fit's own error, shape (n_states, 4, 4).
-        freedom: degrees of freedom of their tails (Student's t).
-        information: mean inverse of a piece's covariance, shape (4, 4).
-        wander: covariance of how far a healthy motor may stay off these centres, shape (4, 4).
-        healthy_windows: number of windows that have taught it.
+        windows: number of healthy windows.
+        covariance: of what is whitened by the fit's own error, shape (4, 4).
+        degrees_of_freedom: of the tails (Student's t).
+        drift_covariance: of how far a healthy motor may drift, shape (4, 4).
+        tails_hold: whether these windows, each judged by the others, alarm no more often than the tails allow.
     """
 
-    halvings: Annotated[int, Field(ge=0, le=20)]
-    counts: Annotated[FloatArray, ArrayOf(tuple[NotNegative, ...])]
-    centres: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
-    covariances: Annotated[FloatArray, ArrayOf(tuple[tuple[tuple[Finite, ...], ...], ...])]
-    freedom: Positive
-    information: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
-    wander: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
-    healthy_windows: Annotated[int, Field(ge=2)]
+    windows: Annotated[int, Field(ge=2)]
+    covariance: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    degrees_of_freedom: Positive
+    drift_covariance: Annotated[FloatArray, ArrayOf(tuple[tuple[Finite, ...], ...])]
+    tails_hold: bool = False
 
     def __post_init__(self) -> None:
-        n = len(self.counts)
         require(
-            np.shape(self.centres) == (n, 4)
-            and np.shape(self.covariances) == (n, 4, 4)
-            and np.shape(self.wander) == np.shape(self.information) == (4, 4),
-            f"healthy.windows.scales: counts has {n} states; the other tables must go with them",
+            np.shape(self.covariance) == np.shape(self.drift_covariance) == (4, 4),
+            "healthy.windows.calibration: the covariances must be 4 by 4",
         )
         require(
-            bool((np.linalg.eigvalsh(self.covariances) > 0.0).all())
-            and np.linalg.eigvalsh(self.wander)[0] >= -1e-12,
-            "healthy.windows.scales: covariances must be positive definite",
+            bool(np.linalg.eigvalsh(self.covariance)[0] > 0.0)
+            and np.linalg.eigvalsh(self.drift_covariance)[0] >= -1e-12,
+            "healthy.windows.calibration: covariance must be positive definite, drift_covariance must not be negative",
         )
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class OperatingCondition:
     """One way in which a healthy motor was driven, and what windows driven alike tell of the next one.
 
     Attributes:
         pieces: which of the healthy windows.
         moved: how voltage, current and speed were distributed and moved in them, or in some of many, shape
-            (n, 3, 17), see `running.drives.driven`.
+            (n, 3, 17), see `condition_features`.
         values: geometric means of R, K, J and B over them, SI, shape (4,).
         log_covariance: of the logarithms of the next window's, shape (4, 4).
         degrees_of_freedom: of that covariance (Student t).
@@ -140,15 +129,12 @@ class Windows:
         dt_s: sampling interval of the fit.
         speed_rad_s: effective speed, at which the drag over the speed is the quantity B.
         rms_volts: least and largest effective voltage of a window; None where none was commissioned.
-        peaks: largest voltage, current and speed of the windows: the scale of what is small; 1 each unless given.
+        peaks: largest voltage, current and speed of the windows; None where they are not known.
         window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
             their own errors where these are larger (variance).
         drives: how it was driven; none where nothing but a fault moves the motor.
-        alike: how far from a window of a drive one may be that is driven alike, see `running.drives.apart`.
-        scales: what healthy pieces of windows have taught, the shortest first and whole windows last; none for
-            windows that were not watched.
-        most: how far the farthest healthy window is off along each of `running.scales.AXES`.
-        replayed: how often these windows alarm, judged by what the others teach, at thresholds of 4, 16, 64, ...
+        alike: how far from a window of a drive one may be that is driven alike, see `condition_distance`.
+        calibration: of the scores of `watch`; None for windows that were not compared with each other.
         one_way: whether the motor turns one way only: all that brakes is friction then.
     """
 
@@ -161,11 +147,9 @@ class Windows:
     rms_volts: tuple[Positive, Positive] | None = None
     peaks: tuple[Positive, Positive, Positive] | None = None
     window_excess: Positive = 1.0
-    drives: tuple[Drive, ...] = ()
+    drives: tuple[OperatingCondition, ...] = ()
     alike: Positive = 1.0
-    scales: tuple[Scale, ...] = ()
-    most: tuple[Finite, ...] = ()
-    replayed: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    calibration: ScoreCalibration | None = None
     one_way: bool = False
 
 
@@ -232,7 +216,7 @@ class Healthy:
             "healthy must have one of the tables starts and windows",
         )
 
-    def under(self, drive: Drive) -> Healthy:
+    def under(self, drive: OperatingCondition) -> Healthy:
         """What windows of one of its drives have taught."""
         return replace(
             self,

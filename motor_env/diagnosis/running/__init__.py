@@ -1,1 +1,1 @@
-"""The verdict on a motor at work: what healthy windows of its logs teach, each window, and looks before it ends."""
+"""A motor at work: its baseline from healthy windows, the verdict on each window, and the sequential monitor."""

@@ -18,7 +18,14 @@ import numpy as np
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import alarm_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
-from motor_env.diagnosis.running.drives import FAR, driven, nearest, needed_columns, off_others, rms_volts
+from motor_env.diagnosis.running.operating_conditions import (
+    FAR,
+    condition_features,
+    nearest,
+    needed_columns,
+    off_others,
+    rms_volts,
+)
 from motor_env.diagnosis.sensors.checks import failure_in
 from motor_env.diagnosis.sensors.seen import Seen
 from motor_env.diagnosis.verdict import Judgement, Verdict
@@ -37,21 +44,21 @@ MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 _REGIME = 2.0
-DRIVE_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
-"""Standard deviation of the logarithms of R, K, J and B where a motor is driven otherwise, but not far: what the model
-lacks (stiction, a gear's teeth, brushes) is then taken for them in another way."""
+CONDITION_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
+"""Standard deviation of the logarithms of R, K, J and B under another condition that is not far: what the model lacks
+(stiction, a gear's teeth, brushes) is then taken for them in another way."""
 DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
 WARMTH = quantities.warmth_direction(EXPONENTS)
 
 
 def viscous(physical: FloatArray, speed_rad_s: float) -> float:
-    """Drag over the speed of a motor of these physical values, at a speed."""
+    """Return the drag over the speed of a motor of these physical values, at a speed."""
     dry, fan = physical[places.COULOMB] / speed_rad_s, physical[places.SQUARE] * speed_rad_s
     return float(max(physical[places.B] + dry + fan, 1e-300))
 
 
 def averaged(recording: Recording, window_s: float) -> Recording:
-    """The recording; of windows with more than MOST_SAMPLES, neighbours are averaged."""
+    """Average neighbours of windows with more than MOST_SAMPLES."""
     factor = math.ceil(window_s / recording.dt_s / MOST_SAMPLES - 1e-6)
     if factor <= 1:
         return recording
@@ -62,7 +69,7 @@ def averaged(recording: Recording, window_s: float) -> Recording:
 
 
 def windows_of(recording: Recording, window_s: float) -> list[Recording]:
-    """Windows of a recording of equal length, a rest at the end left out."""
+    """Cut a recording into windows of equal length; a rest at the end is left out."""
     recording = averaged(recording, window_s)
     length = round(window_s / recording.dt_s)
     count = len(recording.time_s) // length
@@ -70,7 +77,7 @@ def windows_of(recording: Recording, window_s: float) -> list[Recording]:
 
 
 def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
-    """A window's fit with the drag over the speed instead of a factor on the drag of the physical values."""
+    """Give a window's fit the drag over the speed instead of a factor on the drag of the physical values."""
     drag = math.log(viscous(physical, speed_rad_s))
     logs = fit.logs + np.array([0.0, 0.0, 0.0, drag])
     return FittedWindow(logs, fit.covariance, fit.whitened)
@@ -83,72 +90,63 @@ class WindowJudge:
     Attributes:
         windows: how healthy windows were recorded and fitted.
         reference: distribution of R, K, J and B of a healthy window.
-        references: of windows under each drive that it was commissioned in.
+        references: of windows under each operating condition that it was commissioned in.
     """
 
     windows: Windows
     reference: Reference
     references: tuple[Reference, ...] = ()
 
-    @property
-    def peaks(self) -> tuple[float, float, float]:
-        """Largest voltage, current and speed of the work; 1 each where they are not known."""
-        return self.windows.peaks or (1.0, 1.0, 1.0)
-
-    def physical(self, at: FloatArray | None = None) -> FloatArray:
-        """Physical values of the healthy motor; with logarithms of factors on R, K, J and the drag, shape (4,)."""
+    def physical(self) -> FloatArray:
+        """Return the physical values of the healthy motor."""
         known = self.windows.physical.copy()
-        values = np.exp(self.reference.log_values if at is None else self.reference.log_values + at)
+        values = np.exp(self.reference.log_values)
         known[[places.R, places.K, places.J]] = values[:3]
         known[places.DRAG] = values[3] / viscous(self.windows.physical, self.windows.speed_rad_s)
         return known
 
     def fitted(self, record: Record) -> FittedWindow:
-        """The fit of a window."""
+        """Fit a window."""
         windows = self.windows
         record = replace(record, hold=windows.hold)
         fit = fit_window(record, self.physical(), windows.terms, one_way=windows.one_way)
         return over_speed(fit, windows.physical, windows.speed_rad_s)
 
-    def drive_of(self, recording: Recording) -> tuple[int, float]:
-        """Which of the healthy drives the last window of a recording is like, and how far off: above 1 it is not."""
+    def condition_of(self, recording: Recording) -> tuple[int, float]:
+        """Find the healthy condition that a recording's last window is like, and how far off: above 1 it is not."""
         if not self.windows.drives:
             return 0, 0.0
         last = cut(recording, slice(-round(self.windows.window_s / recording.dt_s), None))
-        place, distance = nearest(driven(last), self.windows.drives)
+        place, distance = nearest(condition_features(last), self.windows.drives)
         return place, distance / self.windows.alike
 
     def under(self, place: int) -> WindowJudge:
-        """The judge of windows that are driven as in one of several drives: healthy are those that were, too."""
+        """Return the judge of windows under one of several conditions: healthy are those under it."""
         if len(self.references) < 2:
             return self
         return replace(self, reference=self.references[place])
 
-    def drive_spread(self, place: int, fit: FittedWindow) -> FloatArray:
-        """Standard deviation of the logarithms of R, K, J and B of a window that is driven otherwise, shape (4,).
+    def condition_spread(self, place: int, fit: FittedWindow) -> FloatArray:
+        """Return the standard deviation of the logarithms of R, K, J and B under another condition, shape (4,).
 
-        R, K and J of a motor are the same, however it is driven. The farther those of the nearest drive are off the
+        R, K and J of a motor are the same, however it is driven. The farther those of the nearest condition are off the
         others, the more the model lacks there. What it lacks of the torque is added to the friction: going down, the
         logarithm moves by more.
 
         Args:
-            place: of the drive.
+            place: of the nearest condition.
             fit: of the window.
         """
         off = off_others(self.windows.drives)[place]
-        times = float(np.sqrt(np.mean(np.square(off / DRIVE_SPREAD)[:-1])))
-        spread = DRIVE_SPREAD * max(times, 1.0)
+        times = float(np.sqrt(np.mean(np.square(off / CONDITION_SPREAD)[:-1])))
+        spread = CONDITION_SPREAD * max(times, 1.0)
         spread[-1] *= max(per_log(math.exp(fit.log_values[-1] - self.reference.log_values[-1])), 1.0)
         return spread
-
-    def is_sampled_alike(self, recording: Recording) -> bool:
-        """Whether the sampling interval is about that of the healthy windows."""
-        return 1.0 / _REGIME <= recording.dt_s / self.windows.dt_s <= _REGIME
 
     def judge(
         self, recording: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None = None
     ) -> tuple[list[Judgement], int]:
-        """A judgement on each window, and how many windows there are; together they alarm at the rate (Bonferroni).
+        """Judge each window; return also how many there are. Together they alarm at the rate (Bonferroni).
 
         Of more than MANY windows MOST_JUDGED are judged: half of them evenly spread, half those that the healthy motor
         explains worst. The rate is still shared by all.
@@ -162,7 +160,7 @@ class WindowJudge:
             UnusableError: the record is outside the commissioned regime, or shorter than a window.
         """
         sampled = averaged(recording, self.windows.window_s)
-        if not self.is_sampled_alike(sampled):
+        if not 1.0 / _REGIME <= sampled.dt_s / self.windows.dt_s <= _REGIME:
             raise UnusableError("outside the commissioned regime: another sampling interval")
         parts = windows_of(sampled, self.windows.window_s)
         if not parts:
@@ -175,10 +173,10 @@ class WindowJudge:
             )
         chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(sampled, parts)
         judged = [self._judged(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen]
-        return judged if len(self.references) < 2 else _agreed(judged), len(parts)
+        return judged if len(self.references) < 2 else _confirmed(judged), len(parts)
 
     def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
-        """Places of the windows that are judged, of many."""
+        """Choose the windows that are judged, of many."""
         values, length = self.physical(), len(parts[0].time_s)
         values[places.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
         misfits = np.zeros(len(parts))
@@ -193,7 +191,7 @@ class WindowJudge:
         return sorted({*evenly.tolist(), *np.argsort(misfits)[-MOST_JUDGED // 2 :].tolist()})
 
     def failed_sensor(self, part: Recording) -> Judgement | None:
-        """The judgement on a part of a log of which a sensor failed; None where none did."""
+        """Judge whether a sensor failed in a part of a log; None where none did."""
         volts, speed = needed_columns(part)
         if not volts.any():
             return None
@@ -205,11 +203,11 @@ class WindowJudge:
         failed = self.failed_sensor(part)
         if failed is not None:
             return failed
-        place, strange = self.drive_of(part)
+        place, strange = self.condition_of(part)
         alike = self.under(place)
         try:
             record = from_recordings([part])
-            # From the mean of drives that are far apart it may stay in a notch between them.
+            # From the mean of conditions that are far apart it may stay in a notch between them.
             fit = alike.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
@@ -220,22 +218,22 @@ class WindowJudge:
         if not judged.verdict.is_fault:
             return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
         own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
-        drive = np.diag(np.square(self.drive_spread(place, fit)))
-        spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
+        condition = np.diag(np.square(self.condition_spread(place, fit)))
+        spread = with_normal(own, condition, share, self.reference.degrees_of_freedom)
         allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
         if allowed.verdict.is_fault and strange <= FAR:
             return replace(allowed, reasons=(*allowed.reasons, DRIVEN_OTHERWISE))
-        return _untold(allowed, judged.reasons[0])
+        return _as_unusable(allowed, judged.reasons[0])
 
 
-def _untold(judged: Judgement, said: str) -> Judgement:
-    """A judgement on a window that is driven otherwise: unusable, with what would be said of one that is not."""
+def _as_unusable(judged: Judgement, said: str) -> Judgement:
+    """Judge a window that is driven otherwise unusable, and say what would be said of one that is not."""
     why = f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
     return replace(judged.as_other(f"{why} {said}"), verdict=Verdict.UNUSABLE, confidence=None)
 
 
-def _agreed(judged: list[Judgement]) -> list[Judgement]:
-    """Judgements on the windows of a record, of a motor with several drives: a fault beside them all shows in half.
+def _confirmed(judged: list[Judgement]) -> list[Judgement]:
+    """Check faults under unknown conditions, of a motor with several: a true one shows in half of these windows.
 
     A window that is driven like none of them is compared with all together, and each of them is off in its own way. A
     fault moves all such windows alike; what the model lacks is beyond the wide limits in a few.
@@ -245,21 +243,21 @@ def _agreed(judged: list[Judgement]) -> list[Judgement]:
     if 2 * sum(faults) >= sum(otherwise):
         return judged
     each = zip(judged, faults, strict=True)
-    return [_untold(one, one.reasons[0]) if is_fault else one for one, is_fault in each]
+    return [_as_unusable(one, one.reasons[0]) if is_fault else one for one, is_fault in each]
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
-    """The judge of a motor that was learned from windows.
+    """Make the judge of a motor that was learned from windows.
 
     Raises:
         UnusableError: the healthy pieces are no windows, or do not tell R, K, J and B.
         InputError: their physical values are not as many as the fit has.
     """
 
-    def taught_by(some: Healthy) -> Reference | None:
+    def reference_of(some: Healthy) -> Reference | None:
         return reference_of_pieces(some, NAMES, motor, are_starts=False, temperature_c=temperature_c)
 
-    reference = taught_by(healthy)
+    reference = reference_of(healthy)
     if healthy.windows is None or reference is None or reference.names != NAMES:
         raise UnusableError(f"the healthy pieces of {motor} do not tell {', '.join(NAMES)} of windows")
     if len(healthy.windows.physical) != places.N_VALUES:
@@ -267,5 +265,5 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
             f"{motor}: healthy.windows.physical must have {places.N_VALUES} values,"
             f" got {len(healthy.windows.physical)}"
         )
-    references = [taught_by(healthy.under(drive)) for drive in healthy.windows.drives]
+    references = [reference_of(healthy.under(condition)) for condition in healthy.windows.drives]
     return WindowJudge(healthy.windows, reference, tuple(one for one in references if one is not None))

@@ -318,12 +318,12 @@ def test_durations_of_the_command(
     asked: dict[str, Any], options: list[str], window_s: float, learn_s: float
 ) -> None:
     assert main(["watch", "m.toml", "log.csv", *options, "--steady", "--false-alarms-per-year", "7"]) == 3
-    lesson = asked["lesson"]
+    lesson = asked["learning"]
     assert (lesson.window_s, lesson.learn_s, lesson.steady) == (window_s, learn_s, True)
     assert asked["places"] == (Path("m.toml"), "log.csv")
     assert asked["false_alarms_per_year"] == 7.0
     assert main(["watch", "m.toml"]) == 3
-    assert (asked["lesson"], asked["false_alarms_per_year"], asked["baud"]) == (None, 1.0, 1_000_000)
+    assert (asked["learning"], asked["false_alarms_per_year"], asked["baud"]) == (None, 1.0, 1_000_000)
 
 
 def test_a_time_that_is_none_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:

@@ -244,7 +244,9 @@ def test_columns_are_swapped_where_most_windows_are_then_of_the_motor(
     """One window of three that can be judged the other way round may be so by chance."""
     unusable, winding = (Judgement(Verdict(word), ("because",)) for word in ("unusable", "winding"))
     pieces = [[unusable] * of, [winding] * windings + [unusable] * (of - windings)]
-    monkeypatch.setattr("motor_env.diagnosis.running.judge.judge_log", lambda *_, **__: (pieces.pop(0), of))
+    monkeypatch.setattr(
+        "motor_env.diagnosis.running.log_diagnosis.judge_log", lambda *_, **__: (pieces.pop(0), of)
+    )
     assert diagnose(started(noise_v=0.01), "paper", regime="operation").verdict == said
 
 

@@ -14,7 +14,7 @@ from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.explanations import Difference
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, as_sentence, wrong_scales
-from motor_env.diagnosis.running import judge as judging
+from motor_env.diagnosis.running import log_diagnosis as judging
 from motor_env.diagnosis.running.windows import WindowJudge
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import NAMES, FittedWindow

@@ -13,15 +13,14 @@ from scipy import optimize, stats
 from motor_env import Diagnosis, InputError, Recording, diagnose, load_motor
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.motor_files import motor_of_windows
-from motor_env.diagnosis.running.drives import apart, driven
-from motor_env.diagnosis.running.lessons import learn_windows
+from motor_env.diagnosis.running.operating_conditions import condition_distance, condition_features
+from motor_env.diagnosis.running.window_baseline import learn_windows
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.diagnosis.views import FittedWindow
 
-# Reaches in: windows and scores are made by hand.
+# Reaches in: windows are made by hand.
 from motor_env.fitting.operation_fit import identify_operation
-from motor_env.fitting.window import Scores
 from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
@@ -75,9 +74,9 @@ def window(command: float, *, held: str, others: float = 1.0) -> Recording:
 @pytest.mark.parametrize("held", QUANTITIES)
 def test_windows_are_driven_alike_where_one_quantity_is(held: str) -> None:
     """A severe fault changes the others."""
-    known = np.array([driven(window(4.0, held=held)), driven(window(8.0, held=held))])
+    known = np.array([condition_features(window(4.0, held=held)), condition_features(window(8.0, held=held))])
     for command, off in ((4.0, 0.0), (4.5, 0.5 / 4.0), (7.0, 1.0 / 8.0)):
-        found = apart(driven(window(command, held=held, others=5.0)), known).min()
+        found = condition_distance(condition_features(window(command, held=held, others=5.0)), known).min()
         mean_over_rms = 2.0 * math.sqrt(2.0) / math.pi  # of a sine
         assert found == pytest.approx(off * mean_over_rms, abs=0.01)
 
@@ -86,9 +85,9 @@ def test_a_window_that_stands_elsewhere_is_driven_otherwise_by_its_levels() -> N
     """By the Wasserstein distance over the root mean square, as scipy has it."""
     time_s, rng = np.arange(4_000.0), np.random.default_rng(8)
     levels = [np.sort(rng.normal(size, 1.0, 4_000)) for size in (3.0, 4.0)]
-    one, other = (driven(Recording(Path("it"), time_s, each, each, each)) for each in levels)
+    one, other = (condition_features(Recording(Path("it"), time_s, each, each, each)) for each in levels)
     exact = stats.wasserstein_distance(*levels) / np.sqrt(np.mean(np.square(levels[1])))
-    assert apart(one, other[None])[0] == pytest.approx(exact, rel=0.02)
+    assert condition_distance(one, other[None])[0] == pytest.approx(exact, rel=0.02)
 
 
 def test_a_window_with_other_holding_times_is_driven_otherwise_by_its_moves() -> None:
@@ -96,14 +95,14 @@ def test_a_window_with_other_holding_times_is_driven_otherwise_by_its_moves() ->
 
     def square(half: int) -> FloatArray:
         values = np.where(np.arange(1024) // half % 2, 1.0, -1.0)
-        return driven(Recording(Path("it"), np.arange(1024.0), values, values, values))
+        return condition_features(Recording(Path("it"), np.arange(1024.0), values, values, values))
 
     slow, fast = square(128), square(16)
     shares = [2.0 * np.sqrt(min(lag / 128.0, 1.0)) for lag in (128, 64, 32, 16, 8, 4, 2)]
     np.testing.assert_allclose(slow[0, 10:], shares, rtol=0.08)
     np.testing.assert_allclose(np.diff(fast[0, 10:13]), 0.0, atol=1e-12)  # whole periods of it
     np.testing.assert_allclose(fast[0, 13:], [2.0 * np.sqrt(lag / 16.0) for lag in (16, 8, 4, 2)], rtol=0.02)
-    assert apart(fast, slow[None])[0] == pytest.approx(np.mean(np.abs(fast - slow)[0, 10:]))
+    assert condition_distance(fast, slow[None])[0] == pytest.approx(np.mean(np.abs(fast - slow)[0, 10:]))
 
 
 def test_the_last_window_of_a_recording_is_compared(commissioned: Healthy) -> None:
@@ -116,17 +115,17 @@ def test_the_last_window_of_a_recording_is_compared(commissioned: Healthy) -> No
         values = size * np.resize([1.0, -1.0], count)
         return Recording(Path("window"), dt_s * np.arange(float(count)), values, values, values)
 
-    known = np.array([driven(of(2.0)), driven(of(9.0))])
+    known = np.array([condition_features(of(2.0)), condition_features(of(9.0))])
     first, second = (replace(judge.windows.drives[0], moved=one[None]) for one in known)
     taught = replace(judge, windows=replace(judge.windows, drives=(first, second), alike=0.4))
     values: FloatArray = np.append(np.full(count, 50.0), of(3.0).current_a).astype(np.float64)
     time_s: FloatArray = dt_s * np.arange(len(values)).astype(np.float64)
     log = Recording(Path("log"), time_s, values, values, values)
-    place, strange = taught.drive_of(log)
+    place, strange = taught.condition_of(log)
     assert place == 0
-    assert strange == pytest.approx(apart(driven(of(3.0)), known)[0] / 0.4)
-    assert taught.drive_of(of(8.0))[0] == 1
-    assert replace(judge, windows=replace(judge.windows, drives=())).drive_of(log) == (0, 0.0)
+    assert strange == pytest.approx(condition_distance(condition_features(of(3.0)), known)[0] / 0.4)
+    assert taught.condition_of(of(8.0))[0] == 1
+    assert replace(judge, windows=replace(judge.windows, drives=())).condition_of(log) == (0, 0.0)
 
 
 @pytest.mark.parametrize("quantity", [0, 1, 2])
@@ -156,7 +155,7 @@ def test_under_another_drive_resistance_constant_and_inertia_may_be_off_by_more(
     ratio = stats.norm.ppf(0.01 / 6.0) / stats.t.ppf(0.01 / 6.0, 9.0)
     more = np.diag(np.square([0.035, 0.018, 0.035, 0.4])) * ratio**2
     allowed = replace(judge.reference, log_covariance=judge.reference.log_covariance + more)
-    strange, far = (np.array([times * driven(log)] * 2) for times in (1.25, 2.0))
+    strange, far = (np.array([times * condition_features(log)] * 2) for times in (1.25, 2.0))
     narrow, wide = limit(lambda shift: said(shift, None)), limit(lambda shift: said(shift, strange))
     assert wide > narrow + 0.02
     assert wide == pytest.approx(limit(lambda shift: decide(off(shift), allowed, 0.01).verdict), abs=3e-5)
@@ -235,20 +234,3 @@ def test_a_motor_file_keeps_how_it_was_driven(commissioned: Healthy, tmp_path: P
             path.write_text(text.replace(first, f"{name} = {broken}"), encoding="utf-8")
             with pytest.raises(InputError, match=rf"healthy\.windows\.drives\.{error}"):
                 load_motor(path)
-
-
-def test_a_load_that_a_section_says_nothing_of_stays_as_it_is_known() -> None:
-    """As an offset of the current while the circuit is open: nothing is believed of it beforehand either."""
-    information = np.diag([4.0, 4.0, 4.0, 4.0, 0.0])[None]
-    steps, spread = Scores(np.array([[1.0, 2.0, 3.0, 4.0, 0.0]]), information, np.zeros(5)).steps()
-    np.testing.assert_allclose(steps, [[-0.25, -0.5, -0.75, -1.0]])
-    np.testing.assert_allclose(spread[0], 0.25 * np.eye(4))
-
-
-def test_a_piece_that_tells_one_thing_alone_has_errors_to_reckon_with() -> None:
-    """As at standstill, under a voltage that is nearly exact: of all but one combination it says nothing."""
-    told = np.array([3.0, 1.0, 2.0, 1.0, 5.0]) * 1e8
-    steps, spread = Scores(-told[None], np.outer(told, told)[None], np.full(5, 0.01)).steps()
-    np.linalg.cholesky(spread)
-    assert np.abs(steps).max() < 1.0
-    assert np.sqrt(np.diag(spread[0])).min() > 1e-5

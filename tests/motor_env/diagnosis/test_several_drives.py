@@ -20,13 +20,13 @@ from motor_env.diagnosis.learning import (
 from motor_env.diagnosis.motor_files import motor_of_windows
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
-from motor_env.diagnosis.running import lessons, windows
-from motor_env.diagnosis.running.drives import off_others, sorted_by_drive
-from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.pieces import Pieces
-from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
+from motor_env.diagnosis.running import window_baseline, windows
+from motor_env.diagnosis.running.operating_conditions import off_others, sorted_by_condition
+from motor_env.diagnosis.running.score_calibration import learn_calibration
+from motor_env.diagnosis.running.sequential_monitor import YEAR_S, SequentialMonitor
+from motor_env.diagnosis.running.window_baseline import learn_windows
 from motor_env.diagnosis.running.windows import (
-    DRIVE_SPREAD,
+    CONDITION_SPREAD,
     DRIVEN_OTHERWISE,
     WindowJudge,
     judge_of,
@@ -35,11 +35,10 @@ from motor_env.diagnosis.running.windows import (
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting import parameter_index as places
-from motor_env.fitting.preprocessing import from_recordings
 from motor_env.fitting.record import Record
 from motor_env.fitting.uncertainty import excess_covariance as beyond
 from motor_env.fitting.window import WindowFit, fit_window
-from motor_env.motor.healthy import Drive, Healthy
+from motor_env.motor.healthy import Healthy, OperatingCondition
 from motor_env.motor.parameters import FloatArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
@@ -69,24 +68,8 @@ def logs(simulated: SimulatedMotor) -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def taught_by() -> list[FloatArray]:
-    """What the pieces of each window were compared with while the motor was `learned`."""
-    return []
-
-
-@pytest.fixture(scope="module")
-def learned(
-    simulated: SimulatedMotor, logs: list[Recording], taught_by: list[FloatArray]
-) -> tuple[Healthy, list[FittedWindow]]:
-    pieces_of = lessons._pieces_of
-
-    def spy(judge: WindowJudge, *window: Any) -> list[Pieces]:
-        taught_by.append(judge.reference.log_values)
-        return pieces_of(judge, *window)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lessons, "_pieces_of", spy)
-        return learn_windows(logs, WINDOW * 0.1 * simulated.mechanical_s)
+def learned(simulated: SimulatedMotor, logs: list[Recording]) -> tuple[Healthy, list[FittedWindow]]:
+    return learn_windows(logs, WINDOW * 0.1 * simulated.mechanical_s)
 
 
 def test_windows_are_sorted_by_how_they_are_driven() -> None:
@@ -94,13 +77,13 @@ def test_windows_are_sorted_by_how_they_are_driven() -> None:
     levels = np.array([1.0, 1.1, 3.0, 1.2, 3.3])
     moved: FloatArray = np.zeros((5, 3, 17))
     moved[:, :, :10] = levels[:, None, None]  # a constant: as far apart as the levels, over the other's
-    drive, alike = sorted_by_drive(moved, 1.0)
+    drive, alike = sorted_by_condition(moved, 1.0)
     assert drive.tolist() == [0, 0, 1, 0, 1]
     assert alike == pytest.approx(0.12)  # 0.3 / 3.3 is less
-    farther, alike = sorted_by_drive(moved, 6.0)
+    farther, alike = sorted_by_condition(moved, 6.0)
     assert farther.tolist() == [0] * 5  # 1.8 / 3.0 is 0.6
     assert alike == pytest.approx(0.72)
-    spread, alike = sorted_by_drive(moved * np.array([1.0, 1.2, 1.0, 1.0, 1.3])[:, None, None], 1.0)
+    spread, alike = sorted_by_condition(moved * np.array([1.0, 1.2, 1.0, 1.0, 1.3])[:, None, None], 1.0)
     assert spread.tolist() == [0, 0, 1, 0, 1]
     assert alike == pytest.approx(1.29 / 3.0)
 
@@ -148,8 +131,7 @@ def test_a_rare_drive_is_learned_beside_the_usual_one(
     simulated: SimulatedMotor, logs: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, 1])
-    monkeypatch.setattr(lessons, "sorted_by_drive", lambda *_: (of, 1.0))
-    monkeypatch.setattr(lessons, "_with_scales", lambda healthy, *_: healthy.windows)
+    monkeypatch.setattr(window_baseline, "sorted_by_condition", lambda *_: (of, 1.0))
     log = log_of(simulated, PROFILES[0], 8, usual=simulated, windows=10)
     healthy, fits = learn_windows([log], WINDOW * 0.1 * simulated.mechanical_s)
     assert healthy.windows is not None
@@ -165,9 +147,9 @@ def test_how_far_a_drive_is_off_the_others() -> None:
     """Off their median; of a usual drive the others tell nothing."""
     rows = [[0.0, 0.0, 0.0, 0.3], [0.1, 0.0, 0.0, 0.3], [0.5, -0.2, 0.4, 3.0]]
 
-    def with_windows(*counts: int) -> list[Drive]:
+    def with_windows(*counts: int) -> list[OperatingCondition]:
         return [
-            Drive(tuple(range(n)), np.ones((1, 3, 17)), np.exp(row), np.eye(4), 5.0)
+            OperatingCondition(tuple(range(n)), np.ones((1, 3, 17)), np.exp(row), np.eye(4), 5.0)
             for n, row in zip(counts, rows, strict=False)
         ]
 
@@ -189,8 +171,8 @@ def test_a_window_is_compared_with_those_that_are_driven_alike(
     worn = replace(simulated, viscous=2.0 * simulated.viscous, coulomb=2.0 * simulated.coulomb)
     for place, profile in enumerate(PROFILES):
         fresh = log_of(simulated, profile, 6, usual=simulated)
-        assert judge.drive_of(fresh)[0] == place
-        assert judge.drive_of(fresh)[1] <= 1.0
+        assert judge.condition_of(fresh)[0] == place
+        assert judge.condition_of(fresh)[1] <= 1.0
         assert [one.verdict for one in judge.judge(fresh, 0.01)[0]] == ["healthy"] * 3
         judged = judge.judge(log_of(worn, profile, 6, usual=simulated), 0.01)[0]
         told = [one for one in judged if one.verdict == "bearing"]
@@ -238,69 +220,35 @@ def test_a_commissioning_says_in_how_many_ways_the_motor_was_driven(
     assert judge_of(alike.healthy).reference.source == "6 healthy windows of this motor"
 
 
-def test_pieces_teach_how_they_scatter_about_their_own_drive(
-    learned: tuple[Healthy, list[FittedWindow]], taught_by: list[FloatArray]
-) -> None:
-    healthy, _ = learned
+def test_windows_scatter_about_their_own_condition(learned: tuple[Healthy, list[FittedWindow]]) -> None:
+    healthy, fits = learned
     assert healthy.windows is not None
-    for drive in healthy.windows.drives:
-        for n in drive.pieces:
-            np.testing.assert_allclose(taught_by[n], np.log(drive.values))
+    assert healthy.windows.calibration is not None
+    own = [each.values for each in healthy.windows.drives for _ in each.pieces]
+    off = np.array([fit.log_values for fit in fits]) - np.log(own)
+    errors = np.array([fit.log_covariance for fit in fits])
+    expected = learn_calibration(off, errors, RECORD_SPREAD, temperature_k=15.0)
+    np.testing.assert_allclose(healthy.windows.calibration.covariance, expected.covariance)
+    np.testing.assert_allclose(healthy.windows.calibration.drift_covariance, expected.drift_covariance)
 
 
-def test_a_watch_goes_on_from_one_drive_to_another(
+def test_a_watch_goes_on_from_one_condition_to_another(
     simulated: SimulatedMotor, learned: tuple[Healthy, list[FittedWindow]]
 ) -> None:
     """Whatever the friction is taken for under each: what was healthy before is no fault after, and a fault is told."""
     healthy, _ = learned
     judge = judge_of(healthy)
 
-    def heard(watch: Vigil, log: Recording) -> list[bool]:
-        told = []
-        for part in windows_of(log, judge.windows.window_s):
-            watch.begin()
-            watch.heard(part, float(part.time_s[0]))
-            if not watch.sets_aside(part):
-                assert len(watch._sections) == watch._pieces  # all of the window, under the drive that it has
-                told.append(watch.ended(judge.fitted(from_recordings([part]))))
-        return told
+    def verdicts(watch: SequentialMonitor, log: Recording) -> list[str]:
+        return [str(watch.diagnose(part).verdict) for part in windows_of(log, judge.windows.window_s)]
 
     per_year = YEAR_S / (1000.0 * judge.windows.window_s)
-    for first, second in (PROFILES, PROFILES[::-1]):
-        watch = Vigil(judge, healthy, false_alarms_per_year=per_year)
-        assert heard(watch, log_of(simulated, first, 8, usual=simulated)) == [False] * 3
-        changed = log_of(simulated, second, 9, usual=simulated)
-        assert heard(watch, changed) == [False] * 3
-        last = judge.fitted(from_recordings([windows_of(changed, judge.windows.window_s)[-1]]))
-        own = judge.under(PROFILES.index(second)).reference.log_values
-        np.testing.assert_allclose(watch.memory["at"], last.log_values - own)
-        pieces, drive = watch.memory["counted"][2:]
-        assert pieces == 6 * watch._pieces  # a window that is heard anew counts once
-        assert drive == PROFILES.index(second)
-        later = Vigil(judge, healthy, false_alarms_per_year=per_year, memory=watch.memory)
-        worn = replace(simulated, ohm=1.25 * simulated.ohm)
-        assert heard(later, log_of(worn, second, 10, usual=simulated))[-1]
-
-
-def test_pieces_of_a_window_are_compared_with_their_own_drive(
-    simulated: SimulatedMotor, learned: tuple[Healthy, list[FittedWindow]]
-) -> None:
-    """As if R had been twice as large under the second one: it is down there now."""
-    healthy, _ = learned
-    assert healthy.windows is not None
-    first, second = healthy.windows.drives
-    larger = replace(second, values=second.values * np.array([2.0, 1.0, 1.0, 1.0]))
-    taught = replace(healthy, windows=replace(healthy.windows, drives=(first, larger)))
-    judge = judge_of(taught)
-    watch = Vigil(judge, taught, false_alarms_per_year=YEAR_S / (20.0 * judge.windows.window_s))
-    one, other, _ = windows_of(log_of(simulated, PROFILES[1], 8, usual=simulated), judge.windows.window_s)
-    watch.begin()
-    assert not watch.sets_aside(one)
-    watch.begin()
-    assert watch.heard(other, float(other.time_s[0]))
-    told = watch.alarm(other, 0.01)
-    assert told is not None
-    assert told.changes[0].ratio == pytest.approx(0.5, rel=0.05)
+    watch = SequentialMonitor(judge, healthy, false_alarms_per_year=per_year)
+    for profile, seed in zip(PROFILES, (8, 9), strict=True):
+        assert verdicts(watch, log_of(simulated, profile, seed, usual=simulated)) == ["healthy"] * 3
+    later = SequentialMonitor(judge, healthy, false_alarms_per_year=per_year, state=watch.state_dict)
+    worn = replace(simulated, ohm=1.25 * simulated.ohm)
+    assert verdicts(later, log_of(worn, PROFILES[1], 10, usual=simulated))[-1] == "winding"
 
 
 def with_drives_apart(healthy: Healthy, off: FloatArray) -> Healthy:
@@ -327,20 +275,20 @@ def test_near_a_drive_that_is_off_the_others_a_strange_window_may_be_off_too(
     at = replace(fits[0], log_values=centre)
     times = np.sqrt((4.0**2 + 2.0**2) / 3.0)
     for place in (0, 1):
-        np.testing.assert_allclose(apart.drive_spread(place, at), times * DRIVE_SPREAD)
-    np.testing.assert_allclose(usual.drive_spread(0, at), DRIVE_SPREAD)
+        np.testing.assert_allclose(apart.condition_spread(place, at), times * CONDITION_SPREAD)
+    np.testing.assert_allclose(usual.condition_spread(0, at), CONDITION_SPREAD)
     down = replace(at, log_values=centre - np.array([0.0, 0.0, 0.0, np.log(4.0)]))
     up = replace(at, log_values=centre + np.array([0.0, 0.0, 0.0, np.log(4.0)]))
     factor = np.array([1.0, 1.0, 1.0, np.log(4.0) / 0.75])
-    np.testing.assert_allclose(usual.drive_spread(0, down), DRIVE_SPREAD * factor)
-    np.testing.assert_allclose(usual.drive_spread(0, up), DRIVE_SPREAD)
+    np.testing.assert_allclose(usual.condition_spread(0, down), CONDITION_SPREAD * factor)
+    np.testing.assert_allclose(usual.condition_spread(0, up), CONDITION_SPREAD)
 
 
 def test_a_fault_is_told_under_another_drive_where_the_drives_agree(
     simulated: SimulatedMotor, learned: tuple[Healthy, list[FittedWindow]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where R of the nearest drive is far off that of the others, so may be that of this window."""
-    monkeypatch.setattr(WindowJudge, "drive_of", lambda *_: (0, 2.0))  # near the first one
+    monkeypatch.setattr(WindowJudge, "condition_of", lambda *_: (0, 2.0))  # near the first one
     worn = log_of(replace(simulated, ohm=1.5 * simulated.ohm), PROFILES[0], 6, usual=simulated)
     for apart, verdict in ((0.0, "winding"), (0.7, "unusable")):
         judge = judge_of(with_drives_apart(learned[0], np.array([apart, 0.0, 0.0, 0.0])))

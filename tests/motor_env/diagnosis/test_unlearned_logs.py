@@ -23,8 +23,8 @@ from motor_env import (
     simulate,
     simulate_states,
 )
-from motor_env.diagnosis.running import lessons, unlearned
-from motor_env.diagnosis.running.unlearned import judge_for
+from motor_env.diagnosis.running import log_diagnosis, window_baseline
+from motor_env.diagnosis.running.log_diagnosis import judge_for
 from motor_env.diagnosis.running.windows import viscous
 from motor_env.diagnosis.views import NAMES
 from motor_env.fitting import parameter_index as places
@@ -85,7 +85,7 @@ def of_starts() -> Motor:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unlearned, "identify_record", true_fit)
+    monkeypatch.setattr(log_diagnosis, "identify_record", true_fit)
 
 
 def said(recording: Recording, motor: Motor) -> list[str]:
@@ -121,9 +121,11 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
         found.solution.names = (*TERMS, "coulomb", "load_constant", "load_walk")
         return found
 
-    monkeypatch.setattr(unlearned, "identify_record", one_direction)
+    monkeypatch.setattr(log_diagnosis, "identify_record", one_direction)
     monkeypatch.setattr(
-        lessons, "without_load", lambda *_: true_fit(cast("Record", SimpleNamespace(readings=None))).solution
+        window_baseline,
+        "without_load",
+        lambda *_: true_fit(cast("Record", SimpleNamespace(readings=None))).solution,
     )
     whole = log(HALF_WAY, 1650, least_v=6.0)  # the last samples are no window
     assert whole.voltage_v is not None
@@ -137,11 +139,11 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
     )
     given: list[Record] = []
 
-    def told_by(records: list[Record], joint: Any) -> Any:
+    def chosen_terms(records: list[Record], joint: Any) -> Any:
         given.extend(records)
-        return lessons.told_by(records, joint)
+        return window_baseline.chosen_terms(records, joint)
 
-    monkeypatch.setattr(unlearned, "told_by", told_by)
+    monkeypatch.setattr(log_diagnosis, "chosen_terms", chosen_terms)
     judge = judge_for(whole, SHEET)
     assert [record.hold for record in given] == ["late"] * (4 - at_rest // 400)
     if at_rest == 1600:
@@ -157,7 +159,7 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
 def test_the_fit_of_the_whole_log_tells_how_its_windows_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its own friction doubles half-way; what the file says of the healthy motor counts."""
     joint = cache(lambda _: identify_operation([log(HALF_WAY)]))
-    monkeypatch.setattr(unlearned, "identify_record", lambda _: joint("once"))
+    monkeypatch.setattr(log_diagnosis, "identify_record", lambda _: joint("once"))
     for motor in (SHEET, of_starts()):
         assert said(log(HALF_WAY), motor) == ["healthy"] * 2 + ["bearing"] * 2
 
@@ -173,7 +175,7 @@ def test_the_reference_of_a_log_by_hand() -> None:
     taught = judge.windows
     speed = float(np.sqrt(np.mean(np.square(np.asarray(log().speed_rad_s)))))
     assert (taught.window_s, taught.speed_rad_s, taught.dt_s) == pytest.approx((0.8, speed, DT_S))
-    assert (taught.terms, taught.hold, taught.rms_volts, taught.scales) == (TERMS, "late", None, ())
+    assert (taught.terms, taught.hold, taught.rms_volts, taught.calibration) == (TERMS, "late", None, None)
     assert taught.physical[places.HEATING] == taught.physical[places.COOLING] == 0.0
     heavy = P.scaled(inertia_kg_m2=10.0)  # a window lasts 40 of its mechanical time constants
     window_s = judge_for(log(), replace(SHEET, parameters=heavy)).windows.window_s
@@ -197,10 +199,10 @@ def test_stretches_of_a_log_tell_how_it_is_fitted() -> None:
     """2,000 samples, or ten stretches of 20 mechanical time constants; a shorter record is taken whole."""
     whole = Record(1e-3, np.arange(9_000.0), np.zeros((9_000, 2)), np.ones(2), np.eye(1, 9_000)[0])
     for settles_s, samples in ((0.01, 2_000), (0.0125, 2_500), (0.04, 8_000)):
-        part = unlearned._enough(whole, settles_s)
+        part = log_diagnosis._enough(whole, settles_s)
         assert (len(part.voltage_v), int(part.begins.sum())) == (samples, 10)
         np.testing.assert_array_equal(part.voltage_v[:: samples // 10], 900.0 * np.arange(10))
-    assert unlearned._enough(whole, 0.045) is whole
+    assert log_diagnosis._enough(whole, 0.045) is whole
 
 
 def test_a_motor_that_was_commissioned_at_work_says_how_its_windows_are_judged() -> None:
@@ -212,7 +214,7 @@ def test_a_motor_that_was_commissioned_at_work_says_how_its_windows_are_judged()
 
 
 def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unlearned, "identify_record", true_fit)
+    monkeypatch.setattr(log_diagnosis, "identify_record", true_fit)
     current_only = ("R", "L", "K^2/J", "B/J")
     healthy = replace(of_starts().healthy or pytest.fail("learned"), quantities=current_only, values=np.ones(4),
                       log_covariance=np.eye(4))  # fmt: skip
@@ -225,7 +227,7 @@ def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPat
         fit.record.seen[1] = 0.0
         return fit
 
-    monkeypatch.setattr(unlearned, "identify_record", unseen)
+    monkeypatch.setattr(log_diagnosis, "identify_record", unseen)
     with pytest.raises(UnusableError, match="only where voltage, current and speed"):
         judge_for(log(), SHEET)
 
@@ -238,7 +240,7 @@ def physical(b: float, coulomb: float, square: float = 0.0) -> FloatArray:
 
 def test_the_friction_of_a_log_by_hand() -> None:
     """The file's friction is that of the no-load speed; to this speed it goes as the drag of the log does."""
-    friction, parts = unlearned._friction, physical(2e-6, 3e-4, 1e-8)
+    friction, parts = log_diagnosis._friction_scale, physical(2e-6, 3e-4, 1e-8)
     b, kt = FRICTION, float(P.torque_constant_n_m_per_a)
     no_load = 12.0 * kt / (float(P.resistance_ohm) * b + K**2)
     at = {speed: 2e-6 + 3e-4 / speed + 1e-8 * speed for speed in (100.0, no_load)}
@@ -263,4 +265,6 @@ def test_a_file_may_give_dry_friction_alone() -> None:
     speed = judge_for(log(), only_dry).windows.speed_rad_s
     drag = 4e-4 / no_load  # at every speed: all of this log's is viscous
     assert np.exp(judge_for(log(), only_dry).reference.log_values[3]) == pytest.approx(drag)
-    assert unlearned._friction(only_dry, physical(0.0, 1.0), speed) * 1e-300 == pytest.approx(4e-4 / speed)
+    assert log_diagnosis._friction_scale(only_dry, physical(0.0, 1.0), speed) * 1e-300 == pytest.approx(
+        4e-4 / speed
+    )

@@ -22,10 +22,13 @@ from motor_env.diagnosis.explanations import Change, joint_share
 from motor_env.diagnosis.healthy_motor import Reference
 from motor_env.diagnosis.learning import the_next, without
 from motor_env.diagnosis.motor_files import motor_of_windows
-from motor_env.diagnosis.running import lessons, windows
-from motor_env.diagnosis.running.drives import apart, driven, rms_volts
-from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.running.pieces import Pieces, halvings_of
+from motor_env.diagnosis.running import window_baseline, windows
+from motor_env.diagnosis.running.operating_conditions import (
+    condition_distance,
+    condition_features,
+    rms_volts,
+)
+from motor_env.diagnosis.running.window_baseline import learn_windows
 from motor_env.diagnosis.running.windows import (
     WARMTH,
     WindowJudge,
@@ -444,10 +447,9 @@ class Lesson:
         self.error = np.diag([1e-4, 1e-4, 1e-4, load_sd**2])
         self.values = np.pad([2.0, 1e-3, 0.03, 4e-6, 2e-6, 3e-4], (0, places.N_VALUES - 6))
         self.values[[places.HEATING, places.COOLING]] = 5.0, 0.1
-        monkeypatch.setattr(lessons, "identify_operation", self.identify)
-        monkeypatch.setattr(lessons, "fit_window", self.fit)
-        monkeypatch.setattr(lessons, "_pieces_of", self.pieces)
-        monkeypatch.setattr(lessons, "without_load", self.without_load)
+        monkeypatch.setattr(window_baseline, "identify_operation", self.identify)
+        monkeypatch.setattr(window_baseline, "fit_window", self.fit)
+        monkeypatch.setattr(window_baseline, "without_load", self.without_load)
 
     def identify(self, recordings: Sequence[Recording], *, most: int) -> Any:
         self.joint.append(sum(len(one.time_s) for one in recordings))
@@ -477,23 +479,6 @@ class Lesson:
         values[places.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
         error = self.error.copy() if len(self.wanted) <= 6 else np.diag([1e-4, 1e-4, 1e-4, 1e-4])
         return WindowFit(self.logs[number % 6], error, values, WHITE, 0.0)
-
-    def pieces(
-        self, _: WindowJudge, record: Record, fit: FittedWindow, lengths: Sequence[int]
-    ) -> list[Pieces]:
-        """Of each length: where the window is, with an error for each of them."""
-        assert record.hold == "late"
-        assert lengths == halvings_of(len(record.voltage_v) * record.dt_s, len(record.voltage_v))
-        at, shape = fit.log_values - self.logs[0], [2**k for k in lengths]
-        rng = np.random.default_rng(1)
-        return [
-            Pieces(
-                at + 0.03 * rng.standard_normal((n, 4)),
-                np.tile(9e-4 * np.eye(4), (n, 1, 1)),
-                np.zeros(n, dtype=np.intp),
-            )
-            for n in shape
-        ]
 
 
 @pytest.mark.parametrize(("temperature_k", "times"), [(15.0, 1.0), (0.0, 0.0)])
@@ -560,9 +545,8 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
             -7.0 * np.cos(math.pi * levels), 14.0 * np.sin(math.pi * lags / 100.0) / math.sqrt(2.0)
         )
         np.testing.assert_allclose(drive.moved[:, 0], np.tile(sine * math.sqrt(2.0), (6, 1)), atol=0.3)
-    (whole,) = taught.scales  # half a second is too short for shorter pieces
-    assert (whole.halvings, whole.counts[0], whole.healthy_windows) == (0, 6.0, 6)
-    assert (len(taught.most), len(taught.replayed)) == (8, 12)
+    assert taught.calibration is not None
+    assert taught.calibration.windows == 6
 
 
 @pytest.mark.parametrize(
@@ -586,8 +570,11 @@ def test_a_model_that_lacks_nothing_errs_under_far_drives_only(
     lesson.values[[places.B, places.COULOMB, place]] = 4e-6, 6e-4, torque
     if not is_alike:  # the voltage is the same in all windows otherwise
         log = replace(log, voltage_v=log.current_a)
-        parts = [driven(part) for part in windows_of(log, 0.5)]
-        among = max(min(apart(one, other[None])[0] for other in parts if other is not one) for one in parts)
+        parts = [condition_features(part) for part in windows_of(log, 0.5)]
+        among = max(
+            min(condition_distance(one, other[None])[0] for other in parts if other is not one)
+            for one in parts
+        )
         assert among > 0.3
     healthy, _ = learn_windows([log], 0.5)
     assert healthy.windows is not None
@@ -597,15 +584,16 @@ def test_a_model_that_lacks_nothing_errs_under_far_drives_only(
 def test_a_healthy_motor_may_stay_off_as_from_record_to_record_and_by_its_warmth(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    wander = []
+    drift = []
     for steady in (True, False):
         Lesson(monkeypatch)
         healthy, _ = learn_windows([recording(3100)], 0.5, steady=steady)
         assert healthy.windows is not None
-        wander.append(healthy.windows.scales[0].wander)
+        assert healthy.windows.calibration is not None
+        drift.append(healthy.windows.calibration.drift_covariance)
     warmth = warmth_direction(matrix(NAMES))
     expected = np.diag([1e-4, 0.25e-4, 1e-4, 25e-4]) + 15.0**2 * np.outer(warmth, warmth)
-    np.testing.assert_allclose(wander[1] - wander[0], expected, atol=1e-12)
+    np.testing.assert_allclose(drift[1] - drift[0], expected, atol=1e-12)
 
 
 def taught(recordings: Sequence[Recording], window_s: float | None = None) -> Windows:
@@ -697,23 +685,6 @@ def test_logs_whose_holes_hide_the_steps_of_the_voltage_teach_nothing(
 
 
 @pytest.mark.parametrize(
-    ("window_s", "samples", "halvings"),
-    [
-        (600.0, 600, (7, 4, 0)),  # four samples
-        (20.0, 2000, (6, 3, 0)),  # a fifth of a second
-        (25.6, 100_000, (7, 4, 0)),
-        (25.5, 100_000, (6, 3, 0)),
-        (600.0, 511, (6, 3, 0)),
-        (3600.0, 3600, (7, 4, 0)),  # a 128th
-        (0.8, 800, (2, 0)),  # no length that is nearly a window's
-        (0.5, 500, (0,)),
-    ],
-)
-def test_pieces_are_halves_of_halves(window_s: float, samples: int, halvings: tuple[int, ...]) -> None:
-    assert halvings_of(window_s, samples) == halvings
-
-
-@pytest.mark.parametrize(
     ("lengths", "dt_s", "least_s", "window_s"),
     [
         ((20_000, 10_000), 1e-3, 0.0, 1.5),  # a twentieth of both
@@ -731,7 +702,7 @@ def test_the_length_of_a_window_by_hand(
     lengths: tuple[int, ...], dt_s: float, least_s: float, window_s: float
 ) -> None:
     logs = [recording(n, dt_s=dt_s) for n in lengths]
-    assert lessons.window_length_s(logs, 20, least_s) == pytest.approx(window_s)
+    assert window_baseline.window_length_s(logs, 20, least_s) == pytest.approx(window_s)
 
 
 def test_a_window_is_a_twentieth_of_all_logs_unless_given(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,7 +46,7 @@ from motor_env.fitting.uncertainty import (
     sandwich,
     secants,
 )
-from motor_env.fitting.window import fit_window, scores, without_load
+from motor_env.fitting.window import fit_window, without_load
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.noise import difference_noise
 from motor_env.recordings.recording import UnusableError
@@ -704,56 +704,6 @@ def test_the_drag_of_a_motor_that_stands_is_not_told(noise_rad_s: float) -> None
     found = fit_window(record, known, ("load_walk",), one_way=True)
     assert np.isfinite(found.logs).all()
     assert math.sqrt(found.covariance[3, 3]) > 9.0  # of 10, beyond which nothing is told
-
-
-def test_scores_of_sections_are_linear_least_squares() -> None:
-    """Each section by its own whitened innovations, with the loads believed beforehand."""
-    known = values(DRAG=1.0, NOISE_V=0.03)
-    changed = values(R=2.02, K=0.0301, J=4.04e-6, COULOMB=0.00204, B=2.04e-6)
-    whole, ends = worked(changed, seed=5, n=310, lowest=4.0), [10, 160, 310]  # it never stops
-    wanted, peaks = ("load_constant", "offset_speed"), (9.0, 3.0, 200.0)
-    torque = 0.03 * 3.0
-    units = np.array([1.0, 1.0, 1.0, 1.0, torque, 200.0])
-
-    def white(step: FloatArray) -> FloatArray:
-        p = known.copy()
-        p[[index.R, index.K, index.J]] *= np.exp(step[:3])
-        p[[index.B, index.COULOMB]] *= known[index.DRAG] + step[3]
-        p[index.DRAG] = 0.0
-        p[[index.LOAD, index.OFFSET_W]] = step[4:]
-        p[index.L] = math.hypot(p[index.L], 0.01 * p[index.R] * DT_S)
-        return whole.predict(p)[0][:, :2]
-
-    slopes = np.array([(white(1e-4 * axis) - white(-1e-4 * axis)) / 2e-4 for axis in np.eye(6) * units])
-    base, belief = (
-        np.clip(white(np.zeros(6)), -6.0, 6.0),
-        np.diag([0.01, 0.01, 0.01, 0.01, 1.0 / 0.09, 1.0 / 0.003**2]),
-    )
-    found = scores(whole, known, wanted, peaks, ends)
-    for k, (logs_, covariance) in enumerate(zip(*found.steps(), strict=True)):
-        some = slopes[:, ends[k] : ends[k + 1]].reshape(6, -1)
-        spread = np.linalg.inv(some @ some.T + belief)
-        step = -spread @ some @ base[ends[k] : ends[k + 1]].ravel()
-        np.testing.assert_allclose(logs_, step[:4], rtol=5e-3, atol=1e-5)
-        size = np.sqrt(np.diag(spread))[:4]
-        np.testing.assert_allclose(
-            covariance / np.outer(size, size), (spread[:4, :4]) / np.outer(size, size), atol=5e-3
-        )
-    twice = known.copy()
-    twice[index.DRAG] = 2.0
-    twice[[index.B, index.COULOMB]] /= 2.0
-    again = scores(whole, twice, wanted, peaks, ends)
-    for logs_, covariance, ours, once in zip(*again.steps(), *found.steps(), strict=True):
-        np.testing.assert_allclose(logs_, ours, rtol=2e-3, atol=2e-4)
-        np.testing.assert_allclose(covariance[3], once[3], rtol=0.01, atol=1e-9)
-    # Two sections together say what one does that is as long as both.
-    (both,) = scores(whole, known, wanted, peaks, [10, 310]).gradients
-    np.testing.assert_allclose(found.gradients.sum(axis=0), both, rtol=1e-9)
-    # Where all innovations are wild, they are cut, but a fault is still seen.
-    far = known.copy()
-    far[index.R] *= 0.3
-    wild = scores(whole, far, (), peaks, [10, 310])
-    assert wild.steps()[0][0, 0] > 10.0 * math.sqrt(wild.steps()[1][0, 0, 0])
 
 
 @pytest.mark.parametrize("place", [index.NOISE_I, index.NOISE_W])

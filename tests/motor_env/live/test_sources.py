@@ -16,9 +16,8 @@ import hostile
 import pytest
 
 from motor_env import InputError
-from motor_env.live import pieces, sources
-from motor_env.live.pieces import LONGEST_LINE, SILENCE, Notice, Piece, lines
-from motor_env.live.sources import identity, source
+from motor_env.live import sources
+from motor_env.live.sources import LONGEST_LINE, SILENCE, Notice, Piece, identity, lines, source
 
 WAIT_S = 20.0
 
@@ -145,7 +144,7 @@ def test_a_line_without_end_takes_no_more_time_and_memory_than_short_ones() -> N
 
 
 def test_silence_is_said_where_bytes_come_but_no_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pieces, "SILENCE_S", -1.0)
+    monkeypatch.setattr(sources, "SILENCE_S", -1.0)
     assert list(lines(iter([b"x", b"x"]), rest=False)) == [SILENCE]
     new = Notice("new_file", "shrunk")
     assert list(lines(iter([new, b""]))) == [new, SILENCE]
@@ -155,7 +154,7 @@ def test_silence_is_said_where_bytes_come_but_no_lines(monkeypatch: pytest.Monke
 
 def test_what_comes_faster_than_it_is_judged_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "_MOST_WAITING_BYTES", 2_000)
-    waiting = sources._Waiting()
+    waiting = sources._BoundedQueue()
     for k in range(30):
         waiting.offer(b"%02d\n" % k + b"x" * 97)
     heard = sources._from(waiting)

@@ -1,4 +1,4 @@
-"""What a watch hands on and says, sample by sample: rates, borders of windows, looks, its state, its events.
+"""What a watch hands on and says, sample by sample: rates, borders of windows, its state, its events.
 
 The judgement itself is put in its place by hand: that of real windows is tested in its own room.
 """
@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import hostile
 import numpy as np
@@ -34,10 +34,9 @@ from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting import parameter_index as places
 from motor_env.live import command, watch as watching
 from motor_env.live.command import showing
-from motor_env.live.events import Event
-from motor_env.live.pieces import NEW_FILE, SILENCE, Notice, Piece, lines
+from motor_env.live.sources import NEW_FILE, SILENCE, Notice, Piece, lines
 from motor_env.live.state import State
-from motor_env.live.watch import Lesson, Watch
+from motor_env.live.watch import Event, LearningPhase, Watch
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.parameters import RAD_S_PER_RPM
@@ -83,71 +82,38 @@ def samples(count: int, first_ms: float = 0.0) -> list[Piece]:
 
 
 class Judge:
-    """In the place of the judge of windows: notes what it is given, and says what it is told to."""
+    """In the place of the monitor: notes what it is given, and says what it is told to."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *verdicts: Judgement | Exception) -> None:
-        self.given: list[tuple[Recording, float]] = []
+        self.given: list[Recording] = []
         self.verdicts = list(verdicts)
-        monkeypatch.setattr(watching, "judge_of", self.of)
-        FakeVigil.made, FakeVigil.told = [], None
-        monkeypatch.setattr(watching, "Vigil", FakeVigil)
+        self.made: list[tuple[float, dict[str, list[float]] | None]] = []
+        monkeypatch.setattr(watching, "judge_of", lambda healthy: SimpleNamespace(windows=healthy.windows))
+        monkeypatch.setattr(watching, "SequentialMonitor", self.monitor())
 
-    def of(self, healthy: Healthy) -> Any:
-        return SimpleNamespace(windows=healthy.windows, judge=self.judge)
+    def monitor(self) -> Any:
+        outer = self
 
-    def judge(self, recording: Recording, rate: float, is_alarm: Any) -> tuple[list[Judgement], int]:
-        assert is_alarm is (None if len(self.given) in FakeVigil.strange else FakeVigil.made[-1].ended)
-        self.given.append((recording, rate))
-        verdict = self.verdicts.pop(0) if self.verdicts else HEALTHY
-        if isinstance(verdict, Exception):
-            raise verdict
-        return [verdict], 1
+        class FakeMonitor:
+            def __init__(self, judge: Any, _: Healthy, *, false_alarms_per_year: float, state: Any) -> None:
+                self.judge = judge
+                outer.made.append((false_alarms_per_year, state))
 
+            def diagnose(self, window: Recording) -> Judgement:
+                outer.given.append(window)
+                verdict = outer.verdicts.pop(0) if outer.verdicts else HEALTHY
+                if isinstance(verdict, Exception):
+                    raise verdict
+                return verdict
 
-class FakeVigil:
-    """In the place of `Vigil`: hears a piece every 25 ms."""
+            def describe_false_alarm_rate(self) -> str:
+                return "one an hour"
 
-    made: ClassVar[list["FakeVigil"]] = []
-    told: ClassVar[Judgement | None] = None
-    strange: ClassVar[set[int]] = set()
-    piece_s, promise, goes_on = 0.025, "one an hour", False
+            @property
+            def state_dict(self) -> dict[str, list[float]]:
+                return {"judged": [float(len(outer.given))]}
 
-    def __init__(
-        self,
-        judge: Any,
-        healthy: Healthy,
-        *,
-        false_alarms_per_year: float,
-        memory: dict[str, list[float]] | None,
-    ) -> None:
-        self.judge, self.per_year, self.remembered = judge, false_alarms_per_year, memory
-        self.spoken: list[tuple[Recording, float]] = []
-        self.cuts, self.begun, self.asked = 0, 0, list[tuple[Recording, float]]()
-        self.seen: list[Recording] = []
-        self.ended = object()
-        FakeVigil.made.append(self)
-
-    def heard(self, recording: Recording, since_s: float) -> bool:
-        self.spoken.append((recording, since_s))
-        return self.told is not None and len(self.spoken) == 6
-
-    def alarm(self, recording: Recording, rate: float) -> Judgement | None:
-        self.asked.append((recording, rate))
-        return self.told
-
-    def begin(self) -> None:
-        self.begun += 1
-
-    def sets_aside(self, window: Recording) -> bool:
-        self.seen.append(window)
-        return len(self.seen) - 1 in self.strange
-
-    def cut(self) -> None:
-        self.cuts += 1
-
-    @property
-    def memory(self) -> dict[str, list[float]]:
-        return {"spoken": [float(len(self.spoken))]}
+        return FakeMonitor
 
 
 @pytest.fixture
@@ -163,18 +129,19 @@ def watched(
     return list(watch.events([HEADER, *pieces]))
 
 
-@pytest.mark.parametrize(("per_year", "rate"), [(2.0, 2.0 * 0.0995 / (365.25 * 24.0 * 3600.0)), (1e12, 0.5)])
-def test_the_rate_is_handed_on(judge: Judge, per_year: float, rate: float) -> None:
-    watched(samples(101), per_year=per_year)
-    assert [given for _, given in judge.given] == pytest.approx([rate], rel=1e-12)
-    assert FakeVigil.made[0].per_year == per_year
+def test_the_rate_and_the_memory_are_handed_on(judge: Judge) -> None:
+    state = State()
+    watched(samples(202), state, per_year=2.0)
+    assert state.memory == {"judged": [2.0]}
+    watched([], State(memory=state.memory, header=HEADER.decode()), per_year=3.0)
+    assert judge.made == [(2.0, {}), (3.0, {"judged": [2.0]})]
 
 
 def test_windows_hold_the_samples_of_their_time_in_si_units(judge: Judge) -> None:
     """The first sample a window's length after its begin is its last one; the next begins with the one after it."""
     events = watched(samples(303, first_ms=5_000.0))
     assert [event.time_s for event in events] == pytest.approx([5.1, 5.201, 5.302])
-    for k, (recording, _) in enumerate(judge.given):
+    for k, recording in enumerate(judge.given):
         place = 101 * k + np.arange(101)
         np.testing.assert_allclose(recording.time_s, 5.0 + 1e-3 * place, atol=1e-9)
         assert recording.voltage_v is not None
@@ -210,7 +177,7 @@ def test_two_hundred_equal_currents_are_a_stuck_sensor(judge: Judge) -> None:
     assert watched([*samples(50), *stuck(300, volts=0)], window_s=10.0) == []
     events = watched([*samples(50), *stuck(230), *samples(101, 280.0)])
     assert [event.kind for event in events] == ["window", "stuck_sensor", "stuck_sensor", "window"]
-    np.testing.assert_allclose(judge.given[-1][0].time_s[[0, -1]], [0.28, 0.38])
+    np.testing.assert_allclose(judge.given[-1].time_s[[0, -1]], [0.28, 0.38])
 
 
 @pytest.mark.parametrize(("name", "row"), [("current", "{s},{k},12000,105"), ("speed", "480,{k},12000,{c}")])
@@ -224,82 +191,11 @@ def test_a_window_with_a_sensor_that_stands_still_is_not_judged(judge: Judge, na
     assert [event.kind for event in watched(rest)] == ["window"]
 
 
-def test_pieces_of_a_window_are_heard_as_they_end(judge: Judge) -> None:
-    state = State()
-    watched([*samples(202), SILENCE, *samples(30, 900.0)], state)
-    (vigil,) = FakeVigil.made
-    ends = [(float(one.time_s[0]), float(one.time_s[-1])) for one, _ in vigil.spoken]
-    second = [(0.0, 0.126), (0.0, 0.151), (0.0, 0.176), (0.0, 0.201)]  # with samples of the first one
-    whole = [(0.0, 0.025), (0.0, 0.05), (0.0, 0.075), (0.0, 0.1), *second, (0.9, 0.925)]
-    np.testing.assert_allclose(ends, whole, atol=1.1e-3)  # the first sample at or behind
-    since = [since_s for _, since_s in vigil.spoken]
-    np.testing.assert_allclose(since, [0.0, 0.025, 0.05, 0.075, 0.101, 0.126, 0.151, 0.176, 0.9], atol=1.1e-3)
-    assert (vigil.begun, vigil.cuts) == (3, 1)
-    assert state.memory == {"spoken": [8.0]}
-    watched([], State(memory={"spoken": [8.0]}, header=HEADER.decode()))
-    assert FakeVigil.made[-1].remembered == {"spoken": [8.0]}
-
-
-def test_an_alarm_of_pieces_is_said_at_once_with_its_span(judge: Judge) -> None:
-    FakeVigil.told = judged("bearing", 1.0, 1.0, 1.0, 1.4, duration_s=0.06)
-    events = watched(samples(202), per_year=1e4)
-    assert [(event.text, event.span_s) for event in events] == [
-        ("healthy", None),
-        ("bearing", pytest.approx(0.06)),
-        ("healthy", None),
-    ]
-    assert events[1].time_s == pytest.approx(0.151)
-    assert events[1].ratios == {}
-    ((recording, rate),) = FakeVigil.made[0].asked
-    assert rate == judge.given[0][1]
-    # The window before is there, too, for what began in it.
-    assert recording.time_s[[0, -1]] == pytest.approx([0.0, 0.151])
-
-
-@pytest.mark.parametrize("goes_on", [False, True])
-def test_a_stretch_in_which_a_fault_begins_is_of_no_other_motor(
-    goes_on: bool, judge: Judge, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It holds samples of the healthy motor and of the faulty one; what goes on may be of another motor."""
-    moved = changes(1.0, 1.4, 1.8, 1.0, moved="RKJB")
-    FakeVigil.told = replace(judged("other", 1.0, 1.4, 1.8, 1.0, duration_s=0.06), changes=moved)
-    monkeypatch.setattr(FakeVigil, "goes_on", goes_on)
-    said = watched(samples(202), per_year=1e4)[1]
-    assert said.kind == ("another_motor" if goes_on else "window")
-    assert goes_on or said.text == "other"
-
-
-def test_a_window_under_another_drive_is_judged_by_itself(
-    judge: Judge, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The evidence of the watch is not asked; that is what the judge checks."""
-    monkeypatch.setattr(FakeVigil, "strange", {1})
-    judge.verdicts = [HEALTHY, judged("unusable", 1.0, 1.0, 1.0, 1.6), HEALTHY]
-    events = watched(samples(303))
-    assert [(event.text, event.reason) for event in events] == [
-        ("healthy", ""),
-        ("unusable", "because"),
-        ("healthy", ""),
-    ]
-    assert FakeVigil.made[-1].seen == [recording for recording, _ in judge.given]
-    assert FakeVigil.made[-1].cuts == 0
-
-
 def test_a_stream_of_another_rate_is_judged_as_it_comes(judge: Judge) -> None:
     """Its interval is no hole in that of the healthy windows: the judge says whether it may differ so much."""
     watched(samples(303), dt_s=0.7e-3)
-    assert [recording.dt_s for recording, _ in judge.given] == pytest.approx([1e-3] * 3)
-    assert [recording.missing for recording, _ in judge.given] == [None] * 3
-
-
-def test_behind_a_window_that_cannot_be_judged_nothing_is_compared_with_the_one_before(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    Judge(monkeypatch, HEALTHY, UnusableError("too short"), HEALTHY)
-    watched(samples(303))
-    assert FakeVigil.made[0].cuts == 1
-    watched([*samples(101), *stuck(101, first=101)])
-    assert FakeVigil.made[1].cuts == 1
+    assert [recording.dt_s for recording in judge.given] == pytest.approx([1e-3] * 3)
+    assert [recording.missing for recording in judge.given] == [None] * 3
 
 
 def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -340,8 +236,6 @@ def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
         "window winding": 2,
         "window unusable": 2,
     }
-    late = Event(1.5, "window", "bearing", span_s=0.25).as_json()
-    assert json.loads(late) == {"time_s": 1.5, "event": "window", "verdict": "bearing", "span_s": 0.25}
     assert json.loads(Event(0.0, "gap", "3 s").as_json()) == {"time_s": 0.0, "event": "gap", "reason": "3 s"}
 
 
@@ -399,7 +293,7 @@ def test_headers_may_be_said_again_and_remarks_are_no_samples(judge: Judge) -> N
     swapped = b"current_a,time_s,voltage_v,speed_rad_s\n"
     rows: list[Piece] = [f"{0.1 + k % 7},{k / 1e3},12,{k % 5}\n".encode() for k in range(101)]
     watched([b"#1,2,3,4\n", b"\n", swapped, *rows])
-    np.testing.assert_allclose(judge.given[0][0].current_a, 0.1 + np.arange(101) % 7)
+    np.testing.assert_allclose(judge.given[0].current_a, 0.1 + np.arange(101) % 7)
     (event,) = watched([b"x" * 100 + b"\n"])
     assert (event.kind, event.text) == ("malformed", "x" * 60)
 
@@ -415,7 +309,7 @@ def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(watching, "learn_windows", learn)
     judge = Judge(monkeypatch)
-    watch = Watch(Lesson(0.0995, 0.4975, steady=True), State(), false_alarms_per_year=1.0)
+    watch = Watch(LearningPhase(0.0995, 0.4975, steady=True), State(), false_alarms_per_year=1.0)
     events = list(watch.events([HEADER, *samples(11 * 101)]))
     assert watch.healthy is TAUGHT
     assert [event.text for event in events[:4]] == [f"{0.0995 * n:g} of 0.4975 s" for n in (1, 2, 3, 4)]
@@ -424,17 +318,17 @@ def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.Mo
     assert events[4].text == "it stands still"
     assert given == [(5, 0.0995, True)] * 2
     assert len(judge.given) == 1
-    assert Lesson(0.1, 0.4).dt_s == math.inf
+    assert LearningPhase(0.1, 0.4).dt_s == math.inf
     for window_s, learn_s in ((0.1, 0.399), (0.0, 1.0), (1.0, math.inf)):
         words = f"learn must be at least 4 windows of {window_s:g} s, got {learn_s:g} s"
         with pytest.raises(InputError, match=words):
-            Lesson(window_s, learn_s)
+            LearningPhase(window_s, learn_s)
 
 
 def test_silence_is_said_after_five_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     came = ((0.0, b"a\n"), (4.99, b""), (5.01, b""), (9.0, b""), (9.5, b"b\n"), (14.4, b""), (14.6, b""))
-    monkeypatch.setattr("motor_env.live.pieces.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("motor_env.live.sources.time.monotonic", lambda: now[0])
 
     def pieces() -> Any:
         for at, piece in came:
@@ -475,7 +369,7 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
     judge.verdicts = [judged("bearing", 1.0, 1.0, 1.0, 1.5)]
     assert main(run) == 1
     assert json.loads(capsys.readouterr().out)["verdict"] == "bearing"
-    np.testing.assert_allclose(judge.given[-1][0].time_s[[0, -1]], [0.101, 0.201])
+    np.testing.assert_allclose(judge.given[-1].time_s[[0, -1]], [0.101, 0.201])
     assert json.loads(state.read_text())["counts"] == {"window healthy": 1, "window bearing": 1}
     assert main([*run[:2], "--follow"]) == 2
     assert "--follow needs a log" in capsys.readouterr().err
@@ -493,7 +387,7 @@ def test_columns_that_the_user_names_count_more_than_those_that_were_kept(
     with (tmp_path / "log.csv").open("ab") as file:
         file.write(joined(samples(60, 150.0)))
     assert main([*watching_a_log, "--columns", "speed_rpm,t_ms,voltage_mv,current_a"]) == 0
-    kept, named = (recording.current_a.min() for recording, _ in judge.given)
+    kept, named = (recording.current_a.min() for recording in judge.given)
     assert named == pytest.approx(1e3 * kept)
 
 
@@ -549,7 +443,7 @@ def test_a_rotated_log_goes_on_with_its_own_state(
     offset = len(joined([HEADER, *samples(101)]))
     assert f"read from its begin; what stood behind byte {offset} may be lost" in new["reason"]
     assert [one["verdict"] for one in windows] == ["bearing", "healthy"]
-    np.testing.assert_allclose(judge.given[1][0].time_s[0], 3.0)
+    np.testing.assert_allclose(judge.given[1].time_s[0], 3.0)
     kept = json.loads((tmp_path / "state.json").read_text())
     assert kept["offset"] == len(joined([HEADER, *samples(202, 3_000.0)]))
     assert kept["counts"] == {"window healthy": 2, "window bearing": 1, "new_file": 1}
@@ -610,7 +504,7 @@ class Clock:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 0.0
-        monkeypatch.setattr("motor_env.live.events.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("motor_env.live.watch.time.monotonic", lambda: self.now_s)
 
     def spent(self, pieces: Sequence[Piece], seconds: float) -> Iterator[Piece]:
         """Pieces that come evenly in so many seconds."""

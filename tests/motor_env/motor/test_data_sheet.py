@@ -9,7 +9,7 @@ from hostile import refused
 
 from motor_env import PAPER_MOTOR, InputError, Motor, load_motor
 from motor_env.motor.data_sheet import Tolerance, save_motor
-from motor_env.motor.healthy import Healthy, Scale, Starts, Windows
+from motor_env.motor.healthy import Healthy, ScoreCalibration, Starts, Windows
 
 SHEET = """
 name = "sheet"
@@ -217,16 +217,7 @@ def test_catalogue_motor_by_name() -> None:
     assert load_motor("paper").parameters == PAPER_MOTOR
 
 
-SCALE = Scale(
-    halvings=3,
-    counts=np.array([2.0, 0.0]),
-    centres=np.arange(8.0).reshape(2, 4) / 3.0,
-    covariances=np.stack([np.eye(4), 2.0 / 3.0 * np.eye(4)]),
-    freedom=7.0,
-    information=1e4 / 3.0 * np.eye(4),
-    wander=1e-4 / 3.0 * np.eye(4),
-    healthy_windows=12,
-)
+CALIBRATION = ScoreCalibration(12, 2.0 / 3.0 * np.eye(4), 7.0, 1e-4 / 3.0 * np.eye(4), tails_hold=True)
 
 
 @pytest.mark.parametrize(
@@ -241,7 +232,7 @@ SCALE = Scale(
             1e-3,
             300.0,
             window_excess=1.1,
-            scales=(SCALE, SCALE),
+            calibration=CALIBRATION,
         ),
     ],
 )
@@ -271,10 +262,10 @@ def test_a_saved_motor_is_read_back_to_the_last_bit(tmp_path: Path, taught: Star
     assert back.healthy.starts == healthy.starts
     if healthy.windows is not None and back.healthy.windows is not None:
         np.testing.assert_array_equal(back.healthy.windows.physical, healthy.windows.physical)
-        for ours, theirs in zip(back.healthy.windows.scales, healthy.windows.scales, strict=True):
-            for one, other in zip(astuple(ours), astuple(theirs), strict=True):
-                np.testing.assert_array_equal(one, other)
-        same = replace(back.healthy.windows, physical=healthy.windows.physical, scales=healthy.windows.scales)
+        assert back.healthy.windows.calibration is not None
+        for ours, theirs in zip(astuple(back.healthy.windows.calibration), astuple(CALIBRATION), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        same = replace(back.healthy.windows, physical=healthy.windows.physical, calibration=CALIBRATION)
         assert same == healthy.windows
     assert (back.healthy.windows is None) == (healthy.windows is None)
     assert list(tmp_path.glob("deep/.*")) == []

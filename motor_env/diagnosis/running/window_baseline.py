@@ -1,20 +1,23 @@
-"""What healthy windows of a motor at work teach about its next window."""
+"""The baseline of a motor at work: what its healthy windows teach about the next one."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motor_env.diagnosis.learning import RECORD_SPREAD, next_window, usual_beside
-from motor_env.diagnosis.running.drives import FAR, NEEDED, driven, rms_volts, sorted_by_drive
-from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
-from motor_env.diagnosis.running.replay import replay
-from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
-from motor_env.diagnosis.running.windows import MOST_SAMPLES, WindowJudge, judge_of, over_speed, windows_of
+from motor_env.diagnosis.running.operating_conditions import (
+    FAR,
+    NEEDED,
+    condition_features,
+    rms_volts,
+    sorted_by_condition,
+)
+from motor_env.diagnosis.running.sequential_monitor import checked_calibration
+from motor_env.diagnosis.running.windows import MOST_SAMPLES, over_speed, windows_of
 from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.operation_fit import (
@@ -28,12 +31,12 @@ from motor_env.fitting.problem import Solution
 from motor_env.fitting.record import Record
 from motor_env.fitting.uncertainty import excess_covariance as beyond
 from motor_env.fitting.window import LOAD, WindowFit, fit_window, without_load
-from motor_env.motor.healthy import Drive, Healthy, Scale, Windows
+from motor_env.motor.healthy import Healthy, OperatingCondition, Windows
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import Recording, UnusableError
 
 FEWEST_WINDOWS = 4
-MOST_LEARNED = 40
+_MOST_KEPT = 40  # windows of a condition whose features stand in the motor file
 _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
 """How much warmer or colder a healthy motor may be, one standard deviation."""
@@ -49,7 +52,7 @@ _NOISES = slice(places.NOISE_I, places.WALK + 1)
 def learn_windows(
     recordings: Sequence[Recording], window_s: float | None = None, *, steady: bool = False
 ) -> tuple[Healthy, list[FittedWindow]]:
-    """What windows of a healthy motor at work teach about its next window, and their fits.
+    """Learn from windows of a healthy motor at work; return what they teach of the next one, and their fits.
 
     The spread is that of windows, with their own errors as a prior worth 4 of them, and that from record to record.
 
@@ -79,7 +82,7 @@ def learn_windows(
         raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
     hold, speed, times = joint.record.hold, effective_speed(joint), 1.0 if _lacks(joint) else FAR
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
-    known, wanted, fits = told_by(records, joint, steady=steady)
+    known, wanted, fits = chosen_terms(records, joint, steady=steady)
     one_way = turns_one_way(joint)
     # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
     known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
@@ -87,15 +90,18 @@ def learn_windows(
     volts = [rms_volts(part) for part in parts]
     found = [over_speed(fit, known, speed) for fit in fits]
     centre, covariance, freedom = next_window(found, steady=steady)
-    of, alike = np.zeros(len(parts), dtype=np.intp), 1.0
-    drives: tuple[Drive, ...] = ()
+    logs = np.array([fit.log_values for fit in found])
+    off, alike = logs - centre, 1.0
+    conditions: tuple[OperatingCondition, ...] = ()
     if not steady:
-        moved = np.array([driven(part) for part in parts])
-        of, alike = sorted_by_drive(moved, times)
+        features = np.array([condition_features(part) for part in parts])
+        of, alike = sorted_by_condition(features, times)
         groups = [np.flatnonzero(of == n).tolist() for n in range(of.max() + 1)]
-        drives = tuple(_drive(some, usual_beside(some, groups), moved, found) for some in groups)
-    ratios = [fit.log_values - centre for fit in found]
+        conditions = tuple(_condition(some, usual_beside(some, groups), features, found) for some in groups)
+        off = logs - np.log([conditions[n].values for n in of])
     spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
+    ratios = list(logs - centre)
+    warm = 0.0 if steady else TEMPERATURE_K
     windows = Windows(
         window_s=window_s,
         terms=wanted,
@@ -107,31 +113,35 @@ def learn_windows(
         rms_volts=(min(volts), max(volts)),
         peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
         window_excess=_squares(ratios, spreads) / _squares(ratios, [covariance] * len(fits)),
-        drives=drives,
+        drives=conditions,
         alike=alike,
+        calibration=checked_calibration(
+            off,
+            np.array([fit.log_covariance for fit in found]),
+            RECORD_SPREAD * (warm > 0.0),
+            temperature_k=warm,
+        ),
     )
-    warm = 0.0 if steady else TEMPERATURE_K
-    healthy = Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows)
-    return replace(healthy, windows=_with_scales(healthy, records, found, of)), found
+    return Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows), found
 
 
 def _lacks(joint: Operation) -> bool:
-    """Whether the model leaves torque unexplained; where it does not, it errs under far drives only."""
+    """Say whether the model leaves torque unexplained; where it does not, it errs under far drives only."""
     known = joint.solution.values
     drag = known[places.COULOMB] + known[places.B] * effective_speed(joint)
     return bool(known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag)
 
 
 def turns_one_way(joint: Operation) -> bool:
-    """Whether the motor turns one way, but for a twentieth of its turns."""
+    """Say whether the motor turns one way, but for a twentieth of its turns."""
     speed = joint.expected[:, 1]
     return bool(abs(np.mean(speed)) > _ONE_WAY * np.mean(np.abs(speed)))
 
 
-def told_by(
+def chosen_terms(
     records: Sequence[Record], joint: Operation, *, steady: bool = False
 ) -> tuple[FloatArray, tuple[str, ...], list[WindowFit]]:
-    """Physical values that windows share, the terms of a window, and fits of windows with these.
+    """Choose a window's terms; return the physical values that windows share, the terms, and fits with these.
 
     Where the motor turns one way, all that brakes is friction: near standstill a fit may seem to tell a load from it,
     by the shape that it gives the friction there. Elsewhere a load is a term where windows tell it.
@@ -154,18 +164,19 @@ def told_by(
     return known, wanted, [fit_window(record, known, wanted, one_way=one_way) for record in records]
 
 
-def _drive(
-    pieces: Sequence[int], usual: Sequence[int], moved: FloatArray, found: Sequence[FittedWindow]
-) -> Drive:
-    """What windows that are driven alike teach, some of all, beside those of the usual drive."""
+def _condition(
+    pieces: Sequence[int], usual: Sequence[int], features: FloatArray, found: Sequence[FittedWindow]
+) -> OperatingCondition:
+    """Learn what windows under one condition teach, some of all, beside those of the usual one."""
     centre, covariance, freedom = next_window(
         [found[n] for n in pieces], steady=False, usual=[found[n] for n in usual]
     )
-    return Drive(tuple(pieces), moved[pieces[:: _every(pieces)]], np.exp(centre), covariance, freedom)
+    kept = features[pieces[:: math.ceil(len(pieces) / _MOST_KEPT)]]
+    return OperatingCondition(tuple(pieces), kept, np.exp(centre), covariance, freedom)
 
 
 def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float = 0.0) -> float:
-    """A window of such a part of all recordings, but no longer than one that is fitted whole, nor than a recording."""
+    """Choose a window's length: this part of all recordings, at most what one fit or one recording holds."""
     dt_s = recordings[0].dt_s
     lengths_s = [len(recording.time_s) * recording.dt_s for recording in recordings]
     part_s = min(sum(lengths_s) / parts, MOST_SAMPLES * dt_s)
@@ -173,73 +184,18 @@ def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float 
 
 
 def effective_speed(joint: Operation) -> float:
-    """Root mean square of the speed, at which the drag is told best."""
+    """Return the root mean square of the speed, at which the drag is told best."""
     return max(float(np.sqrt(np.mean(np.square(joint.expected[:, 1])))), 1e-9)
 
 
 def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> float:
-    """Sum of the squared distances per dimension."""
+    """Sum the squared distances per dimension."""
     pairs = zip(ratios, spreads, strict=True)
     return sum(float(off @ np.linalg.solve(spread, off)) / len(NAMES) for off, spread in pairs)
 
 
-def _with_scales(
-    healthy: Healthy, records: Sequence[Record], found: Sequence[FittedWindow], of: NDArray[np.intp]
-) -> Windows:
-    """What pieces of the windows teach of the next ones, and how these windows alarm by what the others teach.
-
-    Each is compared with its drive's.
-    """
-    assert healthy.windows is not None  # noqa: S101  # it was learned from them
-    judge, prior_sd = judge_of(healthy), RECORD_SPREAD * (healthy.temperature_k > 0.0)
-    some = slice(None, None, _every(records))
-    lengths = halvings_of(healthy.windows.window_s, min(len(record.voltage_v) for record in records))
-    windows = [
-        _pieces_of(judge.under(n), record, fit, lengths)
-        for n, record, fit in zip(of[some].tolist(), records[some], found[some], strict=True)
-    ]
-    # Where the circuit is open all the time, a window has no pieces of a length.
-    told = [n for n in range(len(lengths)) if all(len(window[n].logs) for window in windows)]
-    lengths, windows = tuple(lengths[n] for n in told), [[window[n] for n in told] for window in windows]
-
-    def taught(others: Sequence[Sequence[Pieces]]) -> tuple[Scale, ...]:
-        return tuple(
-            learn_scale(
-                halvings, [window[n] for window in others], prior_sd, temperature_k=healthy.temperature_k
-            )
-            for n, halvings in enumerate(lengths)
-        )
-
-    scales = taught(windows)
-    each = [taught([*windows[:n], *windows[n + 1 :]]) for n in range(len(windows))]
-    places = [places_on_axes(scales[-1], window[-1]).distances[0] for window in windows]
-    return replace(
-        healthy.windows,
-        scales=scales,
-        most=tuple(np.max(places, axis=0).tolist()),
-        replayed=tuple(replay(each, windows)),
-    )
-
-
-def _every(windows: Sized) -> int:
-    """Every which window teaches: each of few, some of many."""
-    return math.ceil(len(windows) / MOST_LEARNED)
-
-
-def _pieces_of(judge: WindowJudge, record: Record, fit: FittedWindow, lengths: Sequence[int]) -> list[Pieces]:
-    """Pieces of a window of each length; the longest is the window, as it was fitted."""
-    at = fit.log_values - judge.reference.log_values
-    window = Pieces(at[None], fit.log_covariance[None], np.zeros(1, dtype=np.intp))
-    ends = np.linspace(0, len(record.voltage_v), 2 ** lengths[0] + 1).round().astype(int).tolist()
-    sections = sections_of(judge, record, np.zeros(len(NAMES)), ends)
-    return [
-        *(sections.pieces(2 ** (lengths[0] - k), np.zeros(len(NAMES)), judge.peaks[2]) for k in lengths[:-1]),
-        window,
-    ]
-
-
 def known_of(joint: Solution) -> FloatArray:
-    """Physical values of the joint fit, without warmth: each window is taken at its own temperature."""
+    """Return the joint fit's physical values without warmth: each window is taken at its own temperature."""
     known = joint.values
     known[[places.HEATING, places.COOLING]] = 0.0
     return known
