@@ -135,15 +135,18 @@ class Commissioned:
         ]
         return "\n".join(lines)
 
-    def plot(self, path: Path) -> None:
-        """A picture of the spread of each quantity; of starts also their fits and residuals.
+    def page(self) -> str:
+        """A self-contained HTML page: the spread of each quantity; of starts also their fits and residuals."""
+        from motor_env.diagnosis.shown.page import page_of_fits, spread_chart
 
-        Raises:
-            InputError: the file cannot be written.
-        """
-        from motor_env.diagnosis.shown.pictures import plot_commissioned
-
-        plot_commissioned(self.fits, self.parameters, self.smallest, self.false_alarm_rate, path)
+        starts = [fit for fit in self.fits if isinstance(fit, Identified)]
+        smallest = ", ".join(f"{kind.replace('_', ' ')} {share:.0%}" for kind, share in self.smallest.items())
+        return page_of_fits(
+            f"Interval of the next healthy {'start' if starts else 'window'} ({1.0 - self.false_alarm_rate:.0%})",
+            {f"Healthy start {number}": fit for number, fit in enumerate(starts, 1)},
+            spread=spread_chart(self.fits, self.parameters),
+            note=f"Smallest change found in 95 of 100 cases: {smallest}.",
+        )
 
 
 def commission(

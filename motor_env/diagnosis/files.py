@@ -97,7 +97,7 @@ def diagnose_files(
             sentence, is_bug = why_not(path, error, "judged" if outcome.diagnosis is None else "drawn")
             outcome = replace(outcome, error=sentence, is_bug=is_bug)
         if out is not None and html:
-            write_text(picture_of(path, out, number).with_suffix(".html"), html)
+            write_text(page_path(path, out, number), html)
         outcomes.append(outcome)
     return outcomes
 
@@ -113,9 +113,9 @@ def _learned(
     ).motor
 
 
-def picture_of(recording: Path, folder: Path, number: int) -> Path:
-    """Where the picture of the n-th recording goes."""
-    return folder / f"{number:03d}-{recording.name.replace('.', '-')[:_LONGEST_NAME]}.png"
+def page_path(recording: Path, folder: Path, number: int) -> Path:
+    """Where the page of the n-th recording goes."""
+    return folder / f"{number:03d}-{recording.name.replace('.', '-')[:_LONGEST_NAME]}.html"
 
 
 def why_not(path: Path, error: Exception, word: str = "judged") -> tuple[str, bool]:

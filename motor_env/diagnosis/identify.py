@@ -105,20 +105,17 @@ class Identification:
         """Tables, and what is not told."""
         return "\n".join(map(_text, self.to_json()))
 
-    def plot(self, folder: Path) -> None:
-        """One picture a start, and one of all logs.
+    def page(self) -> str:
+        """A self-contained HTML page: measured beside fitted current and speed of each start, and of all logs."""
+        from motor_env.diagnosis.shown.page import page_of_fits
 
-        Raises:
-            InputError: a file cannot be written.
-        """
-        from motor_env.diagnosis.files import picture_of
-        from motor_env.diagnosis.shown.pictures import plot_fit
-
-        shown: list[tuple[Recording, Identified | Operation]] = [*self.starts]
+        fits: dict[str, Identified | Operation] = {
+            f"{recording.path.name}, start {number}": fit
+            for number, (recording, fit) in enumerate(self.starts, 1)
+        }
         if self.joint is not None:
-            shown.append((self.logs[0], self.joint))
-        for place, (recording, fit) in enumerate(shown, 1):
-            plot_fit(fit, recording.path.name, picture_of(recording.path, folder, place))
+            fits[", ".join(recording.path.name for recording in self.logs)] = self.joint
+        return page_of_fits("Fits of the recordings", fits)
 
     def _start_json(self, recording: Recording, fit: Identified) -> dict[str, Any]:
         return {

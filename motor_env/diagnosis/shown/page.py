@@ -1,17 +1,20 @@
-"""A diagnosis as one self-contained HTML page: the verdict and what to do first, then what it rests on."""
+"""Self-contained HTML pages: a verdict with what to do first and what it rests on; fits beside what was measured."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from motor_env.console import printable
 from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.shown.report import as_text, warnings_of
+from motor_env.diagnosis.shown.report import as_text, quality, warnings_of
 from motor_env.diagnosis.shown.words import KIND, RUN_ON, SIZE, WORDS
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
+from motor_env.diagnosis.views import Fitted
 from motor_env.fitting import places
+from motor_env.fitting.identify import Operation
 from motor_env.fitting.starts.belief import absolute
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.parameters import FloatArray
@@ -73,6 +76,68 @@ def page(diagnosis: Diagnosis) -> str:
     )
 
 
+def page_of_fits(
+    title: str, fits: Mapping[str, Identified | Operation], *, spread: str = "", note: str = ""
+) -> str:
+    """The page of fits by their recordings: measured beside fitted current and speed, and the residuals.
+
+    Args:
+        title: heading.
+        fits: of starts and of logs, by the name of the recording.
+        spread: chart of how the quantities of healthy pieces spread, as SVG.
+        note: sentence below that chart.
+    """
+    return render(
+        "motor_env.diagnosis.shown",
+        "fits.html.j2",
+        title=printable(title),
+        spread=spread,
+        note=note,
+        fits=[
+            (
+                printable(name),
+                f"{' + '.join(fit.model) or 'textbook'}, {quality(fit.r2_current, fit.r2_speed)}",
+                "\n".join(_fit_charts(fit)),
+            )
+            for name, fit in fits.items()
+        ],
+    )
+
+
+def _fit_charts(fit: Identified | Operation) -> Iterator[str]:
+    """Charts of current and speed with their residuals; of a log also the voltage. Uncounted samples are left out."""
+    if isinstance(fit, Identified):
+        time, unit = 1e3 * (fit.start.time_s - fit.onset_s), "ms"
+        measured = [fit.start.current_a, fit.start.speed_rad_s]
+        counted = [fit.start.counted, np.full(len(time), fill_value=True)]
+    else:
+        time, unit = fit.record.dt_s * np.arange(len(fit.expected), dtype=np.float64), "s"
+        measured = [fit.record.readings[:, n] if fit.record.seen[n] else None for n in range(2)]
+        counted = [np.isfinite(fit.record.readings[:, n]) for n in range(2)]
+        yield _chart(time, {"measured": fit.record.voltage_v}, "V", "Voltage", time_unit=unit)
+    channels = (("Current", "A"), ("Speed", "rad/s"))
+    for (name, symbol), values, fitted, rows in zip(channels, measured, fit.expected.T, counted, strict=True):
+        if values is None:
+            continue
+        kept = np.flatnonzero(rows)
+        kept = kept[:: max(len(kept) // _MOST_POINTS, 1)]
+        both = {"measured": values[kept], "healthy": fitted[kept]}
+        yield _chart(time[kept], both, symbol, f"{name}, measured and fitted", time_unit=unit)
+        residual = {"beyond": values[kept] - fitted[kept]}
+        yield _chart(time[kept], residual, symbol, f"{name}: residual", time_unit=unit)
+
+
+def spread_chart(fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Interval of each quantity of the next healthy piece, and a dot for each piece, in per cent of the mean."""
+    rows = zip(parameters.items(), np.exp([fit.log_values for fit in fits]).T, strict=True)
+    changes, pieces = [], {}
+    for (name, row), values in rows:
+        low, high = np.asarray(row["interval"]) / row["value"]
+        changes.append(Change(name, 1.0, low, high, "healthy"))
+        pieces[name] = values / row["value"]
+    return _bars(tuple(changes), pieces)
+
+
 def _size(judgement: Judgement) -> str:
     """How far it moved, with its interval, in words; empty without a size."""
     size, interval, kind = judgement.severity, judgement.severity_interval, judgement.fault_kind
@@ -100,8 +165,8 @@ def reference_current(judgement: Judgement) -> FloatArray | None:
     return fit.run(physical)[:, 0] + fit.start.alignment.offset_a
 
 
-def _bars(changes: tuple[Change, ...]) -> str:
-    """Deviation of each quantity with its interval, in per cent on a logarithmic axis."""
+def _bars(changes: tuple[Change, ...], pieces: Mapping[str, FloatArray] | None = None) -> str:
+    """Deviation of each quantity with its interval, in per cent on a logarithmic axis; or those of several pieces."""
     height = 34.0 * len(changes)
     chart = Chart(
         _ratio_axis(changes),
@@ -118,6 +183,10 @@ def _bars(changes: tuple[Change, ...]) -> str:
         with chart.group(style, f"{change.name}: {change.ratio - 1.0:+.1%}"):
             chart.text((0.0, y + 5.0), _QUANTITY.get(name, change.name), "name")
             chart.line("interval", (chart.x(change.low), y), (chart.x(change.high), y))
+            if pieces is not None:
+                for ratio in pieces[change.name]:
+                    chart.dot("dot", (chart.x(ratio), y), 4.0)
+                continue
             chart.dot("dot", (chart.x(change.ratio), y), 6.0)
             chart.text((_WIDTH, y + 5.0), f"{round(change.ratio - 1.0, 2) + 0.0:+.0%}", "value", "end")
     return chart.svg()
@@ -203,6 +272,7 @@ def _chart(
     *,
     limits: tuple[float, float] | None = None,
     band: float = 0.0,
+    time_unit: str = "ms",
 ) -> str:
     """Curves by their style over the time, within limits or their own, and a band about 0."""
     begin, end = float(time_ms[0]), float(time_ms[-1])
@@ -210,10 +280,10 @@ def _chart(
     room = 0.05 * max(high - low, 1e-9)
     low, high = low - room, high + room
     chart = Chart(
-        Axis("", begin, end, round_ticks(begin, end), lambda value: f"{value:g} ms"),
+        Axis("", begin, end, round_ticks(begin, end), lambda value: f"{value:g} {time_unit}"),
         Axis("", low, high, round_ticks(low, high), lambda value: f"{value:g} {unit}"),
         size=(_WIDTH, 230.0),
-        margins=(66.0, 32.0, 8.0, 28.0),
+        margins=(66.0 + 8.0 * max(len(unit) - 2, 0), 32.0, 8.0, 28.0),
         label=label,
     )
     if band:

@@ -1,4 +1,4 @@
-"""A judgement as it is shown: status, text, JSON, page and pictures."""
+"""A judgement as it is shown: status, text, JSON and pages."""
 
 import json
 import math
@@ -15,7 +15,9 @@ from motor_env import (
     Diagnosis,
     FaultKind,
     Verdict,
+    commission,
     diagnose,
+    identify,
     read_recording,
 )
 from motor_env.cli import main
@@ -23,7 +25,7 @@ from motor_env.diagnosis.explanations import (
     Change,
     joint_share,
 )
-from motor_env.diagnosis.files import picture_of
+from motor_env.diagnosis.files import page_path
 from motor_env.diagnosis.shown import page, report
 
 # Reaches in: fits are altered by hand.
@@ -267,9 +269,35 @@ def test_the_piece_that_a_verdict_rests_on(said: list[tuple[str, float | None]],
     assert [line.startswith(f"  from {telling} s: {said[telling][0]}") for line in marked] == [True]
 
 
+def test_a_page_of_fits_shows_what_was_measured_beside_it() -> None:
+    found = identify(EXAMPLES / "startup_capture.csv")
+    ((recording, fit),) = found.starts
+    charts = re.findall(r'aria-label="([^"]*)"(.*?)</svg>', found.page())
+    assert [label for label, _ in charts] == ["Current, measured and fitted", "Current: residual"]
+    heights = {
+        style: np.array([float(point.split(",")[1]) for point in points.split()])
+        for _, chart in charts
+        for style, points in re.findall(r'<polyline class="(\w+)" points="([^"]*)"', chart)
+    }
+    kept = slice(None, None, len(recording.time_s) // 700)
+    measured = np.asarray(fit.start.current_a)[kept]
+    assert np.corrcoef(measured, -heights["measured"])[0, 1] > 0.99999
+    assert np.corrcoef(fit.expected[kept, 0], -heights["healthy"])[0, 1] > 0.99999
+    assert np.corrcoef(measured - fit.expected[kept, 0], -heights["beyond"])[0, 1] > 0.999
+
+
+def test_a_page_of_a_commissioning_has_a_dot_for_each_piece() -> None:
+    example = read_recording(EXAMPLES / "startup_capture.csv")
+    starts = [replace(example, path=Path(f"{n}.csv"), current_a=n * example.current_a) for n in (1.0, 1.1)]
+    html = commission(starts, fewest=2).page()
+    (spread,) = re.findall(r'aria-label="Deviation of each quantity.*?</svg>', html, re.DOTALL)
+    assert (spread.count('class="interval"'), spread.count('class="dot"')) == (4, 8)
+    assert "Healthy start 2" in html
+
+
 def test_names_of_pages_are_numbered() -> None:
-    assert picture_of(Path("a.b/c.d.csv"), Path("out"), 7) == Path("out/007-c-d-csv.png")
-    assert len(picture_of(Path("x" * 99), Path("out"), 7).stem) == 4 + 50
+    assert page_path(Path("a.b/c.d.csv"), Path("out"), 7) == Path("out/007-c-d-csv.html")
+    assert len(page_path(Path("x" * 99), Path("out"), 7).stem) == 4 + 50
 
 
 @pytest.mark.parametrize(
