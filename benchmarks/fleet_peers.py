@@ -23,8 +23,7 @@ from pyod.models.pca import PCA
 from scipy.special import stdtr
 from tables import keep_table
 
-from motor_env.diagnosis.explanations import Difference, explain
-from motor_env.diagnosis.views import EXPONENTS
+from motor_env.diagnosis.hypotheses import EXPONENTS, Difference, explain
 from motor_env.motor.parameters import FloatArray
 
 SIZE, SICK = 30, 0.1

@@ -22,10 +22,10 @@ from verdict_tables import HERE, Counts, How, Said, counted, words_of
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, limits_of
 from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.hypotheses import views_of
 from motor_env.diagnosis.learning import fit_healthy, learn_starts
 from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.verdict import Diagnosis
-from motor_env.diagnosis.views import views_of
 from motor_env.motor.identifiable import PARAMETERS
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import prepare

@@ -13,12 +13,12 @@ from scipy.special import stdtrit
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import unusable_reason
+from motor_env.diagnosis.hypotheses import Fitted
 from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, promise_of
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.sensors.failed import with_signs
 from motor_env.diagnosis.shown.report import UNITS, of_the_drag
-from motor_env.diagnosis.views import Fitted
 from motor_env.errors import InputError, require_options
 from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.identified import Identified

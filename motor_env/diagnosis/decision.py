@@ -17,32 +17,30 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from motor_env.diagnosis.explanations import (
+from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.hypotheses import (
     Change,
     Explanation,
+    Fitted,
+    View,
     alarm_share,
     compare,
+    covariance_at_one_temperature,
     explain,
     is_its_own,
     joint_share,
+    kelvin_of,
     probabilities,
     severity_of,
-    smallest_changes,
-)
-from motor_env.diagnosis.healthy_motor import Reference
-from motor_env.diagnosis.loaded import LOADS
-from motor_env.diagnosis.misreading import as_sentence, as_wear, wrong_scales
-from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import (
-    Fitted,
-    View,
-    covariance_at_one_temperature,
-    kelvin_of,
     shared,
+    smallest_changes,
     smallest_of,
     unit_of,
     views_of,
 )
+from motor_env.diagnosis.loaded import LOADS
+from motor_env.diagnosis.misreading import as_sentence, as_wear, wrong_scales
+from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray

@@ -14,10 +14,10 @@ from scipy.special import stdtrit
 
 from motor_env.diagnosis import verdict
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
-from motor_env.diagnosis.explanations import alarm_share, compare
 from motor_env.diagnosis.healthy_motor import Moved, Reference, reference_of
+from motor_env.diagnosis.hypotheses import alarm_share, compare
 from motor_env.diagnosis.misreading import SWAPPED, is_strange
-from motor_env.diagnosis.sensors.checks import sensor_failed
+from motor_env.diagnosis.sensors.channels import sensor_failed
 from motor_env.diagnosis.sensors.failed import failed_sensor
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement, Verdict

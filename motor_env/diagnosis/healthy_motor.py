@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from motor_env.diagnosis.explanations import NORMAL_DOF
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 
+NORMAL_DOF = 1e6  # of a covariance that is known
 SHEET_NOISE_SD = 0.10
 MEASURED_TEMPERATURE_K = 4.0
 """How far a winding may be off a measured temperature, one standard deviation."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from motor_env.diagnosis.decision import decide, limits_of
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
-from motor_env.diagnosis.views import Fitted, smallest_of, views_of
+from motor_env.diagnosis.hypotheses import Fitted, smallest_of, views_of
 from motor_env.fitting.starts.choice import NUISANCES, identify_best
 from motor_env.fitting.starts.commutation import ripple_quantities
 from motor_env.fitting.starts.identified import Identified

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.explanations import Difference, Explanation, along, left_over
+from motor_env.diagnosis.hypotheses import Difference, Explanation, along, left_over
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting.starts.plausibility import NOT_TURNING
 from motor_env.motor.faults import FaultKind

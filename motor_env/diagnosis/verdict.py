@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from motor_env.console import ExitStatus
-from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.healthy_motor import Reference
-from motor_env.diagnosis.views import Fitted
+from motor_env.diagnosis.hypotheses import Change, Fitted
 from motor_env.filters.consistency import Consistency, check_consistency
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.faults import FaultKind

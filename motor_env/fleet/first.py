@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from motor_env.diagnosis.diagnose import unusable_reason
+from motor_env.diagnosis.hypotheses import NAMES
 from motor_env.diagnosis.running.drives import rms_volts
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
 from motor_env.diagnosis.running.windows import averaged
-from motor_env.diagnosis.views import NAMES
 from motor_env.errors import InputError
 from motor_env.fitting.identify import identify_operation
 from motor_env.fitting.recorded import at_terminals

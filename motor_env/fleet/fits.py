@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from motor_env.diagnosis.hypotheses import Fitted, FittedWindow
 from motor_env.diagnosis.running.windows import over_speed
-from motor_env.diagnosis.views import Fitted, FittedWindow
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.recorded import from_recordings

@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.explanations import Difference
+from motor_env.diagnosis.hypotheses import Difference
 from motor_env.diagnosis.misreading import as_sentence, wrong_scales
 from motor_env.errors import InputError, require_options
 from motor_env.fleet.first import Reading

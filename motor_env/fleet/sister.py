@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from motor_env.diagnosis.diagnose import Diagnosis
-from motor_env.diagnosis.explanations import Difference
+from motor_env.diagnosis.hypotheses import Difference
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.fleet.names import Place
 from motor_env.motor import identifiable

@@ -21,8 +21,8 @@ from motor_env import (
     simulate,
 )
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Difference
 from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.hypotheses import Difference
 from motor_env.diagnosis.verdict import Judgement
 
 # Reaches in: fits are altered by hand.

@@ -7,14 +7,14 @@ from contextlib import suppress
 import numpy as np
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
-from motor_env.diagnosis.explanations import NORMAL_DOF, Difference
+from motor_env.diagnosis.healthy_motor import NORMAL_DOF
+from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES, Difference
 from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, as_sentence, is_far, wrong_scales
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import WindowJudge, viscous
 from motor_env.diagnosis.sensors.failed import failed_sensor
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import EXPONENTS, NAMES
 from motor_env.fitting import places
 from motor_env.fitting.identify import identify_record
 from motor_env.fitting.recorded import at_terminals, from_recordings

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.diagnosis.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.learning import RECORD_SPREAD, next_window, usual_beside
 from motor_env.diagnosis.running.drives import FAR, NEEDED, driven, rms_volts, sorted_by_drive
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
 from motor_env.diagnosis.running.replay import replay
 from motor_env.diagnosis.running.scales import learn_scale, places_on_axes
 from motor_env.diagnosis.running.windows import MOST_SAMPLES, WindowJudge, judge_of, over_speed, windows_of
-from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.fitting import places
 from motor_env.fitting.identify import FEWEST_STEPS, UNSEEN_STEPS, Operation, identify_operation
 from motor_env.fitting.problem import Solution

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr, stdtrit
 
+from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES
 from motor_env.diagnosis.learning import PRIOR_WEIGHT
 from motor_env.diagnosis.running.pieces import N_STATES, Pieces
 from motor_env.diagnosis.running.windows import WARMTH
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import EXPONENTS, NAMES
 from motor_env.fitting.uncertainty import beyond
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.faults import FaultKind

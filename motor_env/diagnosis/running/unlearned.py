@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from motor_env.diagnosis.healthy_motor import Moved, reference_of
+from motor_env.diagnosis.hypotheses import NAMES
 from motor_env.diagnosis.running.drives import NEEDED, needed_columns
 from motor_env.diagnosis.running.lessons import (
     effective_speed,
@@ -18,7 +19,6 @@ from motor_env.diagnosis.running.lessons import (
     window_length_s,
 )
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of, viscous, windows_of
-from motor_env.diagnosis.views import NAMES
 from motor_env.fitting.identify import identify_record
 from motor_env.fitting.record import STRETCHES, Record
 from motor_env.fitting.recorded import from_recordings

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.running.counting import Counting, promised
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.learned import Learned
@@ -31,7 +32,6 @@ from motor_env.diagnosis.running.scales import (
 )
 from motor_env.diagnosis.running.windows import WindowJudge, averaged
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.errors import InputError
 from motor_env.fitting.recorded import from_recordings
 from motor_env.motor.healthy import Healthy

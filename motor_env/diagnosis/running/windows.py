@@ -16,13 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import alarm_share
 from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
+from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES, FittedWindow, alarm_share
 from motor_env.diagnosis.running.drives import FAR, driven, nearest, needed_columns, off_others, rms_volts
-from motor_env.diagnosis.sensors.checks import failure_in
-from motor_env.diagnosis.sensors.seen import Seen
+from motor_env.diagnosis.sensors.channels import Seen, failure_in
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import EXPONENTS, NAMES, FittedWindow
 from motor_env.errors import InputError
 from motor_env.fitting import places
 from motor_env.fitting.record import Record

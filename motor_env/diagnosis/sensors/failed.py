@@ -9,8 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from motor_env.diagnosis.sensors.checks import failure_in, sensor_failed
-from motor_env.diagnosis.sensors.seen import Seen
+from motor_env.diagnosis.sensors.channels import Seen, failure_in, sensor_failed
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.fitting import places
 from motor_env.motor.data_sheet import Motor

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from motor_env.console import printable
-from motor_env.diagnosis.explanations import Change
+from motor_env.diagnosis.hypotheses import Change, Fitted
 from motor_env.diagnosis.shown.report import as_text, quality, warnings_of
 from motor_env.diagnosis.shown.words import KIND, RUN_ON, SIZE, WORDS
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
-from motor_env.diagnosis.views import Fitted
 from motor_env.fitting import places
 from motor_env.fitting.identify import Operation
 from motor_env.fitting.starts.belief import absolute

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from motor_env.diagnosis.hypotheses import Fitted
 from motor_env.diagnosis.verdict import Diagnosis, Judgement
-from motor_env.diagnosis.views import Fitted
 from motor_env.fitting.starts.commutation import constants_at, find_ripple
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.starts.plausibility import implausible

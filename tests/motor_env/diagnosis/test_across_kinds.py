@@ -24,12 +24,11 @@ from motor_env import (
     diagnose,
 )
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Difference, joint_share
 from motor_env.diagnosis.healthy_motor import Moved, Reference, reference_of
+from motor_env.diagnosis.hypotheses import Difference, FittedWindow, joint_share
 from motor_env.diagnosis.misreading import wrong_scales
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.shown.page import reference_current
-from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting import places
 
 # Reaches in: a window is off in the direction of a fault.

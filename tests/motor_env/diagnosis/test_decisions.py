@@ -18,14 +18,15 @@ from motor_env import (
 from motor_env.diagnosis import diagnose as judging
 from motor_env.diagnosis.decision import decide, limits_of
 from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.explanations import (
+from motor_env.diagnosis.hypotheses import (
+    covariance_at_one_temperature,
     joint_share,
     probabilities,
+    views_of,
 )
 from motor_env.diagnosis.identify import Identification
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import covariance_at_one_temperature, views_of
 from motor_env.filters.consistency import check_consistency
 
 # Reaches in: fits are moved by hand in directions that no public name gives.

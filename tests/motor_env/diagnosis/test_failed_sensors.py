@@ -15,9 +15,8 @@ from odd_recordings import at_work, scaled, started
 from scipy.signal import lfilter
 
 from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
-from motor_env.diagnosis.sensors.checks import failure_in
+from motor_env.diagnosis.sensors.channels import Seen, failure_in, free_run, likeness
 from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of, with_signs
-from motor_env.diagnosis.sensors.seen import Seen, free_run, likeness
 from motor_env.diagnosis.shown.words import WORDS
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.errors import InputError

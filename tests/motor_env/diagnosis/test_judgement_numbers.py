@@ -13,7 +13,7 @@ from motor_env import (
     FaultKind,
 )
 from motor_env.diagnosis.decision import limits_of
-from motor_env.diagnosis.explanations import (
+from motor_env.diagnosis.hypotheses import (
     alarm_share,
     compare,
     explain,
@@ -22,8 +22,8 @@ from motor_env.diagnosis.explanations import (
     probabilities,
     severity_of,
     smallest_changes,
+    views_of,
 )
-from motor_env.diagnosis.views import views_of
 
 # Reaches in: faults move a fit in directions that no public name gives.
 from motor_env.motor.identifiable import matrix, nameable_kinds, visible_direction

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Difference
 from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.hypotheses import NAMES, Difference, FittedWindow
 from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, as_sentence, wrong_scales
 from motor_env.diagnosis.running import judge as judging
 from motor_env.diagnosis.running.windows import WindowJudge
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import NAMES, FittedWindow
 
 # Reaches in: values of a log's fit are made by hand.
 from motor_env.fitting import places

@@ -17,14 +17,17 @@ from motor_env import (
 )
 from motor_env.diagnosis import commission, files, learning, motor_files
 from motor_env.diagnosis.decision import limits_of
-from motor_env.diagnosis.explanations import (
+from motor_env.diagnosis.healthy_motor import Moved, reference_of, reference_of_pieces, with_normal
+from motor_env.diagnosis.hypotheses import (
+    covariance_at_one_temperature,
     joint_share,
     smallest_changes,
+    smallest_of,
+    unit_of,
+    views_of,
 )
-from motor_env.diagnosis.healthy_motor import Moved, reference_of, reference_of_pieces, with_normal
 from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, the_next
 from motor_env.diagnosis.shown import page, report
-from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
 from motor_env.fitting.uncertainty import beyond
 
 # Reaches in: what a reference must hold follows from a motor's equations and from the noise of its starts.

@@ -15,11 +15,10 @@ from motor_env import InputError, Motor, Recording, Verdict, commission, diagnos
 from motor_env.cli import main
 from motor_env.console import worst
 from motor_env.diagnosis import files
-from motor_env.diagnosis.explanations import alarm_share, joint_share
+from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES, alarm_share, joint_share
 from motor_env.diagnosis.running import windows
 from motor_env.diagnosis.running.windows import WindowJudge
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import EXPONENTS, NAMES
 from motor_env.fitting import places
 
 # Reaches in: the oracle of the joint share needs the direction in which each fault shows.

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from motor_env import FaultKind, Recording, commission
+from motor_env.diagnosis.hypotheses import FittedWindow
 from motor_env.diagnosis.learning import (
     RECORD_SPREAD,
     next_window,
@@ -33,7 +34,6 @@ from motor_env.diagnosis.running.windows import (
     windows_of,
 )
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
 from motor_env.fitting.recorded import from_recordings

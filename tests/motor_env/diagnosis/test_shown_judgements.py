@@ -21,11 +21,11 @@ from motor_env import (
     read_recording,
 )
 from motor_env.cli import main
-from motor_env.diagnosis.explanations import (
+from motor_env.diagnosis.files import page_path
+from motor_env.diagnosis.hypotheses import (
     Change,
     joint_share,
 )
-from motor_env.diagnosis.files import page_path
 from motor_env.diagnosis.shown import page, report
 
 # Reaches in: fits are altered by hand.

@@ -23,10 +23,10 @@ from motor_env import (
     simulate,
     simulate_states,
 )
+from motor_env.diagnosis.hypotheses import NAMES
 from motor_env.diagnosis.running import lessons, unlearned
 from motor_env.diagnosis.running.unlearned import judge_for
 from motor_env.diagnosis.running.windows import viscous
-from motor_env.diagnosis.views import NAMES
 from motor_env.fitting import places
 
 # Reaches in: the long test judges by the joint fit itself, made once for two motors.

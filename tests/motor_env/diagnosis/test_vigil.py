@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 from motor_env import InputError, Recording
+from motor_env.diagnosis.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.running.counting import Counting, fewest_in_a_row, windows_between_alarms
 from motor_env.diagnosis.running.detector import Detector
 from motor_env.diagnosis.running.drives import driven
@@ -30,7 +31,6 @@ from motor_env.diagnosis.running.scales import (
 from motor_env.diagnosis.running.vigil import YEAR_S, Vigil
 from motor_env.diagnosis.running.windows import judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.fitting import places
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Drive, Healthy, Scale, Windows

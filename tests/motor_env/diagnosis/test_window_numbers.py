@@ -15,11 +15,18 @@ from scipy import integrate, optimize, stats
 
 from motor_env import Diagnosis, FaultKind, InputError, Motor, Recording, Verdict, diagnose
 from motor_env.cli import main
-from motor_env.diagnosis import files, views
+from motor_env.diagnosis import files, hypotheses
 from motor_env.diagnosis.commission import Commissioned, commission
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Change, joint_share
 from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.hypotheses import (
+    EXPONENTS,
+    NAMES,
+    Change,
+    FittedWindow,
+    covariance_at_one_temperature,
+    joint_share,
+)
 from motor_env.diagnosis.learning import the_next, without
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running import lessons, windows
@@ -38,7 +45,6 @@ from motor_env.diagnosis.running.windows import (
 from motor_env.diagnosis.sensors.failed import physical_of
 from motor_env.diagnosis.shown import report
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import EXPONENTS, NAMES, FittedWindow, covariance_at_one_temperature
 from motor_env.fitting import places
 from motor_env.fitting.record import Record
 
@@ -375,7 +381,7 @@ def test_a_quiet_window_decides_nothing_where_no_doubling_would_show() -> None:
 def test_a_window_is_judged_by_what_moved_in_it(off: tuple[float, ...], verdict: str) -> None:
     reference = replace(JUDGE.reference, temperature_k=15.0, warmer_k=3.0, own_friction=0.8)
     window = FittedWindow(JUDGE.reference.log_values + off, spread(4) * 0.5)
-    (view,) = views.views_of(window, reference, 0.01)
+    (view,) = hypotheses.views_of(window, reference, 0.01)
     # No load falls with the temperature.
     np.testing.assert_allclose(view.drag.warmth, [0.00393, -0.001, 0.0, -0.003 * 0.8])
     assert decide(window, reference, 0.01).verdict == verdict
@@ -389,18 +395,18 @@ def test_warmth_widens_what_is_healthy() -> None:
     assert decided(ratios, covariance, 0.01, 1e3).verdict.is_fault
     assert decided(ratios, covariance, 0.01, 1e3, 15.0).verdict == "healthy"
     assert decided(ratios, covariance, 0.01, 1e3, 2.0).verdict.is_fault
-    np.testing.assert_array_equal(views._straightened(ratios, spread(4), WARMTH, 0.0), ratios)
+    np.testing.assert_array_equal(hypotheses._straightened(ratios, spread(4), WARMTH, 0.0), ratios)
     # At most 100 K are taken for warmth when logarithms are straightened.
     tight = np.diag([1e-5, 1e-5, 1.0, 1e-5]) ** 2
     for kelvin in (99.0, 101.0, 130.0):
-        found = views._straightened(np.log1p(kelvin * WARMTH), tight, WARMTH, 1e3)
+        found = hypotheses._straightened(np.log1p(kelvin * WARMTH), tight, WARMTH, 1e3)
         slope = np.linalg.solve(tight, WARMTH)
         least = slope @ np.log1p(kelvin * WARMTH) / (slope @ WARMTH + 1e-6)
         kept = min(float(least), 100.0) * WARMTH
         np.testing.assert_allclose(found, np.log1p(kelvin * WARMTH) + kept - np.log1p(kept), rtol=1e-9)
     # And no quantity is taken for less than half: a load may answer to warmth by more than 1 % a kelvin.
     steep = np.array([0.004, -0.012, 0.0, -0.003])
-    found = views._straightened(99.0 * steep, tight, steep, 1e3)
+    found = hypotheses._straightened(99.0 * steep, tight, steep, 1e3)
     assert found[1] == pytest.approx(-99.0 * 0.012 - 0.5 - math.log(0.5), rel=1e-6)
 
 

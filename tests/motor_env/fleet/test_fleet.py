@@ -14,9 +14,8 @@ from scipy.stats import f as fisher, t as student_t
 
 from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
-from motor_env.diagnosis.explanations import Difference
+from motor_env.diagnosis.hypotheses import Difference, FittedWindow
 from motor_env.diagnosis.verdict import Verdict
-from motor_env.diagnosis.views import FittedWindow
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.first import First, Reading

@@ -26,11 +26,10 @@ from motor_env.console import ExitStatus
 
 # Reaches in: the judge of windows is replaced, or is given fits made by hand, and answers in its own types.
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Change
+from motor_env.diagnosis.hypotheses import Change, FittedWindow
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of
-from motor_env.diagnosis.sensors.checks import sensor_failed
+from motor_env.diagnosis.sensors.channels import sensor_failed
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting import places
 from motor_env.live import command, watch as watching
 from motor_env.live.command import showing
