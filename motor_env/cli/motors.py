@@ -49,7 +49,7 @@ def identify(
     if motor is not None:
         options.refuse("--motor", torque_constant=torque_constant, out=out)
         return _beside_sisters(files, motor, output, measurement, regime=regime, name=name, json_=json_)
-    from motor_env.diagnosis.identify import identify as fitted
+    from motor_env.diagnosis.identification import identify as fitted
     from motor_env.motor.data_sheet import save_motor
 
     found = fitted(

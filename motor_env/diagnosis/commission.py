@@ -12,13 +12,19 @@ import numpy as np
 from scipy.special import stdtrit
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
-from motor_env.diagnosis.diagnose import unusable_reason
+from motor_env.diagnosis.diagnose import explain_unusable
+from motor_env.diagnosis.healthy_spread import (
+    detectable_changes,
+    explain_disagreement,
+    explain_outlier,
+    fit_healthy,
+    learn_starts,
+)
 from motor_env.diagnosis.hypotheses import Fitted
-from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, promise_of
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
+from motor_env.diagnosis.report.formats import UNITS, describe_friction_share
 from motor_env.diagnosis.running.lessons import learn_windows
-from motor_env.diagnosis.sensors.failed import with_signs
-from motor_env.diagnosis.shown.report import UNITS, of_the_drag
+from motor_env.diagnosis.sensors.sensor_diagnosis import learn_signs
 from motor_env.errors import InputError, require_options
 from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.identified import Identified
@@ -112,6 +118,7 @@ class Commissioned:
         explained = [fit.r2_current for fit in self.fits if isinstance(fit, Identified)]
         quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
         smallest = ", ".join(f"{fault} {severity:.1%}" for fault, severity in self.smallest.items())
+        friction = describe_friction_share(healthy.own_friction)
         interval = f"({1.0 - rate:.0%}, Student t, {healthy.degrees_of_freedom:.0f} degrees)"
         lines = [
             f"{healthy.pieces} healthy {piece}s{kind}; prediction interval of the next healthy {piece} {interval}",
@@ -124,7 +131,7 @@ class Commissioned:
             *(f"  taken for {one}" for one in self.taken),
             *self.read,
             *quality,
-            f"  smallest change that is found in 95 of 100 cases: {smallest} ({of_the_drag(healthy.own_friction)})",
+            f"  smallest change that is found in 95 of 100 cases: {smallest} ({friction})",
             *(
                 f"  {name} is left undecided by {count} of these {len(self.fits)} {piece}s: a doubling would not show"
                 for name, count in self.undecided.items()
@@ -137,7 +144,7 @@ class Commissioned:
 
     def page(self) -> str:
         """A self-contained HTML page: the spread of each quantity; of starts also their fits and residuals."""
-        from motor_env.diagnosis.shown.page import page_of_fits, spread_chart
+        from motor_env.diagnosis.report.page import page_of_fits, spread_chart
 
         starts = [fit for fit in self.fits if isinstance(fit, Identified)]
         smallest = ", ".join(f"{kind.replace('_', ' ')} {share:.0%}" for kind, share in self.smallest.items())
@@ -203,7 +210,7 @@ def commission(
     read = [recording_of(one, columns) for one in recordings]
     if regime == "auto" and window_s is not None:
         regime = "operation"
-    taken = _of_one_kind(read, [taken_for(recording, regime, start) for recording in read], word)
+    taken = _require_one_regime(read, [taken_for(recording, regime, start) for recording in read], word)
     if taken[0].regime == "operation":
         given = {
             "start": start,
@@ -231,14 +238,14 @@ def commission(
         if no_load_current_a is not None:
             healthy = replace(healthy, own_friction=_own_friction(starts, no_load_current_a))
         motor = to_motor(starts, name, healthy=healthy, constant=constant)
-        motor = with_signs(motor, [part for one in read for part in chosen_starts(one, start)], voltage_v)
+        motor = learn_signs(motor, [part for one in read for part in chosen_starts(one, start)], voltage_v)
         fits = tuple(starts)
-    promise = promise_of(motor, fits, temperature_c, false_alarm_rate)
+    promise = detectable_changes(motor, fits, temperature_c, false_alarm_rate)
     told = tuple(understood((one.path, one.columns) for one in read))
     return Commissioned(motor, fits, *promise, false_alarm_rate, taken, told)
 
 
-def _of_one_kind(read: Sequence[Recording], taken: Sequence[Taken], word: str) -> tuple[Taken, ...]:
+def _require_one_regime(read: Sequence[Recording], taken: Sequence[Taken], word: str) -> tuple[Taken, ...]:
     """What recordings are taken for, each reason once: a motor that is switched on and off again is at work.
 
     Raises:
@@ -285,10 +292,10 @@ def fit_starts(
     if len({fit.quantity_names for fit in fits}) > 1:
         raise InputError(f"the healthy {word}s hold different columns; give such that agree")
     for number, part in enumerate(starts):
-        reason = unusable_reason(fits[number]) or odd_one_out(fits, number)
+        reason = explain_unusable(fits[number]) or explain_outlier(fits, number)
         if reason is not None:
             raise InputError(f"{part.path}: a healthy {word} cannot be used: {reason}")
-    reason = disagreement(fits)
+    reason = explain_disagreement(fits)
     if reason is not None:
         raise InputError(f"the healthy {word}s cannot be used: {reason}")
     return fits

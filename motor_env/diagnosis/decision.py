@@ -22,24 +22,24 @@ from motor_env.diagnosis.hypotheses import (
     Change,
     Explanation,
     Fitted,
-    View,
+    Hypothesis,
     alarm_share,
     compare,
     covariance_at_one_temperature,
+    estimate_warming,
     explain,
-    is_its_own,
+    form_hypotheses,
+    is_separable,
     joint_share,
-    kelvin_of,
     probabilities,
     severity_of,
-    shared,
+    severity_unit,
+    shared_rows,
     smallest_changes,
-    smallest_of,
-    unit_of,
-    views_of,
+    smallest_detectable,
 )
-from motor_env.diagnosis.loaded import LOADS
-from motor_env.diagnosis.misreading import as_sentence, as_wear, wrong_scales
+from motor_env.diagnosis.load_hypotheses import LOADS
+from motor_env.diagnosis.scaling_errors import describe_scaling_errors, find_scaling_errors, limit_to_wear
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.faults import FaultKind, motor_kinds
@@ -53,7 +53,7 @@ _LEFT_OVER = 0.01
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
 
 
-class Limits(NamedTuple):
+class AlarmLimits(NamedTuple):
     """How far healthy pieces go.
 
     Attributes:
@@ -67,15 +67,15 @@ class Limits(NamedTuple):
     noise_z: float
 
 
-def limits_of(views: list[View], rate: float, *, tests_noise: bool) -> Limits:
+def alarm_limits(hypotheses: list[Hypothesis], rate: float, *, tests_noise: bool) -> AlarmLimits:
     """Limits of the tests that together alarm at a rate; where the noise is tested too, it has an equal share."""
-    difference = views[0].difference
+    difference = hypotheses[0].difference
     noise = alarm_share(rate, difference.exponents)
     freedom = difference.degrees_of_freedom
     share = joint_share(
         rate - noise if tests_noise else rate, difference.covariance, difference.exponents, freedom
     )
-    return Limits(share, -float(stdtrit(freedom, share)), -float(stdtrit(freedom, noise)))
+    return AlarmLimits(share, -float(stdtrit(freedom, share)), -float(stdtrit(freedom, noise)))
 
 
 def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None = None) -> Judgement:
@@ -89,26 +89,28 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         rate: of false alarms.
         alarm: whether there is one, where that is decided elsewhere, as from several pieces.
     """
-    views = views_of(fit, reference, rate)
-    limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
+    hypotheses = form_hypotheses(fit, reference, rate)
+    limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
     # A data sheet speaks of a motor without a load; there, loads only help to name what stands out.
-    believed = views if reference.includes_fit_error else views[:1]
-    quiet = next((view for view in believed if not view.is_alarm(limits.z, limits.share)), None)
+    believed = hypotheses if reference.includes_fit_error else hypotheses[:1]
+    quiet = next(
+        (hypothesis for hypothesis in believed if not hypothesis.is_alarm(limits.z, limits.share)), None
+    )
     if alarm is not None:
-        quiet = None if alarm else views[0]
-    view = quiet or views[0]
+        quiet = None if alarm else hypotheses[0]
+    hypothesis = quiet or hypotheses[0]
     same_warmth = covariance_at_one_temperature(fit, reference)
-    # As fitted: those of a view are straightened, for tests that the temperature shall not raise.
-    rows, drag = shared(fit, reference), views[0].drag
-    log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * drag.warmth
+    # As fitted: those of a hypothesis are straightened, for tests that the temperature shall not raise.
+    rows, load = shared_rows(fit, reference), hypotheses[0].load
+    log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * load.warmth
     healthy = Judgement(
         Verdict.HEALTHY,
         (
             f"no quantity has moved further than {reference.source} and the fit's own error allow",
-            *_warmth_reason(view, same_warmth, reference),
+            *_describe_warming(hypothesis, same_warmth, reference),
         ),
         severity=0.0,
-        confidence=probabilities(view.difference, view.faults)["healthy"],
+        confidence=probabilities(hypothesis.difference, hypothesis.faults)["healthy"],
         fit=fit,
         reference=reference,
         changes=compare(
@@ -119,29 +121,31 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
             limits.z,
             is_alarm=quiet is None,
         ),
-        smallest_changes=smallest_of(believed, reference.own_friction, limits.z),
+        smallest_changes=smallest_detectable(believed, reference.own_friction, limits.z),
     )
     if quiet is None:
         limit = limits.z if alarm is None else min(limits.z, _NAMED)
         # However often windows may alarm: a fault that is there leaves no more than this in 1 of 100.
         left_over = min(rate, _LEFT_OVER)
-        return as_wear(_with_alarm(healthy, reference, views, log_ratios, limit, rate=left_over))
+        return limit_to_wear(
+            _explain_alarm(healthy, reference, hypotheses, log_ratios, limit, rate=left_over)
+        )
     # That healthy pieces scatter by their load is no defect of this one, and the model's error is theirs as well.
-    spread = view.difference.covariance
+    spread = hypothesis.difference.covariance
     if reference.includes_fit_error:
         spread = fit.white_covariance[np.ix_(rows, rows)]
-    smallest = smallest_changes(replace(view.difference, covariance=spread), limits.z)
-    unseen = tuple(_unseen(smallest, reference.source))
-    if len(unseen) == len(_SEEN):
+    smallest = smallest_changes(replace(hypothesis.difference, covariance=spread), limits.z)
+    unseen = tuple(_describe_undecided(smallest, reference.source))
+    if len(unseen) == len(_CHECKED_FAULTS):
         return replace(healthy, verdict=Verdict.UNUSABLE, reasons=unseen, severity=None, confidence=None)
     healthy = replace(healthy, reasons=(*healthy.reasons, *unseen))
-    return _with_noise(healthy, fit, reference, limits.noise_z)
+    return _check_noise(healthy, fit, reference, limits.noise_z)
 
 
-def _with_alarm(
+def _explain_alarm(
     healthy: Judgement,
     reference: Reference,
-    views: list[View],
+    hypotheses: list[Hypothesis],
     log_ratios: FloatArray,
     limit: float,
     *,
@@ -153,15 +157,15 @@ def _with_alarm(
     """
 
     def suffices(fault: Explanation) -> bool:
-        return fault.z > limit and fault.p_left_over > rate and is_its_own(first.difference, fault.kind)
+        return fault.z > limit and fault.p_left_over > rate and is_separable(first.difference, fault.kind)
 
-    first = views[0]
-    scales = wrong_scales(first.difference, reference.names, limit, rate)
-    also = [as_sentence(scales)] if scales else []
+    first = hypotheses[0]
+    scales = find_scaling_errors(first.difference, reference.names, limit, rate)
+    also = [describe_scaling_errors(scales)] if scales else []
     # What has taught no sensors says nothing of their gains.
     gains = [scale.gain for scale in scales if scale.gain is not None and reference.is_taught]
-    for view in views[:1] if any(map(suffices, first.faults)) else views:
-        difference = replace(first.difference, response=view.drag.response)
+    for hypothesis in hypotheses[:1] if any(map(suffices, first.faults)) else hypotheses:
+        difference = replace(first.difference, response=hypothesis.load.response)
         faults = explain(difference)
         probability = probabilities(difference, faults)
         best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
@@ -173,15 +177,15 @@ def _with_alarm(
                 also[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
                 if share > probability[best.kind]:
                     break
-            found = _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
-            return replace(found, reasons=(*found.reasons, *also))
+            judgement = _name_fault(healthy, reference, as_fitted, probability, hypothesis.load.name)
+            return replace(judgement, reasons=(*judgement.reasons, *also))
     if gains and len(gains) == len(scales):
         probability = probabilities(first.difference, [*first.faults, *gains])
         # Two that explain alike differ by rounding: the one that is named first counts.
         likeliest = max(gains, key=lambda gain: round(probability[gain.kind], 9))
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
-            found = _with_fault(healthy, reference, likeliest, probability, None)
-            return replace(found, reasons=(*also, *found.reasons))
+            judgement = _name_fault(healthy, reference, likeliest, probability, None)
+            return replace(judgement, reasons=(*also, *judgement.reasons))
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
     # These cannot be named: a coupled load would look the same.
@@ -190,15 +194,19 @@ def _with_alarm(
         " speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
-    other = healthy.as_other(*also, *_other_reasons(healthy.changes, reference.source), *alike)
+    other = healthy.as_other(*also, *_describe_changes(healthy.changes, reference.source), *alike)
     return replace(other, confidence=probabilities(first.difference, first.faults)["other"])
 
 
-def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) -> tuple[str, ...]:
+def _describe_warming(
+    hypothesis: Hypothesis, same_warmth: FloatArray, reference: Reference
+) -> tuple[str, ...]:
     """That another temperature explains the changes, where it does so by itself: its posterior mean in kelvin."""
     if reference.temperature_k == 0.0:
         return ()
-    kelvin, sd = kelvin_of(view.difference.log_ratios, same_warmth, view.drag.warmth, reference.temperature_k)
+    kelvin, sd = estimate_warming(
+        hypothesis.difference.log_ratios, same_warmth, hypothesis.load.warmth, reference.temperature_k
+    )
     if abs(kelvin) < max(_TELLING_WARMTH_K, 2.0 * sd):
         return ()
     word = "warmer" if kelvin > 0.0 else "colder"
@@ -207,7 +215,7 @@ def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) ->
     )
 
 
-def _with_fault(
+def _name_fault(
     healthy: Judgement,
     reference: Reference,
     fault: Explanation,
@@ -215,7 +223,7 @@ def _with_fault(
     load: str | None,
 ) -> Judgement:
     """The diagnosis of a known fault; the interval of its severity is that of Student's t."""
-    verdict, own = Verdict(fault.kind.verdict), unit_of(fault.kind, reference.own_friction)
+    verdict, own = Verdict(fault.kind.verdict), severity_unit(fault.kind, reference.own_friction)
     half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
     low, high = (severity_of(fault.kind, fault.step + off) / own for off in (-half, half))
     return replace(
@@ -234,7 +242,7 @@ def _with_fault(
     )
 
 
-def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
+def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
     """The diagnosis of a noisy current, where it is noisier than the reference's by more than `limit`."""
     if reference.log_noise is None or not isinstance(fit, Identified):
         return healthy
@@ -258,12 +266,12 @@ def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: fl
     )
 
 
-_SEEN = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}
+_CHECKED_FAULTS = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}
 
 
-def _unseen(smallest: dict[str, float], source: str) -> Iterator[str]:
+def _describe_undecided(smallest: dict[str, float], source: str) -> Iterator[str]:
     """What a piece leaves undecided, in sentences: a doubling would not show, or there is nothing to compare with."""
-    for kind, quantity in _SEEN.items():
+    for kind, quantity in _CHECKED_FAULTS.items():
         severity = smallest.get(str(kind))
         if severity is None:
             yield f"the {quantity} is undecided: it cannot be compared with {source}"
@@ -275,7 +283,7 @@ def _unseen(smallest: dict[str, float], source: str) -> Iterator[str]:
             )
 
 
-def _other_reasons(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:
+def _describe_changes(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:
     moved = [c for c in changes if c.significant] or sorted(
         changes, key=lambda c: abs(math.log(c.ratio)) / math.log(c.high / c.low), reverse=True
     )[:1]

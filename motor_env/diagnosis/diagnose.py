@@ -14,12 +14,12 @@ from scipy.special import stdtrit
 
 from motor_env.diagnosis import verdict
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
-from motor_env.diagnosis.healthy_motor import Moved, Reference, reference_of
+from motor_env.diagnosis.healthy_motor import Reference, ReferenceShift, reference_of
 from motor_env.diagnosis.hypotheses import alarm_share, compare
-from motor_env.diagnosis.misreading import SWAPPED, is_strange
-from motor_env.diagnosis.sensors.channels import sensor_failed
-from motor_env.diagnosis.sensors.failed import failed_sensor
-from motor_env.diagnosis.shown import report
+from motor_env.diagnosis.report import formats
+from motor_env.diagnosis.scaling_errors import SWAPPED, is_unlike_motor
+from motor_env.diagnosis.sensors.channels import sensor_judgement
+from motor_env.diagnosis.sensors.sensor_diagnosis import diagnose_sensors
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
 from motor_env.fitting.starts.choice import EXTENSIONS, NUISANCES, identify_best
@@ -63,23 +63,23 @@ class Diagnosis(verdict.Diagnosis):
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Quantities of the piece that the verdict rests on: value, standard error, interval (95 %) and unit."""
-        fit = self.telling.fit
-        return {} if fit is None else report.quantities_json(fit)
+        fit = self.decisive.fit
+        return {} if fit is None else formats.quantities_json(fit)
 
     def to_json(self) -> dict[str, Any]:
         """One object for programs; its schema is docs/output.schema.json."""
-        return report.as_json(self)
+        return formats.as_json(self)
 
     def __repr__(self) -> str:
         return self.text()
 
     def text(self, *, verbose: bool = False) -> str:
         """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
-        return report.as_text(self, verbose=verbose)
+        return formats.as_text(self, verbose=verbose)
 
     def page(self) -> str:
         """A self-contained HTML page: the verdict, what to do first, and what it rests on."""
-        from motor_env.diagnosis.shown.page import page
+        from motor_env.diagnosis.report.page import page
 
         return page(self)
 
@@ -145,7 +145,7 @@ def diagnose(
         return Diagnosis(one, taken, tuple(each), len(parts), periods_per_turn)
 
     found = judged(recording)
-    if motor is not None and recording.voltage_v is not None and is_strange(found.telling):
+    if motor is not None and recording.voltage_v is not None and is_unlike_motor(found.decisive):
         lost = None if recording.missing is None else recording.missing[:, [1, 0, 2]]
         swapped = replace(
             recording, current_a=recording.voltage_v, voltage_v=recording.current_a, missing=lost
@@ -153,9 +153,9 @@ def diagnose(
         with suppress(InputError):
             again = judged(swapped)
             # One piece of many may be like this motor by chance.
-            told = sum(not is_strange(one) for one in again.pieces)
-            if again.telling.verdict not in (Verdict.OTHER, Verdict.SENSOR) and 2 * told > len(again.pieces):
-                said = sensor_failed("swapped", SWAPPED)
+            told = sum(not is_unlike_motor(one) for one in again.pieces)
+            if again.decisive.verdict not in (Verdict.OTHER, Verdict.SENSOR) and 2 * told > len(again.pieces):
+                said = sensor_judgement("swapped", SWAPPED)
                 each = (replace(said, begin_s=one.begin_s, duration_s=one.duration_s) for one in found.pieces)
                 return replace(found, pieces=tuple(each))
     return found
@@ -183,7 +183,7 @@ def judge_start(
 ) -> Judgement:
     """The judgement on one start, see `diagnose`."""
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
-    failed = None if motor is None else failed_sensor(recording, motor, voltage_v, circuit)
+    failed = None if motor is None else diagnose_sensors(recording, motor, voltage_v, circuit)
     if failed is not None:
         return failed
     try:
@@ -201,7 +201,7 @@ def judge_start(
     except UnusableError as error:
         return Judgement(Verdict.UNUSABLE, (str(error),))
     stands = reference is not None and is_blocked(fit, reference.time_constant_s)
-    trouble = NOT_TURNING if stands else unusable_reason(fit)
+    trouble = NOT_TURNING if stands else explain_unusable(fit)
     if trouble:
         return Judgement(Verdict.OTHER if stands else Verdict.UNUSABLE, (trouble,), fit=fit)
     reason = ""
@@ -218,10 +218,10 @@ def judge_start(
             Verdict.OTHER, (NOT_TURNING,), fit=fit, reference=reference, changes=judgement.changes
         )
     starts = None if motor is None or motor.healthy is None else motor.healthy.starts
-    return judgement if starts is None else _with_ripple(judgement, fit, starts, rate)
+    return judgement if starts is None else _add_ripple(judgement, fit, starts, rate)
 
 
-def _with_ripple(judgement: Judgement, fit: Identified, starts: Starts, rate: float) -> Judgement:
+def _add_ripple(judgement: Judgement, fit: Identified, starts: Starts, rate: float) -> Judgement:
     """What the commutation ripple says of speed and K, beside the verdict: it takes no part in it."""
     ripple = ripple_quantities(fit)
     if ripple is None or not (starts.ripple_hz and starts.ripple_constant_v_s and starts.ripple_log_sd):
@@ -248,10 +248,10 @@ def _reference(start: Start, motor: Motor | None, temperature_c: float | None) -
     if motor is None:
         return None
     names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
-    return reference_of(motor, names, temperature_c=temperature_c, moved=_moved(start, motor))
+    return reference_of(motor, names, temperature_c=temperature_c, shift=_reference_shift(start, motor))
 
 
-def _moved(start: Start, motor: Motor) -> Moved:
+def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
     """How a start, which is fitted as one of a linear motor, differs from the motor's file. Healthy starts know it.
 
     Dry friction and fans are not in proportion to the speed. Where a sheet does not say how much of its friction is
@@ -259,25 +259,27 @@ def _moved(start: Start, motor: Motor) -> Moved:
     """
     windows = None if motor.healthy is None else motor.healthy.windows
     if not start.voltage_known or (motor.healthy is not None and windows is None):
-        return Moved()
+        return ReferenceShift()
     driving = max(1.0 - motor.brush_drop_v / start.level_v, _LEAST)
     p, volts = motor.parameters, driving * start.level_v
     if windows is not None:
         from motor_env.diagnosis.running.windows import viscous
 
         speed = float(steady_state(p, volts)[1])
-        return Moved(
+        return ReferenceShift(
             driving, viscous(windows.physical, speed) / viscous(windows.physical, windows.speed_rad_s)
         )
     if motor.coulomb_friction_n_m > 0.0:
         speed = float(steady_state(p, volts, motor.coulomb_friction_n_m)[1])
-        return Moved(driving, 1.0 + motor.dry_share(max(speed, _LEAST * float(steady_state(p, volts)[1]))))
+        return ReferenceShift(
+            driving, 1.0 + motor.dry_share(max(speed, _LEAST * float(steady_state(p, volts)[1])))
+        )
     nominal = volts if motor.nominal_voltage_v is None else motor.nominal_voltage_v - motor.brush_drop_v
     all_dry = max(nominal, _LEAST * volts) / volts
-    return Moved(driving, math.sqrt(all_dry), abs(math.log(all_dry)) / math.sqrt(12.0))
+    return ReferenceShift(driving, math.sqrt(all_dry), abs(math.log(all_dry)) / math.sqrt(12.0))
 
 
-def unusable_reason(fit: Identified) -> str | None:
+def explain_unusable(fit: Identified) -> str | None:
     """Why a fit cannot carry a verdict; None where it can."""
     clipped = fit.start.alignment.saturation
     if clipped:

@@ -76,7 +76,7 @@ class Reference:
         return math.exp(powers @ self.log_values) if np.allclose(powers @ exponents, wanted) else math.inf
 
 
-class Moved(NamedTuple):
+class ReferenceShift(NamedTuple):
     """How the motor of a piece differs from what a motor file says, for the same healthy motor.
 
     Attributes:
@@ -106,7 +106,7 @@ def reference_of(
     *,
     are_starts: bool = True,
     temperature_c: float | None = None,
-    moved: Moved | None = None,
+    shift: ReferenceShift | None = None,
 ) -> Reference | None:
     """What a motor file says of the quantities of a piece; None where it speaks of none of them.
 
@@ -115,7 +115,7 @@ def reference_of(
         names: quantities that the piece tells; the reference may have fewer of them.
         are_starts: the piece is a start, no window of a motor at work.
         temperature_c: of the motor, where measured; it counts where that of the healthy pieces is known too.
-        moved: how the piece's motor differs from what the file says.
+        shift: how the piece's motor differs from what the file says.
     """
     if motor.healthy is not None:
         return reference_of_pieces(
@@ -124,7 +124,7 @@ def reference_of(
             motor.name,
             are_starts=are_starts,
             temperature_c=temperature_c,
-            moved=moved,
+            shift=shift,
         )
     exponents = quantities.matrix(names)
     if exponents[:, _VOLTAGE].any():
@@ -132,15 +132,15 @@ def reference_of(
     # V is held at what the recording says; its tolerance scales the current, so it acts on all but ratios like B/J.
     scale = exponents.sum(axis=1)
     logs = quantities.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
-    moved = moved or Moved()
-    logs += moved.logs
+    shift = shift or ReferenceShift()
+    logs += shift.logs
     return Reference(
         source=f"{'data sheet' if motor.kind == 'data_sheet' else f'{motor.kind} motor'} {motor.name}",
         names=names,
         log_values=exponents @ logs,
         log_covariance=exponents @ quantities.tolerance_covariance(motor.tolerance) @ exponents.T
         + motor.tolerance.supply**2 * np.outer(scale, scale)
-        + moved.friction_log_sd**2 * np.outer(exponents[:, _FRICTION], exponents[:, _FRICTION]),
+        + shift.friction_log_sd**2 * np.outer(exponents[:, _FRICTION], exponents[:, _FRICTION]),
         log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
         own_friction=1.0,
     )
@@ -153,7 +153,7 @@ def reference_of_pieces(
     *,
     are_starts: bool = True,
     temperature_c: float | None = None,
-    moved: Moved | None = None,
+    shift: ReferenceShift | None = None,
 ) -> Reference | None:
     """What healthy pieces say of a piece, see `reference_of`.
 
@@ -173,9 +173,9 @@ def reference_of_pieces(
     same_kind = are_starts == (healthy.starts is not None)
     starts = healthy.starts if are_starts else None
     return Reference(
-        source=_source(healthy, motor),
+        source=_describe_source(healthy, motor),
         names=tuple(name for name, is_known in zip(names, follow.tolist(), strict=True) if is_known),
-        log_values=powers @ np.log(healthy.values) + wanted[follow] @ (moved or Moved()).logs,
+        log_values=powers @ np.log(healthy.values) + wanted[follow] @ (shift or ReferenceShift()).logs,
         log_covariance=powers @ healthy.log_covariance @ powers.T,
         degrees_of_freedom=healthy.degrees_of_freedom,
         log_noise=None if starts is None else starts.log_noise,
@@ -190,7 +190,7 @@ def reference_of_pieces(
     )
 
 
-def _source(healthy: Healthy, motor: str) -> str:
+def _describe_source(healthy: Healthy, motor: str) -> str:
     """What a piece is compared with, in words."""
     if healthy.fleet is not None:
         return f"{healthy.fleet.motors} sisters of {motor}"
@@ -202,7 +202,7 @@ def _source(healthy: Healthy, motor: str) -> str:
     return f"{healthy.pieces} healthy windows of {motor}"
 
 
-def with_normal(covariance: FloatArray, normal: FloatArray, share: float, freedom: float) -> FloatArray:
+def add_normal_spread(covariance: FloatArray, normal: FloatArray, share: float, freedom: float) -> FloatArray:
     """A covariance of Student's t with that of a known normal spread added, as of the temperature.
 
     The quantile of a sum of t and normal lies below the root of the sum of their squared quantiles. So the normal part

@@ -15,8 +15,8 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from scipy import linalg, optimize, special
 
-from motor_env.diagnosis.healthy_motor import NORMAL_DOF, Reference, with_normal
-from motor_env.diagnosis.loaded import Drag, drags
+from motor_env.diagnosis.healthy_motor import NORMAL_DOF, Reference, add_normal_spread
+from motor_env.diagnosis.load_hypotheses import LoadHypothesis, possible_loads
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fitting.uncertainty import beyond
 from motor_env.motor import identifiable as quantities
@@ -192,7 +192,7 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
     )
 
 
-def beside(difference: Difference, kind: FaultKind, step: float) -> FloatArray:
+def covariance_with_fault(difference: Difference, kind: FaultKind, step: float) -> FloatArray:
     """Covariance of what a fault leaves: beside its step each parameter may move by a share of it.
 
     No motor is quite the model's, and the further a fault takes it, the less it is. A lag of sensor or supply that
@@ -204,7 +204,7 @@ def beside(difference: Difference, kind: FaultKind, step: float) -> FloatArray:
     return np.asarray(difference.covariance + parameters * variances @ parameters.T, dtype=np.float64)
 
 
-def along(difference: Difference, direction: FloatArray) -> tuple[float, float, float]:
+def project(difference: Difference, direction: FloatArray) -> tuple[float, float, float]:
     """A difference along a direction: z, the step, and its standard deviation."""
     inverse = difference.inverse
     information = float(direction @ inverse @ direction)
@@ -212,7 +212,7 @@ def along(difference: Difference, direction: FloatArray) -> tuple[float, float, 
     return step * math.sqrt(information), step, 1.0 / math.sqrt(information)
 
 
-def left_over(difference: Difference, moved: FloatArray, covariance: FloatArray) -> float:
+def residual_p_value(difference: Difference, moved: FloatArray, covariance: FloatArray) -> float:
     """Probability of a rest at least as large as what is left where a fault has moved the quantities."""
     rest = difference.log_ratios - moved
     return difference.p_value(float(rest @ np.linalg.solve(covariance, rest)), len(rest) - 1)
@@ -225,14 +225,14 @@ def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) 
     for kind in quantities.nameable_kinds(difference.exponents) if kinds is None else kinds:
         direction = quantities.visible_direction(kind, response)
         if np.linalg.norm(direction) >= _LEAST:
-            z, step, step_sd = along(difference, direction)
-            covariance = beside(difference, kind, step)
-            rest = left_over(difference, step * direction, covariance)
+            z, step, step_sd = project(difference, direction)
+            covariance = covariance_with_fault(difference, kind, step)
+            rest = residual_p_value(difference, step * direction, covariance)
             explanations.append(Explanation(kind, z, step, step_sd, rest, direction, covariance))
     return explanations
 
 
-def is_its_own(difference: Difference, kind: FaultKind) -> bool:
+def is_separable(difference: Difference, kind: FaultKind) -> bool:
     """Whether a fault shows where no magnet, inertia or load imitates it.
 
     Shorted turns move K too; a warm winding hides their R, and where L is not told, K alone is left of them.
@@ -332,10 +332,10 @@ def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str
     return {name: math.exp(log - total) for name, log in logs.items()}
 
 
-class View(NamedTuple):
+class Hypothesis(NamedTuple):
     """A piece against its reference, for one idea of what its drag is; `faults` are what may explain it."""
 
-    drag: Drag
+    load: LoadHypothesis
     difference: Difference
     faults: list[Explanation]
 
@@ -346,41 +346,41 @@ class View(NamedTuple):
         return any(fault.z > limit for fault in self.faults) or p_value < share
 
 
-def views_of(fit: Fitted, reference: Reference, rate: float) -> list[View]:
+def form_hypotheses(fit: Fitted, reference: Reference, rate: float) -> list[Hypothesis]:
     """A fit against a reference at a rate of false alarms: without a load, and as it looks under each load.
 
     Only a start is looked at under loads: the fit of a motor at work has terms for them.
     """
-    rows, same_warmth = shared(fit, reference), covariance_at_one_temperature(fit, reference)
-    exponents, freedom, views = fit.exponents[rows], reference.degrees_of_freedom, []
+    rows, same_warmth = shared_rows(fit, reference), covariance_at_one_temperature(fit, reference)
+    exponents, freedom, hypotheses = fit.exponents[rows], reference.degrees_of_freedom, []
     share = alarm_share(rate, exponents)
     if isinstance(fit, Identified):
-        found = drags(fit, reference.own_friction)
+        loads = possible_loads(fit, reference.own_friction)
     else:
-        found = [Drag(None, fit.exponents, reference.own_friction or 1.0)]
-    for each in found:
-        drag = replace(each, response=each.response[rows])
-        ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * drag.warmth
-        straight = _straightened(ratios, same_warmth, drag.warmth, reference.temperature_k)
-        warmer = reference.temperature_k**2 * np.outer(drag.warmth, drag.warmth)
-        covariance = with_normal(same_warmth, warmer, share, freedom)
-        difference = Difference(straight, covariance, exponents, freedom, drag.response)
-        views.append(View(drag, difference, explain(difference)))
-    return views
+        loads = [LoadHypothesis(None, fit.exponents, reference.own_friction or 1.0)]
+    for each in loads:
+        load = replace(each, response=each.response[rows])
+        ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * load.warmth
+        straight = _linearise_warming(ratios, same_warmth, load.warmth, reference.temperature_k)
+        warmer = reference.temperature_k**2 * np.outer(load.warmth, load.warmth)
+        covariance = add_normal_spread(same_warmth, warmer, share, freedom)
+        difference = Difference(straight, covariance, exponents, freedom, load.response)
+        hypotheses.append(Hypothesis(load, difference, explain(difference)))
+    return hypotheses
 
 
-def _straightened(
+def _linearise_warming(
     ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
 ) -> FloatArray:
     """Logarithms that move in proportion to the temperature: the factors do, their logarithms a little less."""
     if temperature_k == 0.0:
         return ratios
-    kelvin, _ = kelvin_of(ratios, spread, warmth, temperature_k)
+    kelvin, _ = estimate_warming(ratios, spread, warmth, temperature_k)
     warm = np.maximum(warmth * min(max(kelvin, -_HOTTEST_K), _HOTTEST_K), _LEAST_FACTOR - 1.0)
     return np.asarray(ratios + warm - np.log1p(warm), dtype=np.float64)
 
 
-def kelvin_of(
+def estimate_warming(
     ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
 ) -> tuple[float, float]:
     """How much warmer a motor seems, by the posterior mean and its standard deviation."""
@@ -389,24 +389,24 @@ def kelvin_of(
     return float(slope @ ratios) / precision, 1.0 / math.sqrt(precision)
 
 
-def shared(fit: Fitted, reference: Reference) -> list[int]:
+def shared_rows(fit: Fitted, reference: Reference) -> list[int]:
     """Rows of the fit's quantities of which the reference speaks."""
     return [fit.quantity_names.index(name) for name in reference.names]
 
 
-def smallest_of(views: list[View], own: float | None, limit: float) -> dict[str, float]:
+def smallest_detectable(hypotheses: list[Hypothesis], own: float | None, limit: float) -> dict[str, float]:
     """Smallest severity of each fault that is found in 95 of 100 cases, whatever the drag is.
 
     Where the motor's `own` share of the drag is known, a bearing fault is one of its own friction.
     """
     smallest: dict[str, float] = {}
-    for view in views:
-        for kind, severity in smallest_changes(view.difference, limit).items():
+    for hypothesis in hypotheses:
+        for kind, severity in smallest_changes(hypothesis.difference, limit).items():
             smallest[kind] = max(severity, smallest.get(kind, 0.0))
-    return {kind: severity / unit_of(kind, own) for kind, severity in smallest.items()}
+    return {kind: severity / severity_unit(kind, own) for kind, severity in smallest.items()}
 
 
-def unit_of(kind: str, own: float | None) -> float:
+def severity_unit(kind: str, own: float | None) -> float:
     """What a severity that shows in the whole drag is divided by: that of a bearing fault is of its own friction."""
     return own if own is not None and kind == FaultKind.BEARING else 1.0
 
@@ -417,7 +417,7 @@ def covariance_at_one_temperature(fit: Fitted, reference: Reference) -> FloatArr
     Healthy pieces hold errors of fits like this one. Where this one tells less than they did, being shorter or
     noisier, what its own error is beyond theirs is added.
     """
-    healthy, rows = reference.log_covariance, shared(fit, reference)
+    healthy, rows = reference.log_covariance, shared_rows(fit, reference)
     own = fit.white_covariance if reference.includes_fit_error else fit.log_covariance
     error = own[np.ix_(rows, rows)]
     added = beyond(healthy, error) if reference.includes_fit_error else error

@@ -19,7 +19,7 @@ from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray, MotorParameters
 
 _DIFFERENT = 2.0  # standard errors
-_UNTOLD = 0.5  # standard deviation of a logarithm
+_UNDETERMINED = 0.5  # standard deviation of a logarithm
 _SMALL = 1e-3
 
 
@@ -47,22 +47,24 @@ def to_motor(
         parameters=MotorParameters(**mean),
         nominal_voltage_v=float(np.mean([fit.start.level_v for fit in fits])),
         current_noise_a=float(np.exp(np.mean([math.log(max(fit.noise_a, 1e-12)) for fit in fits]))),
-        coulomb_friction_n_m=_if_told(fits, "coulomb"),
-        brush_drop_v=_if_told(fits, "brush_drop"),
+        coulomb_friction_n_m=_mean_if_significant(fits, "coulomb"),
+        brush_drop_v=_mean_if_significant(fits, "brush_drop"),
         healthy=healthy,
-        notes=() if start.voltage_known and start.speed_rad_s is not None else tuple(not_told(fits[0])),
+        notes=()
+        if start.voltage_known and start.speed_rad_s is not None
+        else tuple(describe_undetermined(fits[0])),
         assumed=assumptions(told, has_voltage=start.voltage_known),
     )
 
 
-def _if_told(fits: Sequence[Identified], name: str) -> float:
+def _mean_if_significant(fits: Sequence[Identified], name: str) -> float:
     """Mean of an extension over fits, or 0 where it is not different from 0 by two standard errors."""
     each = [fit.fitted_extension.get(name, (0.0, 0.0)) for fit in fits]
     mean, error = np.mean(each, axis=0)[0], float(np.linalg.norm([e for _, e in each])) / len(each)
     return float(mean) if mean > _DIFFERENT * error else 0.0
 
 
-def not_told(fit: Identified) -> list[str]:
+def describe_undetermined(fit: Identified) -> list[str]:
     """What this recording cannot tell, in sentences."""
     deviations = np.sqrt(np.diag(fit.log_covariance))
     limits = {
@@ -81,7 +83,7 @@ def not_told(fit: Identified) -> list[str]:
     return [sentence for sentence, holds in limits.items() if holds] + [
         f"{name} is not told by this recording (its standard error is {100 * s:.0f} %)"
         for name, s in zip(fit.quantity_names, deviations, strict=True)
-        if s > _UNTOLD
+        if s > _UNDETERMINED
     ]
 
 

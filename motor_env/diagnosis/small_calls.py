@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.identify import identify
+from motor_env.diagnosis.identification import identify
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
 from motor_env.recordings.recording import Recording

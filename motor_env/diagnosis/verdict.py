@@ -141,7 +141,7 @@ class Diagnosis:
     periods_per_turn: float | None = None
 
     @property
-    def telling(self) -> Judgement:
+    def decisive(self) -> Judgement:
         """The piece that the verdict rests on.
 
         Of pieces with a fault it is the surest one of the most frequent verdict. Without a fault a healthy one, else
@@ -156,39 +156,39 @@ class Diagnosis:
     @property
     def verdict(self) -> Verdict:
         """The recording's verdict: that of the piece that tells most."""
-        return self.telling.verdict
+        return self.decisive.verdict
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Sentences."""
-        return self.telling.reasons
+        return self.decisive.reasons
 
     @property
     def severity(self) -> float | None:
         """Size of the fault."""
-        return self.telling.severity
+        return self.decisive.severity
 
     @property
     def confidence(self) -> float | None:
         """Posterior probability of the verdict."""
-        return self.telling.confidence
+        return self.decisive.confidence
 
     @property
     def kind(self) -> FaultKind | None:
         """Kind of the fault, where it can be told."""
-        return self.telling.kind
+        return self.decisive.kind
 
     @property
     def changes(self) -> tuple[Change, ...]:
         """How far each quantity lies from the reference."""
-        return self.telling.changes
+        return self.decisive.changes
 
     @property
     def severity_interval(self) -> tuple[float, float] | None:
         """Interval of the severity, 95 %; None without one."""
-        return self.telling.severity_interval
+        return self.decisive.severity_interval
 
     @property
     def smallest_changes(self) -> dict[str, float]:
         """Severity of each fault that is found in 95 of 100 cases."""
-        return self.telling.smallest_changes
+        return self.decisive.smallest_changes

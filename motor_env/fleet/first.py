@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from motor_env.diagnosis.diagnose import unusable_reason
+from motor_env.diagnosis.diagnose import explain_unusable
 from motor_env.diagnosis.hypotheses import NAMES
 from motor_env.diagnosis.running.drives import rms_volts
 from motor_env.diagnosis.running.lessons import effective_speed, known_of
@@ -98,7 +98,7 @@ def first_fit(reading: Reading, path: Path) -> First:
     try:
         if reading.regime == "start":
             fit = identify_best(reading.start(path), NUISANCES)
-            reason = unusable_reason(fit)
+            reason = explain_unusable(fit)
             if reason is not None:
                 return First(reason)
             return First("", fit.model, fit.quantity_names, tuple(fit.log_values.tolist()))

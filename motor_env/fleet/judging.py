@@ -15,7 +15,7 @@ from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.hypotheses import Difference
-from motor_env.diagnosis.misreading import as_sentence, wrong_scales
+from motor_env.diagnosis.scaling_errors import describe_scaling_errors, find_scaling_errors
 from motor_env.errors import InputError, require_options
 from motor_env.fleet.first import Reading
 from motor_env.fleet.learning import LearnedFleet, learn_fleet
@@ -151,7 +151,9 @@ def together(apart: Sequence[Difference], names: tuple[str, ...], rate: float) -
     spread = np.mean([one.covariance for one in apart], axis=0) / len(apart)
     limit = -float(stdtrit(apart[0].degrees_of_freedom, rate / (2.0 * _GAINS)))
     mean = replace(apart[0], log_ratios=off, covariance=spread)
-    return as_sentence([one for one in wrong_scales(mean, names, limit, rate) if one.gain is not None])
+    return describe_scaling_errors(
+        [one for one in find_scaling_errors(mean, names, limit, rate) if one.gain is not None]
+    )
 
 
 def _apart(fleet: LearnedFleet, core: Core, place: Place) -> Difference | None:

@@ -121,7 +121,7 @@ class Sister:
     @property
     def _own(self) -> str:
         """The verdict's first reason; where the table names other quantities beside those of the fault, it says so."""
-        reason, kind, far = self.telling.reasons[0], self.telling.telling.fault_kind, self._far
+        reason, kind, far = self.telling.reasons[0], self.telling.decisive.fault_kind, self._far
         if kind is None or not far:
             return reason
         moved = identifiable.visible_direction(kind, identifiable.matrix(tuple(far)))

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.learning import PRIOR_WEIGHT
+from motor_env.diagnosis.healthy_spread import PRIOR_WEIGHT
 from motor_env.diagnosis.running.pieces import Pieces
 from motor_env.diagnosis.running.scales import whitened
 from motor_env.motor.healthy import Scale

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.diagnosis.healthy_spread import RECORD_SPREAD, next_window, usual_condition_windows
 from motor_env.diagnosis.hypotheses import NAMES, FittedWindow
-from motor_env.diagnosis.learning import RECORD_SPREAD, next_window, usual_beside
 from motor_env.diagnosis.running.drives import FAR, NEEDED, driven, rms_volts, sorted_by_drive
 from motor_env.diagnosis.running.pieces import Pieces, halvings_of, sections_of
 from motor_env.diagnosis.running.replay import replay
@@ -89,7 +89,7 @@ def learn_windows(
         moved = np.array([driven(part) for part in parts])
         of, alike = sorted_by_drive(moved, times)
         groups = [np.flatnonzero(of == n).tolist() for n in range(of.max() + 1)]
-        drives = tuple(_drive(some, usual_beside(some, groups), moved, found) for some in groups)
+        drives = tuple(_drive(some, usual_condition_windows(some, groups), moved, found) for some in groups)
     ratios = [fit.log_values - centre for fit in found]
     spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
     windows = Windows(

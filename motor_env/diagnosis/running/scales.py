@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr, stdtrit
 
+from motor_env.diagnosis.healthy_spread import PRIOR_WEIGHT
 from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES
-from motor_env.diagnosis.learning import PRIOR_WEIGHT
 from motor_env.diagnosis.running.pieces import N_STATES, Pieces
 from motor_env.diagnosis.running.windows import WARMTH
 from motor_env.diagnosis.verdict import Judgement, Verdict

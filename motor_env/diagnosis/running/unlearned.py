@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.healthy_motor import Moved, reference_of
+from motor_env.diagnosis.healthy_motor import ReferenceShift, reference_of
 from motor_env.diagnosis.hypotheses import NAMES
 from motor_env.diagnosis.running.drives import NEEDED, needed_columns
 from motor_env.diagnosis.running.lessons import (
@@ -66,7 +66,7 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
         NAMES,
         are_starts=False,
         temperature_c=temperature_c,
-        moved=Moved(friction=_friction(motor, physical, speed)),
+        shift=ReferenceShift(friction=_friction(motor, physical, speed)),
     )
     if reference is None or reference.names != NAMES:
         raise UnusableError(

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
+from motor_env.diagnosis.healthy_motor import Reference, add_normal_spread, reference_of_pieces
 from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES, FittedWindow, alarm_share
 from motor_env.diagnosis.running.drives import FAR, driven, nearest, needed_columns, off_others, rms_volts
-from motor_env.diagnosis.sensors.channels import Seen, failure_in
+from motor_env.diagnosis.sensors.channels import ChannelRecord, find_failure
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError
 from motor_env.fitting import places
@@ -196,7 +196,7 @@ class WindowJudge:
         volts, speed = needed_columns(part)
         if not volts.any():
             return None
-        return failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
+        return find_failure(ChannelRecord(part.dt_s, volts, part.current_a, speed), self.physical())
 
     def _judged(
         self, part: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None
@@ -220,7 +220,7 @@ class WindowJudge:
             return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
         own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
         drive = np.diag(np.square(self.drive_spread(place, fit)))
-        spread = with_normal(own, drive, share, self.reference.degrees_of_freedom)
+        spread = add_normal_spread(own, drive, share, self.reference.degrees_of_freedom)
         allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
         if allowed.verdict.is_fault and strange <= FAR:
             return replace(allowed, reasons=(*allowed.reasons, DRIVEN_OTHERWISE))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.misreading import READ_SO
+from motor_env.diagnosis.scaling_errors import READ_SO
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import kernel, places
 from motor_env.fitting.record import Record
@@ -24,7 +24,7 @@ from motor_env.recordings.noise import difference_noise
 _HELD = 1e9  # times the inertia: the rotor stays where it is
 
 
-class Seen(NamedTuple):
+class ChannelRecord(NamedTuple):
     """What was recorded, side by side.
 
     Attributes:
@@ -45,7 +45,7 @@ class Seen(NamedTuple):
     at_work: bool = True
     is_taught: bool = True
 
-    def since(self, first: int) -> Seen:
+    def from_sample(self, first: int) -> ChannelRecord:
         """The record from a sample on."""
         current, speed = (None if one is None else one[first:] for one in (self.current_a, self.speed_rad_s))
         return self._replace(voltage_v=self.voltage_v[first:], current_a=current, speed_rad_s=speed)
@@ -70,17 +70,17 @@ def held_current(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> Fl
     return free_run(values, voltage_v, dt_s, from_rest=True)[0]
 
 
-def size(values: FloatArray) -> float:
+def rms(values: FloatArray) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def likeness(one: FloatArray | None, other: FloatArray | None, *, about: float | None = None) -> float:
+def correlation(one: FloatArray | None, other: FloatArray | None, *, about: float | None = None) -> float:
     """Correlation, about the means unless given; 0 where one of them does not move or is not there."""
     if one is None or other is None:
         return 0.0
     a, b = (each - (each.mean() if about is None else about) for each in (one, other))
-    product = size(a) * size(b)
+    product = rms(a) * rms(b)
     return float(np.mean(a * b)) / product if product > 0.0 else 0.0
 
 
@@ -101,164 +101,183 @@ _OFFSET_AT_REST, _OFFSET = 0.05, 0.15  # of the current of a rotor that is held
 _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
 
 
-def sensor_failed(kind: str, why: str) -> Judgement:
+def sensor_judgement(kind: str, why: str) -> Judgement:
     """What is said of a piece of which a sensor failed, of which kind and what shows it: nothing of its motor."""
     fault = FaultKind(kind)
     return Judgement(Verdict.SENSOR, (why, fault.finding), fault_kind=fault, kind_probability=1.0)
 
 
-def failure_in(seen: Seen, physical: FloatArray) -> Judgement | None:
+def find_failure(record: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """What is said of a record of a motor that is nearly that of these physical values; None where no sensor failed."""
-    current, speed = free_run(physical, seen.voltage_v, seen.dt_s, from_rest=not seen.at_work)
+    current, speed = free_run(physical, record.voltage_v, record.dt_s, from_rest=not record.at_work)
     if not (np.isfinite(current).all() and np.isfinite(speed).all()):
         return None
-    expected = seen._replace(current_a=current, speed_rad_s=speed)
-    if not seen.has_sign:  # the motor is taken to turn as it is read to do
-        pair = (seen.current_a, current) if seen.speed_rad_s is None else (seen.speed_rad_s, speed)
-        turned = -1.0 if likeness(*pair, about=0.0) < 0.0 else 1.0
-        volts = turned * seen.voltage_v
-        seen, expected = (
-            seen._replace(voltage_v=volts),
-            Seen(seen.dt_s, volts, turned * current, turned * speed),
+    expected = record._replace(current_a=current, speed_rad_s=speed)
+    if not record.has_sign:  # the motor is taken to turn as it is read to do
+        pair = (record.current_a, current) if record.speed_rad_s is None else (record.speed_rad_s, speed)
+        turned = -1.0 if correlation(*pair, about=0.0) < 0.0 else 1.0
+        volts = turned * record.voltage_v
+        record, expected = (
+            record._replace(voltage_v=volts),
+            ChannelRecord(record.dt_s, volts, turned * current, turned * speed),
         )
-    checks = [_swapped, _dead, _stuck]
-    checks += [_contradicting, _clipped] if seen.at_work or seen.is_taught else []
-    checks += [_offset] if seen.at_work else []
-    found = (check(seen, expected, physical) for check in checks)
+    checks = [_check_swapped, _check_dead, _check_stuck]
+    checks += [_check_contradiction, _check_clipped] if record.at_work or record.is_taught else []
+    checks += [_check_offset] if record.at_work else []
+    found = (check(record, expected, physical) for check in checks)
     return next(filter(None, found), None)
 
 
-def _channels(seen: Seen, expected: Seen) -> Iterator[tuple[str, str, FloatArray, FloatArray]]:
+def _channels(
+    record: ChannelRecord, expected: ChannelRecord
+) -> Iterator[tuple[str, str, FloatArray, FloatArray]]:
     """Name, unit, readings and what is expected of each channel that has a column."""
     channels = (
-        ("current", "A", seen.current_a, expected.current_a),
-        ("speed", "rad/s", seen.speed_rad_s, expected.speed_rad_s),
+        ("current", "A", record.current_a, expected.current_a),
+        ("speed", "rad/s", record.speed_rad_s, expected.speed_rad_s),
     )
     for name, unit, shown, healthy in channels:
         if shown is not None and healthy is not None:
             yield name, unit, shown, healthy
 
 
-def _by_the_others(seen: Seen, physical: FloatArray) -> tuple[FloatArray | None, FloatArray | None]:
+def _predict_from_others(
+    record: ChannelRecord, physical: FloatArray
+) -> tuple[FloatArray | None, FloatArray | None]:
     """Current and speed, each by the voltage and the other one, whatever the load is."""
-    if seen.current_a is None or seen.speed_rad_s is None:
+    if record.current_a is None or record.speed_rad_s is None:
         return None, None
     ohm, constant = float(physical[places.R]), float(physical[places.K])
-    current = held_current(physical, seen.voltage_v - constant * seen.speed_rad_s, seen.dt_s)
-    return current, (seen.voltage_v - ohm * seen.current_a) / constant
+    current = held_current(physical, record.voltage_v - constant * record.speed_rad_s, record.dt_s)
+    return current, (record.voltage_v - ohm * record.current_a) / constant
 
 
-def _quantum(values: FloatArray) -> float:
+def _smallest_step(values: FloatArray) -> float:
     """Smallest step; infinite where there is none."""
     steps = np.abs(np.diff(values))
     return float(np.min(steps, where=steps > 0.0, initial=np.inf))
 
 
-def _turning(seen: Seen, expected: Seen, physical: FloatArray) -> bool | None:
+def _is_turning(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> bool | None:
     """Whether the current is that of the motor that turns (True), or of a rotor that is held; None for neither."""
-    if seen.current_a is None or expected.current_a is None:
+    if record.current_a is None or expected.current_a is None:
         return None
-    blocked = held_current(physical, seen.voltage_v, seen.dt_s)
-    off, off_held = size(seen.current_a - expected.current_a), size(seen.current_a - blocked)
-    if off < _MOSTLY * off_held and likeness(seen.current_a, expected.current_a) > _ALIKE:
+    blocked = held_current(physical, record.voltage_v, record.dt_s)
+    off, off_held = rms(record.current_a - expected.current_a), rms(record.current_a - blocked)
+    if off < _MOSTLY * off_held and correlation(record.current_a, expected.current_a) > _ALIKE:
         return True
     return False if off_held < off else None
 
 
-def _dead(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
+def _check_dead(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """A channel that shows nothing while another shows that the motor turns, or no other is there."""
-    for name, unit, shown, healthy in _channels(seen, expected):
-        if size(shown) >= _NOTHING * size(healthy) or likeness(shown, healthy) ** 2 >= _A_SCALE:
+    for name, unit, shown, healthy in _channels(record, expected):
+        if rms(shown) >= _NOTHING * rms(healthy) or correlation(shown, healthy) ** 2 >= _A_SCALE:
             continue
-        why = f"the {name} is {size(shown):.3g} {unit} effective where the healthy motor shows {size(healthy):.3g}"
+        why = f"the {name} is {rms(shown):.3g} {unit} effective where the healthy motor shows {rms(healthy):.3g}"
         if name == "current":
-            turns = abs(likeness(seen.speed_rad_s, expected.speed_rad_s, about=0.0)) > _ALIKE
-            is_dead = turns or (seen.speed_rad_s is None and seen.is_taught)
-            return sensor_failed("current_dead", f"{why} {unit}") if is_dead else None
-        turning = _turning(seen, expected, physical)
-        if turning or seen.current_a is None:
-            return sensor_failed("speed_dead", f"{why} {unit}")
+            turns = abs(correlation(record.speed_rad_s, expected.speed_rad_s, about=0.0)) > _ALIKE
+            is_dead = turns or (record.speed_rad_s is None and record.is_taught)
+            return sensor_judgement("current_dead", f"{why} {unit}") if is_dead else None
+        turning = _is_turning(record, expected, physical)
+        if turning or record.current_a is None:
+            return sensor_judgement("speed_dead", f"{why} {unit}")
         if turning is None:
             neither = "and the current is neither that of this motor nor that of a held rotor"
             return Judgement(Verdict.UNUSABLE, (f"{why} {unit}, {neither}",))
     return None
 
 
-def _stuck(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
+def _check_stuck(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """A channel that ends in equal values while the motor moves, or the noise that it had is gone."""
-    on = np.abs(seen.voltage_v) > _ON * np.max(np.abs(seen.voltage_v))
-    for name, _, shown, healthy in _channels(seen, expected):
+    on = np.abs(record.voltage_v) > _ON * np.max(np.abs(record.voltage_v))
+    for name, _, shown, healthy in _channels(record, expected):
         others = np.flatnonzero(shown != shown[-1])
         first = int(others[-1]) + 1 if len(others) else 0
         powered = healthy[first:][on[first:]]
         if len(shown) - first < max(_FEWEST, _SHORTEST * len(shown)) or len(powered) < _FEWEST:
             continue
         # A rotor that stands shows no speed, and an open circuit no current.
-        is_none = abs(float(shown[-1])) < _NOTHING * size(healthy)
-        if is_none and not _runs_on(name, first, seen, expected, physical):
+        is_none = abs(float(shown[-1])) < _NOTHING * rms(healthy)
+        if is_none and not _motor_runs_on(name, first, record, expected, physical):
             continue
-        quantum, before = _quantum(shown[:first]), shown[max(first - _NOISE_BEFORE, 0) : first]
+        quantum, before = _smallest_step(shown[:first]), shown[max(first - _NOISE_BEFORE, 0) : first]
         is_noisy = len(before) > _FEWEST and difference_noise(before) > quantum
         is_moving = np.ptp(powered) > max(_MOVES * np.ptp(healthy), 3.0 * min(quantum, np.ptp(shown)))
         if is_moving or is_noisy:
             count = len(shown) - first
             words = f"the {name} reads {shown[-1]:.4g} for its last {count} samples, while the motor runs"
-            return sensor_failed(f"{name}_stuck", words)
+            return sensor_judgement(f"{name}_stuck", words)
     return None
 
 
-def _runs_on(name: str, first: int, seen: Seen, expected: Seen, physical: FloatArray) -> bool:
+def _motor_runs_on(
+    name: str, first: int, record: ChannelRecord, expected: ChannelRecord, physical: FloatArray
+) -> bool:
     """Whether the other channel shows that the motor moves from a sample on."""
     if name == "speed":
-        return bool(_turning(seen.since(first), expected.since(first), physical))
-    speed = seen.speed_rad_s
+        return bool(_is_turning(record.from_sample(first), expected.from_sample(first), physical))
+    speed = record.speed_rad_s
     return speed is not None and bool(np.ptp(speed[first:]) > _MOVES * np.ptp(speed))
 
 
-def _swapped(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
+def _check_swapped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """Columns in another order, in which they are those of the healthy motor, as they are not as read."""
-    if seen.current_a is None or seen.speed_rad_s is None or not seen.has_sign or _is_of_it(seen, expected):
+    if (
+        record.current_a is None
+        or record.speed_rad_s is None
+        or not record.has_sign
+        or _matches_motor(record, expected)
+    ):
         return None
-    names, columns = ("voltage", "current", "speed"), (seen.voltage_v, seen.current_a, seen.speed_rad_s)
+    names, columns = ("voltage", "current", "speed"), (record.voltage_v, record.current_a, record.speed_rad_s)
     for order in list(permutations(range(3)))[1:]:
         volts, amps, speed = (columns[n] for n in order)
-        read = Seen(seen.dt_s, volts, amps, speed)
-        if _is_of_it(read, Seen(seen.dt_s, volts, *free_run(physical, volts, seen.dt_s))):
+        read = ChannelRecord(record.dt_s, volts, amps, speed)
+        if _matches_motor(read, ChannelRecord(record.dt_s, volts, *free_run(physical, volts, record.dt_s))):
             moved = " and ".join(name for n, name in enumerate(names) if order[n] != n)
-            return sensor_failed("swapped", f"{moved} {READ_SO}")
+            return sensor_judgement("swapped", f"{moved} {READ_SO}")
     return None
 
 
-def _is_of_it(seen: Seen, expected: Seen) -> bool:
+def _matches_motor(record: ChannelRecord, expected: ChannelRecord) -> bool:
     """Whether all channels move as expected, and about as far."""
     return all(
-        likeness(shown, healthy) > _ALIKE and _of_a_size(shown, healthy)
-        for _, _, shown, healthy in _channels(seen, expected)
+        correlation(shown, healthy) > _ALIKE and _has_similar_size(shown, healthy)
+        for _, _, shown, healthy in _channels(record, expected)
     )
 
 
-def _of_a_size(shown: FloatArray, healthy: FloatArray) -> bool:
-    return 1.0 / _SAME_SIZE < size(shown) / max(size(healthy), 1e-300) < _SAME_SIZE
+def _has_similar_size(shown: FloatArray, healthy: FloatArray) -> bool:
+    return 1.0 / _SAME_SIZE < rms(shown) / max(rms(healthy), 1e-300) < _SAME_SIZE
 
 
-def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
+def _check_contradiction(
+    record: ChannelRecord, expected: ChannelRecord, physical: FloatArray
+) -> Judgement | None:
     """A channel against which the other ones agree: it is reversed, or that of another motor."""
-    by_speed, by_current = _by_the_others(seen, physical)
-    current = likeness(seen.current_a, expected.current_a)
-    speed = likeness(seen.speed_rad_s, expected.speed_rad_s, about=0.0)
+    by_speed, by_current = _predict_from_others(record, physical)
+    current = correlation(record.current_a, expected.current_a)
+    speed = correlation(record.speed_rad_s, expected.speed_rad_s, about=0.0)
     is_pair = by_speed is None  # voltage, and one of the others
-    by_both = likeness(seen.current_a, by_speed)
-    current_at_most, current_agreed = max(current, by_both), likeness(expected.current_a, by_speed) > _ALIKE
-    speed_at_most = max(
-        likeness(seen.speed_rad_s, expected.speed_rad_s), likeness(seen.speed_rad_s, by_current)
+    by_both = correlation(record.current_a, by_speed)
+    current_at_most, current_agreed = (
+        max(current, by_both),
+        correlation(expected.current_a, by_speed) > _ALIKE,
     )
-    speed_agreed = likeness(expected.speed_rad_s, by_current) > _ALIKE
+    speed_at_most = max(
+        correlation(record.speed_rad_s, expected.speed_rad_s), correlation(record.speed_rad_s, by_current)
+    )
+    speed_agreed = correlation(expected.speed_rad_s, by_current) > _ALIKE
     # A noisy or a coarse channel, such as a speed by few edges, cannot be more alike than its noise allows.
     apart = {
-        name: _APART * _most_alike(shown, healthy) for name, _, shown, healthy in _channels(seen, expected)
+        name: _APART * _highest_correlation(shown, healthy)
+        for name, _, shown, healthy in _channels(record, expected)
     }
     # What a speed in another unit says of the current is nothing, and the other way round.
-    sizes = {name: _of_a_size(shown, healthy) for name, _, shown, healthy in _channels(seen, expected)}
+    sizes = {
+        name: _has_similar_size(shown, healthy) for name, _, shown, healthy in _channels(record, expected)
+    }
     against = (current_agreed and current_at_most < _AGAINST) or (by_both < _OPPOSITE and current < -_AGAINST)
     shown = {
         ("voltage_polarity", "current and speed both go against the voltage of the healthy motor"): (
@@ -266,7 +285,7 @@ def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Judgemen
         ),
         ("speed_polarity", "the speed goes against the voltage, and the current does not"): speed < -_ALIKE,
         ("current_polarity", "the current goes against the voltage of the healthy motor"): (
-            is_pair and seen.has_sign and current < -_ALIKE
+            is_pair and record.has_sign and current < -_ALIKE
         ),
         ("current_polarity", "the current goes against voltage and speed"): speed > _ALIKE and against,
         ("swapped", "the current is not that of the motor that has this voltage and speed"): (
@@ -276,22 +295,24 @@ def _contradicting(seen: Seen, expected: Seen, physical: FloatArray) -> Judgemen
             current > _ALIKE and sizes["current"] and speed_agreed and speed_at_most < apart["speed"]
         ),
     }
-    return next((sensor_failed(kind, words) for (kind, words), is_shown in shown.items() if is_shown), None)
+    return next(
+        (sensor_judgement(kind, words) for (kind, words), is_shown in shown.items() if is_shown), None
+    )
 
 
-def _most_alike(shown: FloatArray, healthy: FloatArray) -> float:
+def _highest_correlation(shown: FloatArray, healthy: FloatArray) -> float:
     """Correlation of what the healthy motor shows with itself behind the noise of a channel."""
     return float(np.std(healthy) / max(np.hypot(np.std(healthy), difference_noise(shown)), 1e-300))
 
 
-def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
+def _check_clipped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """A channel that stands at its largest value where the motor shows more, and follows the motor elsewhere."""
-    by_speed, _ = _by_the_others(seen, physical)
-    for name, unit, shown, free in _channels(seen, expected):
+    by_speed, _ = _predict_from_others(record, physical)
+    for name, unit, shown, free in _channels(record, expected):
         healthy = free if name == "speed" or by_speed is None else by_speed
         top = float(np.max(np.abs(shown)))
         flat = np.abs(np.abs(shown) - top) <= 1e-9 * top
-        if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(shown, _quantum(shown)):
+        if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(shown, _smallest_step(shown)):
             continue
         # An encoder of few edges stands at its largest value, too, but not wherever the motor shows more.
         above = np.abs(healthy) > _ABOVE * top
@@ -300,30 +321,30 @@ def _clipped(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | No
         # What a controller holds stands still in the healthy motor, too.
         is_more = is_more and float(np.ptp(np.abs(healthy[flat]))) > (_ABOVE - 1.0) * top
         limited = np.clip(healthy, -top, top)
-        if is_more and likeness(shown, limited) > _ALIKE and size(shown - limited) < _MOSTLY * size(shown):
+        if is_more and correlation(shown, limited) > _ALIKE and rms(shown - limited) < _MOSTLY * rms(shown):
             most = float(np.max(np.abs(healthy)))
             words = f"{int(flat.sum())} samples of the {name} stand at {top:.4g} {unit}"
-            return sensor_failed(
+            return sensor_judgement(
                 f"{name}_clipped", f"{words}, where the healthy motor reaches {most:.3g} {unit}"
             )
     return None
 
 
-def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | None:
+def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """A current that is off by the same amount at every voltage and speed: at rest, or of a motor that reverses."""
-    current, speed = seen.current_a, seen.speed_rad_s
-    if current is None or speed is None or likeness(seen.current_a, expected.current_a) < _ALIKE:
+    current, speed = record.current_a, record.speed_rad_s
+    if current is None or speed is None or correlation(record.current_a, expected.current_a) < _ALIKE:
         return None
-    sizes = [np.abs(each) / np.max(np.abs(each)) for each in (seen.voltage_v, speed)]
+    sizes = [np.abs(each) / np.max(np.abs(each)) for each in (record.voltage_v, speed)]
     rests = (sizes[0] < _STANDS) & (sizes[1] < _STANDS)
     rests[1:] &= rests[:-1].copy()  # a current may be that of the voltage before
     turning = [float(np.mean((sign * speed > 0.0) & (sizes[1] > _ON))) for sign in (-1.0, 1.0)]
     known = float(physical[places.OFFSET_I])
-    by_speed = np.asarray(_by_the_others(seen, physical)[0]) - known
+    by_speed = np.asarray(_predict_from_others(record, physical)[0]) - known
     if np.count_nonzero(rests) >= _FEWEST:
         # A controller may hold a small voltage, of which a rotor that stands draws its current. A speed in another unit
         # is none at rest.
-        held = seen.voltage_v / physical[places.R]
+        held = record.voltage_v / physical[places.R]
         off = min((float(np.mean((current - each)[rests])) for each in (by_speed, held)), key=abs)
         most = _OFFSET_AT_REST
     elif min(turning) > _TURNS_BACK:
@@ -333,7 +354,7 @@ def _offset(seen: Seen, expected: Seen, physical: FloatArray) -> Judgement | Non
         return None
     # A current that is not off, where the healthy one was, is no failure: what a fit finds may be no sensor's.
     # One in mA is off in A.
-    off = min(off, off - known, key=abs) / max(size(current) / size(by_speed), 1.0)
-    if abs(off) < most * float(np.max(np.abs(seen.voltage_v)) / physical[places.R]):
+    off = min(off, off - known, key=abs) / max(rms(current) / rms(by_speed), 1.0)
+    if abs(off) < most * float(np.max(np.abs(record.voltage_v)) / physical[places.R]):
         return None
-    return sensor_failed("current_offset", f"the current is off by {off:.3g} A at every voltage and speed")
+    return sensor_judgement("current_offset", f"the current is off by {off:.3g} A at every voltage and speed")

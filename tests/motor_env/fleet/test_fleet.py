@@ -166,7 +166,7 @@ def test_a_motor_is_told_by_the_surest_of_its_faults(found: FleetDiagnosis) -> N
     healthy, worst = found.sisters[-1].telling, found.sisters[0].telling
 
     def record(verdict: Verdict, confidence: float) -> Diagnosis:
-        return replace(worst, pieces=(replace(worst.telling, verdict=verdict, confidence=confidence),))
+        return replace(worst, pieces=(replace(worst.decisive, verdict=verdict, confidence=confidence),))
 
     faults = [record(Verdict.WINDING, 0.6), record(Verdict.BEARING, 0.9), record(Verdict.WINDING, 0.7)]
     records = {Path(str(n)): one for n, one in enumerate([healthy, *faults])}

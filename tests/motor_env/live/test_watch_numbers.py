@@ -28,7 +28,7 @@ from motor_env.console import ExitStatus
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.hypotheses import Change, FittedWindow
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of
-from motor_env.diagnosis.sensors.channels import sensor_failed
+from motor_env.diagnosis.sensors.channels import sensor_judgement
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.live import command, watch as watching
@@ -314,7 +314,7 @@ def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
         replace(unsure, kind_probability=0.951),
         Judgement(Verdict.UNUSABLE, ("the motor stands", "all the time")),
         UnusableError("too short"),
-        sensor_failed("current_dead", "the current shows nothing"),
+        sensor_judgement("current_dead", "the current shows nothing"),
     ]
     Judge(monkeypatch, *verdicts)
     state = State()

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.hypotheses import Difference, Explanation, along, left_over
+from motor_env.diagnosis.hypotheses import Difference, Explanation, project, residual_p_value
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting.starts.plausibility import NOT_TURNING
 from motor_env.motor.faults import FaultKind
@@ -62,7 +62,7 @@ READ_SO = "seem to be swapped: read so, the recording is that of this motor"
 SWAPPED = f"voltage and current {READ_SO}"
 
 
-class Scale(NamedTuple):
+class ScalingError(NamedTuple):
     """A column at a wrong scale that explains a difference: which one, what it is, and as an explanation.
 
     The explanation's kind is the gain of a sensor; None where the scale is a unit's, or the clock's.
@@ -73,13 +73,15 @@ class Scale(NamedTuple):
     gain: Explanation | None
 
 
-def as_sentence(scales: Sequence[Scale]) -> str:
+def describe_scaling_errors(scales: Sequence[ScalingError]) -> str:
     """The columns of which one, at a wrong scale, would explain a difference; empty without any."""
     words = sorted(f"the {scale.column} is {scale.words}" for scale in scales)
     return f"{EXPLAINED} if {', or if '.join(words)}" if words else ""
 
 
-def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, rate: float) -> list[Scale]:
+def find_scaling_errors(
+    difference: Difference, names: tuple[str, ...], limit: float, rate: float
+) -> list[ScalingError]:
     """The columns of which each one, at a wrong scale, would explain a difference.
 
     Args:
@@ -95,26 +97,26 @@ def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, r
         direction = difference.exponents @ [POWERS[column].get(parameter, 0.0) for parameter in PARAMETERS]
         if not direction.any():  # a voltage, where nothing of it is compared
             continue
-        z, step, step_sd = along(difference, direction)
+        z, step, step_sd = project(difference, direction)
         # A reading's scale is exact: nothing else moves with it.
-        p_left_over = left_over(difference, step * direction, difference.covariance)
+        p_left_over = residual_p_value(difference, step * direction, difference.covariance)
         if abs(z) <= limit or p_left_over <= rate:
             continue
         # One quantity alone moves by faults and loads as well: only a known factor, and no other near it, counts.
         is_shared = np.count_nonzero(np.abs(step * direction) > limit * sd) > 1
         near = max(_NEAR, _SURE * step_sd) if is_shared else _NEAR
-        word = _factor(column, step, near, only_known=not is_shared)
+        word = _describe_factor(column, step, near, only_known=not is_shared)
         gain, turned = None, math.copysign(1.0, step)
         if column != "time" and word not in _UNITS[column].values():
             kind = FaultKind(f"{column}_gain")
             gain = Explanation(
                 kind, abs(z), abs(step), step_sd, p_left_over, turned * direction, difference.covariance
             )
-        found += [Scale(column, word, gain)] if word else []
+        found += [ScalingError(column, word, gain)] if word else []
     return found
 
 
-def _factor(column: str, step: float, near: float, *, only_known: bool) -> str:
+def _describe_factor(column: str, step: float, near: float, *, only_known: bool) -> str:
     """What a column multiplied with e^step may be; empty for no known factor where only those count."""
     for factor, unit in _UNITS[column].items():
         if abs(step - math.log(factor)) < near:
@@ -128,20 +130,20 @@ def _factor(column: str, step: float, near: float, *, only_known: bool) -> str:
     return f"{size:.3g} times too {'large' if step > 0.0 else 'small'} (look at {_SCALES[column]}{brushes})"
 
 
-def is_far(judgement: Judgement) -> bool:
+def is_far_from_healthy(judgement: Judgement) -> bool:
     """Whether a window seems so far from the healthy motor, where its fit begins, that the fit may not have arrived."""
     return judgement.verdict.is_fault and any(
         abs(math.log(one.ratio)) > (_FAR if one.name == "B" else _NOT_NEAR) for one in judgement.changes
     )
 
 
-def is_strange(judgement: Judgement) -> bool:
+def is_unlike_motor(judgement: Judgement) -> bool:
     """Whether a piece cannot be judged, or is like no motor, or too far from this one."""
     odd = {NOT_TURNING, BEYOND_WEAR} & set(judgement.reasons)
     return judgement.verdict is Verdict.UNUSABLE or bool(odd)
 
 
-def as_wear(judgement: Judgement) -> Judgement:
+def limit_to_wear(judgement: Judgement) -> Judgement:
     """The judgement; of what is further from the healthy motor than any wear no fault is named, and it is said."""
     kind, interval = judgement.fault_kind, judgement.severity_interval
     if kind is not None and interval is not None:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.motor_files import motor_of_log, not_told, to_motor
-from motor_env.diagnosis.shown.report import (
+from motor_env.diagnosis.diagnose import explain_unusable
+from motor_env.diagnosis.motor_files import describe_undetermined, motor_of_log, to_motor
+from motor_env.diagnosis.report.formats import (
     TWO_SIDED,
+    describe_r2,
     estimate_json,
     extensions_json,
-    quality,
     quantities_json,
     quantity_lines,
     ripple_json,
@@ -67,7 +67,7 @@ class Identification:
     @property
     def usable(self) -> list[Identified]:
         """Fits of the starts that a motor explains."""
-        return [fit for _, fit in self.starts if unusable_reason(fit) is None]
+        return [fit for _, fit in self.starts if explain_unusable(fit) is None]
 
     @property
     def is_complete(self) -> bool:
@@ -78,7 +78,7 @@ class Identification:
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Quantities with value, standard error, interval (95 %), unit: of the logs, else of the first good start."""
         if self.joint is not None:
-            return _of_logs(self.joint)
+            return _log_quantities(self.joint)
         return quantities_json(self.usable[0]) if self.usable else {}
 
     def motor(self, name: str = "identified motor") -> Motor:
@@ -102,12 +102,12 @@ class Identification:
         return self.text()
 
     def text(self) -> str:
-        """Tables, and what is not told."""
+        """Tables, and what is not determined."""
         return "\n".join(map(_text, self.to_json()))
 
     def page(self) -> str:
         """A self-contained HTML page: measured beside fitted current and speed of each start, and of all logs."""
-        from motor_env.diagnosis.shown.page import page_of_fits
+        from motor_env.diagnosis.report.page import page_of_fits
 
         fits: dict[str, Identified | Operation] = {
             f"{recording.path.name}, start {number}": fit
@@ -121,7 +121,7 @@ class Identification:
         return {
             "files": [str(recording.path)],
             "taken_for": self.taken[recording.path]._asdict(),
-            "unusable": unusable_reason(fit),
+            "unusable": explain_unusable(fit),
             "model": ["textbook", *fit.model],
             "parameters": quantities_json(fit) | extensions_json(fit),
             "correlations": fit.correlation.tolist(),
@@ -133,7 +133,7 @@ class Identification:
             "offset_a": fit.offset_a,
             "columns": list(recording.columns),
             "defects": list(fit.defects),
-            "not_told": not_told(fit),
+            "not_told": describe_undetermined(fit),
             "warnings": warnings_of(recording, fit),
         }
 
@@ -149,7 +149,7 @@ class Identification:
         return head | {
             "model": list(self.joint.model),
             "voltage": self.joint.record.hold,
-            "parameters": _of_logs(self.joint),
+            "parameters": _log_quantities(self.joint),
             "r2_current": self.joint.r2_current,
             "r2_speed": self.joint.r2_speed,
             "warmth_k": float(self.joint.warmth_k.max()),
@@ -162,42 +162,42 @@ class Identification:
         }
 
 
-def _text(told: Mapping[str, Any]) -> str:
+def _text(fields: Mapping[str, Any]) -> str:
     """One object of `to_json` for people."""
-    files, rows = ", ".join(told["files"]), told["parameters"]
-    if told["unusable"]:
-        return f"{files}: unusable: {told['unusable']}"
+    files, rows = ", ".join(fields["files"]), fields["parameters"]
+    if fields["unusable"]:
+        return f"{files}: unusable: {fields['unusable']}"
     beside = {
         name: "{:.4g} to {:.4g}".format(*row["interval"]) if row.get("determined", True) else "not determined"
         for name, row in rows.items()
     }
     lines = [
-        f"{files}: model {' + '.join(told['model'])}; 95 % intervals",
-        f"  taken for {Taken(**told['taken_for'])}",
-        "  read: " + "; ".join(told["columns"]),
+        f"{files}: model {' + '.join(fields['model'])}; 95 % intervals",
+        f"  taken for {Taken(**fields['taken_for'])}",
+        "  read: " + "; ".join(fields["columns"]),
         *quantity_lines(rows, beside),
     ]
-    explained = f"  {quality(told['r2_current'], told['r2_speed'])}"
-    if told["taken_for"]["regime"] == "operation":
-        lines += [f"  the voltage of a sample is {_HELD[told['voltage']]}", explained]
-        if told["warmth_k"] > _WARM_K:
-            lines.append(f"  the winding warms by up to {told['warmth_k']:.0f} K")
+    explained = f"  {describe_r2(fields['r2_current'], fields['r2_speed'])}"
+    if fields["taken_for"]["regime"] == "operation":
+        lines += [f"  the voltage of a sample is {_HELD[fields['voltage']]}", explained]
+        if fields["warmth_k"] > _WARM_K:
+            lines.append(f"  the winding warms by up to {fields['warmth_k']:.0f} K")
     else:
         names = list(rows)
         pairs = [
             f"{names[i]} with {names[j]} {row[j]:+.2f}"
-            for i, row in enumerate(told["correlations"])
+            for i, row in enumerate(fields["correlations"])
             for j in range(i)
         ]
-        lag = f"residual's autocorrelation at one sample {told['residual_autocorrelation']:.2f}"
+        lag = f"residual's autocorrelation at one sample {fields['residual_autocorrelation']:.2f}"
         lines += ["  correlations: " + ", ".join(pairs), f"{explained}; {lag}"]
-        lines += ripple_lines(told["commutation"])
-    lines += [f"  warning: {sentence}" for sentence in told["warnings"]]
-    lines += [f"  noticed: {defect}" for defect in told.get("defects", ())]
-    return "\n".join([*lines, *(f"  note: {sentence}" for sentence in told["not_told"])])
+        lines += ripple_lines(fields["commutation"])
+    lines += [f"  warning: {sentence}" for sentence in fields["warnings"]]
+    lines += [f"  noticed: {defect}" for defect in fields.get("defects", ())]
+    return "\n".join([*lines, *(f"  note: {sentence}" for sentence in fields["not_told"])])
 
 
-def _of_logs(joint: Operation) -> dict[str, dict[str, Any]]:
+def _log_quantities(joint: Operation) -> dict[str, dict[str, Any]]:
     return {
         one.name: estimate_json(
             one.value, (one.high - one.low) / (2.0 * TWO_SIDED), (one.low, one.high), one.unit

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.decision import decide, limits_of
+from motor_env.diagnosis.decision import alarm_limits, decide
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
-from motor_env.diagnosis.hypotheses import Fitted, smallest_of, views_of
+from motor_env.diagnosis.hypotheses import Fitted, form_hypotheses, smallest_detectable
 from motor_env.fitting.starts.choice import NUISANCES, identify_best
 from motor_env.fitting.starts.commutation import ripple_quantities
 from motor_env.fitting.starts.identified import Identified
@@ -55,7 +55,7 @@ def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> li
     return [identify(start, model, constant=constant, typical=typical) for start in starts]
 
 
-def the_next(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+def predictive_t(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Mean, covariance and degrees of freedom of the next healthy one, of several.
 
     The spread between few is hardly known. A prior stands in: an inverse-Wishart, worth 4 of them (Gelman et al. 2013,
@@ -71,9 +71,9 @@ def the_next(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArra
     return centre, (scatter + PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n), freedom
 
 
-def next_sd(values: FloatArray, prior_sd: float) -> float:
+def predictive_sd(values: FloatArray, prior_sd: float) -> float:
     """Scale of the next value's Student t, from values that scatter."""
-    return math.sqrt(the_next(values[:, None], np.eye(1) * prior_sd**2)[1][0, 0])
+    return math.sqrt(predictive_t(values[:, None], np.eye(1) * prior_sd**2)[1][0, 0])
 
 
 def next_piece(
@@ -91,7 +91,7 @@ def next_piece(
     logs = np.array([fit.log_values for fit in fits])
     error = np.mean([fit.white_covariance for fit in fits], axis=0)
     prior = np.eye(logs.shape[1]) * prior_sd**2 + error
-    return the_next(logs, prior if lent is None else prior + beyond(prior, lent))
+    return predictive_t(logs, prior if lent is None else prior + beyond(prior, lent))
 
 
 def next_window(
@@ -110,18 +110,18 @@ def next_window(
     return centre, covariance if steady else covariance + np.diag(np.square(RECORD_SPREAD)), freedom
 
 
-def usual_beside(few: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
+def usual_condition_windows(few: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
     """Windows of the usual drive, if those of another one are few beside them; none otherwise."""
     usual = max(drives, key=len)
     return usual if len(usual) >= _FEW_BESIDE * len(few) else ()
 
 
-def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
+def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     """What all healthy pieces but one teach, fitted with the same model; of windows those that are driven alike."""
     drives = () if healthy.windows is None else healthy.windows.drives
     alike = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
     others = [fits[n] for n in alike if n != number]
-    usual = [fits[n] for n in usual_beside(alike, [drive.pieces for drive in drives] or [alike])]
+    usual = [fits[n] for n in usual_condition_windows(alike, [drive.pieces for drive in drives] or [alike])]
     if healthy.windows is None:
         centre, covariance, freedom = next_piece(others, START_SPREAD)
     else:
@@ -148,7 +148,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
     signs = {fit.start.alignment.sign for fit in fits}
     starts = Starts(
         log_noise=float(noise.mean()),
-        log_noise_sd=next_sd(noise, _NOISE_SPREAD),
+        log_noise_sd=predictive_sd(noise, _NOISE_SPREAD),
         model=fits[0].model,
         model_low=tuple(min(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
         model_high=tuple(max(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
@@ -157,13 +157,13 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
         quiet_s=max(min(fit.onset_s - float(fit.start.time_s[0]) for fit in fits), 0.0),
         ripple_hz=float(np.exp(ripple[:, 0].mean())) if has_ripple else None,
         ripple_constant_v_s=float(np.exp(ripple[:, 1].mean())) if has_ripple else None,
-        ripple_log_sd=max(next_sd(row, START_SPREAD) for row in ripple.T) if has_ripple else None,
+        ripple_log_sd=max(predictive_sd(row, START_SPREAD) for row in ripple.T) if has_ripple else None,
         direction=0 if len(signs) > 1 else 1 if signs == {1.0} else -1,
     )
     return Healthy(len(fits), freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
 
 
-def disagreement(fits: Sequence[Identified]) -> str | None:
+def explain_disagreement(fits: Sequence[Identified]) -> str | None:
     """Which quantity differs so much between healthy starts that they teach nothing; None where they agree."""
     logs = np.array([fit.log_values for fit in fits])
     for name, column in zip(fits[0].quantity_names, logs.T, strict=True):
@@ -173,7 +173,7 @@ def disagreement(fits: Sequence[Identified]) -> str | None:
     return None
 
 
-def odd_one_out(fits: Sequence[Identified], number: int) -> str | None:
+def explain_outlier(fits: Sequence[Identified], number: int) -> str | None:
     """Why one of the healthy starts is of another motor than the others; None where it agrees with them."""
     others = np.array([fit.log_values for n, fit in enumerate(fits) if n != number])
     if len(others) < 2:
@@ -189,7 +189,7 @@ def odd_one_out(fits: Sequence[Identified], number: int) -> str | None:
     return f"its {name} is {math.exp(off[worst]):.3g} times that of the others"
 
 
-def promise_of(
+def detectable_changes(
     motor: Motor, fits: Sequence[Fitted], temperature_c: float | None, rate: float
 ) -> tuple[dict[str, float], dict[str, int]]:
     """Smallest changes that the next piece shows; and how many pieces, judged by the others, leave what undecided.
@@ -203,12 +203,12 @@ def promise_of(
     smallest: dict[str, float] = {}
     for fit, some in taught:
         reference = _reference(replace(motor, healthy=some), fit, temperature_c)
-        views = views_of(fit, reference, rate)
-        limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
-        for kind, severity in smallest_of(views, reference.own_friction, limits.z).items():
+        hypotheses = form_hypotheses(fit, reference, rate)
+        limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
+        for kind, severity in smallest_detectable(hypotheses, reference.own_friction, limits.z).items():
             smallest[kind] = max(severity, smallest.get(kind, 0.0))
     count = len(fits) if len(fits) > 1 else 0
-    others = [replace(motor, healthy=without(healthy, fits, n)) for n in range(count)]
+    others = [replace(motor, healthy=learn_without(healthy, fits, n)) for n in range(count)]
     judged = [decide(fits[n], _reference(others[n], fits[n], temperature_c), rate) for n in range(count)]
     changes = [change for one in judged for change in one.changes]
     undecided = Counter(change.name for change in changes if change.verdict == "undecided")

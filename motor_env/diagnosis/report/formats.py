@@ -48,9 +48,9 @@ _PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """One object: what the recording was taken for, its verdict by the piece that it rests on, and all pieces."""
-    recording, telling = diagnosis.recording, diagnosis.telling
-    fit, consistency = telling.identified, telling.consistency
-    parameters: dict[str, Any] = {} if telling.fit is None else quantities_json(telling.fit)
+    recording, decisive = diagnosis.recording, diagnosis.decisive
+    fit, consistency = decisive.identified, decisive.consistency
+    parameters: dict[str, Any] = {} if decisive.fit is None else quantities_json(decisive.fit)
     if fit is not None:
         parameters |= extensions_json(fit) | {
             "onset_s": {"value": fit.onset_s, "unit": "s"},
@@ -59,44 +59,46 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "file": str(recording.path),
         "taken_for": diagnosis.taken._asdict(),
-        **_said(telling),
+        **_judgement_json(decisive),
         "parameters": parameters,
-        "reference": None if telling.reference is None else telling.reference.source,
+        "reference": None if decisive.reference is None else decisive.reference.source,
         "model": None if fit is None else ["textbook", *fit.model],
-        "r2_current": None if fit is None else number(fit.r2_current),
-        "r2_speed": None if fit is None else number(fit.r2_speed),
-        "residual_autocorrelation": None if fit is None else number(fit.lag_one),
-        "mean_nis": None if consistency is None else number(consistency.mean_square),
-        "sensor_noise_a": None if fit is None else number(fit.noise_a),
+        "r2_current": None if fit is None else finite_or_none(fit.r2_current),
+        "r2_speed": None if fit is None else finite_or_none(fit.r2_speed),
+        "residual_autocorrelation": None if fit is None else finite_or_none(fit.lag_one),
+        "mean_nis": None if consistency is None else finite_or_none(consistency.mean_square),
+        "sensor_noise_a": None if fit is None else finite_or_none(fit.noise_a),
         "consistent": None if consistency is None else consistency.holds,
-        "warning": telling.warning or None,
+        "warning": decisive.warning or None,
         "warnings": warnings_of(recording, fit),
         "commutation": None if fit is None else ripple_json(fit, diagnosis.periods_per_turn),
         "columns": list(recording.columns),
         "defects": [] if fit is None else list(fit.defects),
         "pieces_of_recording": diagnosis.of,
         "pieces": [
-            {"begin_s": piece.begin_s, "duration_s": piece.duration_s} | _said(piece)
+            {"begin_s": piece.begin_s, "duration_s": piece.duration_s} | _judgement_json(piece)
             for piece in diagnosis.pieces
         ],
     }
 
 
-def _said(judgement: Judgement) -> dict[str, Any]:
+def _judgement_json(judgement: Judgement) -> dict[str, Any]:
     """What is said of a piece."""
     interval = judgement.severity_interval
     return {
         "verdict": str(judgement.verdict),
         "kind": None if judgement.kind is None else str(judgement.kind),
-        "severity": number(judgement.severity),
-        "severity_interval": None if interval is None else [number(end) for end in interval],
-        "confidence": number(judgement.confidence),
+        "severity": finite_or_none(judgement.severity),
+        "severity_interval": None if interval is None else [finite_or_none(end) for end in interval],
+        "confidence": finite_or_none(judgement.confidence),
         "reasons": list(judgement.reasons),
         "changes": {
             c.name: {"verdict": c.verdict, "ratio": c.ratio, "interval": [c.low, c.high]}
             for c in judgement.changes
         },
-        "smallest_changes": {kind: number(value) for kind, value in judgement.smallest_changes.items()},
+        "smallest_changes": {
+            kind: finite_or_none(value) for kind, value in judgement.smallest_changes.items()
+        },
     }
 
 
@@ -152,8 +154,8 @@ def estimate_json(
     value: float, error: float, interval: tuple[float | None, float | None], unit: str
 ) -> dict[str, Any]:
     """A value with its standard error, interval and unit; None for an infinite number."""
-    ends = [number(end) for end in interval]
-    return {"value": value, "standard_error": number(error), "interval": ends, "unit": unit}
+    ends = [finite_or_none(end) for end in interval]
+    return {"value": value, "standard_error": finite_or_none(error), "interval": ends, "unit": unit}
 
 
 def exp_or_none(log: float) -> float | None:
@@ -182,43 +184,43 @@ def quantity_lines(
     ]
 
 
-def quality(r2_current: float | None, r2_speed: float | None) -> str:
+def describe_r2(r2_current: float | None, r2_speed: float | None) -> str:
     """How much of what was recorded a fit explains."""
     found = {"current": r2_current, "speed": r2_speed}
     return "R2 " + ", ".join(f"of the {name} {r2:.4f}" for name, r2 in found.items() if r2 is not None)
 
 
-def number(value: float | None) -> float | None:
+def finite_or_none(value: float | None) -> float | None:
     """The number; None where there is none, or an infinite one."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
     """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
-    recording, telling, fit = diagnosis.recording, diagnosis.telling, diagnosis.telling.identified
+    recording, decisive, fit = diagnosis.recording, diagnosis.decisive, diagnosis.decisive.identified
     several = diagnosis.pieces if len(diagnosis.pieces) > 1 else ()
     lines = [
-        f"{recording.path}: {headline(telling)}{_among(diagnosis) if several else ''}",
-        *(f"  {reason}." for reason in telling.reasons),
+        f"{recording.path}: {headline(decisive)}{_count_agreeing(diagnosis) if several else ''}",
+        *(f"  {reason}." for reason in decisive.reasons),
         f"  taken for {diagnosis.taken}",
         *(["  read: " + "; ".join(recording.columns)] if recording.columns else []),
         *(f"  warning: {sentence}" for sentence in warnings_of(recording, fit)),
         *(_piece_line(diagnosis, piece) for piece in several),
-        *_piece_table(telling),
+        *_piece_table(decisive),
     ]
     if fit is not None:
         lines += ripple_lines(ripple_json(fit, diagnosis.periods_per_turn))
         lines += [f"  noticed: {defect}" for defect in fit.defects]
     if verbose:
-        lines += expert_lines(telling)
-    if telling.smallest_changes:
-        found = ", ".join(f"{kind} {severity:.0%}" for kind, severity in telling.smallest_changes.items())
-        own = of_the_drag(None if telling.reference is None else telling.reference.own_friction)
+        lines += expert_lines(decisive)
+    if decisive.smallest_changes:
+        found = ", ".join(f"{kind} {severity:.0%}" for kind, severity in decisive.smallest_changes.items())
+        own = describe_friction_share(None if decisive.reference is None else decisive.reference.own_friction)
         lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {found} ({own})")
     return "\n".join(lines)
 
 
-def _among(diagnosis: Diagnosis) -> str:
+def _count_agreeing(diagnosis: Diagnosis) -> str:
     """How many of its pieces say so."""
     same = sum(piece.verdict is diagnosis.verdict for piece in diagnosis.pieces)
     word = "windows" if diagnosis.taken.regime == "operation" else "starts"
@@ -229,7 +231,7 @@ def _among(diagnosis: Diagnosis) -> str:
 def _piece_line(diagnosis: Diagnosis, piece: Judgement) -> str:
     """One piece of several: when, what, and how far its quantities lie from the healthy ones."""
     moved = ", ".join(f"{c.name} {c.ratio - 1.0:+.1%}" for c in piece.changes)
-    mark = " <" if piece is diagnosis.telling else ""
+    mark = " <" if piece is diagnosis.decisive else ""
     return f"  from {piece.begin_s:.6g} s: {headline(piece)}; {moved or '; '.join(piece.reasons)}{mark}"
 
 
@@ -253,7 +255,7 @@ def _piece_table(judgement: Judgement) -> list[str]:
     ]
 
 
-def of_the_drag(own: float | None) -> str:
+def describe_friction_share(own: float | None) -> str:
     """What the friction of a bearing fault is a share of; `own` is the motor's share of the drag, where told."""
     if own is None:
         return "bearing: of the whole drag, any load included"
@@ -267,7 +269,7 @@ def expert_lines(judgement: Judgement) -> list[str]:
     if fit is not None:
         lines += quantity_lines(extensions_json(fit))
         lines.append(
-            f"  fit: {quality(fit.r2_current, fit.r2_speed)}; model {' + '.join(['textbook', *fit.model])}"
+            f"  fit: {describe_r2(fit.r2_current, fit.r2_speed)}; model {' + '.join(['textbook', *fit.model])}"
         )
         judged = (
             "what the sensor shows: it hides small currents" if fit.is_hidden else "the filter's innovations"

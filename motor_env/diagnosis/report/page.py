@@ -9,8 +9,8 @@ import numpy as np
 
 from motor_env.console import printable
 from motor_env.diagnosis.hypotheses import Change, Fitted
-from motor_env.diagnosis.shown.report import as_text, quality, warnings_of
-from motor_env.diagnosis.shown.words import KIND, RUN_ON, SIZE, WORDS
+from motor_env.diagnosis.report.formats import as_text, describe_r2, warnings_of
+from motor_env.diagnosis.report.verdict_texts import KIND_TEXTS, RUN_ON_TEXTS, SIZE_TEXTS, VERDICT_TEXTS
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
 from motor_env.fitting import places
 from motor_env.fitting.identify import Operation
@@ -41,22 +41,22 @@ _QUANTITY = {
 
 def page(diagnosis: Diagnosis) -> str:
     """The whole page."""
-    telling, verdict = diagnosis.telling, diagnosis.verdict
-    fit, expected = telling.identified, reference_current(telling)
+    decisive, verdict = diagnosis.decisive, diagnosis.verdict
+    fit, expected = decisive.identified, reference_current(decisive)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
-    named = telling.kind if telling.kind in WORDS else verdict
-    title, *first = WORDS.get(named, (str(verdict).capitalize(),))
+    named = decisive.kind if decisive.kind in VERDICT_TEXTS else verdict
+    title, *first = VERDICT_TEXTS.get(named, (str(verdict).capitalize(),))
     sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
     current, residual = ("", "") if fit is None else _currents(fit, expected, is_fault=verdict.is_fault)
     return render(
-        "motor_env.diagnosis.shown",
+        "motor_env.diagnosis.report",
         "diagnosis.html.j2",
         title=title,
         file=printable(diagnosis.recording.path.name),
         tone=tone,
-        size=_size(telling),
+        size=_size(decisive),
         sure="over 99 % sure" if (diagnosis.confidence or 0.0) > 0.99 else sure,
-        runs_on=RUN_ON.get(telling.kind or verdict) or RUN_ON.get(verdict, ""),
+        runs_on=RUN_ON_TEXTS.get(decisive.kind or verdict) or RUN_ON_TEXTS.get(verdict, ""),
         first=first,
         reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
         warnings=[
@@ -70,7 +70,9 @@ def page(diagnosis: Diagnosis) -> str:
         has_expected=expected is not None,
         part=f"{_END}: " if _END in current else "",
         residual=residual,
-        smallest=[(KIND.get(kind, kind), f"{share:.0%}") for kind, share in telling.smallest_changes.items()],
+        smallest=[
+            (KIND_TEXTS.get(kind, kind), f"{share:.0%}") for kind, share in decisive.smallest_changes.items()
+        ],
         expert=printable(as_text(diagnosis, verbose=True)),
     )
 
@@ -87,7 +89,7 @@ def page_of_fits(
         note: sentence below that chart.
     """
     return render(
-        "motor_env.diagnosis.shown",
+        "motor_env.diagnosis.report",
         "fits.html.j2",
         title=printable(title),
         spread=spread,
@@ -95,7 +97,7 @@ def page_of_fits(
         fits=[
             (
                 printable(name),
-                f"{' + '.join(fit.model) or 'textbook'}, {quality(fit.r2_current, fit.r2_speed)}",
+                f"{' + '.join(fit.model) or 'textbook'}, {describe_r2(fit.r2_current, fit.r2_speed)}",
                 "\n".join(_fit_charts(fit)),
             )
             for name, fit in fits.items()
@@ -143,7 +145,7 @@ def _size(judgement: Judgement) -> str:
     if not size or not judgement.verdict.is_fault or kind is None:
         return ""
     between = "" if interval is None else f", between {interval[0]:.0%} and {interval[1]:.0%}"
-    return SIZE.get(kind, "Size {}").format(f"{size:.0%}") + between
+    return SIZE_TEXTS.get(kind, "Size {}").format(f"{size:.0%}") + between
 
 
 def reference_current(judgement: Judgement) -> FloatArray | None:

@@ -83,7 +83,7 @@ def diagnose_files(
     if healthy:
         if known is not None and options.get("voltage_v") is None:
             options["voltage_v"] = known.nominal_voltage_v
-        known = _learned(healthy, known, columns, options)
+        known = _learn_motor(healthy, known, columns, options)
     options |= {"false_alarm_rate": false_alarm_rate, "periods_per_turn": periods_per_turn}
     outcomes: list[Outcome] = []
     for number, path in enumerate(files, 1):
@@ -94,7 +94,9 @@ def diagnose_files(
             outcome = Outcome(path, judged)
             html = "" if out is None else judged.page()
         except Exception as error:  # noqa: BLE001  # whatever it is, it is said, and the others keep their verdicts
-            sentence, is_bug = why_not(path, error, "judged" if outcome.diagnosis is None else "drawn")
+            sentence, is_bug = explain_failure(
+                path, error, "judged" if outcome.diagnosis is None else "drawn"
+            )
             outcome = replace(outcome, error=sentence, is_bug=is_bug)
         if out is not None and html:
             write_text(page_path(path, out, number), html)
@@ -102,7 +104,7 @@ def diagnose_files(
     return outcomes
 
 
-def _learned(
+def _learn_motor(
     healthy: Sequence[Path], motor: Motor | None, columns: Sequence[ColumnChoice], options: dict[str, Any]
 ) -> Motor:
     """The motor of healthy recordings; what they do not tell is the other file's."""
@@ -118,7 +120,7 @@ def page_path(recording: Path, folder: Path, number: int) -> Path:
     return folder / f"{number:03d}-{recording.name.replace('.', '-')[:_LONGEST_NAME]}.html"
 
 
-def why_not(path: Path, error: Exception, word: str = "judged") -> tuple[str, bool]:
+def explain_failure(path: Path, error: Exception, word: str = "judged") -> tuple[str, bool]:
     """What is said of a file that cannot be read, on which the numerics give up, or which shows a bug: true then."""
     if isinstance(error, InputError):
         return str(error), False
