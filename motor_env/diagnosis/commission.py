@@ -1,4 +1,4 @@
-"""From healthy recordings to what they teach of a motor: `motor-env commission`."""
+"""`commission`: learn a motor from its healthy recordings."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _WARMTH = (
 
 
 def intervals(healthy: Healthy, log_covariance: FloatArray, rate: float) -> dict[str, dict[str, Any]]:
-    """Quantities with unit and the interval that all but this share lie in; the covariance is of their logarithms."""
+    """Return quantities with units and intervals that healthy pieces leave at this rate; `log_covariance` is (n, n)."""
     half = -float(stdtrit(healthy.degrees_of_freedom, rate / 2.0)) * np.sqrt(np.diag(log_covariance))
     rows = zip(healthy.quantities, healthy.values.tolist(), half.tolist(), strict=True)
     return {
@@ -63,7 +63,7 @@ def intervals(healthy: Healthy, log_covariance: FloatArray, rate: float) -> dict
 
 
 def interval_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """A line for each of these intervals, in per cent of the value."""
+    """Format each interval as a line, in per cent of the value."""
     return [
         f"  {name:<12} {row['value']:11.4g} {row['unit']:<12}"
         f" {row['interval'][0] / row['value'] - 1.0:+.1%} to {row['interval'][1] / row['value'] - 1.0:+.1%}"
@@ -73,16 +73,16 @@ def interval_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Commissioned:
-    """A commissioned motor, what it was learned from, and what later recordings will show.
+    """A commissioned motor, and what later recordings of it will show.
 
     Attributes:
-        motor: with what its healthy pieces have taught.
+        motor: with the statistics of its healthy pieces.
         fits: of the healthy pieces.
         smallest: severity of each fault that the next piece shows in 95 of 100 cases.
-        undecided: of so many healthy pieces, judged by the others, each quantity was undecided; by its name.
+        undecided: number of healthy pieces that, judged by the others, leave a quantity undecided; by its name.
         false_alarm_rate: of the intervals and smallest changes.
-        taken: what the recordings were taken for, and why.
-        read: how their columns were understood, in words.
+        taken: regime of the recordings, and why.
+        read: how their columns were understood.
     """
 
     motor: Motor
@@ -95,12 +95,12 @@ class Commissioned:
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Healthy quantities with the interval of the next healthy piece at the rate of false alarms, and unit."""
+        """Healthy quantities with units and the interval of the next healthy piece at the rate of false alarms."""
         return intervals(self.healthy, self.healthy.log_covariance, self.false_alarm_rate)
 
     @property
     def healthy(self) -> Healthy:
-        """What the healthy pieces have taught."""
+        """Statistics of the healthy pieces."""
         assert self.motor.healthy is not None  # noqa: S101  # a commissioned motor has it
         return self.motor.healthy
 
@@ -108,7 +108,7 @@ class Commissioned:
         return self.text()
 
     def text(self) -> str:
-        """What was learned, with the interval of the next healthy piece."""
+        """Describe what was learned, with the interval of the next healthy piece."""
         healthy, rate = self.healthy, self.false_alarm_rate
         extensions = () if healthy.starts is None else healthy.starts.model
         piece, kind, drives = "start", f", model {' + '.join(['textbook', *extensions])}", 0
@@ -128,7 +128,7 @@ class Commissioned:
                 if drives > 1
                 else []
             ),
-            *(f"  taken for {one}" for one in self.taken),
+            *(f"  taken for {reason}" for reason in self.taken),
             *self.read,
             *quality,
             f"  smallest change that is found in 95 of 100 cases: {smallest} ({friction})",
@@ -143,7 +143,7 @@ class Commissioned:
         return "\n".join(lines)
 
     def page(self) -> str:
-        """A self-contained HTML page: the spread of each quantity; of starts also their fits and residuals."""
+        """Draw a self-contained HTML page: the spread of each quantity; of starts also their fits and residuals."""
         from motor_env.diagnosis.report.page import page_of_fits, spread_chart
 
         starts = [fit for fit in self.fits if isinstance(fit, Identified)]
@@ -180,24 +180,23 @@ def commission(
         recordings: as read, or their files; each may hold several starts.
         name: of the motor.
         columns: columns named by the user, of files.
-        word: what the user calls one of them.
+        word: what messages call a recording.
         fewest: number of starts that are needed.
-        regime: start, operation, or auto: decided by what the voltage does, or by a length of windows.
+        regime: start, operation, or auto: operation if `window_s` is given, else decided by the voltage.
         start: which one of a file with several.
         voltage_v: level of the supply where none was recorded.
-        circuit: what is known of the measuring circuit.
+        circuit: the measuring circuit.
         constant: torque constant in N m/A, where known and the speed was not recorded.
         temperature_c: of the motor at these recordings, where known.
-        window_s: length of the windows into which logs are cut; a twentieth of all of them unless given.
-        steady: of logs: nothing but a fault moves the motor, as on a test bench.
-        no_load_current_a: of starts: what the motor draws uncoupled from its load. It tells which share of the drag is
-            the motor's own friction.
-        false_alarm_rate: for the smallest changes.
+        window_s: length of the windows of logs; by default a twentieth of all logs.
+        steady: of logs: only a fault moves the motor, as on a test bench.
+        no_load_current_a: of starts: current without the load; it separates the motor's own friction from the drag.
+        false_alarm_rate: for intervals and smallest changes.
 
     Raises:
-        InputError: too few, one that cannot be read or used, or such as do not go together.
+        InputError: too few recordings, one that cannot be used, or two that do not go together.
     """
-    paths = [Path(one).resolve() for one in recordings if not isinstance(one, Recording)]
+    paths = [Path(each).resolve() for each in recordings if not isinstance(each, Recording)]
     if len(set(paths)) < len(paths):
         raise InputError(f"a healthy {word} is given twice: it would make the spread look smaller than it is")
     require_options(
@@ -207,7 +206,7 @@ def commission(
         window=window_s,
         no_load_current=no_load_current_a,
     )
-    read = [recording_of(one, columns) for one in recordings]
+    read = [recording_of(each, columns) for each in recordings]
     if regime == "auto" and window_s is not None:
         regime = "operation"
     taken = _require_one_regime(read, [taken_for(recording, regime, start) for recording in read], word)
@@ -238,21 +237,23 @@ def commission(
         if no_load_current_a is not None:
             healthy = replace(healthy, own_friction=_own_friction(starts, no_load_current_a))
         motor = to_motor(starts, name, healthy=healthy, constant=constant)
-        motor = learn_signs(motor, [part for one in read for part in chosen_starts(one, start)], voltage_v)
+        motor = learn_signs(
+            motor, [part for recording in read for part in chosen_starts(recording, start)], voltage_v
+        )
         fits = tuple(starts)
-    promise = detectable_changes(motor, fits, temperature_c, false_alarm_rate)
-    told = tuple(understood((one.path, one.columns) for one in read))
-    return Commissioned(motor, fits, *promise, false_alarm_rate, taken, told)
+    detectable = detectable_changes(motor, fits, temperature_c, false_alarm_rate)
+    words = tuple(understood((recording.path, recording.columns) for recording in read))
+    return Commissioned(motor, fits, *detectable, false_alarm_rate, taken, words)
 
 
 def _require_one_regime(read: Sequence[Recording], taken: Sequence[Taken], word: str) -> tuple[Taken, ...]:
-    """What recordings are taken for, each reason once: a motor that is switched on and off again is at work.
+    """Require starts only or logs only; return the regime, each reason once. Repeated starts count as a log.
 
     Raises:
         InputError: some are single starts, and some are logs of a motor at work.
     """
-    work = [one for one in taken if one.regime == "operation"]
-    starts = [recording for recording, one in zip(read, taken, strict=True) if one.regime == "start"]
+    work = [regime for regime in taken if regime.regime == "operation"]
+    starts = [recording for recording, each in zip(read, taken, strict=True) if each.regime == "start"]
     if work and any(len(split_starts(recording)) == 1 for recording in starts):
         raise InputError(
             f"some are starts, and some logs of a motor at work: give {word}s of one kind, or --regime"
@@ -270,11 +271,10 @@ def fit_starts(
     circuit: Circuit | None = None,
     constant: float | None = None,
 ) -> list[Identified]:
-    """Fit the healthy starts of recordings as `fit_healthy` does; a recording may hold several.
+    """Fit the healthy starts of recordings by `fit_healthy`; a recording may hold several.
 
     Raises:
-        InputError: one of them cannot be used, or no motor explains it; they are fewer than `fewest`, or hold different
-            columns. `word` is what the user calls them.
+        InputError: a start cannot be used, they are fewer than `fewest`, or their columns differ.
     """
     starts = [part for recording in recordings for part in chosen_starts(recording, start)]
     if len(starts) < fewest:
@@ -302,7 +302,7 @@ def fit_starts(
 
 
 def _own_friction(fits: Sequence[Identified], no_load_current_a: float) -> float:
-    """Share of the drag that is the motor's own friction, by its currents without and with the load.
+    """Return the motor's own share of the drag, by its currents without and with the load.
 
     Raises:
         InputError: it draws less with the load.

@@ -1,9 +1,8 @@
-"""The decision on a fitted piece: its quantities against a reference, with every uncertainty in the balance.
+"""Decide on a fitted piece: compare its quantities with a reference, by the covariances of both.
 
-The fit gives the logarithms of what the piece can tell, with a covariance that knows of the model's error; the
-reference gives where a healthy motor lies, with the covariance of its tolerances, the temperature and the supply, or
-of the spread between healthy pieces. Their difference has the sum of both covariances. After an alarm the most
-probable fault is named, unless what it leaves unexplained is itself significant or "other" is more probable still. The
+The fit gives logarithms of quantities, with a covariance that includes the model's error. The reference gives the
+distribution of a healthy motor: tolerances, temperature and supply, or the spread between healthy pieces. After an
+alarm the most probable fault is named, unless its rest is itself significant or "other" is more probable. The
 confidence is the posterior probability of the verdict.
 """
 
@@ -54,10 +53,10 @@ _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pi
 
 
 class AlarmLimits(NamedTuple):
-    """How far healthy pieces go.
+    """Limits of the tests, for one rate of false alarms.
 
     Attributes:
-        share: rate of false alarms of one test of the motor: faults and the whole, together at the rate left.
+        share: rate of false alarms of one test of the motor; all its tests together alarm at the wanted rate.
         z: standard deviations beyond which a fault alarms.
         noise_z: standard deviations beyond which the noise alarms.
     """
@@ -68,7 +67,7 @@ class AlarmLimits(NamedTuple):
 
 
 def alarm_limits(hypotheses: list[Hypothesis], rate: float, *, tests_noise: bool) -> AlarmLimits:
-    """Limits of the tests that together alarm at a rate; where the noise is tested too, it has an equal share."""
+    """Find the limits of the tests that together alarm at a rate; a test of the noise has an equal share."""
     difference = hypotheses[0].difference
     noise = alarm_share(rate, difference.exponents)
     freedom = difference.degrees_of_freedom
@@ -79,15 +78,15 @@ def alarm_limits(hypotheses: list[Hypothesis], rate: float, *, tests_noise: bool
 
 
 def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None = None) -> Judgement:
-    """The judgement on a fit against a reference, at a rate of false alarms per healthy piece.
+    """Judge a fit against a reference, at a rate of false alarms per healthy piece.
 
-    The load may be unknown: there is an alarm only if every load that is believed possible leaves one.
+    The load may be unknown: alarm only if every assumed load does.
 
     Args:
         fit: of the piece.
         reference: of the healthy motor.
         rate: of false alarms.
-        alarm: whether there is one, where that is decided elsewhere, as from several pieces.
+        alarm: whether there is an alarm, if several pieces have decided that; None to decide here.
     """
     hypotheses = form_hypotheses(fit, reference, rate)
     limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
@@ -151,9 +150,9 @@ def _explain_alarm(
     *,
     rate: float,
 ) -> Judgement:
-    """The fault that explains an alarm, or that none does; a load is thought of where nothing does without one.
+    """Name the fault that explains an alarm, or none; assume a load only if no fault explains it without one.
 
-    The warmth is that of a motor without a load: where the load is open as well, too much would explain too much.
+    The effect of temperature stays that of a motor without a load: with an open load too, anything could be explained.
     """
 
     def suffices(fault: Explanation) -> bool:
@@ -201,7 +200,7 @@ def _explain_alarm(
 def _describe_warming(
     hypothesis: Hypothesis, same_warmth: FloatArray, reference: Reference
 ) -> tuple[str, ...]:
-    """That another temperature explains the changes, where it does so by itself: its posterior mean in kelvin."""
+    """Say that another temperature explains the changes, if it does: its posterior mean in kelvin."""
     if reference.temperature_k == 0.0:
         return ()
     kelvin, sd = estimate_warming(
@@ -222,10 +221,10 @@ def _name_fault(
     probability: dict[str, float],
     load: str | None,
 ) -> Judgement:
-    """The diagnosis of a known fault; the interval of its severity is that of Student's t."""
+    """Judge a piece with a known fault; the interval of its severity is that of Student's t."""
     verdict, own = Verdict(fault.kind.verdict), severity_unit(fault.kind, reference.own_friction)
     half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
-    low, high = (severity_of(fault.kind, fault.step + off) / own for off in (-half, half))
+    low, high = (severity_of(fault.kind, fault.step + margin) / own for margin in (-half, half))
     return replace(
         healthy,
         verdict=verdict,
@@ -243,7 +242,7 @@ def _name_fault(
 
 
 def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
-    """The diagnosis of a noisy current, where it is noisier than the reference's by more than `limit`."""
+    """Judge the noise of the current; `limit` is in standard deviations of its logarithm."""
     if reference.log_noise is None or not isinstance(fit, Identified):
         return healthy
     # Coarse steps, a rectifier and a dead zone change the noise seen: it tells nothing. Healthy starts were recorded
@@ -270,7 +269,7 @@ _CHECKED_FAULTS = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "re
 
 
 def _describe_undecided(smallest: dict[str, float], source: str) -> Iterator[str]:
-    """What a piece leaves undecided, in sentences: a doubling would not show, or there is nothing to compare with."""
+    """Describe what a piece leaves undecided: a doubling would not show, or there is no reference."""
     for kind, quantity in _CHECKED_FAULTS.items():
         severity = smallest.get(str(kind))
         if severity is None:

@@ -1,7 +1,4 @@
-"""Distribution of a healthy motor's quantities: from its data sheet, or from healthy pieces of its recordings.
-
-Its spread for a piece whose fit tells less, and for a warmer motor, stand here, too.
-"""
+"""Distribution of a healthy motor's quantities: from its data sheet, or from healthy pieces of its recordings."""
 
 from __future__ import annotations
 
@@ -21,30 +18,30 @@ from motor_env.motor.parameters import FloatArray
 NORMAL_DOF = 1e6  # of a covariance that is known
 SHEET_NOISE_SD = 0.10
 MEASURED_TEMPERATURE_K = 4.0
-"""How far a winding may be off a measured temperature, one standard deviation."""
+"""Standard deviation of the winding's temperature about a measured one."""
 _FRICTION, _VOLTAGE = quantities.PARAMETERS.index("B"), quantities.PARAMETERS.index("V")
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Distribution of a healthy motor's quantities, as far as one kind of recording can tell them.
+    """Distribution of a healthy motor's quantities that one kind of recording determines.
 
     Attributes:
         source: in words, for the user.
         names: the quantities.
         log_values: logarithms of the quantities of a healthy motor, shape (n,).
-        log_covariance: covariance of the next healthy piece about them, equally warm, shape (n, n); without the fit's
-            own error, unless `includes_fit_error`.
+        log_covariance: of the next equally warm healthy piece, shape (n, n); without the fit's own error, unless
+            `includes_fit_error`.
         degrees_of_freedom: of that covariance.
-        log_noise: logarithm of the noise of the current, or None where unknown.
+        log_noise: logarithm of the noise of the current; None if unknown.
         log_noise_sd: its standard deviation from start to start.
-        model: extensions to fit with, or None to choose by evidence.
-        includes_fit_error: the covariance was estimated from fits, and holds their errors already.
-        temperature_k: standard deviation of the temperature; 0 where the covariance holds it.
-        warmer_k: how much warmer the motor is than the values say.
-        own_friction: share of the drag that is the motor's own friction; None where a load was not told.
-        excess: by which factor healthy pieces scatter more than covariance and fit say (variance).
-        is_taught: recordings have taught it, its sensors too; a data sheet says nothing of sensors.
+        model: extensions to fit with; None to choose by evidence.
+        includes_fit_error: the covariance was estimated from fits, so it includes their errors.
+        temperature_k: standard deviation of the temperature; 0 if the covariance includes it.
+        warmer_k: how much warmer the motor is than at `log_values`.
+        own_friction: the motor's own share of the drag; None if unknown.
+        excess: factor on the variance of healthy pieces beyond covariance and fit.
+        is_taught: learned from recordings, sensors included; a data sheet says nothing of sensors.
     """
 
     source: str
@@ -64,12 +61,12 @@ class Reference:
 
     @property
     def values(self) -> dict[str, float]:
-        """The quantities of a healthy motor by name."""
+        """Quantities of a healthy motor by name."""
         return dict(zip(self.names, np.exp(self.log_values).tolist(), strict=True))
 
     @property
     def time_constant_s(self) -> float:
-        """Mechanical time constant R J / K^2 of a healthy motor; infinite where the quantities do not tell it."""
+        """Mechanical time constant R J / K^2 of a healthy motor; infinite if the quantities do not determine it."""
         exponents = quantities.matrix(self.names)
         wanted = np.array([{"R": 1.0, "J": 1.0, "K": -2.0}.get(name, 0.0) for name in quantities.PARAMETERS])
         powers = wanted @ np.linalg.pinv(exponents)
@@ -77,13 +74,13 @@ class Reference:
 
 
 class ReferenceShift(NamedTuple):
-    """How the motor of a piece differs from what a motor file says, for the same healthy motor.
+    """Difference between the linear fit of a piece and the motor file of the same healthy motor.
 
     Attributes:
-        driving: share s of the voltage that a brush drop leaves, where the piece's fit has no such term.
+        driving: share s of the voltage that a brush drop leaves, if the fit has no such term.
             s V = R i + L di/dt + K w is V = (R/s) i + (L/s) di/dt + (K/s) w: a linear motor with R, L, K, J and B over
-            s draws the same current, and turns as fast.
-        friction: drag over the piece's speed, over that of the speed that the file's friction belongs to.
+            s draws the same current and turns as fast.
+        friction: drag over speed, at the piece's speed over that at the file's.
         friction_log_sd: standard deviation of its logarithm.
     """
 
@@ -108,14 +105,14 @@ def reference_of(
     temperature_c: float | None = None,
     shift: ReferenceShift | None = None,
 ) -> Reference | None:
-    """What a motor file says of the quantities of a piece; None where it speaks of none of them.
+    """Return a motor file's distribution of the quantities of a piece; None if it has none of them.
 
     Args:
         motor: data sheet, identified or commissioned motor.
-        names: quantities that the piece tells; the reference may have fewer of them.
-        are_starts: the piece is a start, no window of a motor at work.
-        temperature_c: of the motor, where measured; it counts where that of the healthy pieces is known too.
-        shift: how the piece's motor differs from what the file says.
+        names: quantities of the piece; the reference may have fewer.
+        are_starts: the piece is a start, not a window of a motor at work.
+        temperature_c: of the motor, where measured; used if that of the healthy pieces is known too.
+        shift: difference between the piece's fit and the file.
     """
     if motor.healthy is not None:
         return reference_of_pieces(
@@ -155,10 +152,10 @@ def reference_of_pieces(
     temperature_c: float | None = None,
     shift: ReferenceShift | None = None,
 ) -> Reference | None:
-    """What healthy pieces say of a piece, see `reference_of`.
+    """Return the distribution that healthy pieces give, see `reference_of`.
 
-    Where both temperatures are known the healthy motor is taken at this one, with what is left unknown of it. Pieces of
-    another kind hold errors of other fits: they do not count for those of this one.
+    If both temperatures are known, the healthy motor is taken at that of the piece. Healthy pieces of the other kind do
+    not stand for the errors of this fit.
     """
     # Each wanted quantity as powers of the known ones: K^2/J of K and J, where the healthy starts had a speed.
     known, wanted = quantities.matrix(healthy.quantities), quantities.matrix(names)
@@ -191,7 +188,7 @@ def reference_of_pieces(
 
 
 def _describe_source(healthy: Healthy, motor: str) -> str:
-    """What a piece is compared with, in words."""
+    """Describe the healthy pieces in words."""
     if healthy.fleet is not None:
         return f"{healthy.fleet.motors} sisters of {motor}"
     if healthy.windows is None:
@@ -203,10 +200,10 @@ def _describe_source(healthy: Healthy, motor: str) -> str:
 
 
 def add_normal_spread(covariance: FloatArray, normal: FloatArray, share: float, freedom: float) -> FloatArray:
-    """A covariance of Student's t with that of a known normal spread added, as of the temperature.
+    """Add the covariance of a normal spread, as that of the temperature, to one of Student's t.
 
-    The quantile of a sum of t and normal lies below the root of the sum of their squared quantiles. So the normal part
-    counts in the ratio of the two quantiles.
+    The quantile of a sum of t and normal is at most the root of the sum of their squared quantiles. So the normal part
+    is weighted by the squared ratio of the two quantiles.
 
     Args:
         covariance: shape (n, n).

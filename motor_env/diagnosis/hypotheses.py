@@ -1,8 +1,8 @@
-"""A fitted piece against a healthy motor: what explains the difference, a fault, none, or something else.
+"""Explain the difference between a fitted piece and a healthy motor: by a fault, none, or something else.
 
-The difference d of the logarithms of a piece's quantities to those of a healthy one has a covariance C. Along a fault's
-direction g it is tested by z = g'C^-1 d / sqrt(g'C^-1 g), as a whole by d'C^-1 d; with few healthy pieces the
-quantiles are Student's and Fisher's. Nobody may have told of a load: there is a hypothesis for each idea of the drag.
+The difference d of the logarithms has a covariance C. It is tested along a fault's direction g by
+z = g'C^-1 d / sqrt(g'C^-1 g) and as a whole by d'C^-1 d; with few healthy pieces the quantiles are Student's and
+Fisher's. The load may be unknown: there is a hypothesis for each possible cause of the drag.
 """
 
 from __future__ import annotations
@@ -24,18 +24,16 @@ from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
 NAMES = ("R", "K", "J", "B")
-"""What a window tells; B is the drag over the speed."""
+"""Quantities of a window; B is the drag over the speed."""
 EXPONENTS = quantities.matrix(NAMES)
-_HOTTEST_K = 100.0
-# Of a quantity when it gets warmer or colder: far from the model it follows no straight line.
-_LEAST_FACTOR = 0.5
-_SEVERITY_PRIOR = 0.30  # scale of the half-Cauchy prior: a large severity is no surprise
+_HOTTEST_K, _LEAST_FACTOR = 100.0, 0.5  # beyond them no quantity follows the temperature in a straight line
+_SEVERITY_PRIOR = 0.30  # scale of the half-Cauchy prior of a severity
 _HEALTHY_PRIOR = 0.8
 _OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else is wrong
 _STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the best step
 _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
-# Standard deviation of each parameter beside a fault, over the square of the fault's step; no wear goes further.
+# Standard deviation of each parameter beside a fault, over the square of the fault's step; and the largest step.
 _MODEL_ERROR, _FURTHEST = 0.04, math.log(10.0)
 _LAG_IN_L = 0.3  # of the step of R's logarithm, by which L may move as well
 _R, _L, _VOLTAGE, *_IMITATED = (quantities.PARAMETERS.index(name) for name in "RLVKJB")
@@ -47,9 +45,12 @@ _NOISE_AND_OMNIBUS = 2  # tests beside those of the faults
 
 @dataclass(frozen=True, slots=True)
 class FittedWindow:
-    """A fitted window: logarithms of R, K, J and of the drag over the speed, shape (4,), their covariance, innovations.
+    """A fitted window of a motor at work.
 
-    The innovations of current and speed are over their standard deviations, shape (n, 2); none of a short piece.
+    Attributes:
+        log_values: logarithms of R, K, J and of the drag over the speed, shape (4,).
+        log_covariance: shape (4, 4).
+        whitened: innovations of current and speed over their standard deviations, shape (n, 2); empty if short.
     """
 
     quantity_names: ClassVar[tuple[str, ...]] = NAMES
@@ -60,7 +61,7 @@ class FittedWindow:
 
     @property
     def white_covariance(self) -> FloatArray:
-        """The covariance, which is that of white residuals."""
+        """Covariance for white residuals: the same."""
         return self.log_covariance
 
 
@@ -70,14 +71,14 @@ Fitted = Identified | FittedWindow
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How far a piece lies from a healthy one.
+    """Difference between a piece and a healthy one.
 
     Attributes:
         log_ratios: of the quantities, shape (n,).
-        covariance: of the logarithms, everything that is uncertain included, shape (n, n).
+        covariance: of the logarithms, all uncertainties included, shape (n, n).
         exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
         degrees_of_freedom: of the covariance.
-        response: how the quantities move with the logarithms of (R, L, K, J, B, V); the exponents unless given.
+        response: derivative by the logarithms of (R, L, K, J, B, V), shape (n, 6); the exponents unless given.
     """
 
     log_ratios: FloatArray
@@ -97,7 +98,7 @@ class Difference:
         return float(self.log_ratios @ self.inverse @ self.log_ratios)
 
     def p_value(self, squared: float, dimensions: int) -> float:
-        """Probability of a squared distance at least as large (Hotelling); 1 for no dimension."""
+        """Return the probability of a squared distance at least as large (Hotelling); 1 for no dimension."""
         if dimensions == 0:
             return 1.0
         return float(special.fdtrc(dimensions, self.degrees_of_freedom, max(squared, 0.0) / dimensions))
@@ -105,14 +106,14 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """How far a quantity lies from the reference.
+    """Change of a quantity from the reference.
 
     Attributes:
         name: the quantity.
         ratio: fitted over reference.
         low, high: interval of the ratio, 95 %, the reference's uncertainty included.
-        verdict: `moved` where there is an alarm and 1 lies outside the interval at the wanted rate of false alarms;
-            `undecided` where a doubling would not be found in 95 of 100 cases; else `healthy`.
+        verdict: `moved` if there is an alarm and 1 lies outside the interval at the rate of false alarms; `undecided`
+            if a doubling would not be found in 95 of 100 cases; else `healthy`.
     """
 
     name: str
@@ -129,16 +130,16 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """A fault as an explanation of a difference.
+    """Fault as an explanation of a difference.
 
     Attributes:
         kind: the fault.
-        z: how far it stands out, in standard deviations.
+        z: step over its standard deviation.
         step: of the logarithms along the fault's direction.
         step_sd: its standard deviation.
-        p_left_over: probability of a rest at least as large as the one that it leaves unexplained.
-        direction: how the quantities move with one unit of the step, shape (n,).
-        covariance: of what is beside the fault, shape (n, n).
+        p_left_over: p-value of what it leaves unexplained.
+        direction: change of the quantities per unit of the step, shape (n,).
+        covariance: of what is not the fault, shape (n, n).
     """
 
     kind: FaultKind
@@ -156,23 +157,22 @@ class Explanation:
 
 
 def alarm_share(rate: float, exponents: FloatArray) -> float:
-    """Rate of false alarms of one test: those of the faults, of the noise and of the whole share it (Bonferroni)."""
+    """Return the rate of one test: those of the faults, the noise and the whole share it (Bonferroni)."""
     return rate / (len(quantities.nameable_kinds(exponents)) + _NOISE_AND_OMNIBUS)
 
 
 @lru_cache(maxsize=16)
 def _directions(dimensions: int) -> FloatArray:
-    """Directions that are evenly spread, the same each time, shape (n, dimensions)."""
+    """Draw evenly spread unit vectors, always the same, shape (n, dimensions)."""
     drawn = np.random.default_rng(1958).standard_normal((_DIRECTIONS, dimensions))
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True), dtype=np.float64)
 
 
 def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, freedom: float) -> float:
-    """Rate of one test at which those of the faults and of the whole together alarm at a rate.
+    """Find the rate of one test at which those of the faults and of the whole together alarm at `rate`.
 
-    While the motor is healthy the difference is a Student vector of the covariance: whitened, an evenly spread
-    direction times a length that does not depend on it. In each direction the tests alarm beyond a length, and the
-    probability of that is Fisher's.
+    The whitened difference of a healthy motor is an evenly spread direction times an independent length. In each
+    direction the tests alarm beyond some length, of which Fisher's distribution gives the probability.
     """
     n, root = len(covariance), np.linalg.inv(np.linalg.cholesky(covariance))
     axes = [
@@ -193,10 +193,10 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
 
 
 def covariance_with_fault(difference: Difference, kind: FaultKind, step: float) -> FloatArray:
-    """Covariance of what a fault leaves: beside its step each parameter may move by a share of it.
+    """Return the covariance beside a fault, shape (n, n): each parameter may move by a share of its squared step.
 
-    No motor is quite the model's, and the further a fault takes it, the less it is. A lag of sensor or supply that
-    no term says is fitted as L, in proportion to R.
+    The model is less exact the larger the fault. A lag of sensor or supply without a term is fitted as L, in proportion
+    to R.
     """
     parameters = difference.exponents[:, :_VOLTAGE]
     variances = np.full(_VOLTAGE, _MODEL_ERROR * min(abs(step), _FURTHEST) ** 2) ** 2
@@ -205,7 +205,7 @@ def covariance_with_fault(difference: Difference, kind: FaultKind, step: float) 
 
 
 def project(difference: Difference, direction: FloatArray) -> tuple[float, float, float]:
-    """A difference along a direction: z, the step, and its standard deviation."""
+    """Project a difference on a direction: return z, the step, and its standard deviation."""
     inverse = difference.inverse
     information = float(direction @ inverse @ direction)
     step = float(direction @ inverse @ difference.log_ratios) / information
@@ -213,13 +213,13 @@ def project(difference: Difference, direction: FloatArray) -> tuple[float, float
 
 
 def residual_p_value(difference: Difference, moved: FloatArray, covariance: FloatArray) -> float:
-    """Probability of a rest at least as large as what is left where a fault has moved the quantities."""
+    """Return the p-value of what is left after a fault has moved the quantities, shape (n,)."""
     rest = difference.log_ratios - moved
     return difference.p_value(float(rest @ np.linalg.solve(covariance, rest)), len(rest) - 1)
 
 
 def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
-    """Each of some faults that show as an explanation; by default of those that the quantities can name."""
+    """Explain a difference by each visible fault; by default by those that the quantities can name."""
     response = difference.exponents if difference.response is None else difference.response
     explanations = []
     for kind in quantities.nameable_kinds(difference.exponents) if kinds is None else kinds:
@@ -233,9 +233,9 @@ def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) 
 
 
 def is_separable(difference: Difference, kind: FaultKind) -> bool:
-    """Whether a fault shows where no magnet, inertia or load imitates it.
+    """Whether R and L alone confirm a fault: no magnet, inertia or load imitates it there.
 
-    Shorted turns move K too; a warm winding hides their R, and where L is not told, K alone is left of them.
+    Shorted turns move K too; a warm winding hides their R, and without L only K is left of them.
     """
     direction = quantities.visible_direction(kind, difference.exponents)
     winding = ~difference.exponents[:, _IMITATED].any(axis=1)
@@ -247,7 +247,7 @@ def is_separable(difference: Difference, kind: FaultKind) -> bool:
 
 
 def smallest_changes(difference: Difference, limit: float) -> dict[str, float]:
-    """Severity of each fault that is found in 95 of 100 cases, for a limit in standard deviations."""
+    """Return the severity of each fault that is found in 95 of 100 cases, for a limit in standard deviations."""
     return {
         str(fault.kind): severity_of(fault.kind, (limit + _POWER_QUANTILE) * fault.step_sd)
         for fault in explain(difference)
@@ -255,12 +255,12 @@ def smallest_changes(difference: Difference, limit: float) -> dict[str, float]:
 
 
 def severity_of(kind: FaultKind, step: float) -> float:
-    """Severity of a step of the logarithm along the fault's direction, cut beyond any motor."""
+    """Convert a step of the logarithm along the fault's direction to a severity, clipped to a number."""
     return float(kind.severity(min(max(step, -_LARGEST_LOG), _LARGEST_LOG)))
 
 
 def _factor(log: float) -> float:
-    """The factor of a logarithm; beyond any motor it is cut, so that what is not told at all stays a number."""
+    """Convert a logarithm to a factor, clipped to a number."""
     return math.exp(min(max(log, -_LARGEST_LOG), _LARGEST_LOG))
 
 
@@ -273,15 +273,15 @@ def compare(
     *,
     is_alarm: bool,
 ) -> tuple[Change, ...]:
-    """How far quantities lie from their reference.
+    """Compare quantities with their reference.
 
     Args:
         names: the quantities.
-        difference: of their logarithms, shape (n,).
+        difference: of the logarithms, shape (n,).
         covariance: of the difference, shape (n, n).
         freedom: degrees of freedom of the covariance.
         limit: standard deviations beyond which a difference is significant.
-        is_alarm: without an alarm no quantity has moved.
+        is_alarm: whether quantities may have moved.
     """
     half = -float(special.stdtrit(freedom, 0.025))
     changes = []
@@ -296,22 +296,22 @@ def compare(
 
 
 def _log_density(points: FloatArray, covariance: FloatArray, freedom: int) -> FloatArray:
-    """Log density of Student's t with a covariance, shape (n, n), at rows of n, on the axes that it has."""
+    """Return the log density of Student's t at rows of n; a singular covariance, shape (n, n), counts on its axes."""
     n = len(covariance)
     sizes, axes = linalg.eigh(covariance)
-    seen = sizes > _ROUNDING * np.max(np.abs(sizes))
+    present = sizes > _ROUNDING * np.max(np.abs(sizes))
     constant = (
         special.gammaln(0.5 * (freedom + n))
         - special.gammaln(0.5 * freedom)
         - 0.5 * n * math.log(freedom * math.pi)
-        - 0.5 * float(np.sum(np.log(sizes[seen])))
+        - 0.5 * float(np.sum(np.log(sizes[present])))
     )
-    squared = np.square(points @ (axes[:, seen] / np.sqrt(sizes[seen]))).sum(axis=-1)
+    squared = np.square(points @ (axes[:, present] / np.sqrt(sizes[present]))).sum(axis=-1)
     return np.asarray(constant - 0.5 * (freedom + n) * np.log(1.0 + squared / freedom))
 
 
 def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str, float]:
-    """Posterior probabilities of `healthy`, of each fault by its kind, and of `other`."""
+    """Return the posterior probabilities of `healthy`, of each fault by its kind, and of `other`."""
     log_ratios, covariance, n = difference.log_ratios, difference.covariance, len(difference.log_ratios)
     # Degrees of freedom are rounded down: towards wider tails.
     freedom = max(int(min(difference.degrees_of_freedom, NORMAL_DOF)), 1)
@@ -333,23 +333,23 @@ def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str
 
 
 class Hypothesis(NamedTuple):
-    """A piece against its reference, for one idea of what its drag is; `faults` are what may explain it."""
+    """A piece against its reference under one hypothesis of its load; `faults` may explain the difference."""
 
     load: LoadHypothesis
     difference: Difference
     faults: list[Explanation]
 
     def is_alarm(self, limit: float, share: float) -> bool:
-        """Whether a fault or the whole stands out."""
+        """Whether a fault or the whole difference is significant."""
         d = self.difference
         p_value = d.p_value(d.squared_distance, len(d.log_ratios))
         return any(fault.z > limit for fault in self.faults) or p_value < share
 
 
 def form_hypotheses(fit: Fitted, reference: Reference, rate: float) -> list[Hypothesis]:
-    """A fit against a reference at a rate of false alarms: without a load, and as it looks under each load.
+    """Compare a fit with a reference at a rate of false alarms: without a load, and under each possible load.
 
-    Only a start is looked at under loads: the fit of a motor at work has terms for them.
+    The fit of a motor at work has terms for loads, so only a start has several hypotheses.
     """
     rows, same_warmth = shared_rows(fit, reference), covariance_at_one_temperature(fit, reference)
     exponents, freedom, hypotheses = fit.exponents[rows], reference.degrees_of_freedom, []
@@ -372,7 +372,7 @@ def form_hypotheses(fit: Fitted, reference: Reference, rate: float) -> list[Hypo
 def _linearise_warming(
     ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
 ) -> FloatArray:
-    """Logarithms that move in proportion to the temperature: the factors do, their logarithms a little less."""
+    """Correct log ratios, shape (n,), so that they move in proportion to the temperature, as the factors do."""
     if temperature_k == 0.0:
         return ratios
     kelvin, _ = estimate_warming(ratios, spread, warmth, temperature_k)
@@ -383,21 +383,21 @@ def _linearise_warming(
 def estimate_warming(
     ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
 ) -> tuple[float, float]:
-    """How much warmer a motor seems, by the posterior mean and its standard deviation."""
+    """Estimate how much warmer a motor is, in kelvin: the posterior mean and its standard deviation."""
     slope = np.linalg.solve(spread, warmth)
     precision = float(slope @ warmth) + temperature_k**-2
     return float(slope @ ratios) / precision, 1.0 / math.sqrt(precision)
 
 
 def shared_rows(fit: Fitted, reference: Reference) -> list[int]:
-    """Rows of the fit's quantities of which the reference speaks."""
+    """Return the rows of the fit's quantities that the reference has."""
     return [fit.quantity_names.index(name) for name in reference.names]
 
 
 def smallest_detectable(hypotheses: list[Hypothesis], own: float | None, limit: float) -> dict[str, float]:
-    """Smallest severity of each fault that is found in 95 of 100 cases, whatever the drag is.
+    """Return the smallest severity of each fault that is found in 95 of 100 cases under every hypothesis.
 
-    Where the motor's `own` share of the drag is known, a bearing fault is one of its own friction.
+    If the motor's `own` share of the drag is known, a bearing fault is one of its own friction.
     """
     smallest: dict[str, float] = {}
     for hypothesis in hypotheses:
@@ -407,15 +407,14 @@ def smallest_detectable(hypotheses: list[Hypothesis], own: float | None, limit: 
 
 
 def severity_unit(kind: str, own: float | None) -> float:
-    """What a severity that shows in the whole drag is divided by: that of a bearing fault is of its own friction."""
+    """Return the unit of a severity: a bearing fault counts in the motor's own friction, if known."""
     return own if own is not None and kind == FaultKind.BEARING else 1.0
 
 
 def covariance_at_one_temperature(fit: Fitted, reference: Reference) -> FloatArray:
-    """Covariance of the difference between this piece and a healthy motor that is as warm.
+    """Return the covariance of the difference to a healthy motor that is as warm, shape (n, n).
 
-    Healthy pieces hold errors of fits like this one. Where this one tells less than they did, being shorter or
-    noisier, what its own error is beyond theirs is added.
+    Healthy pieces include errors of fits like this one. If this piece is shorter or noisier, its excess error is added.
     """
     healthy, rows = reference.log_covariance, shared_rows(fit, reference)
     own = fit.white_covariance if reference.includes_fit_error else fit.log_covariance

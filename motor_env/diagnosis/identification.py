@@ -1,4 +1,4 @@
-"""`identify`: the parameters of a motor from recordings, whatever it did in them."""
+"""`identify`: parameters of a motor from recordings of starts and of logs."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ _WARM_K = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What recordings tell of a motor: a fit of each start, and one fit of all logs of the motor at work.
+    """Fits of recordings of a motor: one of each start, and one of all logs of the motor at work.
 
     Attributes:
         starts: each start with its fit.
         logs: recordings of the motor at work.
-        taken: what the recordings, and the starts cut from them, were taken for, and why; by their paths.
-        joint: the fit of the logs; None where there are none, or no motor explains them.
+        taken: regime of the recordings and of the starts cut from them, and why; by their paths.
+        joint: the fit of the logs; None without logs, or if no motor explains them.
         trouble: why no motor explains the logs.
         periods_per_turn: of the commutation ripple, where known.
         constant: torque constant in N m/A, where known beforehand.
@@ -71,7 +71,7 @@ class Identification:
 
     @property
     def is_complete(self) -> bool:
-        """Whether a motor explains all of it."""
+        """Whether a motor explains all starts and the logs."""
         return len(self.usable) == len(self.starts) and not self.trouble
 
     @property
@@ -82,10 +82,10 @@ class Identification:
         return quantities_json(self.usable[0]) if self.usable else {}
 
     def motor(self, name: str = "identified motor") -> Motor:
-        """Motor of the logs, else of all good starts.
+        """Return the motor of the logs, else of all good starts.
 
         Raises:
-            InputError: no motor explains the recordings, or they do not tell the parameters one by one.
+            InputError: no motor explains the recordings, or they do not determine each parameter.
         """
         if self.joint is not None:
             return motor_of_log(self.joint, name)
@@ -94,19 +94,19 @@ class Identification:
         return to_motor(self.usable, name, constant=self.constant)
 
     def to_json(self) -> list[dict[str, Any]]:
-        """One object a start, and one for all logs."""
-        found = [self._start_json(recording, fit) for recording, fit in self.starts]
-        return [*found, self._logs_json()] if self.logs else found
+        """Return one object a start, and one for all logs."""
+        starts = [self._start_json(recording, fit) for recording, fit in self.starts]
+        return [*starts, self._logs_json()] if self.logs else starts
 
     def __repr__(self) -> str:
         return self.text()
 
     def text(self) -> str:
-        """Tables, and what is not determined."""
+        """Describe the fits in tables, and what is not determined."""
         return "\n".join(map(_text, self.to_json()))
 
     def page(self) -> str:
-        """A self-contained HTML page: measured beside fitted current and speed of each start, and of all logs."""
+        """Draw a self-contained HTML page: measured beside fitted current and speed of each start and of all logs."""
         from motor_env.diagnosis.report.page import page_of_fits
 
         fits: dict[str, Identified | Operation] = {
@@ -163,7 +163,7 @@ class Identification:
 
 
 def _text(fields: Mapping[str, Any]) -> str:
-    """One object of `to_json` for people."""
+    """Format one object of `to_json` for people."""
     files, rows = ", ".join(fields["files"]), fields["parameters"]
     if fields["unusable"]:
         return f"{files}: unusable: {fields['unusable']}"
@@ -199,11 +199,9 @@ def _text(fields: Mapping[str, Any]) -> str:
 
 def _log_quantities(joint: Operation) -> dict[str, dict[str, Any]]:
     return {
-        one.name: estimate_json(
-            one.value, (one.high - one.low) / (2.0 * TWO_SIDED), (one.low, one.high), one.unit
-        )
-        | {"determined": one.is_told}
-        for one in joint.quantities
+        q.name: estimate_json(q.value, (q.high - q.low) / (2.0 * TWO_SIDED), (q.low, q.high), q.unit)
+        | {"determined": q.is_told}
+        for q in joint.quantities
     }
 
 
@@ -218,13 +216,13 @@ def identify(
     constant: float | None = None,
     periods_per_turn: float | None = None,
 ) -> Identification:
-    """Parameters of one motor from recordings of it: each start alone, all logs of the motor at work together.
+    """Identify the parameters of one motor: from each start alone, from all logs of the motor at work together.
 
     Args:
         recordings: one or several, or their files.
         columns: columns named by the user, of files.
         voltage_v: level of the supply where none was recorded.
-        circuit: what is known of the measuring circuit.
+        circuit: the measuring circuit.
         regime: start, operation, or auto: decided by what the voltage does.
         start: which one, counted from 1, of a recording of several; all of them unless given.
         constant: torque constant in N m/A, where known and the speed was not recorded.
@@ -241,21 +239,23 @@ def identify(
     """
     require_options(voltage=voltage_v, torque_constant=constant, ripple_periods_per_turn=periods_per_turn)
     several = [recordings] if isinstance(recordings, Recording | str | Path) else recordings
-    read = [recording_of(one, columns) for one in several]
-    taken = {one.path: taken_for(one, regime, start) for one in read}
+    read = [recording_of(each, columns) for each in several]
+    taken = {recording.path: taken_for(recording, regime, start) for recording in read}
     starts: list[tuple[Recording, Identified]] = []
-    for one in read:
-        if taken[one.path].regime == "operation":
+    for recording in read:
+        if taken[recording.path].regime == "operation":
             continue
         try:
-            for part in chosen_starts(one, start):
+            for part in chosen_starts(recording, start):
                 fit = identify_best(prepare(part, voltage_v, circuit), EXTENSIONS, constant=constant)
                 starts.append((part, fit))
-                taken[part.path] = taken[one.path]
+                taken[part.path] = taken[recording.path]
         except UnusableError as error:
-            raise InputError(f"{one.path}: {error}") from None
+            raise InputError(f"{recording.path}: {error}") from None
     at_work = tuple(
-        at_terminals(one, voltage_v, circuit) for one in read if taken[one.path].regime == "operation"
+        at_terminals(recording, voltage_v, circuit)
+        for recording in read
+        if taken[recording.path].regime == "operation"
     )
     joint, trouble = None, ""
     if at_work:

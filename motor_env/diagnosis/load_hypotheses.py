@@ -1,7 +1,7 @@
-"""What a fault looks like where a load makes the drag: the textbook fit of a start takes any load for viscous friction.
+"""Effect of a fault on the textbook fit of a start, which takes any load for viscous friction.
 
-The motor with that load which the textbook would fit like this start is found first. A fault of it moves current and
-speed, and the textbook's parameters follow them.
+First find the motor with that load whose start the textbook would fit like this one. A fault of that motor moves
+current and speed, and so the textbook's parameters.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _FRICTION = quantities.PARAMETERS.index("B")
 
 @dataclass(frozen=True, slots=True)
 class LoadHypothesis:
-    """What makes the drag of a start.
+    """A hypothesis of what makes the drag of a start.
 
     Attributes:
-        name: of LOADS, what most of it looks like; None for viscous friction.
+        name: of `LOADS`, for most of it; None for viscous friction.
         response: how the logarithms of the start's quantities move with those of R, L, K, J, the drag and V, (n, 6).
-        own_friction: share of the drag that is the motor's own friction.
+        own_friction: the motor's own share of the drag.
     """
 
     name: str | None
@@ -41,12 +41,12 @@ class LoadHypothesis:
 
     @property
     def warmth(self) -> FloatArray:
-        """How the logarithms move for each kelvin that the motor is warmer, shape (n,): no load falls with it."""
+        """Change of the logarithms per kelvin, shape (n,); a load does not fall with the temperature."""
         return quantities.warmth_direction(self.response, self.own_friction)
 
 
 def possible_loads(fit: Identified, own: float | None) -> list[LoadHypothesis]:
-    """What the drag of a start may be, viscous friction first; `own` is the motor's share of it, None if not told.
+    """Return what may make the drag, viscous friction first; `own` is the motor's share of it, None if unknown.
 
     Dry friction looks like a constant load, and is the motor's own.
     """
@@ -65,9 +65,9 @@ def possible_loads(fit: Identified, own: float | None) -> list[LoadHypothesis]:
 
 
 def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | None:
-    """The response of a `LoadHypothesis`; None where no motor with that load looks like this start.
+    """Return the response of a `LoadHypothesis`; None if no motor with that load looks like this start.
 
-    More drag is a torque that does not depend on the speed, as that of a faulty bearing. `inverse` is that of
+    More drag is a torque that does not depend on the speed, as that of a faulty bearing. `inverse` is
     `_textbook_inverse`.
     """
     free, textbook, motor = _free_parameters(fit), _simulate(fit, np.zeros(5)), np.zeros(5)
@@ -83,7 +83,7 @@ def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | N
 
 
 def _textbook_inverse(fit: Identified) -> FloatArray:
-    """How the free logarithms of a textbook fit follow the samples of `_simulate`, shape (n_free, n_samples)."""
+    """Return how the free logarithms of a textbook fit follow samples of `_simulate`, shape (n_free, n_samples)."""
     textbook = _simulate(fit, np.zeros(5))
     columns = [(_simulate(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free_parameters(fit)]
     later = (_simulate(fit, np.zeros(5), late=_STEP) - textbook) / _STEP
@@ -94,7 +94,7 @@ def _textbook_inverse(fit: Identified) -> FloatArray:
 
 
 def _free_parameters(fit: Identified) -> list[int]:
-    """Which of R, L, K, J and B are free in the fit: K where the speed was recorded."""
+    """Return which of R, L, K, J and B are free in the fit: K if the speed was recorded."""
     has_speed = fit.start.speed_rad_s is not None
     return [n for n, name in enumerate(quantities.PARAMETERS[:-1]) if name != "K" or has_speed]
 
@@ -107,7 +107,7 @@ def _simulate(
     added: float = 0.0,
     late: float = 0.0,
 ) -> FloatArray:
-    """Current, and speed where it was recorded, each over what the fit leaves of it.
+    """Simulate the current, and the speed if recorded, each over the fit's residual.
 
     Args:
         fit: the start.

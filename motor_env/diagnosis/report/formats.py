@@ -1,4 +1,4 @@
-"""A diagnosis for people and for programs: table, sentences, JSON, picture."""
+"""Format a diagnosis as text and as JSON."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ _EXTENSION_UNITS = {
     "brush_drop": "V",
 }
 _PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
-"""Units of extensions where the voltage is not known: told for a supply of 1 V."""
+"""Units of extensions for a supply of unknown voltage, which counts as 1 V."""
 
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """One object: what the recording was taken for, its verdict by the piece that it rests on, and all pieces."""
+    """Return one object: regime of the recording, its verdict by the decisive piece, and all pieces."""
     recording, decisive = diagnosis.recording, diagnosis.decisive
     fit, consistency = decisive.identified, decisive.consistency
     parameters: dict[str, Any] = {} if decisive.fit is None else quantities_json(decisive.fit)
@@ -83,7 +83,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _judgement_json(judgement: Judgement) -> dict[str, Any]:
-    """What is said of a piece."""
+    """Return the judgement on a piece as an object."""
     interval = judgement.severity_interval
     return {
         "verdict": str(judgement.verdict),
@@ -103,12 +103,12 @@ def _judgement_json(judgement: Judgement) -> dict[str, Any]:
 
 
 def warnings_of(recording: Recording, fit: Identified | None) -> list[str]:
-    """What looks wrong with the columns or with the values that they give, in sentences."""
+    """Return sentences on what looks wrong with the columns or the values that they give."""
     return [*recording.warnings, *([] if fit is None else implausible(fit))]
 
 
 def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
-    """What the commutation ripple tells of speed and constants; None without one."""
+    """Return speed and constants by the commutation ripple; None without one."""
     ripple = find_ripple(fit)
     if ripple is None:
         return None
@@ -124,7 +124,7 @@ def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, An
 
 
 def ripple_lines(ripple: Mapping[str, Any] | None) -> list[str]:
-    """What the commutation ripple tells, in sentences; none without a ripple."""
+    """Describe the commutation ripple in lines; none without a ripple."""
     if ripple is None:
         return []
     line = f"  commutation ripple of {ripple['ripple_hz']:.5g} Hz at the end"
@@ -136,7 +136,7 @@ def ripple_lines(ripple: Mapping[str, Any] | None) -> list[str]:
 
 
 def quantities_json(fit: Fitted) -> dict[str, Any]:
-    """The quantities with their standard errors and intervals, 95 %."""
+    """Return the quantities with standard errors and intervals, 95 %."""
     deviations = np.sqrt(np.diag(fit.log_covariance))
     rows = zip(fit.quantity_names, fit.log_values, deviations, strict=True)
     return {
@@ -153,18 +153,18 @@ def quantities_json(fit: Fitted) -> dict[str, Any]:
 def estimate_json(
     value: float, error: float, interval: tuple[float | None, float | None], unit: str
 ) -> dict[str, Any]:
-    """A value with its standard error, interval and unit; None for an infinite number."""
+    """Return a value with its standard error, interval and unit; None for an infinite number."""
     ends = [finite_or_none(end) for end in interval]
     return {"value": value, "standard_error": finite_or_none(error), "interval": ends, "unit": unit}
 
 
 def exp_or_none(log: float) -> float | None:
-    """The factor of a logarithm; None beyond what a number holds."""
+    """Return the factor of a logarithm; None beyond what a number holds."""
     return math.exp(log) if log < _LARGEST_LOG else None
 
 
 def extensions_json(fit: Identified) -> dict[str, Any]:
-    """The extensions with their standard errors and intervals, 95 %."""
+    """Return the extensions with standard errors and intervals, 95 %."""
     units = _EXTENSION_UNITS if fit.start.voltage_known else _EXTENSION_UNITS | _PER_VOLT
     return {
         name: estimate_json(value, error, (value - TWO_SIDED * error, value + TWO_SIDED * error), units[name])
@@ -175,7 +175,7 @@ def extensions_json(fit: Identified) -> dict[str, Any]:
 def quantity_lines(
     quantities: Mapping[str, Mapping[str, Any]], beside: Mapping[str, str] | None = None
 ) -> list[str]:
-    """A line for each of such quantities, and what stands beside it."""
+    """Format each quantity as a line, with the text beside it."""
     width = max(map(len, quantities), default=0)
     return [
         f"  {name:<{max(width, 12)}} {row['value']:11.4g} +- {row['standard_error']:.2g} {row['unit']:<12}"
@@ -185,18 +185,18 @@ def quantity_lines(
 
 
 def describe_r2(r2_current: float | None, r2_speed: float | None) -> str:
-    """How much of what was recorded a fit explains."""
-    found = {"current": r2_current, "speed": r2_speed}
-    return "R2 " + ", ".join(f"of the {name} {r2:.4f}" for name, r2 in found.items() if r2 is not None)
+    """Format the explained shares of current and speed."""
+    shares = {"current": r2_current, "speed": r2_speed}
+    return "R2 " + ", ".join(f"of the {name} {r2:.4f}" for name, r2 in shares.items() if r2 is not None)
 
 
 def finite_or_none(value: float | None) -> float | None:
-    """The number; None where there is none, or an infinite one."""
+    """Return the number; None for none or an infinite one."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
-    """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
+    """Describe a diagnosis for a maintenance engineer; `verbose` adds how well model and filter fit."""
     recording, decisive, fit = diagnosis.recording, diagnosis.decisive, diagnosis.decisive.identified
     several = diagnosis.pieces if len(diagnosis.pieces) > 1 else ()
     lines = [
@@ -214,14 +214,14 @@ def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
     if verbose:
         lines += expert_lines(decisive)
     if decisive.smallest_changes:
-        found = ", ".join(f"{kind} {severity:.0%}" for kind, severity in decisive.smallest_changes.items())
+        smallest = ", ".join(f"{kind} {severity:.0%}" for kind, severity in decisive.smallest_changes.items())
         own = describe_friction_share(None if decisive.reference is None else decisive.reference.own_friction)
-        lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {found} ({own})")
+        lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {smallest} ({own})")
     return "\n".join(lines)
 
 
 def _count_agreeing(diagnosis: Diagnosis) -> str:
-    """How many of its pieces say so."""
+    """Count the pieces with the same verdict, in words."""
     same = sum(piece.verdict is diagnosis.verdict for piece in diagnosis.pieces)
     word = "windows" if diagnosis.taken.regime == "operation" else "starts"
     judged = "" if len(diagnosis.pieces) == diagnosis.of else f" judged, of {diagnosis.of}"
@@ -229,14 +229,14 @@ def _count_agreeing(diagnosis: Diagnosis) -> str:
 
 
 def _piece_line(diagnosis: Diagnosis, piece: Judgement) -> str:
-    """One piece of several: when, what, and how far its quantities lie from the healthy ones."""
+    """Format one of several pieces: begin, verdict, and changes of its quantities."""
     moved = ", ".join(f"{c.name} {c.ratio - 1.0:+.1%}" for c in piece.changes)
     mark = " <" if piece is diagnosis.decisive else ""
     return f"  from {piece.begin_s:.6g} s: {headline(piece)}; {moved or '; '.join(piece.reasons)}{mark}"
 
 
 def _piece_table(judgement: Judgement) -> list[str]:
-    """Quantities of a fitted piece, beside how far they lie from the reference."""
+    """Format the quantities of a fitted piece with their changes from the reference."""
     fit = judgement.fit
     if fit is None:
         return []
@@ -256,14 +256,14 @@ def _piece_table(judgement: Judgement) -> list[str]:
 
 
 def describe_friction_share(own: float | None) -> str:
-    """What the friction of a bearing fault is a share of; `own` is the motor's share of the drag, where told."""
+    """Say which friction a bearing fault counts in; `own` is the motor's share of the drag, if known."""
     if own is None:
         return "bearing: of the whole drag, any load included"
     return "bearing: of the motor's own friction" + (f", {own:.0%} of the drag" if own < 1.0 else "")
 
 
 def expert_lines(judgement: Judgement) -> list[str]:
-    """How well model and filter fit, and what the verdict allows for."""
+    """Describe how well model and filter fit."""
     fit, consistency = judgement.identified, judgement.consistency
     lines = []
     if fit is not None:
@@ -285,7 +285,7 @@ def expert_lines(judgement: Judgement) -> list[str]:
 
 
 def headline(judgement: Judgement) -> str:
-    """Verdict, severity and confidence in one line."""
+    """Format verdict, severity and confidence in one line."""
     words, interval = str(judgement.verdict), judgement.severity_interval
     if judgement.kind is not None and str(judgement.kind) != words:
         words += f" ({judgement.kind})"

@@ -22,7 +22,7 @@ from motor_env.pages.svg import Axis, Chart, round_ticks
 
 _WIDTH = 480.0  # so narrow that its numbers can be read on a phone
 _RATIOS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0, 1.5, 0.75, 1.25, 0.8, 1.1, 0.9, 1.05, 0.95)
-"""Where a grid line may stand, the most welcome first."""
+"""Possible grid lines, the preferred ones first."""
 _MOST_POINTS = 700
 _SHOWN_SHARE = 0.02  # of the recording before the start
 _END = "The end of the start, averaged"
@@ -40,7 +40,7 @@ _QUANTITY = {
 
 
 def page(diagnosis: Diagnosis) -> str:
-    """The whole page."""
+    """Draw the page of a diagnosis."""
     decisive, verdict = diagnosis.decisive, diagnosis.verdict
     fit, expected = decisive.identified, reference_current(decisive)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
@@ -80,7 +80,7 @@ def page(diagnosis: Diagnosis) -> str:
 def page_of_fits(
     title: str, fits: Mapping[str, Identified | Operation], *, spread: str = "", note: str = ""
 ) -> str:
-    """The page of fits by their recordings: measured beside fitted current and speed, and the residuals.
+    """Draw the page of fits: measured beside fitted current and speed, and the residuals.
 
     Args:
         title: heading.
@@ -106,7 +106,7 @@ def page_of_fits(
 
 
 def _fit_charts(fit: Identified | Operation) -> Iterator[str]:
-    """Charts of current and speed with their residuals; of a log also the voltage. Uncounted samples are left out."""
+    """Draw current and speed with their residuals, of a log also the voltage, without uncounted samples."""
     if isinstance(fit, Identified):
         time, unit = 1e3 * (fit.start.time_s - fit.onset_s), "ms"
         measured = [fit.start.current_a, fit.start.speed_rad_s]
@@ -129,7 +129,7 @@ def _fit_charts(fit: Identified | Operation) -> Iterator[str]:
 
 
 def spread_chart(fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """Interval of each quantity of the next healthy piece, and a dot for each piece, in per cent of the mean."""
+    """Draw the interval of each quantity of the next healthy piece, and a dot for each piece, in per cent."""
     rows = zip(parameters.items(), np.exp([fit.log_values for fit in fits]).T, strict=True)
     changes, pieces = [], {}
     for (name, row), values in rows:
@@ -140,7 +140,7 @@ def spread_chart(fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, A
 
 
 def _size(judgement: Judgement) -> str:
-    """How far it moved, with its interval, in words; empty without a size."""
+    """Describe the size of a fault with its interval; empty without a size."""
     size, interval, kind = judgement.severity, judgement.severity_interval, judgement.fault_kind
     if not size or not judgement.verdict.is_fault or kind is None:
         return ""
@@ -149,9 +149,9 @@ def _size(judgement: Judgement) -> str:
 
 
 def reference_current(judgement: Judgement) -> FloatArray | None:
-    """The current that the reference's motor would have drawn in this start; None without a reference.
+    """Simulate the current of the reference's motor in this start, shape (n,); None without a reference.
 
-    K is that of the fit where the current alone is told: the current depends on K^2/J and B/J only.
+    If only the current was recorded, K is that of the fit: the current depends on K^2/J and B/J only.
     """
     fit, reference = judgement.identified, judgement.reference
     if fit is None or reference is None:
@@ -167,7 +167,7 @@ def reference_current(judgement: Judgement) -> FloatArray | None:
 
 
 def _bars(changes: tuple[Change, ...], pieces: Mapping[str, FloatArray] | None = None) -> str:
-    """Deviation of each quantity with its interval, in per cent on a logarithmic axis; or those of several pieces."""
+    """Draw the change of each quantity, or those of several pieces, with its interval on a logarithmic axis."""
     height = 34.0 * len(changes)
     chart = Chart(
         _ratio_axis(changes),
@@ -194,7 +194,7 @@ def _bars(changes: tuple[Change, ...], pieces: Mapping[str, FloatArray] | None =
 
 
 def _ratio_axis(changes: Sequence[Change]) -> Axis:
-    """Per cent on a logarithmic axis, a tenth wider than the widest interval; the most welcome grid lines first."""
+    """Make a logarithmic axis in per cent, a tenth wider than the widest interval."""
     widest = max(max(change.high, 1.0 / change.low) for change in changes)
     edge = float(np.clip(1.1 * widest, 1.1, 8.0))
     ticks: list[float] = []
@@ -206,10 +206,10 @@ def _ratio_axis(changes: Sequence[Change]) -> Axis:
 
 
 def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -> tuple[str, str]:
-    """The measured current beside the healthy motor's, and what it is beyond that; empty without a healthy motor.
+    """Draw the measured current beside the healthy motor's, and their difference; empty without a healthy motor.
 
-    The latter is averaged over a fiftieth of the recording, with the sensor's noise as a band. Where a fault shows in
-    so little current that the two curves would lie on one another, the end of the start is shown, averaged alike.
+    The difference is averaged over a fiftieth of the recording, with the sensor's noise as a band. If the curves of a
+    fault would coincide, only the end of the start is drawn, averaged alike.
     """
     time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
     begin = int(np.searchsorted(time_ms, -_SHOWN_SHARE * time_ms[-1]))
@@ -247,13 +247,13 @@ def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -
 
 
 def moving_average(values: FloatArray, span: int) -> FloatArray:
-    """Moving average over so many samples."""
+    """Average over so many samples, moving; shape (n,)."""
     padded = np.pad(values, (span // 2, span - 1 - span // 2), "reflect")
     return np.convolve(padded, np.ones(span) / span, "valid")
 
 
 def _end_chart(time_ms: FloatArray, measured: FloatArray, healthy: FloatArray, apart_a: float) -> str:
-    """Both currents from where they have settled, on a scale on which they lie apart; empty if they do not settle."""
+    """Draw both currents from where they have settled; empty if they do not settle."""
     moving = np.flatnonzero(np.abs(healthy - healthy[-1]) > 2.0 * apart_a)
     begin = int(moving[-1]) + 1 if moving.size else 0
     if begin > 0.9 * len(healthy):
@@ -275,7 +275,7 @@ def _chart(
     band: float = 0.0,
     time_unit: str = "ms",
 ) -> str:
-    """Curves by their style over the time, within limits or their own, and a band about 0."""
+    """Draw curves by their style over the time, within limits or their own, and a band about 0."""
     begin, end = float(time_ms[0]), float(time_ms[-1])
     low, high = limits or (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
     room = 0.05 * max(high - low, 1e-9)
@@ -298,17 +298,17 @@ def _chart(
 
 
 def pieces_chart(pieces: Sequence[Judgement]) -> str:
-    """How far each quantity lies from the healthy motor, piece by piece, in per cent over the recording's time."""
-    told = [(piece, {change.name: change for change in piece.changes}) for piece in pieces if piece.changes]
-    names = [name for name in told[0][1] if name in told[-1][1]] if told else []
+    """Draw the change of each quantity from the healthy motor, piece by piece over the recording's time."""
+    judged = [(piece, {change.name: change for change in piece.changes}) for piece in pieces if piece.changes]
+    names = [name for name in judged[0][1] if name in judged[-1][1]] if judged else []
     return "\n".join(
-        _history(name, [(piece, changes[name]) for piece, changes in told if name in changes])
+        _history(name, [(piece, changes[name]) for piece, changes in judged if name in changes])
         for name in names
     )
 
 
 def _history(name: str, changes: Sequence[tuple[Judgement, Change]]) -> str:
-    """One quantity: a dot and its interval for each piece."""
+    """Draw one quantity: a dot and its interval for each piece."""
     begin, end = changes[0][0].begin_s, max(piece.begin_s + piece.duration_s for piece, _ in changes)
     what = _QUANTITY.get(name, name)
     chart = Chart(

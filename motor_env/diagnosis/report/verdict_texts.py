@@ -1,4 +1,4 @@
-"""What a page says of each verdict and kind: its heading, its size, and what to do first."""
+"""Texts of each verdict and kind: heading, size, what to do first, and whether the motor may run on."""
 
 from __future__ import annotations
 
@@ -137,4 +137,4 @@ RUN_ON_TEXTS: dict[Verdict | FaultKind, str] = {
     Verdict.NO_REFERENCE: "Not known from this recording.",
     Verdict.UNUSABLE: "Not known from this recording.",
 }
-"""Whether the motor may run on, by the verdict or a kind of its own; nothing of it is said of other verdicts."""
+"""Whether the motor may run on, by verdict or kind."""

@@ -1,7 +1,7 @@
-"""Checks of a channel against the others: does it carry something, and does it move as the healthy motor does?
+"""Check each channel of a record against the others and against the healthy motor.
 
-The healthy motor runs freely under the recorded voltage: so large is what each channel must show, and so it must move.
-Of three channels any two tell the third by V = R i + L di/dt + K w. The limits are wide: no wear moves a motor so far.
+The healthy motor is simulated under the recorded voltage: it gives the size and the course that each channel must have.
+Of three channels any two give the third by V = R i + L di/dt + K w. The limits are wider than any wear.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ _HELD = 1e9  # times the inertia: the rotor stays where it is
 
 
 class ChannelRecord(NamedTuple):
-    """What was recorded, side by side.
+    """Channels of a record.
 
     Attributes:
         dt_s: sampling interval.
         voltage_v: shape (n,).
         current_a, speed_rad_s: shape (n,); None for a channel without a column.
         has_sign: whether the sign of the voltage is known.
-        at_work: whether it is a log. The offset of a start is no failure: the quiet part before it tells it.
-        is_taught: whether recordings have taught the healthy motor. A data sheet says nothing of the sensors of a
-            start: which sign is forwards, and how far a range goes.
+        at_work: whether it is a log. The offset of a start is no failure: its quiet part gives it.
+        is_taught: whether the healthy motor was learned from recordings. A data sheet knows neither signs nor ranges of
+            the sensors.
     """
 
     dt_s: float
@@ -46,15 +46,17 @@ class ChannelRecord(NamedTuple):
     is_taught: bool = True
 
     def from_sample(self, first: int) -> ChannelRecord:
-        """The record from a sample on."""
-        current, speed = (None if one is None else one[first:] for one in (self.current_a, self.speed_rad_s))
+        """Return the record from a sample on."""
+        current, speed = (
+            None if each is None else each[first:] for each in (self.current_a, self.speed_rad_s)
+        )
         return self._replace(voltage_v=self.voltage_v[first:], current_a=current, speed_rad_s=speed)
 
 
 def free_run(
     physical: FloatArray, voltage_v: FloatArray, dt_s: float, *, from_rest: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Current and speed of a motor of these physical values under a voltage, from its steady state or from rest."""
+    """Simulate current and speed under a voltage, from the steady state or from rest; all of shape (n,)."""
     values = physical.copy()
     values[[places.NOISE_I, places.NOISE_W]], values[places.NOISE_V : places.WALK + 1] = 1.0, 0.0
     n = len(voltage_v)
@@ -64,19 +66,19 @@ def free_run(
 
 
 def held_current(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> FloatArray:
-    """Current of a rotor that is held: that of the winding alone, without brushes, shape (n,)."""
+    """Simulate the current of a held rotor, of the winding alone without brushes, shape (n,)."""
     values = physical.copy()
     values[places.J], values[places.DROP] = _HELD * physical[places.J], 0.0
     return free_run(values, voltage_v, dt_s, from_rest=True)[0]
 
 
 def rms(values: FloatArray) -> float:
-    """Root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def correlation(one: FloatArray | None, other: FloatArray | None, *, about: float | None = None) -> float:
-    """Correlation, about the means unless given; 0 where one of them does not move or is not there."""
+    """Correlate two channels, about their means or a given value; 0 if one is constant or missing."""
     if one is None or other is None:
         return 0.0
     a, b = (each - (each.mean() if about is None else about) for each in (one, other))
@@ -84,7 +86,7 @@ def correlation(one: FloatArray | None, other: FloatArray | None, *, about: floa
     return float(np.mean(a * b)) / product if product > 0.0 else 0.0
 
 
-_NOTHING = 0.05  # of what the healthy motor shows: a channel of less is dead ...
+_NOTHING = 0.05  # of the healthy motor's size: a smaller channel is dead ...
 _A_SCALE = 0.7  # ... unless so much of its variance follows the motor: then it has another unit
 _ALIKE, _APART, _AGAINST, _OPPOSITE = (
     0.8,
@@ -102,13 +104,13 @@ _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of t
 
 
 def sensor_judgement(kind: str, why: str) -> Judgement:
-    """What is said of a piece of which a sensor failed, of which kind and what shows it: nothing of its motor."""
+    """Judge a piece with a failed sensor: its kind and the evidence, and nothing of the motor."""
     fault = FaultKind(kind)
     return Judgement(Verdict.SENSOR, (why, fault.finding), fault_kind=fault, kind_probability=1.0)
 
 
 def find_failure(record: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """What is said of a record of a motor that is nearly that of these physical values; None where no sensor failed."""
+    """Find the failed sensor of a record, given nearly the motor's physical values; None if none failed."""
     current, speed = free_run(physical, record.voltage_v, record.dt_s, from_rest=not record.at_work)
     if not (np.isfinite(current).all() and np.isfinite(speed).all()):
         return None
@@ -124,14 +126,14 @@ def find_failure(record: ChannelRecord, physical: FloatArray) -> Judgement | Non
     checks = [_check_swapped, _check_dead, _check_stuck]
     checks += [_check_contradiction, _check_clipped] if record.at_work or record.is_taught else []
     checks += [_check_offset] if record.at_work else []
-    found = (check(record, expected, physical) for check in checks)
-    return next(filter(None, found), None)
+    failures = (check(record, expected, physical) for check in checks)
+    return next(filter(None, failures), None)
 
 
 def _channels(
     record: ChannelRecord, expected: ChannelRecord
 ) -> Iterator[tuple[str, str, FloatArray, FloatArray]]:
-    """Name, unit, readings and what is expected of each channel that has a column."""
+    """Yield name, unit, readings and expected values of each channel that has a column."""
     channels = (
         ("current", "A", record.current_a, expected.current_a),
         ("speed", "rad/s", record.speed_rad_s, expected.speed_rad_s),
@@ -144,7 +146,7 @@ def _channels(
 def _predict_from_others(
     record: ChannelRecord, physical: FloatArray
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """Current and speed, each by the voltage and the other one, whatever the load is."""
+    """Predict current and speed, each by the voltage and the other one, whatever the load is."""
     if record.current_a is None or record.speed_rad_s is None:
         return None, None
     ohm, constant = float(physical[places.R]), float(physical[places.K])
@@ -153,24 +155,24 @@ def _predict_from_others(
 
 
 def _smallest_step(values: FloatArray) -> float:
-    """Smallest step; infinite where there is none."""
+    """Return the smallest step; infinite if there is none."""
     steps = np.abs(np.diff(values))
     return float(np.min(steps, where=steps > 0.0, initial=np.inf))
 
 
 def _is_turning(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> bool | None:
-    """Whether the current is that of the motor that turns (True), or of a rotor that is held; None for neither."""
+    """Whether the current is that of a turning motor (True) or of a held rotor (False); None for neither."""
     if record.current_a is None or expected.current_a is None:
         return None
     blocked = held_current(physical, record.voltage_v, record.dt_s)
-    off, off_held = rms(record.current_a - expected.current_a), rms(record.current_a - blocked)
-    if off < _MOSTLY * off_held and correlation(record.current_a, expected.current_a) > _ALIKE:
+    error, error_held = rms(record.current_a - expected.current_a), rms(record.current_a - blocked)
+    if error < _MOSTLY * error_held and correlation(record.current_a, expected.current_a) > _ALIKE:
         return True
-    return False if off_held < off else None
+    return False if error_held < error else None
 
 
 def _check_dead(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """A channel that shows nothing while another shows that the motor turns, or no other is there."""
+    """Find a channel without a signal, if another shows that the motor turns, or there is no other."""
     for name, unit, shown, healthy in _channels(record, expected):
         if rms(shown) >= _NOTHING * rms(healthy) or correlation(shown, healthy) ** 2 >= _A_SCALE:
             continue
@@ -189,7 +191,7 @@ def _check_dead(record: ChannelRecord, expected: ChannelRecord, physical: FloatA
 
 
 def _check_stuck(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """A channel that ends in equal values while the motor moves, or the noise that it had is gone."""
+    """Find a channel that ends in equal values while the motor moves, or that loses its noise."""
     on = np.abs(record.voltage_v) > _ON * np.max(np.abs(record.voltage_v))
     for name, _, shown, healthy in _channels(record, expected):
         others = np.flatnonzero(shown != shown[-1])
@@ -197,7 +199,6 @@ def _check_stuck(record: ChannelRecord, expected: ChannelRecord, physical: Float
         powered = healthy[first:][on[first:]]
         if len(shown) - first < max(_FEWEST, _SHORTEST * len(shown)) or len(powered) < _FEWEST:
             continue
-        # A rotor that stands shows no speed, and an open circuit no current.
         is_none = abs(float(shown[-1])) < _NOTHING * rms(healthy)
         if is_none and not _motor_runs_on(name, first, record, expected, physical):
             continue
@@ -222,7 +223,7 @@ def _motor_runs_on(
 
 
 def _check_swapped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """Columns in another order, in which they are those of the healthy motor, as they are not as read."""
+    """Find another order of the columns in which, and only in which, they are those of the healthy motor."""
     if (
         record.current_a is None
         or record.speed_rad_s is None
@@ -255,7 +256,7 @@ def _has_similar_size(shown: FloatArray, healthy: FloatArray) -> bool:
 def _check_contradiction(
     record: ChannelRecord, expected: ChannelRecord, physical: FloatArray
 ) -> Judgement | None:
-    """A channel against which the other ones agree: it is reversed, or that of another motor."""
+    """Find a channel that contradicts the others: it is reversed, or another motor's."""
     by_speed, by_current = _predict_from_others(record, physical)
     current = correlation(record.current_a, expected.current_a)
     speed = correlation(record.speed_rad_s, expected.speed_rad_s, about=0.0)
@@ -301,12 +302,12 @@ def _check_contradiction(
 
 
 def _highest_correlation(shown: FloatArray, healthy: FloatArray) -> float:
-    """Correlation of what the healthy motor shows with itself behind the noise of a channel."""
+    """Return the correlation of the healthy motor's values with themselves under the noise of a channel."""
     return float(np.std(healthy) / max(np.hypot(np.std(healthy), difference_noise(shown)), 1e-300))
 
 
 def _check_clipped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """A channel that stands at its largest value where the motor shows more, and follows the motor elsewhere."""
+    """Find a channel that stands at its largest value where the motor goes beyond, and follows it elsewhere."""
     by_speed, _ = _predict_from_others(record, physical)
     for name, unit, shown, free in _channels(record, expected):
         healthy = free if name == "speed" or by_speed is None else by_speed
@@ -331,7 +332,7 @@ def _check_clipped(record: ChannelRecord, expected: ChannelRecord, physical: Flo
 
 
 def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """A current that is off by the same amount at every voltage and speed: at rest, or of a motor that reverses."""
+    """Find a constant offset of the current: at rest, or of a motor that reverses."""
     current, speed = record.current_a, record.speed_rad_s
     if current is None or speed is None or correlation(record.current_a, expected.current_a) < _ALIKE:
         return None
@@ -345,16 +346,18 @@ def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: Floa
         # A controller may hold a small voltage, of which a rotor that stands draws its current. A speed in another unit
         # is none at rest.
         held = record.voltage_v / physical[places.R]
-        off = min((float(np.mean((current - each)[rests])) for each in (by_speed, held)), key=abs)
+        offset = min((float(np.mean((current - each)[rests])) for each in (by_speed, held)), key=abs)
         most = _OFFSET_AT_REST
     elif min(turning) > _TURNS_BACK:
         shapes = np.stack([np.ones(len(current)), by_speed, speed, np.sign(speed)], axis=1)
-        off, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
+        offset, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
     else:
         return None
-    # A current that is not off, where the healthy one was, is no failure: what a fit finds may be no sensor's.
-    # One in mA is off in A.
-    off = min(off, off - known, key=abs) / max(rms(current) / rms(by_speed), 1.0)
-    if abs(off) < most * float(np.max(np.abs(record.voltage_v)) / physical[places.R]):
+    # No offset where the healthy motor had one is no failure: the fit's may be no sensor's. That of a current in mA
+    # counts in A.
+    offset = min(offset, offset - known, key=abs) / max(rms(current) / rms(by_speed), 1.0)
+    if abs(offset) < most * float(np.max(np.abs(record.voltage_v)) / physical[places.R]):
         return None
-    return sensor_judgement("current_offset", f"the current is off by {off:.3g} A at every voltage and speed")
+    return sensor_judgement(
+        "current_offset", f"the current is off by {offset:.3g} A at every voltage and speed"
+    )

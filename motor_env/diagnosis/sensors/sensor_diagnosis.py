@@ -1,4 +1,4 @@
-"""Sensors before motors: of a piece whose channel carries nothing, or contradicts the others, no motor is judged."""
+"""Diagnose the sensors of a recording before its motor."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def diagnose_sensors(
     *,
     at_work: bool = False,
 ) -> Judgement | None:
-    """The judgement on a recording of which a sensor failed; None where none did, or nothing tells.
+    """Judge a recording with a failed sensor; None if none failed, or the voltage is not known.
 
     Args:
         recording: one start, or a log.
-        motor: the healthy one.
+        motor: the healthy motor.
         voltage_v: level of the supply where it was not recorded.
-        circuit: what is known of the measuring circuit.
+        circuit: the measuring circuit.
         at_work: whether it is a log.
     """
     starts = None if motor.healthy is None else motor.healthy.starts
@@ -55,9 +55,8 @@ def diagnose_sensors(
         return None
     speed = record.speed_rad_s
     if not (at_work or _has_learned_speed(motor)) and speed is not None and not np.ptp(speed):
-        record = record._replace(
-            speed_rad_s=None
-        )  # a column that never moves, as it did not where the motor was learned
+        # A column that never moves, as it did not where the motor was learned.
+        record = record._replace(speed_rad_s=None)
     physical = physical_values(motor)
     physical[places.R] += 0.0 if circuit is None else circuit.shunt_ohm
     failure = find_failure(record._replace(at_work=at_work, is_taught=motor.healthy is not None), physical)
@@ -65,7 +64,7 @@ def diagnose_sensors(
 
 
 def physical_values(motor: Motor) -> FloatArray:
-    """Values of a healthy motor in the order of `motor_env.fitting.places`; those of windows hold their friction."""
+    """Return a healthy motor's values in the order of `motor_env.fitting.places`, shape (places.N_VALUES,)."""
     if motor.healthy is not None and motor.healthy.windows is not None:
         physical = motor.healthy.windows.physical.copy()
         learned = dict(zip(motor.healthy.quantities, motor.healthy.values.tolist(), strict=True))
@@ -88,7 +87,7 @@ def physical_values(motor: Motor) -> FloatArray:
 
 
 def _record_channels(recording: Recording, level_v: float | None) -> ChannelRecord | None:
-    """What was recorded, with the step of a supply whose voltage was not; None where it is not known at all."""
+    """Return the channels, with a step for a voltage that was not recorded; None if its level is unknown too."""
     voltage, has_sign = recording.voltage_v, True
     if voltage is None and recording.duty is not None and level_v is not None:
         voltage = level_v * recording.duty
@@ -103,8 +102,8 @@ def _record_channels(recording: Recording, level_v: float | None) -> ChannelReco
 
 
 def learn_signs(motor: Motor, healthy: Sequence[Recording], voltage_v: float | None) -> Motor:
-    """The motor, with the columns that read with the other sign in its healthy starts: that is how they are wired."""
-    failures = [diagnose_sensors(one, motor, voltage_v) for one in healthy]
+    """Return the motor with the column that has the other sign in all its healthy starts: it is wired so."""
+    failures = [diagnose_sensors(recording, motor, voltage_v) for recording in healthy]
     kinds = {None if failure is None else failure.fault_kind for failure in failures}
     column = next((name for kind, name in _POLARITY_COLUMNS.items() if kinds == {FaultKind(kind)}), None)
     if column is None or motor.healthy is None or motor.healthy.starts is None:
@@ -115,12 +114,12 @@ def learn_signs(motor: Motor, healthy: Sequence[Recording], voltage_v: float | N
 
 
 def _has_learned_speed(motor: Motor) -> bool:
-    """Whether the healthy pieces were recorded with the speed: they tell K, then."""
+    """Whether the healthy pieces were recorded with the speed, so that K is known."""
     return motor.healthy is not None and not {"K", "K/V"}.isdisjoint(motor.healthy.quantities)
 
 
 def _turn_signs(recording: Recording, names: Sequence[str]) -> Recording:
-    """The recording with the sign of some of its columns changed."""
+    """Return the recording with the sign of some columns changed."""
     changed: dict[str, Any] = {
         name: None if getattr(recording, name) is None else -getattr(recording, name) for name in names
     }
@@ -137,7 +136,7 @@ def _starts_backwards(recording: Recording, direction: int) -> bool:
 
 
 def _onset_index(recording: Recording) -> int | None:
-    """Where the current, or else the speed, begins to move."""
+    """Return the index where the current, or else the speed, begins to move."""
     for column in (recording.current_a, recording.speed_rad_s):
         if column is not None:
             try:

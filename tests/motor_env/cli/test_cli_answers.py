@@ -124,7 +124,7 @@ def test_identify_ends_with_3_where_no_motor_explains_a_start_or_the_logs(
         return found
 
     monkeypatch.setattr(identifying, "identify", fitted)
-    monkeypatch.setattr(identifying, "unusable_reason", lambda fit: None if fit else "poor")
+    monkeypatch.setattr(identifying, "explain_unusable", lambda fit: None if fit else "poor")
     monkeypatch.setattr(identifying.Identification, "text", lambda _: "words")
     monkeypatch.setattr(identifying.Identification, "to_json", lambda _: [{"start": 1}])
     assert main(["identify", "a.csv", "--ripple-periods-per-turn", "14"]) == status

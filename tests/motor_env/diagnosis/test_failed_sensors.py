@@ -113,7 +113,7 @@ def test_a_duty_is_that_share_of_the_supply() -> None:
 def test_a_shunt_is_in_the_circuit_that_sensors_are_checked_in(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[float] = []
     monkeypatch.setattr(
-        "motor_env.diagnosis.sensors.sensor_diagnosis.failure_in",
+        "motor_env.diagnosis.sensors.sensor_diagnosis.find_failure",
         lambda _, physical: given.append(float(physical[places.R])),
     )
     for circuit in (None, Circuit(shunt_ohm=0.5)):

@@ -140,7 +140,7 @@ def test_only_windows_that_tell_all_four_have_a_judge() -> None:
 def test_sensors_are_checked_against_what_windows_have_taught(monkeypatch: pytest.MonkeyPatch) -> None:
     """R, K and J of the windows' mean, not those of the fit of all of them; and their drag."""
     given: list[FloatArray] = []
-    monkeypatch.setattr(windows, "failure_in", lambda _, physical: given.append(physical))
+    monkeypatch.setattr(windows, "find_failure", lambda _, physical: given.append(physical))
     assert JUDGE.failed_sensor(recording(500)) is None
     given.append(physical_values(motor_of_windows(HEALTHY, "m")))
     for physical in given:
@@ -151,7 +151,7 @@ def test_sensors_are_checked_against_what_windows_have_taught(monkeypatch: pytes
 
 def test_the_temperature_of_healthy_logs_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("motor_env.diagnosis.commission.learn_windows", lambda *_, **__: (HEALTHY, []))
-    monkeypatch.setattr("motor_env.diagnosis.commission.promise_of", lambda *_: ({}, {}))
+    monkeypatch.setattr("motor_env.diagnosis.commission.detectable_changes", lambda *_: ({}, {}))
     for celsius in (None, 21.0):
         found = commission([recording(2000)], window_s=0.5, temperature_c=celsius)
         assert found.healthy.temperature_c == celsius
