@@ -88,12 +88,8 @@ def correlation(one: FloatArray | None, other: FloatArray | None, *, about: floa
 
 _NOTHING = 0.05  # of the healthy motor's size: a smaller channel is dead ...
 _A_SCALE = 0.7  # ... unless so much of its variance follows the motor: then it has another unit
-_ALIKE, _APART, _AGAINST, _OPPOSITE = (
-    0.8,
-    0.3,
-    -0.2,
-    -0.6,
-)  # correlations, from the same motion to the opposite one
+# Correlations, from the same motion to the opposite one.
+_ALIKE, _APART, _AGAINST, _OPPOSITE = 0.8, 0.3, -0.2, -0.6
 _SAME_SIZE = 2.0
 _FEWEST, _SHORTEST = 20, 0.05  # equal samples at the end, and their share of the record
 _MOVES, _NOISE_BEFORE = 0.2, 200  # of a channel's range; samples
