@@ -24,9 +24,9 @@ from tables import keep_table
 
 from motor_env.diagnosis.decision import decide
 from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
-from motor_env.diagnosis.learning import START_SPREAD, next_piece
+from motor_env.diagnosis.healthy_spread import START_SPREAD, next_piece
+from motor_env.diagnosis.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.fleet.fits import fit_fleet, fit_log, processes
 from motor_env.fleet.initial_fit import Reading
 from motor_env.fleet.learning import PRIOR_SPREAD, directions_of

@@ -20,12 +20,12 @@ from operation_simulator import SWITCHES, Motor, draw_motor, simulate
 from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted, words_of
 
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, limits_of
+from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, alarm_limits
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.healthy_spread import fit_healthy, learn_starts
+from motor_env.diagnosis.hypotheses import form_hypotheses
 from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.verdict import Diagnosis
-from motor_env.diagnosis.views import views_of
 from motor_env.motor.identifiable import PARAMETERS
 from motor_env.recordings.recording import Recording
 from motor_env.recordings.start import prepare
@@ -79,7 +79,7 @@ class Bench:
 
     def shows(self, change: str, found: Diagnosis) -> bool:
         """Whether a test of this change alone finds it in 99.5 of 100 starts, by the covariance that was learned."""
-        fit, reference, rate = found.telling.fit, found.telling.reference, DEFAULT_FALSE_ALARM_RATE
+        fit, reference, rate = found.decisive.fit, found.decisive.reference, DEFAULT_FALSE_ALARM_RATE
         if fit is None or reference is None:
             return False
         factors = CHANGES[change]
@@ -90,9 +90,11 @@ class Bench:
             "B": 1.0 + self.own * (factors.get("viscous", 1.0) - 1.0),
         }
         logs = np.log([by_parameter.get(name, 1.0) for name in PARAMETERS])
-        views = views_of(fit, reference, rate)
-        needed = limits_of(views, rate, tests_noise=reference.log_noise is not None).z + SURE
-        steps = [(view.drag.response @ logs, view.difference.inverse) for view in views]
+        hypotheses = form_hypotheses(fit, reference, rate)
+        needed = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None).z + SURE
+        steps = [
+            (hypothesis.load.response @ logs, hypothesis.difference.inverse) for hypothesis in hypotheses
+        ]
         return all(step @ inverse @ step > needed**2 for step, inverse in steps)
 
 

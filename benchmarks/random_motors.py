@@ -12,7 +12,7 @@ from tables import keep_table
 from verdict_tables import HERE, How, Said, counted, words_of
 
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.learning import fit_healthy, learn_starts
+from motor_env.diagnosis.healthy_spread import fit_healthy, learn_starts
 from motor_env.diagnosis.motor_files import to_motor
 from motor_env.diagnosis.verdict import Diagnosis, Verdict
 from motor_env.motor.data_sheet import Motor
@@ -124,7 +124,7 @@ def starts(rng: np.random.Generator) -> tuple[list[Recording], Motor]:
 def said(found: Diagnosis) -> str:
     """The verdict; where a change of friction was missed also whether the diagnosis had said that it might not show."""
     missed = found.recording.path.name == "friction +50 %" and found.verdict is Verdict.HEALTHY
-    stated = missed and found.telling.smallest_changes["bearing"] > FRICTION - 1.0
+    stated = missed and found.decisive.smallest_changes["bearing"] > FRICTION - 1.0
     return f"{found.verdict} (+50 % might not show, it said)" if stated else str(found.verdict)
 
 

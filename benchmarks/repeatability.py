@@ -23,7 +23,7 @@ from kept_rows import kept_rows
 from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
 from tables import keep_table
 
-from motor_env.diagnosis.identify import identify
+from motor_env.diagnosis.identification import identify
 from motor_env.errors import InputError
 from motor_env.recordings.recording import Recording
 

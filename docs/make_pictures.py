@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from typing import cast
 
 from motor_env import diagnose
-from motor_env.diagnosis.shown.page import _bars, _currents, reference_current
+from motor_env.diagnosis.report.page import _bars, _currents, reference_current
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.fleet.judging import picture
 from motor_env.fleet.unit import FleetUnit
@@ -34,7 +34,7 @@ FLEET = """svg { font: 13px system-ui, "Segoe UI", Arial, sans-serif; } text { f
 def verdict() -> str:
     """Two charts of the example's page, one below the other, as one picture."""
     found = diagnose(EXAMPLES / "startup_capture.csv", EXAMPLES / "motor.toml")
-    telling = found.telling
+    telling = found.decisive
     current, _ = _currents(telling.identified, reference_current(telling), is_fault=True)
     parts, top = [], 30.0
     for title, chart in (

@@ -23,7 +23,7 @@ from .diagnosis.diagnose import (
     Diagnosis as Diagnosis,
     diagnose as diagnose,
 )
-from .diagnosis.identify import (
+from .diagnosis.identification import (
     identify as identify,
 )
 from .diagnosis.verdict import (

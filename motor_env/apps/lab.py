@@ -14,10 +14,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
+from motor_env.diagnosis.batch import diagnose_files
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.files import diagnose_files
-from motor_env.diagnosis.shown.page import moving_average, reference_current
-from motor_env.diagnosis.shown.report import as_json, headline
+from motor_env.diagnosis.report.formats import as_json, headline
+from motor_env.diagnosis.report.page import moving_average, reference_current
 from motor_env.diagnosis.verdict import Diagnosis
 from motor_env.errors import InputError
 from motor_env.filters.batch import run_filter
@@ -300,13 +300,13 @@ def recording_verdict(
 def _as_document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Convert a diagnosis to JSON with its headline and the curves to draw."""
     document = as_json(diagnosis)
-    document["headline"] = headline(diagnosis.telling)
+    document["headline"] = headline(diagnosis.decisive)
     document["curves"] = None
-    fit = diagnosis.telling.identified
+    fit = diagnosis.decisive.identified
     if fit is not None:
         begin = max(int(np.searchsorted(fit.start.time_s, fit.onset_s)) - 20, 0)
         step = max((len(fit.start.time_s) - begin) // MOST_POINTS, 1)
-        some, expected = slice(begin, None, step), reference_current(diagnosis.telling)
+        some, expected = slice(begin, None, step), reference_current(diagnosis.decisive)
         beyond = None if expected is None else moving_average(fit.start.current_a - expected, AVERAGED)
         document["curves"] = {
             "time_ms": _rounded(1e3 * (fit.start.time_s[some] - fit.onset_s)),

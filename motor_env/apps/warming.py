@@ -16,7 +16,7 @@ import numpy as np
 
 from motor_env.apps import lab
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.identify import identify
+from motor_env.diagnosis.identification import identify
 from motor_env.envs.offline.behaviours import TASKS, Behaviour
 from motor_env.envs.offline.recording import episodes_of
 from motor_env.inference.features import physical_features

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from motor_env.cli import options
 from motor_env.console import ExitStatus, printable
 from motor_env.errors import InputError
+from motor_env.files import write_text
 
 if TYPE_CHECKING:
     from motor_env.fleet.initial_fit import Reading
@@ -37,7 +38,7 @@ def identify(
     Args:
         files: Recordings of one motor.
         output: Motor file to write (TOML).
-        out: Folder for one picture a start.
+        out: Folder for a page of the fits.
         measurement: How it was measured.
         torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
         name: Name of the motor in that file.
@@ -48,7 +49,7 @@ def identify(
     if motor is not None:
         options.refuse("--motor", torque_constant=torque_constant, out=out)
         return _beside_sisters(files, motor, output, measurement, regime=regime, name=name, json_=json_)
-    from motor_env.diagnosis.identify import identify as fitted
+    from motor_env.diagnosis.identification import identify as fitted
     from motor_env.motor.data_sheet import save_motor
 
     found = fitted(
@@ -61,7 +62,7 @@ def identify(
     if output is not None and (found.logs or found.usable):
         save_motor(found.motor(name), output)
     if out is not None:
-        found.plot(out)
+        write_text(out / "identify.html", found.page())
     options.show(json_, found.to_json, found.text)
     measurement.keep()
     return int(ExitStatus.HEALTHY if found.is_complete else ExitStatus.UNDECIDED)
@@ -134,7 +135,7 @@ def commission(
         files: Healthy recordings of one motor: all starts, of which a file may hold several, or all logs.
         output: Motor file to write (TOML).
         false_alarm_rate: For the intervals that are printed.
-        out: Folder for the picture: the spread of each quantity, and starts with their fits and residuals.
+        out: Folder for a page: the spread of each quantity, and starts with their fits and residuals.
         measurement: How they were measured.
         temperature_c: Temperature of the motor at these recordings, where known.
         regime: start, operation (a motor at work), or auto: decided by what the voltage does.
@@ -180,7 +181,7 @@ def commission(
         )
         save_motor(result.motor, output)
         if out is not None:
-            result.plot(out / f"{output.stem}.png")
+            write_text(out / f"{output.stem}.html", result.page())
         text = result.text()
     print(printable(text))
     print(printable(f"written: {output}"))

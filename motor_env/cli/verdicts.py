@@ -70,7 +70,7 @@ def diagnose(
         return int(found.status)
     if sisters.group is not None:
         raise InputError("--group goes with --fleet")
-    from motor_env.diagnosis.files import diagnose_files
+    from motor_env.diagnosis.batch import diagnose_files
 
     with console.working("reading") as say:
         outcomes = diagnose_files(

@@ -1,4 +1,4 @@
-"""From healthy recordings to what they teach of a motor: `motor-env commission`."""
+"""`commission`: learn a motor from its healthy recordings."""
 
 from __future__ import annotations
 
@@ -12,13 +12,19 @@ import numpy as np
 from scipy.special import stdtrit
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
-from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, promise_of
+from motor_env.diagnosis.diagnose import explain_unusable
+from motor_env.diagnosis.healthy_spread import (
+    detectable_changes,
+    explain_disagreement,
+    explain_outlier,
+    fit_healthy,
+    learn_starts,
+)
+from motor_env.diagnosis.hypotheses import Fitted
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
+from motor_env.diagnosis.report.formats import UNITS, describe_friction_share
 from motor_env.diagnosis.running.window_baseline import learn_windows
-from motor_env.diagnosis.sensors.failed import with_signs
-from motor_env.diagnosis.shown.report import UNITS, of_the_drag
-from motor_env.diagnosis.views import Fitted
+from motor_env.diagnosis.sensors.sensor_diagnosis import learn_signs
 from motor_env.errors import InputError, require_options
 from motor_env.fitting.preprocessing import at_terminals
 from motor_env.fitting.starts.start_fit import StartFit as Identified
@@ -46,7 +52,7 @@ _WARMTH = (
 
 
 def intervals(healthy: Healthy, log_covariance: FloatArray, rate: float) -> dict[str, dict[str, Any]]:
-    """Quantities with unit and the interval that all but this share lie in; the covariance is of their logarithms."""
+    """Return quantities with units and intervals that healthy pieces leave at this rate; `log_covariance` is (n, n)."""
     half = -float(stdtrit(healthy.degrees_of_freedom, rate / 2.0)) * np.sqrt(np.diag(log_covariance))
     rows = zip(healthy.quantities, healthy.values.tolist(), half.tolist(), strict=True)
     return {
@@ -60,7 +66,7 @@ def intervals(healthy: Healthy, log_covariance: FloatArray, rate: float) -> dict
 
 
 def interval_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """A line for each of these intervals, in per cent of the value."""
+    """Format each interval as a line, in per cent of the value."""
     return [
         f"  {name:<12} {row['value']:11.4g} {row['unit']:<12}"
         f" {row['interval'][0] / row['value'] - 1.0:+.1%} to {row['interval'][1] / row['value'] - 1.0:+.1%}"
@@ -70,16 +76,16 @@ def interval_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Commissioned:
-    """A commissioned motor, what it was learned from, and what later recordings will show.
+    """A commissioned motor, and what later recordings of it will show.
 
     Attributes:
-        motor: with what its healthy pieces have taught.
+        motor: with the statistics of its healthy pieces.
         fits: of the healthy pieces.
         smallest: severity of each fault that the next piece shows in 95 of 100 cases.
-        undecided: of so many healthy pieces, judged by the others, each quantity was undecided; by its name.
+        undecided: number of healthy pieces that, judged by the others, leave a quantity undecided; by its name.
         false_alarm_rate: of the intervals and smallest changes.
-        taken: what the recordings were taken for, and why.
-        read: how their columns were understood, in words.
+        taken: regime of the recordings, and why.
+        read: how their columns were understood.
     """
 
     motor: Motor
@@ -92,12 +98,12 @@ class Commissioned:
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Healthy quantities with the interval of the next healthy piece at the rate of false alarms, and unit."""
+        """Healthy quantities with units and the interval of the next healthy piece at the rate of false alarms."""
         return intervals(self.healthy, self.healthy.log_covariance, self.false_alarm_rate)
 
     @property
     def healthy(self) -> Healthy:
-        """What the healthy pieces have taught."""
+        """Statistics of the healthy pieces."""
         assert self.motor.healthy is not None  # noqa: S101  # a commissioned motor has it
         return self.motor.healthy
 
@@ -105,7 +111,7 @@ class Commissioned:
         return self.text()
 
     def text(self) -> str:
-        """What was learned, with the interval of the next healthy piece."""
+        """Describe what was learned, with the interval of the next healthy piece."""
         healthy, rate = self.healthy, self.false_alarm_rate
         extensions = () if healthy.starts is None else healthy.starts.model
         piece, kind, drives = "start", f", model {' + '.join(['textbook', *extensions])}", 0
@@ -115,6 +121,7 @@ class Commissioned:
         explained = [fit.r2_current for fit in self.fits if isinstance(fit, Identified)]
         quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
         smallest = ", ".join(f"{fault} {severity:.1%}" for fault, severity in self.smallest.items())
+        friction = describe_friction_share(healthy.own_friction)
         interval = f"({1.0 - rate:.0%}, Student t, {healthy.degrees_of_freedom:.0f} degrees)"
         lines = [
             f"{healthy.pieces} healthy {piece}s{kind}; prediction interval of the next healthy {piece} {interval}",
@@ -124,10 +131,10 @@ class Commissioned:
                 if drives > 1
                 else []
             ),
-            *(f"  taken for {one}" for one in self.taken),
+            *(f"  taken for {reason}" for reason in self.taken),
             *self.read,
             *quality,
-            f"  smallest change that is found in 95 of 100 cases: {smallest} ({of_the_drag(healthy.own_friction)})",
+            f"  smallest change that is found in 95 of 100 cases: {smallest} ({friction})",
             *(
                 f"  {name} is left undecided by {count} of these {len(self.fits)} {piece}s: a doubling would not show"
                 for name, count in self.undecided.items()
@@ -138,15 +145,18 @@ class Commissioned:
         ]
         return "\n".join(lines)
 
-    def plot(self, path: Path) -> None:
-        """A picture of the spread of each quantity; of starts also their fits and residuals.
+    def page(self) -> str:
+        """Draw a self-contained HTML page: the spread of each quantity; of starts also their fits and residuals."""
+        from motor_env.diagnosis.report.page import page_of_fits, spread_chart
 
-        Raises:
-            InputError: the file cannot be written.
-        """
-        from motor_env.diagnosis.shown.pictures import plot_commissioned
-
-        plot_commissioned(self.fits, self.parameters, self.smallest, self.false_alarm_rate, path)
+        starts = [fit for fit in self.fits if isinstance(fit, Identified)]
+        smallest = ", ".join(f"{kind.replace('_', ' ')} {share:.0%}" for kind, share in self.smallest.items())
+        return page_of_fits(
+            f"Interval of the next healthy {'start' if starts else 'window'} ({1.0 - self.false_alarm_rate:.0%})",
+            {f"Healthy start {number}": fit for number, fit in enumerate(starts, 1)},
+            spread=spread_chart(self.fits, self.parameters),
+            note=f"Smallest change found in 95 of 100 cases: {smallest}.",
+        )
 
 
 def commission(
@@ -173,24 +183,23 @@ def commission(
         recordings: as read, or their files; each may hold several starts.
         name: of the motor.
         columns: columns named by the user, of files.
-        word: what the user calls one of them.
+        word: what messages call a recording.
         fewest: number of starts that are needed.
-        regime: start, operation, or auto: decided by what the voltage does, or by a length of windows.
+        regime: start, operation, or auto: operation if `window_s` is given, else decided by the voltage.
         start: which one of a file with several.
         voltage_v: level of the supply where none was recorded.
-        circuit: what is known of the measuring circuit.
+        circuit: the measuring circuit.
         constant: torque constant in N m/A, where known and the speed was not recorded.
         temperature_c: of the motor at these recordings, where known.
-        window_s: length of the windows into which logs are cut; a twentieth of all of them unless given.
-        steady: of logs: nothing but a fault moves the motor, as on a test bench.
-        no_load_current_a: of starts: what the motor draws uncoupled from its load. It tells which share of the drag is
-            the motor's own friction.
-        false_alarm_rate: for the smallest changes.
+        window_s: length of the windows of logs; by default a twentieth of all logs.
+        steady: of logs: only a fault moves the motor, as on a test bench.
+        no_load_current_a: of starts: current without the load; it separates the motor's own friction from the drag.
+        false_alarm_rate: for intervals and smallest changes.
 
     Raises:
-        InputError: too few, one that cannot be read or used, or such as do not go together.
+        InputError: too few recordings, one that cannot be used, or two that do not go together.
     """
-    paths = [Path(one).resolve() for one in recordings if not isinstance(one, Recording)]
+    paths = [Path(each).resolve() for each in recordings if not isinstance(each, Recording)]
     if len(set(paths)) < len(paths):
         raise InputError(f"a healthy {word} is given twice: it would make the spread look smaller than it is")
     require_options(
@@ -200,10 +209,10 @@ def commission(
         window=window_s,
         no_load_current=no_load_current_a,
     )
-    read = [recording_of(one, columns) for one in recordings]
+    read = [recording_of(each, columns) for each in recordings]
     if regime == "auto" and window_s is not None:
         regime = "operation"
-    taken = _of_one_kind(read, [taken_for(recording, regime, start) for recording in read], word)
+    taken = _require_one_regime(read, [taken_for(recording, regime, start) for recording in read], word)
     if taken[0].regime == "operation":
         given = {
             "start": start,
@@ -231,21 +240,23 @@ def commission(
         if no_load_current_a is not None:
             healthy = replace(healthy, own_friction=_own_friction(starts, no_load_current_a))
         motor = to_motor(starts, name, healthy=healthy, constant=constant)
-        motor = with_signs(motor, [part for one in read for part in chosen_starts(one, start)], voltage_v)
+        motor = learn_signs(
+            motor, [part for recording in read for part in chosen_starts(recording, start)], voltage_v
+        )
         fits = tuple(starts)
-    promise = promise_of(motor, fits, temperature_c, false_alarm_rate)
-    told = tuple(understood((one.path, one.columns) for one in read))
-    return Commissioned(motor, fits, *promise, false_alarm_rate, taken, told)
+    detectable = detectable_changes(motor, fits, temperature_c, false_alarm_rate)
+    words = tuple(understood((recording.path, recording.columns) for recording in read))
+    return Commissioned(motor, fits, *detectable, false_alarm_rate, taken, words)
 
 
-def _of_one_kind(read: Sequence[Recording], taken: Sequence[Taken], word: str) -> tuple[Taken, ...]:
-    """What recordings are taken for, each reason once: a motor that is switched on and off again is at work.
+def _require_one_regime(read: Sequence[Recording], taken: Sequence[Taken], word: str) -> tuple[Taken, ...]:
+    """Require starts only or logs only; return the regime, each reason once. Repeated starts count as a log.
 
     Raises:
         InputError: some are single starts, and some are logs of a motor at work.
     """
-    work = [one for one in taken if one.regime == "operation"]
-    starts = [recording for recording, one in zip(read, taken, strict=True) if one.regime == "start"]
+    work = [regime for regime in taken if regime.regime == "operation"]
+    starts = [recording for recording, each in zip(read, taken, strict=True) if each.regime == "start"]
     if work and any(len(split_starts(recording)) == 1 for recording in starts):
         raise InputError(
             f"some are starts, and some logs of a motor at work: give {word}s of one kind, or --regime"
@@ -263,11 +274,10 @@ def fit_starts(
     circuit: Circuit | None = None,
     constant: float | None = None,
 ) -> list[Identified]:
-    """Fit the healthy starts of recordings as `fit_healthy` does; a recording may hold several.
+    """Fit the healthy starts of recordings by `fit_healthy`; a recording may hold several.
 
     Raises:
-        InputError: one of them cannot be used, or no motor explains it; they are fewer than `fewest`, or hold different
-            columns. `word` is what the user calls them.
+        InputError: a start cannot be used, they are fewer than `fewest`, or their columns differ.
     """
     starts = [part for recording in recordings for part in chosen_starts(recording, start)]
     if len(starts) < fewest:
@@ -285,17 +295,17 @@ def fit_starts(
     if len({fit.quantity_names for fit in fits}) > 1:
         raise InputError(f"the healthy {word}s hold different columns; give such that agree")
     for number, part in enumerate(starts):
-        reason = unusable_reason(fits[number]) or odd_one_out(fits, number)
+        reason = explain_unusable(fits[number]) or explain_outlier(fits, number)
         if reason is not None:
             raise InputError(f"{part.path}: a healthy {word} cannot be used: {reason}")
-    reason = disagreement(fits)
+    reason = explain_disagreement(fits)
     if reason is not None:
         raise InputError(f"the healthy {word}s cannot be used: {reason}")
     return fits
 
 
 def _own_friction(fits: Sequence[Identified], no_load_current_a: float) -> float:
-    """Share of the drag that is the motor's own friction, by its currents without and with the load.
+    """Return the motor's own share of the drag, by its currents without and with the load.
 
     Raises:
         InputError: it draws less with the load.

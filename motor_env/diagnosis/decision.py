@@ -1,9 +1,8 @@
-"""The decision on a fitted piece: its quantities against a reference, with every uncertainty in the balance.
+"""Decide on a fitted piece: compare its quantities with a reference, by the covariances of both.
 
-The fit gives the logarithms of what the piece can tell, with a covariance that knows of the model's error; the
-reference gives where a healthy motor lies, with the covariance of its tolerances, the temperature and the supply, or
-of the spread between healthy pieces. Their difference has the sum of both covariances. After an alarm the most
-probable fault is named, unless what it leaves unexplained is itself significant or "other" is more probable still. The
+The fit gives logarithms of quantities, with a covariance that includes the model's error. The reference gives the
+distribution of a healthy motor: tolerances, temperature and supply, or the spread between healthy pieces. After an
+alarm the most probable fault is named, unless its rest is itself significant or "other" is more probable. The
 confidence is the posterior probability of the verdict.
 """
 
@@ -17,32 +16,30 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from motor_env.diagnosis.explanations import (
+from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.hypotheses import (
     Change,
     Explanation,
+    Fitted,
+    Hypothesis,
     alarm_share,
     compare,
+    covariance_at_one_temperature,
+    estimate_warming,
     explain,
-    is_its_own,
+    form_hypotheses,
+    is_separable,
     joint_share,
     probabilities,
     severity_of,
+    severity_unit,
+    shared_rows,
     smallest_changes,
+    smallest_detectable,
 )
-from motor_env.diagnosis.healthy_motor import Reference
-from motor_env.diagnosis.loaded import LOADS
-from motor_env.diagnosis.misreading import as_sentence, as_wear, wrong_scales
+from motor_env.diagnosis.load_hypotheses import LOADS
+from motor_env.diagnosis.scaling_errors import describe_scaling_errors, find_scaling_errors, limit_to_wear
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import (
-    Fitted,
-    View,
-    covariance_at_one_temperature,
-    kelvin_of,
-    shared,
-    smallest_of,
-    unit_of,
-    views_of,
-)
 from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray
@@ -55,11 +52,11 @@ _LEFT_OVER = 0.01
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
 
 
-class Limits(NamedTuple):
-    """How far healthy pieces go.
+class AlarmLimits(NamedTuple):
+    """Limits of the tests, for one rate of false alarms.
 
     Attributes:
-        share: rate of false alarms of one test of the motor: faults and the whole, together at the rate left.
+        share: rate of false alarms of one test of the motor; all its tests together alarm at the wanted rate.
         z: standard deviations beyond which a fault alarms.
         noise_z: standard deviations beyond which the noise alarms.
     """
@@ -69,48 +66,50 @@ class Limits(NamedTuple):
     noise_z: float
 
 
-def limits_of(views: list[View], rate: float, *, tests_noise: bool) -> Limits:
-    """Limits of the tests that together alarm at a rate; where the noise is tested too, it has an equal share."""
-    difference = views[0].difference
+def alarm_limits(hypotheses: list[Hypothesis], rate: float, *, tests_noise: bool) -> AlarmLimits:
+    """Find the limits of the tests that together alarm at a rate; a test of the noise has an equal share."""
+    difference = hypotheses[0].difference
     noise = alarm_share(rate, difference.exponents)
     freedom = difference.degrees_of_freedom
     share = joint_share(
         rate - noise if tests_noise else rate, difference.covariance, difference.exponents, freedom
     )
-    return Limits(share, -float(stdtrit(freedom, share)), -float(stdtrit(freedom, noise)))
+    return AlarmLimits(share, -float(stdtrit(freedom, share)), -float(stdtrit(freedom, noise)))
 
 
 def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None = None) -> Judgement:
-    """The judgement on a fit against a reference, at a rate of false alarms per healthy piece.
+    """Judge a fit against a reference, at a rate of false alarms per healthy piece.
 
-    The load may be unknown: there is an alarm only if every load that is believed possible leaves one.
+    The load may be unknown: alarm only if every assumed load does.
 
     Args:
         fit: of the piece.
         reference: of the healthy motor.
         rate: of false alarms.
-        alarm: whether there is one, where that is decided elsewhere, as from several pieces.
+        alarm: whether there is an alarm, if several pieces have decided that; None to decide here.
     """
-    views = views_of(fit, reference, rate)
-    limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
+    hypotheses = form_hypotheses(fit, reference, rate)
+    limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
     # A data sheet speaks of a motor without a load; there, loads only help to name what stands out.
-    believed = views if reference.includes_fit_error else views[:1]
-    quiet = next((view for view in believed if not view.is_alarm(limits.z, limits.share)), None)
+    believed = hypotheses if reference.includes_fit_error else hypotheses[:1]
+    quiet = next(
+        (hypothesis for hypothesis in believed if not hypothesis.is_alarm(limits.z, limits.share)), None
+    )
     if alarm is not None:
-        quiet = None if alarm else views[0]
-    view = quiet or views[0]
+        quiet = None if alarm else hypotheses[0]
+    hypothesis = quiet or hypotheses[0]
     same_warmth = covariance_at_one_temperature(fit, reference)
-    # As fitted: those of a view are straightened, for tests that the temperature shall not raise.
-    rows, drag = shared(fit, reference), views[0].drag
-    log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * drag.warmth
+    # As fitted: those of a hypothesis are straightened, for tests that the temperature shall not raise.
+    rows, load = shared_rows(fit, reference), hypotheses[0].load
+    log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * load.warmth
     healthy = Judgement(
         Verdict.HEALTHY,
         (
             f"no quantity has moved further than {reference.source} and the fit's own error allow",
-            *_warmth_reason(view, same_warmth, reference),
+            *_describe_warming(hypothesis, same_warmth, reference),
         ),
         severity=0.0,
-        confidence=probabilities(view.difference, view.faults)["healthy"],
+        confidence=probabilities(hypothesis.difference, hypothesis.faults)["healthy"],
         fit=fit,
         reference=reference,
         changes=compare(
@@ -121,49 +120,51 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
             limits.z,
             is_alarm=quiet is None,
         ),
-        smallest_changes=smallest_of(believed, reference.own_friction, limits.z),
+        smallest_changes=smallest_detectable(believed, reference.own_friction, limits.z),
     )
     if quiet is None:
         limit = limits.z if alarm is None else min(limits.z, _NAMED)
         # However often windows may alarm: a fault that is there leaves no more than this in 1 of 100.
         left_over = min(rate, _LEFT_OVER)
-        return as_wear(_with_alarm(healthy, reference, views, log_ratios, limit, rate=left_over))
+        return limit_to_wear(
+            _explain_alarm(healthy, reference, hypotheses, log_ratios, limit, rate=left_over)
+        )
     # That healthy pieces scatter by their load is no defect of this one, and the model's error is theirs as well.
-    spread = view.difference.covariance
+    spread = hypothesis.difference.covariance
     if reference.includes_fit_error:
         spread = fit.white_covariance[np.ix_(rows, rows)]
-    smallest = smallest_changes(replace(view.difference, covariance=spread), limits.z)
-    unseen = tuple(_unseen(smallest, reference.source))
-    if len(unseen) == len(_SEEN):
+    smallest = smallest_changes(replace(hypothesis.difference, covariance=spread), limits.z)
+    unseen = tuple(_describe_undecided(smallest, reference.source))
+    if len(unseen) == len(_CHECKED_FAULTS):
         return replace(healthy, verdict=Verdict.UNUSABLE, reasons=unseen, severity=None, confidence=None)
     healthy = replace(healthy, reasons=(*healthy.reasons, *unseen))
-    return _with_noise(healthy, fit, reference, limits.noise_z)
+    return _check_noise(healthy, fit, reference, limits.noise_z)
 
 
-def _with_alarm(
+def _explain_alarm(
     healthy: Judgement,
     reference: Reference,
-    views: list[View],
+    hypotheses: list[Hypothesis],
     log_ratios: FloatArray,
     limit: float,
     *,
     rate: float,
 ) -> Judgement:
-    """The fault that explains an alarm, or that none does; a load is thought of where nothing does without one.
+    """Name the fault that explains an alarm, or none; assume a load only if no fault explains it without one.
 
-    The warmth is that of a motor without a load: where the load is open as well, too much would explain too much.
+    The effect of temperature stays that of a motor without a load: with an open load too, anything could be explained.
     """
 
     def suffices(fault: Explanation) -> bool:
-        return fault.z > limit and fault.p_left_over > rate and is_its_own(first.difference, fault.kind)
+        return fault.z > limit and fault.p_left_over > rate and is_separable(first.difference, fault.kind)
 
-    first = views[0]
-    scales = wrong_scales(first.difference, reference.names, limit, rate)
-    also = [as_sentence(scales)] if scales else []
+    first = hypotheses[0]
+    scales = find_scaling_errors(first.difference, reference.names, limit, rate)
+    also = [describe_scaling_errors(scales)] if scales else []
     # What has taught no sensors says nothing of their gains.
     gains = [scale.gain for scale in scales if scale.gain is not None and reference.is_taught]
-    for view in views[:1] if any(map(suffices, first.faults)) else views:
-        difference = replace(first.difference, response=view.drag.response)
+    for hypothesis in hypotheses[:1] if any(map(suffices, first.faults)) else hypotheses:
+        difference = replace(first.difference, response=hypothesis.load.response)
         faults = explain(difference)
         probability = probabilities(difference, faults)
         best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
@@ -175,15 +176,15 @@ def _with_alarm(
                 also[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
                 if share > probability[best.kind]:
                     break
-            found = _with_fault(healthy, reference, as_fitted, probability, view.drag.load)
-            return replace(found, reasons=(*found.reasons, *also))
+            judgement = _name_fault(healthy, reference, as_fitted, probability, hypothesis.load.name)
+            return replace(judgement, reasons=(*judgement.reasons, *also))
     if gains and len(gains) == len(scales):
         probability = probabilities(first.difference, [*first.faults, *gains])
         # Two that explain alike differ by rounding: the one that is named first counts.
         likeliest = max(gains, key=lambda gain: round(probability[gain.kind], 9))
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
-            found = _with_fault(healthy, reference, likeliest, probability, None)
-            return replace(found, reasons=(*also, *found.reasons))
+            judgement = _name_fault(healthy, reference, likeliest, probability, None)
+            return replace(judgement, reasons=(*also, *judgement.reasons))
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
     # These cannot be named: a coupled load would look the same.
@@ -192,15 +193,19 @@ def _with_alarm(
         " speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
-    other = healthy.as_other(*also, *_other_reasons(healthy.changes, reference.source), *alike)
+    other = healthy.as_other(*also, *_describe_changes(healthy.changes, reference.source), *alike)
     return replace(other, confidence=probabilities(first.difference, first.faults)["other"])
 
 
-def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) -> tuple[str, ...]:
-    """That another temperature explains the changes, where it does so by itself: its posterior mean in kelvin."""
+def _describe_warming(
+    hypothesis: Hypothesis, same_warmth: FloatArray, reference: Reference
+) -> tuple[str, ...]:
+    """Say that another temperature explains the changes, if it does: its posterior mean in kelvin."""
     if reference.temperature_k == 0.0:
         return ()
-    kelvin, sd = kelvin_of(view.difference.log_ratios, same_warmth, view.drag.warmth, reference.temperature_k)
+    kelvin, sd = estimate_warming(
+        hypothesis.difference.log_ratios, same_warmth, hypothesis.load.warmth, reference.temperature_k
+    )
     if abs(kelvin) < max(_TELLING_WARMTH_K, 2.0 * sd):
         return ()
     word = "warmer" if kelvin > 0.0 else "colder"
@@ -209,17 +214,17 @@ def _warmth_reason(view: View, same_warmth: FloatArray, reference: Reference) ->
     )
 
 
-def _with_fault(
+def _name_fault(
     healthy: Judgement,
     reference: Reference,
     fault: Explanation,
     probability: dict[str, float],
     load: str | None,
 ) -> Judgement:
-    """The diagnosis of a known fault; the interval of its severity is that of Student's t."""
-    verdict, own = Verdict(fault.kind.verdict), unit_of(fault.kind, reference.own_friction)
+    """Judge a piece with a known fault; the interval of its severity is that of Student's t."""
+    verdict, own = Verdict(fault.kind.verdict), severity_unit(fault.kind, reference.own_friction)
     half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
-    low, high = (severity_of(fault.kind, fault.step + off) / own for off in (-half, half))
+    low, high = (severity_of(fault.kind, fault.step + margin) / own for margin in (-half, half))
     return replace(
         healthy,
         verdict=verdict,
@@ -236,8 +241,8 @@ def _with_fault(
     )
 
 
-def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
-    """The diagnosis of a noisy current, where it is noisier than the reference's by more than `limit`."""
+def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
+    """Judge the noise of the current; `limit` is in standard deviations of its logarithm."""
     if reference.log_noise is None or not isinstance(fit, Identified):
         return healthy
     # Coarse steps, a rectifier and a dead zone change the noise seen: it tells nothing. Healthy starts were recorded
@@ -260,12 +265,12 @@ def _with_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: fl
     )
 
 
-_SEEN = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}
+_CHECKED_FAULTS = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}
 
 
-def _unseen(smallest: dict[str, float], source: str) -> Iterator[str]:
-    """What a piece leaves undecided, in sentences: a doubling would not show, or there is nothing to compare with."""
-    for kind, quantity in _SEEN.items():
+def _describe_undecided(smallest: dict[str, float], source: str) -> Iterator[str]:
+    """Describe what a piece leaves undecided: a doubling would not show, or there is no reference."""
+    for kind, quantity in _CHECKED_FAULTS.items():
         severity = smallest.get(str(kind))
         if severity is None:
             yield f"the {quantity} is undecided: it cannot be compared with {source}"
@@ -277,7 +282,7 @@ def _unseen(smallest: dict[str, float], source: str) -> Iterator[str]:
             )
 
 
-def _other_reasons(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:
+def _describe_changes(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:
     moved = [c for c in changes if c.significant] or sorted(
         changes, key=lambda c: abs(math.log(c.ratio)) / math.log(c.high / c.low), reverse=True
     )[:1]

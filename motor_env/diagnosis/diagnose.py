@@ -1,4 +1,4 @@
-"""From a recording to its verdict: cut into pieces, fit each, and decide against a data sheet or healthy pieces."""
+"""`diagnose`: cut a recording into pieces, fit each, and decide against a data sheet or healthy pieces."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from scipy.special import stdtrit
 
 from motor_env.diagnosis import verdict
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
-from motor_env.diagnosis.explanations import alarm_share, compare
-from motor_env.diagnosis.healthy_motor import Moved, Reference, reference_of
-from motor_env.diagnosis.misreading import SWAPPED, is_strange
-from motor_env.diagnosis.sensors.checks import sensor_failed
-from motor_env.diagnosis.sensors.failed import failed_sensor
-from motor_env.diagnosis.shown import report
+from motor_env.diagnosis.healthy_motor import Reference, ReferenceShift, reference_of
+from motor_env.diagnosis.hypotheses import alarm_share, compare
+from motor_env.diagnosis.report import formats
+from motor_env.diagnosis.scaling_errors import SWAPPED, is_unlike_motor
+from motor_env.diagnosis.sensors.channels import sensor_judgement
+from motor_env.diagnosis.sensors.sensor_diagnosis import diagnose_sensors
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.errors import InputError, require_options
 from motor_env.fitting.starts.commutation import ripple_quantities
@@ -52,36 +52,36 @@ _PER_VOLT = (
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis(verdict.Diagnosis):
-    """The verdict on a recording, and how it is shown.
+    """Verdict on a recording, as text, JSON and page.
 
     Attributes:
         recording: as read.
-        taken: what it was taken for, and why.
+        taken: its regime, and why.
         pieces: judgements, in the order of time.
-        of: number of pieces of the recording; of many some are judged.
+        of: number of pieces of the recording; of many pieces only some are judged.
         periods_per_turn: of the commutation ripple, where known.
     """
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Quantities of the piece that the verdict rests on: value, standard error, interval (95 %) and unit."""
-        fit = self.telling.fit
-        return {} if fit is None else report.quantities_json(fit)
+        fit = self.decisive.fit
+        return {} if fit is None else formats.quantities_json(fit)
 
     def to_json(self) -> dict[str, Any]:
-        """One object for programs; its schema is docs/output.schema.json."""
-        return report.as_json(self)
+        """Return one JSON object; its schema is docs/output.schema.json."""
+        return formats.as_json(self)
 
     def __repr__(self) -> str:
         return self.text()
 
     def text(self, *, verbose: bool = False) -> str:
-        """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
-        return report.as_text(self, verbose=verbose)
+        """Describe the verdict for a maintenance engineer; `verbose` adds how well model and filter fit."""
+        return formats.as_text(self, verbose=verbose)
 
     def page(self) -> str:
-        """A self-contained HTML page: the verdict, what to do first, and what it rests on."""
-        from motor_env.diagnosis.shown.page import page
+        """Draw a self-contained HTML page: the verdict, what to do first, and what it rests on."""
+        from motor_env.diagnosis.report.page import page
 
         return page(self)
 
@@ -99,7 +99,7 @@ def diagnose(
     start: int | None = None,
     periods_per_turn: float | None = None,
 ) -> Diagnosis:
-    """Verdict on a recording: which fault, how large, how sure.
+    """Diagnose a recording: which fault, how large, how sure.
 
     Args:
         recording: as read, or its file.
@@ -107,8 +107,8 @@ def diagnose(
         columns: columns named by the user, of a file.
         voltage_v: level of the supply where the recording has none; the motor's nominal voltage otherwise.
         false_alarm_rate: per healthy recording; its pieces share it.
-        circuit: what is known of the measuring circuit.
-        temperature_c: of the motor, where measured; it counts where that of the healthy pieces is known too.
+        circuit: the measuring circuit.
+        temperature_c: of the motor, where measured; used if that of the healthy pieces is known too.
         regime: start, operation, or auto: decided by what the voltage does, and by what the motor was commissioned on.
         start: which one, counted from 1, of a recording of several; all of them unless given.
         periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
@@ -136,18 +136,18 @@ def diagnose(
     elif voltage_v is None and motor is not None and not (motor.healthy and _is_per_volt(motor.healthy)):
         known["voltage_v"] = motor.nominal_voltage_v
 
-    def judged(one: Recording) -> Diagnosis:
+    def judged(recording: Recording) -> Diagnosis:
         if taken.regime == "operation":
             from motor_env.diagnosis.running.log_diagnosis import judge_log
 
-            pieces, count = judge_log(one, motor, false_alarm_rate, **known)
-            return Diagnosis(one, taken, tuple(pieces), count, periods_per_turn)
-        parts = chosen_starts(one, start)
+            pieces, count = judge_log(recording, motor, false_alarm_rate, **known)
+            return Diagnosis(recording, taken, tuple(pieces), count, periods_per_turn)
+        parts = chosen_starts(recording, start)
         each = (judge_start(part, motor, false_alarm_rate / len(parts), **known).on(part) for part in parts)
-        return Diagnosis(one, taken, tuple(each), len(parts), periods_per_turn)
+        return Diagnosis(recording, taken, tuple(each), len(parts), periods_per_turn)
 
-    found = judged(recording)
-    if motor is not None and recording.voltage_v is not None and is_strange(found.telling):
+    diagnosis = judged(recording)
+    if motor is not None and recording.voltage_v is not None and is_unlike_motor(diagnosis.decisive):
         lost = None if recording.missing is None else recording.missing[:, [1, 0, 2]]
         swapped = replace(
             recording, current_a=recording.voltage_v, voltage_v=recording.current_a, missing=lost
@@ -155,22 +155,27 @@ def diagnose(
         with suppress(InputError):
             again = judged(swapped)
             # One piece of many may be like this motor by chance.
-            told = sum(not is_strange(one) for one in again.pieces)
-            if again.telling.verdict not in (Verdict.OTHER, Verdict.SENSOR) and 2 * told > len(again.pieces):
-                said = sensor_failed("swapped", SWAPPED)
-                each = (replace(said, begin_s=one.begin_s, duration_s=one.duration_s) for one in found.pieces)
-                return replace(found, pieces=tuple(each))
-    return found
+            alike = sum(not is_unlike_motor(piece) for piece in again.pieces)
+            if again.decisive.verdict not in (Verdict.OTHER, Verdict.SENSOR) and 2 * alike > len(
+                again.pieces
+            ):
+                failure = sensor_judgement("swapped", SWAPPED)
+                each = (
+                    replace(failure, begin_s=piece.begin_s, duration_s=piece.duration_s)
+                    for piece in diagnosis.pieces
+                )
+                return replace(diagnosis, pieces=tuple(each))
+    return diagnosis
 
 
 def _is_like_healthy_windows(recording: Recording, motor: Motor | None) -> bool:
-    """Whether a motor was commissioned at work, and the recording is as long as such a window."""
+    """Whether the motor was commissioned at work, and the recording fills a window."""
     windows = None if motor is None or motor.healthy is None else motor.healthy.windows
     return windows is not None and len(recording.time_s) >= round(windows.window_s / recording.dt_s)
 
 
 def _is_per_volt(healthy: Healthy) -> bool:
-    """Whether it was learned without a voltage."""
+    """Whether the motor was learned without a voltage."""
     return any("V" in name for name in healthy.quantities)
 
 
@@ -183,9 +188,9 @@ def judge_start(
     circuit: Circuit | None = None,
     temperature_c: float | None = None,
 ) -> Judgement:
-    """The judgement on one start, see `diagnose`."""
+    """Judge one start, see `diagnose`."""
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
-    failed = None if motor is None else failed_sensor(recording, motor, voltage_v, circuit)
+    failed = None if motor is None else diagnose_sensors(recording, motor, voltage_v, circuit)
     if failed is not None:
         return failed
     try:
@@ -203,13 +208,13 @@ def judge_start(
     except UnusableError as error:
         return Judgement(Verdict.UNUSABLE, (str(error),))
     stands = reference is not None and is_blocked(fit, reference.time_constant_s)
-    trouble = NOT_TURNING if stands else unusable_reason(fit)
+    trouble = NOT_TURNING if stands else explain_unusable(fit)
     if trouble:
         return Judgement(Verdict.OTHER if stands else Verdict.UNUSABLE, (trouble,), fit=fit)
     reason = ""
     if reference is None:
-        told = f"this recording tells {', '.join(fit.quantity_names)}, and the reference speaks of other quantities"
-        reason = _NOTHING if motor is None else told
+        other = f"this recording tells {', '.join(fit.quantity_names)}, and the reference speaks of other quantities"
+        reason = _NOTHING if motor is None else other
     elif motor and motor.healthy and _is_per_volt(motor.healthy) and start.voltage_known:
         reason = _PER_VOLT
     if reference is None or reason:
@@ -220,11 +225,11 @@ def judge_start(
             Verdict.OTHER, (NOT_TURNING,), fit=fit, reference=reference, changes=judgement.changes
         )
     starts = None if motor is None or motor.healthy is None else motor.healthy.starts
-    return judgement if starts is None else _with_ripple(judgement, fit, starts, rate)
+    return judgement if starts is None else _add_ripple(judgement, fit, starts, rate)
 
 
-def _with_ripple(judgement: Judgement, fit: Identified, starts: Starts, rate: float) -> Judgement:
-    """What the commutation ripple says of speed and K, beside the verdict: it takes no part in it."""
+def _add_ripple(judgement: Judgement, fit: Identified, starts: Starts, rate: float) -> Judgement:
+    """Add what the commutation ripple says of speed and K; the verdict stays."""
     ripple = ripple_quantities(fit)
     if ripple is None or not (starts.ripple_hz and starts.ripple_constant_v_s and starts.ripple_log_sd):
         return judgement
@@ -246,41 +251,42 @@ def _with_ripple(judgement: Judgement, fit: Identified, starts: Starts, rate: fl
 
 
 def _reference(start: Start, motor: Motor | None, temperature_c: float | None) -> Reference | None:
-    """What there is to compare a start with."""
+    """Return the reference for a start; None without a motor."""
     if motor is None:
         return None
     names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
-    return reference_of(motor, names, temperature_c=temperature_c, moved=_moved(start, motor))
+    return reference_of(motor, names, temperature_c=temperature_c, shift=_reference_shift(start, motor))
 
 
-def _moved(start: Start, motor: Motor) -> Moved:
-    """How a start, which is fitted as one of a linear motor, differs from the motor's file. Healthy starts know it.
+def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
+    """Return how the linear fit of a start differs from a motor file with brush drop, dry friction or a fan.
 
-    Dry friction and fans are not in proportion to the speed. Where a sheet does not say how much of its friction is
-    dry, any share is as likely as any other.
+    Healthy starts include it already. If a sheet does not split its friction, any dry share is equally likely.
     """
     windows = None if motor.healthy is None else motor.healthy.windows
     if not start.voltage_known or (motor.healthy is not None and windows is None):
-        return Moved()
+        return ReferenceShift()
     driving = max(1.0 - motor.brush_drop_v / start.level_v, _LEAST)
     p, volts = motor.parameters, driving * start.level_v
     if windows is not None:
         from motor_env.diagnosis.running.windows import viscous
 
         speed = float(steady_state(p, volts)[1])
-        return Moved(
+        return ReferenceShift(
             driving, viscous(windows.physical, speed) / viscous(windows.physical, windows.speed_rad_s)
         )
     if motor.coulomb_friction_n_m > 0.0:
         speed = float(steady_state(p, volts, motor.coulomb_friction_n_m)[1])
-        return Moved(driving, 1.0 + motor.dry_share(max(speed, _LEAST * float(steady_state(p, volts)[1]))))
+        return ReferenceShift(
+            driving, 1.0 + motor.dry_share(max(speed, _LEAST * float(steady_state(p, volts)[1])))
+        )
     nominal = volts if motor.nominal_voltage_v is None else motor.nominal_voltage_v - motor.brush_drop_v
     all_dry = max(nominal, _LEAST * volts) / volts
-    return Moved(driving, math.sqrt(all_dry), abs(math.log(all_dry)) / math.sqrt(12.0))
+    return ReferenceShift(driving, math.sqrt(all_dry), abs(math.log(all_dry)) / math.sqrt(12.0))
 
 
-def unusable_reason(fit: Identified) -> str | None:
-    """Why a fit cannot carry a verdict; None where it can."""
+def explain_unusable(fit: Identified) -> str | None:
+    """Explain why a fit cannot carry a verdict; None if it can."""
     clipped = fit.start.alignment.saturation
     if clipped:
         return f"the recording is clipped, {clipped}"

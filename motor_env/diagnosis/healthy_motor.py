@@ -1,7 +1,4 @@
-"""Distribution of a healthy motor's quantities: from its data sheet, or from healthy pieces of its recordings.
-
-Its spread for a piece whose fit tells less, and for a warmer motor, stand here, too.
-"""
+"""Distribution of a healthy motor's quantities: from its data sheet, or from healthy pieces of its recordings."""
 
 from __future__ import annotations
 
@@ -13,38 +10,38 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from motor_env.diagnosis.explanations import NORMAL_DOF
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 
+NORMAL_DOF = 1e6  # of a covariance that is known
 SHEET_NOISE_SD = 0.10
 MEASURED_TEMPERATURE_K = 4.0
-"""How far a winding may be off a measured temperature, one standard deviation."""
+"""Standard deviation of the winding's temperature about a measured one."""
 _FRICTION, _VOLTAGE = quantities.PARAMETERS.index("B"), quantities.PARAMETERS.index("V")
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Distribution of a healthy motor's quantities, as far as one kind of recording can tell them.
+    """Distribution of a healthy motor's quantities that one kind of recording determines.
 
     Attributes:
         source: in words, for the user.
         names: the quantities.
         log_values: logarithms of the quantities of a healthy motor, shape (n,).
-        log_covariance: covariance of the next healthy piece about them, equally warm, shape (n, n); without the fit's
-            own error, unless `includes_fit_error`.
+        log_covariance: of the next equally warm healthy piece, shape (n, n); without the fit's own error, unless
+            `includes_fit_error`.
         degrees_of_freedom: of that covariance.
-        log_noise: logarithm of the noise of the current, or None where unknown.
+        log_noise: logarithm of the noise of the current; None if unknown.
         log_noise_sd: its standard deviation from start to start.
-        model: extensions to fit with, or None to choose by evidence.
-        includes_fit_error: the covariance was estimated from fits, and holds their errors already.
-        temperature_k: standard deviation of the temperature; 0 where the covariance holds it.
-        warmer_k: how much warmer the motor is than the values say.
-        own_friction: share of the drag that is the motor's own friction; None where a load was not told.
-        excess: by which factor healthy pieces scatter more than covariance and fit say (variance).
-        is_taught: recordings have taught it, its sensors too; a data sheet says nothing of sensors.
+        model: extensions to fit with; None to choose by evidence.
+        includes_fit_error: the covariance was estimated from fits, so it includes their errors.
+        temperature_k: standard deviation of the temperature; 0 if the covariance includes it.
+        warmer_k: how much warmer the motor is than at `log_values`.
+        own_friction: the motor's own share of the drag; None if unknown.
+        excess: factor on the variance of healthy pieces beyond covariance and fit.
+        is_taught: learned from recordings, sensors included; a data sheet says nothing of sensors.
     """
 
     source: str
@@ -64,26 +61,26 @@ class Reference:
 
     @property
     def values(self) -> dict[str, float]:
-        """The quantities of a healthy motor by name."""
+        """Quantities of a healthy motor by name."""
         return dict(zip(self.names, np.exp(self.log_values).tolist(), strict=True))
 
     @property
     def time_constant_s(self) -> float:
-        """Mechanical time constant R J / K^2 of a healthy motor; infinite where the quantities do not tell it."""
+        """Mechanical time constant R J / K^2 of a healthy motor; infinite if the quantities do not determine it."""
         exponents = quantities.matrix(self.names)
         wanted = np.array([{"R": 1.0, "J": 1.0, "K": -2.0}.get(name, 0.0) for name in quantities.PARAMETERS])
         powers = wanted @ np.linalg.pinv(exponents)
         return math.exp(powers @ self.log_values) if np.allclose(powers @ exponents, wanted) else math.inf
 
 
-class Moved(NamedTuple):
-    """How the motor of a piece differs from what a motor file says, for the same healthy motor.
+class ReferenceShift(NamedTuple):
+    """Difference between the linear fit of a piece and the motor file of the same healthy motor.
 
     Attributes:
-        driving: share s of the voltage that a brush drop leaves, where the piece's fit has no such term.
+        driving: share s of the voltage that a brush drop leaves, if the fit has no such term.
             s V = R i + L di/dt + K w is V = (R/s) i + (L/s) di/dt + (K/s) w: a linear motor with R, L, K, J and B over
-            s draws the same current, and turns as fast.
-        friction: drag over the piece's speed, over that of the speed that the file's friction belongs to.
+            s draws the same current and turns as fast.
+        friction: drag over speed, at the piece's speed over that at the file's.
         friction_log_sd: standard deviation of its logarithm.
     """
 
@@ -106,16 +103,16 @@ def reference_of(
     *,
     are_starts: bool = True,
     temperature_c: float | None = None,
-    moved: Moved | None = None,
+    shift: ReferenceShift | None = None,
 ) -> Reference | None:
-    """What a motor file says of the quantities of a piece; None where it speaks of none of them.
+    """Return a motor file's distribution of the quantities of a piece; None if it has none of them.
 
     Args:
         motor: data sheet, identified or commissioned motor.
-        names: quantities that the piece tells; the reference may have fewer of them.
-        are_starts: the piece is a start, no window of a motor at work.
-        temperature_c: of the motor, where measured; it counts where that of the healthy pieces is known too.
-        moved: how the piece's motor differs from what the file says.
+        names: quantities of the piece; the reference may have fewer.
+        are_starts: the piece is a start, not a window of a motor at work.
+        temperature_c: of the motor, where measured; used if that of the healthy pieces is known too.
+        shift: difference between the piece's fit and the file.
     """
     if motor.healthy is not None:
         return reference_of_pieces(
@@ -124,7 +121,7 @@ def reference_of(
             motor.name,
             are_starts=are_starts,
             temperature_c=temperature_c,
-            moved=moved,
+            shift=shift,
         )
     exponents = quantities.matrix(names)
     if exponents[:, _VOLTAGE].any():
@@ -132,15 +129,15 @@ def reference_of(
     # V is held at what the recording says; its tolerance scales the current, so it acts on all but ratios like B/J.
     scale = exponents.sum(axis=1)
     logs = quantities.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
-    moved = moved or Moved()
-    logs += moved.logs
+    shift = shift or ReferenceShift()
+    logs += shift.logs
     return Reference(
         source=f"{'data sheet' if motor.kind == 'data_sheet' else f'{motor.kind} motor'} {motor.name}",
         names=names,
         log_values=exponents @ logs,
         log_covariance=exponents @ quantities.tolerance_covariance(motor.tolerance) @ exponents.T
         + motor.tolerance.supply**2 * np.outer(scale, scale)
-        + moved.friction_log_sd**2 * np.outer(exponents[:, _FRICTION], exponents[:, _FRICTION]),
+        + shift.friction_log_sd**2 * np.outer(exponents[:, _FRICTION], exponents[:, _FRICTION]),
         log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
         own_friction=1.0,
     )
@@ -153,12 +150,12 @@ def reference_of_pieces(
     *,
     are_starts: bool = True,
     temperature_c: float | None = None,
-    moved: Moved | None = None,
+    shift: ReferenceShift | None = None,
 ) -> Reference | None:
-    """What healthy pieces say of a piece, see `reference_of`.
+    """Return the distribution that healthy pieces give, see `reference_of`.
 
-    Where both temperatures are known the healthy motor is taken at this one, with what is left unknown of it. Pieces of
-    another kind hold errors of other fits: they do not count for those of this one.
+    If both temperatures are known, the healthy motor is taken at that of the piece. Healthy pieces of the other kind do
+    not stand for the errors of this fit.
     """
     # Each wanted quantity as powers of the known ones: K^2/J of K and J, where the healthy starts had a speed.
     known, wanted = quantities.matrix(healthy.quantities), quantities.matrix(names)
@@ -173,9 +170,9 @@ def reference_of_pieces(
     same_kind = are_starts == (healthy.starts is not None)
     starts = healthy.starts if are_starts else None
     return Reference(
-        source=_source(healthy, motor),
+        source=_describe_source(healthy, motor),
         names=tuple(name for name, is_known in zip(names, follow.tolist(), strict=True) if is_known),
-        log_values=powers @ np.log(healthy.values) + wanted[follow] @ (moved or Moved()).logs,
+        log_values=powers @ np.log(healthy.values) + wanted[follow] @ (shift or ReferenceShift()).logs,
         log_covariance=powers @ healthy.log_covariance @ powers.T,
         degrees_of_freedom=healthy.degrees_of_freedom,
         log_noise=None if starts is None else starts.log_noise,
@@ -190,8 +187,8 @@ def reference_of_pieces(
     )
 
 
-def _source(healthy: Healthy, motor: str) -> str:
-    """What a piece is compared with, in words."""
+def _describe_source(healthy: Healthy, motor: str) -> str:
+    """Describe the healthy pieces in words."""
     if healthy.fleet is not None:
         return f"{healthy.fleet.motors} sisters of {motor}"
     if healthy.windows is None:
@@ -202,11 +199,11 @@ def _source(healthy: Healthy, motor: str) -> str:
     return f"{healthy.pieces} healthy windows of {motor}"
 
 
-def with_normal(covariance: FloatArray, normal: FloatArray, share: float, freedom: float) -> FloatArray:
-    """A covariance of Student's t with that of a known normal spread added, as of the temperature.
+def add_normal_spread(covariance: FloatArray, normal: FloatArray, share: float, freedom: float) -> FloatArray:
+    """Add the covariance of a normal spread, as that of the temperature, to one of Student's t.
 
-    The quantile of a sum of t and normal lies below the root of the sum of their squared quantiles. So the normal part
-    counts in the ratio of the two quantiles.
+    The quantile of a sum of t and normal is at most the root of the sum of their squared quantiles. So the normal part
+    is weighted by the squared ratio of the two quantiles.
 
     Args:
         covariance: shape (n, n).

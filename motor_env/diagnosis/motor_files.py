@@ -1,4 +1,4 @@
-"""What fits of starts, of logs and of their windows write into a motor file, and what they cannot tell."""
+"""Motor files of fits of starts, of logs and of their windows, and what these leave undetermined."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray, MotorParameters
 
 _DIFFERENT = 2.0  # standard errors
-_UNTOLD = 0.5  # standard deviation of a logarithm
+_UNDETERMINED = 0.5  # standard deviation of a logarithm
 _SMALL = 1e-3
 
 
@@ -30,40 +30,42 @@ def to_motor(
     healthy: Healthy | None = None,
     constant: float | None = None,
 ) -> Motor:
-    """Motor file of fits of starts of one motor: the geometric mean of their parameters.
+    """Return the motor of fits of its starts: the geometric mean of their parameters.
 
-    With what `healthy` starts have taught it is a commissioned one. Where the speed was not recorded, `constant` is the
-    torque constant that the user knows.
+    With the statistics of `healthy` starts it is a commissioned motor. `constant` is the torque constant in N m/A that
+    the user gave because the speed was not recorded.
     """
     start = fits[0].start
     mean = {
         field: float(np.exp(np.mean([math.log(max(getattr(fit.parameters, field), 1e-300)) for fit in fits])))
         for field in MotorParameters.__dataclass_fields__
     }
-    told = fits[0].quantity_names if constant is None else ("K",)
+    known = fits[0].quantity_names if constant is None else ("K",)
     return Motor(
         name=name,
         kind="identified" if healthy is None else "commissioned",
         parameters=MotorParameters(**mean),
         nominal_voltage_v=float(np.mean([fit.start.level_v for fit in fits])),
         current_noise_a=float(np.exp(np.mean([math.log(max(fit.noise_a, 1e-12)) for fit in fits]))),
-        coulomb_friction_n_m=_if_told(fits, "coulomb"),
-        brush_drop_v=_if_told(fits, "brush_drop"),
+        coulomb_friction_n_m=_mean_if_significant(fits, "coulomb"),
+        brush_drop_v=_mean_if_significant(fits, "brush_drop"),
         healthy=healthy,
-        notes=() if start.voltage_known and start.speed_rad_s is not None else tuple(not_told(fits[0])),
-        assumed=assumptions(told, has_voltage=start.voltage_known),
+        notes=()
+        if start.voltage_known and start.speed_rad_s is not None
+        else tuple(describe_undetermined(fits[0])),
+        assumed=assumptions(known, has_voltage=start.voltage_known),
     )
 
 
-def _if_told(fits: Sequence[Identified], name: str) -> float:
-    """Mean of an extension over fits, or 0 where it is not different from 0 by two standard errors."""
+def _mean_if_significant(fits: Sequence[Identified], name: str) -> float:
+    """Return the mean of an extension over fits; 0 if it is within two standard errors of 0."""
     each = [fit.fitted_extension.get(name, (0.0, 0.0)) for fit in fits]
     mean, error = np.mean(each, axis=0)[0], float(np.linalg.norm([e for _, e in each])) / len(each)
     return float(mean) if mean > _DIFFERENT * error else 0.0
 
 
-def not_told(fit: Identified) -> list[str]:
-    """What this recording cannot tell, in sentences."""
+def describe_undetermined(fit: Identified) -> list[str]:
+    """Describe in sentences what this recording leaves undetermined."""
     deviations = np.sqrt(np.diag(fit.log_covariance))
     limits = {
         "the voltage is unknown: everything is per volt, the supply counts as 1 V": not fit.start.voltage_known,
@@ -81,30 +83,30 @@ def not_told(fit: Identified) -> list[str]:
     return [sentence for sentence, holds in limits.items() if holds] + [
         f"{name} is not told by this recording (its standard error is {100 * s:.0f} %)"
         for name, s in zip(fit.quantity_names, deviations, strict=True)
-        if s > _UNTOLD
+        if s > _UNDETERMINED
     ]
 
 
-def motor_of_log(found: Operation, name: str) -> Motor:
-    """Motor file of a motor that was identified at work.
+def motor_of_log(fit: Operation, name: str) -> Motor:
+    """Return the motor that was identified at work.
 
     Raises:
-        InputError: current and speed were not both recorded: R, K, J and B are not known one by one.
+        InputError: current and speed were not both recorded, so R, K, J and B are not all determined.
     """
-    if not found.record.seen.all():
+    if not fit.record.seen.all():
         raise InputError("a motor file needs current and speed: the parameters are not known one by one")
-    values = found.solution.values
+    values = fit.solution.values
     return replace(
         _motor_of(values, name),
-        nominal_voltage_v=found.record.peaks[0],
+        nominal_voltage_v=fit.record.peaks[0],
         current_noise_a=float(values[places.NOISE_I]),
         speed_noise_rad_s=float(values[places.NOISE_W]),
-        notes=found.notes,
+        notes=fit.notes,
     )
 
 
 def motor_of_windows(healthy: Healthy, name: str) -> Motor:
-    """The motor that windows have taught."""
+    """Return the motor that was commissioned on windows."""
     windows = healthy.windows
     assert windows is not None  # noqa: S101  # it was learned from them
     motor = _motor_of(windows.physical, name)
@@ -120,12 +122,12 @@ def motor_of_windows(healthy: Healthy, name: str) -> Motor:
 
 
 def _unless_small(value: float, beside: float) -> float:
-    """0 for what a bounded fit left of nothing: linear models, as those of environments, have neither."""
+    """Return 0 for a negligible value: a bounded fit leaves a little of what is not there."""
     return value if value > _SMALL * beside else 0.0
 
 
 def _motor_of(values: FloatArray, name: str) -> Motor:
-    """A motor of a fit's physical values, shape (places.N_VALUES,)."""
+    """Return the motor of a fit's physical values, shape (places.N_VALUES,)."""
     return Motor(
         name=name,
         kind="identified",

@@ -1,4 +1,4 @@
-"""What is said of a recording: a judgement on each of its pieces, and the verdict that follows from them."""
+"""Judgements on the pieces of a recording, and the verdict that follows from them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from motor_env.console import ExitStatus
-from motor_env.diagnosis.explanations import Change
 from motor_env.diagnosis.healthy_motor import Reference
-from motor_env.diagnosis.views import Fitted
+from motor_env.diagnosis.hypotheses import Change, Fitted
 from motor_env.filters.consistency import Consistency, check_consistency
 from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.motor.faults import FaultKind
@@ -17,12 +16,12 @@ from motor_env.recordings.recording import Recording
 from motor_env.recordings.regime import RegimeDecision as Taken
 
 SURE_OF_KIND = 0.95
-"""Posterior probability below which a verdict does not say which kind of its family it is."""
+"""Posterior probability below which a verdict names no kind of its family."""
 _FEWEST_FOR_WHITENESS = 40
 
 
 class Verdict(StrEnum):
-    """Verdict on a recording: healthy, the family of a fault, or why there is none."""
+    """Verdict on a recording: healthy, a family of faults, or why there is none."""
 
     HEALTHY = "healthy"
     BEARING = "bearing"
@@ -41,14 +40,14 @@ class Verdict(StrEnum):
 
     @property
     def status(self) -> ExitStatus:
-        """Exit status that it alone gives."""
+        """Exit status of this verdict alone."""
         if self.is_fault:
             return ExitStatus.FAULT
         return ExitStatus.HEALTHY if self is Verdict.HEALTHY else ExitStatus.UNDECIDED
 
     @classmethod
     def _missing_(cls, value: object) -> Verdict | None:
-        """The word of a fault kind that was registered from outside the package."""
+        """Return the verdict of a fault kind that was registered from outside the package."""
         if value not in {kind.verdict for kind in FaultKind}:
             return None
         word = str.__new__(cls, value)
@@ -61,21 +60,21 @@ _REGISTERED: dict[str, Verdict] = {}
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """The verdict on one piece of a recording, and what it rests on.
+    """Verdict on one piece of a recording, and its evidence.
 
     Attributes:
-        verdict: family of the fault, or healthy, or why there is none.
+        verdict: family of the fault, healthy, or why there is none.
         reasons: sentences.
-        severity: size of the fault, as a fraction; 0 for a healthy motor.
-        severity_interval: its lower and upper end, 95 %; None without one.
+        severity: size of the fault as a fraction; 0 for a healthy motor.
+        severity_interval: 95 %; None without a size.
         confidence: posterior probability of the verdict.
         fault_kind: the most probable kind of the family.
         kind_probability: posterior probability of that kind.
-        fit: the fitted piece; None where there is no fit.
+        fit: the fitted piece, if any.
         reference: what it was compared with.
-        changes: how far each quantity lies from the reference.
+        changes: of each quantity from the reference.
         smallest_changes: severity of each fault that is found in 95 of 100 cases.
-        begin_s: begin of the piece, a start or a window of a motor at work, on the recording's clock.
+        begin_s: begin of the piece on the recording's clock.
         duration_s: length of the piece.
     """
 
@@ -94,11 +93,11 @@ class Judgement:
     duration_s: float = 0.0
 
     def on(self, piece: Recording) -> Judgement:
-        """The judgement, with the place of its piece in the recording."""
+        """Return the judgement with the time of its piece in the recording."""
         return replace(self, begin_s=float(piece.time_s[0]), duration_s=len(piece.time_s) * piece.dt_s)
 
     def as_other(self, *reasons: str) -> Judgement:
-        """The judgement that something else is wrong, for these reasons: no fault is named, and none has a size."""
+        """Return the judgement that something else is wrong, for these reasons, without kind and size."""
         return replace(
             self,
             verdict=Verdict.OTHER,
@@ -110,30 +109,30 @@ class Judgement:
 
     @property
     def kind(self) -> FaultKind | None:
-        """Kind of the fault, where it can be told from the others of its family."""
+        """Kind of the fault, if it is distinguished from the others of its family."""
         return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
 
     @property
     def identified(self) -> Identified | None:
-        """The fit of a start; None for other pieces."""
+        """Fit of a start; None for other pieces."""
         return self.fit if isinstance(self.fit, Identified) else None
 
     @property
     def consistency(self) -> Consistency | None:
-        """Mean, size and whiteness of the innovations of the fit; None without one, or with too few of them."""
+        """Mean, size and whiteness of the fit's innovations; None without a fit, or with too few of them."""
         if self.fit is None or len(self.fit.whitened) <= _FEWEST_FOR_WHITENESS:
             return None
         return check_consistency(self.fit.whitened)
 
     @property
     def warning(self) -> str:
-        """That the recording is not consistent with the fitted model, in one sentence; empty where it is."""
+        """Sentence that the recording is not consistent with the fitted model; empty if it is."""
         return "" if self.consistency is None else self.consistency.warning
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The verdict on a recording, by judgements on its pieces; `diagnose.Diagnosis` tells its attributes."""
+    """Verdict on a recording, by judgements on its pieces; for attributes see `diagnose.Diagnosis`."""
 
     recording: Recording
     taken: Taken
@@ -142,54 +141,53 @@ class Diagnosis:
     periods_per_turn: float | None = None
 
     @property
-    def telling(self) -> Judgement:
-        """The piece that the verdict rests on.
+    def decisive(self) -> Judgement:
+        """The piece that decides the verdict.
 
-        Of pieces with a fault it is the surest one of the most frequent verdict. Without a fault a healthy one, else
-        the first.
+        It is the surest one of the most frequent fault; without a fault the first healthy piece, else the first.
         """
-        faults = [one for one in self.pieces if one.verdict.is_fault]
-        count = Counter(one.verdict for one in faults)
-        healthy = (one for one in self.pieces if one.verdict is Verdict.HEALTHY)
+        faults = [piece for piece in self.pieces if piece.verdict.is_fault]
+        count = Counter(piece.verdict for piece in faults)
+        healthy = (piece for piece in self.pieces if piece.verdict is Verdict.HEALTHY)
         calm = next(healthy, self.pieces[0])
-        return max(faults, key=lambda one: (count[one.verdict], one.confidence or 0.0), default=calm)
+        return max(faults, key=lambda piece: (count[piece.verdict], piece.confidence or 0.0), default=calm)
 
     @property
     def verdict(self) -> Verdict:
-        """The recording's verdict: that of the piece that tells most."""
-        return self.telling.verdict
+        """Verdict of the decisive piece."""
+        return self.decisive.verdict
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """Sentences."""
-        return self.telling.reasons
+        return self.decisive.reasons
 
     @property
     def severity(self) -> float | None:
         """Size of the fault."""
-        return self.telling.severity
+        return self.decisive.severity
 
     @property
     def confidence(self) -> float | None:
         """Posterior probability of the verdict."""
-        return self.telling.confidence
+        return self.decisive.confidence
 
     @property
     def kind(self) -> FaultKind | None:
-        """Kind of the fault, where it can be told."""
-        return self.telling.kind
+        """Kind of the fault, if it is distinguished from others of its family."""
+        return self.decisive.kind
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """How far each quantity lies from the reference."""
-        return self.telling.changes
+        """Change of each quantity from the reference."""
+        return self.decisive.changes
 
     @property
     def severity_interval(self) -> tuple[float, float] | None:
         """Interval of the severity, 95 %; None without one."""
-        return self.telling.severity_interval
+        return self.decisive.severity_interval
 
     @property
     def smallest_changes(self) -> dict[str, float]:
         """Severity of each fault that is found in 95 of 100 cases."""
-        return self.telling.smallest_changes
+        return self.decisive.smallest_changes

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from motor_env.diagnosis.hypotheses import Fitted, FittedWindow
 from motor_env.diagnosis.running.windows import over_speed
-from motor_env.diagnosis.views import Fitted, FittedWindow
 from motor_env.errors import InputError, require_extra
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.preprocessing import from_recordings

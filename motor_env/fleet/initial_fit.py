@@ -12,11 +12,11 @@ from typing import IO, Any, NamedTuple
 
 from pydantic import TypeAdapter
 
-from motor_env.diagnosis.diagnose import unusable_reason
+from motor_env.diagnosis.diagnose import explain_unusable
+from motor_env.diagnosis.hypotheses import NAMES
 from motor_env.diagnosis.running.operating_conditions import rms_volts
 from motor_env.diagnosis.running.window_baseline import effective_speed, known_of
 from motor_env.diagnosis.running.windows import averaged
-from motor_env.diagnosis.views import NAMES
 from motor_env.errors import InputError
 from motor_env.files import read_file
 from motor_env.fitting.operation_fit import identify_operation
@@ -103,7 +103,7 @@ def fit_record(reading: Reading, path: Path) -> InitialFit:
     try:
         if reading.regime == "start":
             fit = identify_best(reading.start(path), NUISANCES)
-            reason = unusable_reason(fit)
+            reason = explain_unusable(fit)
             if reason is not None:
                 return InitialFit(reason)
             return InitialFit("", fit.model, fit.quantity_names, tuple(fit.log_values.tolist()))

@@ -15,8 +15,8 @@ from scipy.special import stdtrit
 from motor_env.console import ExitStatus, worst
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.explanations import Difference
-from motor_env.diagnosis.misreading import as_sentence, wrong_scales
+from motor_env.diagnosis.hypotheses import Difference
+from motor_env.diagnosis.scaling_errors import describe_scaling_errors, find_scaling_errors
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.errors import InputError, require_options
 from motor_env.fleet.fits import Map
@@ -156,7 +156,9 @@ def common_cause(differences: Sequence[Difference], names: tuple[str, ...], rate
     spread = np.mean([each.covariance for each in differences], axis=0) / len(differences)
     limit = -float(stdtrit(differences[0].degrees_of_freedom, rate / (2.0 * _GAINS)))
     mean = replace(differences[0], log_ratios=deviations, covariance=spread)
-    return as_sentence([scale for scale in wrong_scales(mean, names, limit, rate) if scale.gain is not None])
+    return describe_scaling_errors(
+        [scale for scale in find_scaling_errors(mean, names, limit, rate) if scale.gain is not None]
+    )
 
 
 def _difference_from(fleet: LearnedFleet, core: HealthyPopulation, unit_id: UnitId) -> Difference | None:

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from motor_env.diagnosis.commission import interval_lines, intervals
-from motor_env.diagnosis.learning import START_SPREAD, learn_starts
-from motor_env.diagnosis.misreading import POWERS
+from motor_env.diagnosis.healthy_spread import START_SPREAD, learn_starts
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.windows import viscous
+from motor_env.diagnosis.scaling_errors import POWERS
 from motor_env.errors import InputError
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.starts.start_fit import StartFit as Identified

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from motor_env.diagnosis.learning import PRIOR_WEIGHT
+from motor_env.diagnosis.healthy_spread import PRIOR_WEIGHT
 from motor_env.motor.parameters import FloatArray
 
 _SICK_SPREAD = 10.0  # of a sick motor, over what is believed of healthy ones

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from motor_env.diagnosis.diagnose import Diagnosis
-from motor_env.diagnosis.explanations import Difference
+from motor_env.diagnosis.hypotheses import Difference
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.errors import InputError
 from motor_env.motor import identifiable
@@ -180,7 +180,7 @@ class FleetUnit:
     @property
     def _reason(self) -> str:
         """Give the verdict's first reason, without denying other quantities that the table names."""
-        reason, kind, far = self.telling.reasons[0], self.telling.telling.fault_kind, self._far
+        reason, kind, far = self.telling.reasons[0], self.telling.decisive.fault_kind, self._far
         if kind is None or not far:
             return reason
         moved = identifiable.visible_direction(kind, identifiable.matrix(tuple(far)))

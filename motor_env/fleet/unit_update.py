@@ -15,9 +15,9 @@ import numpy as np
 
 from motor_env.diagnosis.commission import intervals
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.learning import PRIOR_WEIGHT
+from motor_env.diagnosis.healthy_spread import PRIOR_WEIGHT
+from motor_env.diagnosis.hypotheses import Fitted
 from motor_env.diagnosis.verdict import Verdict
-from motor_env.diagnosis.views import Fitted
 from motor_env.errors import InputError
 from motor_env.fleet.initial_fit import Reading
 from motor_env.fleet.learning import at_centre

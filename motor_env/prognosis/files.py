@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from motor_env.console import printable
-from motor_env.diagnosis.files import why_not
-from motor_env.diagnosis.learning import fit_healthy
+from motor_env.diagnosis.batch import explain_failure
+from motor_env.diagnosis.healthy_spread import fit_healthy
 from motor_env.errors import InputError
 from motor_env.fitting.starts.start_identification import identify
 from motor_env.motor.parameters import FloatArray
@@ -76,7 +76,7 @@ def _read_recordings(
         try:
             recordings.append((day, read_recording(file, columns)))
         except (ValueError, ArithmeticError, LookupError) as error:
-            notes.append(why_not(file, error, "read")[0])
+            notes.append(explain_failure(file, error, "read")[0])
     return recordings
 
 

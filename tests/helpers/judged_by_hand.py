@@ -21,8 +21,8 @@ from motor_env import (
     simulate,
 )
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Difference
 from motor_env.diagnosis.healthy_motor import Reference
+from motor_env.diagnosis.hypotheses import Difference
 from motor_env.diagnosis.verdict import Judgement
 
 # Reaches in: fits are altered by hand.
@@ -54,7 +54,7 @@ def judged() -> Diagnosis:
 
 
 def fitted() -> tuple[Judgement, Identified, Reference]:
-    found = judged().telling
+    found = judged().decisive
     assert found.identified is not None
     assert found.reference is not None
     return found, found.identified, found.reference
@@ -62,7 +62,7 @@ def fitted() -> tuple[Judgement, Identified, Reference]:
 
 def of_one(**changed: Any) -> Diagnosis:
     """The diagnosis of this recording, if its judgement were another."""
-    return replace(judged(), pieces=(replace(judged().telling, **changed),))
+    return replace(judged(), pieces=(replace(judged().decisive, **changed),))
 
 
 def moved(*off: float, noise: float = 0.0, **changed: Any) -> Judgement:

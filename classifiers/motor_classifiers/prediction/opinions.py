@@ -22,7 +22,7 @@ from motor_classifiers.wrappers.open_set import OUTSIDE, OpenSetClassifier
 from motor_classifiers.wrappers.outside import ADVICE
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.shown.report import as_json
+from motor_env.diagnosis.report.formats import as_json
 from motor_env.motor.data_sheet import Motor, Tolerance
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.recordings.recording import Recording, UnusableError, read_recording

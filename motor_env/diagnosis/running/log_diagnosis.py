@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
-from motor_env.diagnosis.explanations import NORMAL_DOF, Difference
-from motor_env.diagnosis.healthy_motor import Moved, reference_of
-from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, as_sentence, is_far, wrong_scales
+from motor_env.diagnosis.healthy_motor import NORMAL_DOF, ReferenceShift, reference_of
+from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES, Difference
 from motor_env.diagnosis.running.operating_conditions import NEEDED, needed_columns
 from motor_env.diagnosis.running.window_baseline import (
     chosen_terms,
@@ -24,9 +23,15 @@ from motor_env.diagnosis.running.window_baseline import (
     window_length_s,
 )
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of, viscous, windows_of
-from motor_env.diagnosis.sensors.failed import failed_sensor
+from motor_env.diagnosis.scaling_errors import (
+    BEYOND_WEAR,
+    EXPLAINED,
+    describe_scaling_errors,
+    find_scaling_errors,
+    is_far_from_healthy,
+)
+from motor_env.diagnosis.sensors.sensor_diagnosis import diagnose_sensors
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import EXPONENTS, NAMES
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.operation_fit import identify_record
 from motor_env.fitting.preprocessing import at_terminals, from_recordings
@@ -60,13 +65,13 @@ def judge_log(
     whole = at_terminals(recording, voltage_v, circuit)
     if motor is None:
         return [Judgement(Verdict.NO_REFERENCE, (_NOTHING,)).on(whole)], 1
-    failed = failed_sensor(whole, motor, voltage_v, at_work=True)
+    failed = diagnose_sensors(whole, motor, voltage_v, at_work=True)
     if failed is not None:
         return [failed], 1
     try:
         judge = judge_for(whole, motor, temperature_c)
         judged, count = judge.judge(whole, rate)
-        if any(is_far(one) for one in judged):
+        if any(is_far_from_healthy(one) for one in judged):
             judged = _as_a_whole(judged, whole, judge)
         if all(one.verdict is Verdict.UNUSABLE for one in judged):
             from_recordings([whole])  # may say why
@@ -88,7 +93,9 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
         logs = np.log([*physical[[places.R, places.K, places.J]], drag])
         spread = judge.reference.log_covariance + np.diag(np.square(_COARSE))
         difference = Difference(logs - judge.reference.log_values, spread, EXPONENTS, NORMAL_DOF)
-        misread = as_sentence(wrong_scales(difference, NAMES, _CLEAR, DEFAULT_FALSE_ALARM_RATE))
+        misread = describe_scaling_errors(
+            find_scaling_errors(difference, NAMES, _CLEAR, DEFAULT_FALSE_ALARM_RATE)
+        )
         if misread:
             return [_misread(one, misread) if one.verdict.is_fault else one for one in judged]
     return judged
@@ -131,7 +138,7 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
         NAMES,
         are_starts=False,
         temperature_c=temperature_c,
-        moved=Moved(friction=_friction_scale(motor, physical, speed)),
+        shift=ReferenceShift(friction=_friction_scale(motor, physical, speed)),
     )
     if reference is None or reference.names != NAMES:
         raise UnusableError(

@@ -11,9 +11,9 @@ import math
 import numpy as np
 from scipy.special import ndtri, stdtr, stdtrit
 
-from motor_env.diagnosis.learning import PRIOR_WEIGHT
+from motor_env.diagnosis.healthy_spread import PRIOR_WEIGHT
+from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES
 from motor_env.diagnosis.running.windows import WARMTH
-from motor_env.diagnosis.views import EXPONENTS, NAMES
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.healthy import ScoreCalibration
 from motor_env.motor.parameters import FloatArray

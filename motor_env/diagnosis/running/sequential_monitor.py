@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import gammainc
 
+from motor_env.diagnosis.hypotheses import FittedWindow
 from motor_env.diagnosis.running.score_calibration import (
     believed_calibration,
     fault_directions,
@@ -22,7 +23,6 @@ from motor_env.diagnosis.running.score_calibration import (
 )
 from motor_env.diagnosis.running.windows import WindowJudge
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import FittedWindow
 from motor_env.errors import InputError
 from motor_env.motor.healthy import Healthy, ScoreCalibration
 from motor_env.motor.parameters import FloatArray

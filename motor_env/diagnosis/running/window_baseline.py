@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.learning import RECORD_SPREAD, next_window, usual_beside
+from motor_env.diagnosis.healthy_spread import RECORD_SPREAD, next_window, usual_condition_windows
+from motor_env.diagnosis.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.running.operating_conditions import (
     FAR,
     NEEDED,
@@ -18,7 +19,6 @@ from motor_env.diagnosis.running.operating_conditions import (
 )
 from motor_env.diagnosis.running.sequential_monitor import checked_calibration
 from motor_env.diagnosis.running.windows import MOST_SAMPLES, over_speed, windows_of
-from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.operation_fit import (
     FEWEST_STEPS,
@@ -97,7 +97,9 @@ def learn_windows(
         features = np.array([condition_features(part) for part in parts])
         of, alike = sorted_by_condition(features, times)
         groups = [np.flatnonzero(of == n).tolist() for n in range(of.max() + 1)]
-        conditions = tuple(_condition(some, usual_beside(some, groups), features, found) for some in groups)
+        conditions = tuple(
+            _condition(some, usual_condition_windows(some, groups), features, found) for some in groups
+        )
         off = logs - np.log([conditions[n].values for n in of])
     spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
     ratios = list(logs - centre)

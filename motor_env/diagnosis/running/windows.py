@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import alarm_share
-from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces, with_normal
+from motor_env.diagnosis.healthy_motor import Reference, add_normal_spread, reference_of_pieces
+from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES, FittedWindow, alarm_share
 from motor_env.diagnosis.running.operating_conditions import (
     FAR,
     condition_features,
@@ -26,10 +26,8 @@ from motor_env.diagnosis.running.operating_conditions import (
     off_others,
     rms_volts,
 )
-from motor_env.diagnosis.sensors.checks import failure_in
-from motor_env.diagnosis.sensors.seen import Seen
+from motor_env.diagnosis.sensors.channels import ChannelRecord, find_failure
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import EXPONENTS, NAMES, FittedWindow
 from motor_env.errors import InputError
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.preprocessing import block_means, from_recordings, missing_blocks
@@ -195,7 +193,7 @@ class WindowJudge:
         volts, speed = needed_columns(part)
         if not volts.any():
             return None
-        return failure_in(Seen(part.dt_s, volts, part.current_a, speed), self.physical())
+        return find_failure(ChannelRecord(part.dt_s, volts, part.current_a, speed), self.physical())
 
     def _judged(
         self, part: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None
@@ -219,7 +217,7 @@ class WindowJudge:
             return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
         own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
         condition = np.diag(np.square(self.condition_spread(place, fit)))
-        spread = with_normal(own, condition, share, self.reference.degrees_of_freedom)
+        spread = add_normal_spread(own, condition, share, self.reference.degrees_of_freedom)
         allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
         if allowed.verdict.is_fault and strange <= FAR:
             return replace(allowed, reasons=(*allowed.reasons, DRIVEN_OTHERWISE))

@@ -28,8 +28,8 @@ from motor_env import (
 from motor_env.cli import main, monitors as of_streams, motors, options, verdicts as of_verdicts
 
 # Reaches in: stand-ins are patched in where commands look their work up, and answer in its types.
-from motor_env.diagnosis import identify as identifying
-from motor_env.diagnosis.files import Outcome
+from motor_env.diagnosis import identification as identifying
+from motor_env.diagnosis.batch import Outcome
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.embedded import monitor as monitors, source
 from motor_env.embedded.monitor import CusumBank
@@ -78,7 +78,7 @@ def test_diagnose_ends_with_the_status_of_its_verdicts(
         given.update(more, files=files)
         return [outcome(verdict) for verdict in verdicts]
 
-    monkeypatch.setattr("motor_env.diagnosis.files.diagnose_files", diagnosed)
+    monkeypatch.setattr("motor_env.diagnosis.batch.diagnose_files", diagnosed)
     command = ["diagnose", "a.csv", "b.csv", "--false-alarm-rate", "0.05", "--shunt-ohm", "0.3"]
     more = ["--temperature-c", "31", "--start", "2", "--regime", "operation"]
     assert main([*command, *more, "--healthy", "h.csv", "i.csv"]) == status
@@ -95,7 +95,7 @@ def test_diagnose_ends_with_the_status_of_its_verdicts(
         v or "unusable" for v in verdicts
     ]
     monkeypatch.setattr(
-        "motor_env.diagnosis.files.diagnose_files", lambda *_, **__: [outcome(None, is_bug=True)]
+        "motor_env.diagnosis.batch.diagnose_files", lambda *_, **__: [outcome(None, is_bug=True)]
     )
     assert main(command) == 70
 
@@ -124,7 +124,7 @@ def test_identify_ends_with_3_where_no_motor_explains_a_start_or_the_logs(
         return found
 
     monkeypatch.setattr(identifying, "identify", fitted)
-    monkeypatch.setattr(identifying, "unusable_reason", lambda fit: None if fit else "poor")
+    monkeypatch.setattr(identifying, "explain_unusable", lambda fit: None if fit else "poor")
     monkeypatch.setattr(identifying.Identification, "text", lambda _: "words")
     monkeypatch.setattr(identifying.Identification, "to_json", lambda _: [{"start": 1}])
     assert main(["identify", "a.csv", "--ripple-periods-per-turn", "14"]) == status

@@ -24,12 +24,11 @@ from motor_env import (
     diagnose,
 )
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Difference, joint_share
-from motor_env.diagnosis.healthy_motor import Moved, Reference, reference_of
-from motor_env.diagnosis.misreading import wrong_scales
+from motor_env.diagnosis.healthy_motor import Reference, ReferenceShift, reference_of
+from motor_env.diagnosis.hypotheses import Difference, FittedWindow, joint_share
 from motor_env.diagnosis.motor_files import motor_of_windows
-from motor_env.diagnosis.shown.page import reference_current
-from motor_env.diagnosis.views import FittedWindow
+from motor_env.diagnosis.report.page import reference_current
+from motor_env.diagnosis.scaling_errors import find_scaling_errors
 from motor_env.fitting import parameter_index as places
 
 # Reaches in: a window is off in the direction of a fault.
@@ -99,10 +98,10 @@ def test_windows_judge_a_start_without_its_inductance(
     )
     assert [change.name for change in found.changes] == list(names)
     assert [change.ratio for change in found.changes] == pytest.approx([1.0] * len(names), abs=0.06)
-    assert found.telling.reference is not None
-    assert not found.telling.reference.includes_fit_error
+    assert found.decisive.reference is not None
+    assert not found.decisive.reference.includes_fit_error
     # The healthy motor's current takes the inductance, of which the windows say nothing, from the fit.
-    expected, fit = reference_current(found.telling), found.telling.identified
+    expected, fit = reference_current(found.decisive), found.decisive.identified
     assert expected is not None
     assert fit is not None
     np.testing.assert_allclose(expected, fit.states[:, 0], atol=0.05)
@@ -156,7 +155,7 @@ def test_a_sheet_does_not_say_how_much_of_its_friction_is_dry(share: float) -> N
 
 
 def reference(motor: Motor, names: tuple[str, ...], friction: float = 1.0) -> Reference:
-    found = reference_of(motor, names, are_starts=False, moved=Moved(friction=friction))
+    found = reference_of(motor, names, are_starts=False, shift=ReferenceShift(friction=friction))
     assert found is not None
     return found
 
@@ -222,7 +221,7 @@ def test_the_voltage_of_the_commissioning_is_that_of_a_start_without_one() -> No
 
 def test_a_scale_that_nothing_compared_has_explains_nothing() -> None:
     difference = Difference(np.array([0.5]), np.array([[1e-4]]), matrix(("B/J",)), 10.0)
-    found = wrong_scales(difference, ("B/J",), 3.0, 0.01)
+    found = find_scaling_errors(difference, ("B/J",), 3.0, 0.01)
     assert {scale.column for scale in found} <= {"time"}
 
 

@@ -16,16 +16,17 @@ from motor_env import (
     Verdict,
 )
 from motor_env.diagnosis import diagnose as judging
-from motor_env.diagnosis.decision import decide, limits_of
-from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.explanations import (
+from motor_env.diagnosis.decision import alarm_limits, decide
+from motor_env.diagnosis.diagnose import explain_unusable
+from motor_env.diagnosis.hypotheses import (
+    covariance_at_one_temperature,
+    form_hypotheses,
     joint_share,
     probabilities,
 )
-from motor_env.diagnosis.identify import Identification
-from motor_env.diagnosis.shown import report
+from motor_env.diagnosis.identification import Identification
+from motor_env.diagnosis.report import formats
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import covariance_at_one_temperature, views_of
 from motor_env.filters.consistency import check_consistency
 
 # Reaches in: fits are moved by hand in directions that no public name gives.
@@ -61,7 +62,7 @@ def test_a_fault_is_called_from_the_limit_of_its_test_on(kind: str, verdict: Ver
     assert [found.severity, *(found.severity_interval or ())] == pytest.approx(expected_size)
     assert str(found.fault_kind) == kind
     assert found.reference is not None
-    view = views_of(fitted()[1], found.reference, RATE)[0]
+    view = form_hypotheses(fitted()[1], found.reference, RATE)[0]
     told = probabilities(view.difference, view.faults)
     kinds = [name for name in told if name == kind or (verdict is Verdict.WINDING and "winding" in name)]
     assert found.confidence == pytest.approx(sum(told[name] for name in kinds))
@@ -83,7 +84,7 @@ def test_a_kind_is_told_from_a_probability_of_19_in_20_on() -> None:
         found = moved(*(size * at), degrees_of_freedom=7.0)
         assert found.kind_probability == pytest.approx(0.95, abs=1e-4)
         one = replace(judged(), pieces=(found,))
-        assert (one.kind, report.as_json(one)["kind"]) == (kind, kind)
+        assert (one.kind, formats.as_json(one)["kind"]) == (kind, kind)
     assert judged().kind is None
 
 
@@ -131,8 +132,8 @@ def test_no_load_excuses_a_motor_whose_sheet_knows_of_none() -> None:
     _, fit, reference = fitted()
     off = np.array([-0.068, -0.11, -0.05, 0.078])
     sheet = replace(reference, log_values=fit.log_values - off)
-    views = views_of(fit, sheet, RATE)
-    limits = limits_of(views, RATE, tests_noise=sheet.log_noise is not None)
+    views = form_hypotheses(fit, sheet, RATE)
+    limits = alarm_limits(views, RATE, tests_noise=sheet.log_noise is not None)
     assert [view.is_alarm(limits.z, limits.share) for view in views] == [True, False, True]
     assert decide(fit, sheet, RATE).verdict.is_fault
 
@@ -146,7 +147,7 @@ def test_the_ripple_is_compared_beside_the_verdict(monkeypatch: pytest.MonkeyPat
         one = replace(fit, start=replace(fit.start, voltage_known=is_known))
         for hz, is_told in ((1.49e3, True), (1.51e3, False), (0.66e3, False)):
             monkeypatch.setattr(judging, "ripple_quantities", lambda _, hz=hz: (hz, 0.018))
-            told = judging._with_ripple(found, one, starts, RATE)
+            told = judging._add_ripple(found, one, starts, RATE)
             assert (told.verdict, told.reasons) == (found.verdict, found.reasons)
             added = told.changes[len(found.changes) :]
             assert [each.name for each in added] == (["speed", name] if is_told else [])
@@ -294,13 +295,13 @@ def test_units_of_the_extensions() -> None:
         "dead_zone": "A", "coulomb": "N m", "brush_drop": "V",
     }  # fmt: skip
     extended = replace(fit, fitted_extension=dict.fromkeys(units, (0.5, 0.1)))
-    told = report.extensions_json(extended)
+    told = formats.extensions_json(extended)
     assert {name: row["unit"] for name, row in told.items()} == units
     interval = pytest.approx([0.5 - 0.196, 0.5 + 0.196])
     assert told["coulomb"] == {"value": 0.5, "standard_error": 0.1, "interval": interval, "unit": "N m"}
     unknown = replace(extended, start=replace(fit.start, voltage_known=False))
     per_volt = units | {"coulomb": "N m/V", "brush_drop": "of the supply"}
-    assert {name: row["unit"] for name, row in report.extensions_json(unknown).items()} == per_volt
+    assert {name: row["unit"] for name, row in formats.extensions_json(unknown).items()} == per_volt
 
 
 def test_a_fit_that_explains_too_little_is_unusable() -> None:
@@ -318,10 +319,10 @@ def test_a_fit_that_explains_too_little_is_unusable() -> None:
             for channel in ("r2_current", "r2_speed"):
                 given = {"r2_current": 1.0, "r2_speed": None, channel: least + off}
                 fake = SimpleNamespace(start=start, log_covariance=fit.log_covariance, **given)
-                assert (unusable_reason(cast("Any", fake)) is not None) is is_refused
+                assert (explain_unusable(cast("Any", fake)) is not None) is is_refused
     for sd, is_refused in ((1.01, True), (0.99, False)):
         wide = replace(fit, log_covariance=sd**2 * np.eye(4))
-        assert (unusable_reason(wide) is not None) is is_refused
+        assert (explain_unusable(wide) is not None) is is_refused
 
 
 def test_innovations_are_what_the_fit_leaves_over_the_noise() -> None:
@@ -362,9 +363,9 @@ def test_a_warning_is_allowed_for_where_there_is_a_verdict() -> None:
     _, fit, _ = fitted()
     odd = replace(fit, expected=fit.expected + [[0.0, 0.0], [0.05, 0.0]] * (len(fit.expected) // 2))
     warned = of_one(fit=odd)
-    said = warned.telling.warning
+    said = warned.decisive.warning
     assert "their mean is not 0" in said
-    assert f"  {said}; the verdict allows for it" in report.expert_lines(warned.telling)
-    assert f"  {said}" in report.expert_lines(replace(warned.telling, reference=None))
-    assert report.as_json(warned)["warning"] == said
-    assert report.as_json(warned)["consistent"] is False
+    assert f"  {said}; the verdict allows for it" in formats.expert_lines(warned.decisive)
+    assert f"  {said}" in formats.expert_lines(replace(warned.decisive, reference=None))
+    assert formats.as_json(warned)["warning"] == said
+    assert formats.as_json(warned)["consistent"] is False

@@ -15,10 +15,9 @@ from odd_recordings import at_work, scaled, started
 from scipy.signal import lfilter
 
 from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
-from motor_env.diagnosis.sensors.checks import failure_in
-from motor_env.diagnosis.sensors.failed import failed_sensor, physical_of, with_signs
-from motor_env.diagnosis.sensors.seen import Seen, free_run, likeness
-from motor_env.diagnosis.shown.words import WORDS
+from motor_env.diagnosis.report.verdict_texts import VERDICT_TEXTS
+from motor_env.diagnosis.sensors.channels import ChannelRecord, correlation, find_failure, free_run
+from motor_env.diagnosis.sensors.sensor_diagnosis import diagnose_sensors, learn_signs, physical_values
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.errors import InputError
 
@@ -39,7 +38,7 @@ needs_recordings = pytest.mark.skipif(
 )
 DT_S = 2e-3
 SHEET = Motor("paper", "data_sheet", PAPER_MOTOR, 12.0)
-PHYSICAL = physical_of(SHEET)
+PHYSICAL = physical_values(SHEET)
 MOTORS_FAULTS = {"winding", "bearing", "magnet", "healthy"}
 """What must not be said of a recording of which a sensor failed."""
 COLUMNS = {"current_a": "current", "speed_rad_s": "speed", "voltage_v": "voltage"}
@@ -79,14 +78,14 @@ def kind_in(found: Judgement | None) -> FaultKind | None:
     return found.kind
 
 
-def failed_kind(seen: Seen, physical: FloatArray = PHYSICAL) -> FaultKind | None:
-    return kind_in(failure_in(seen, physical))
+def failed_kind(seen: ChannelRecord, physical: FloatArray = PHYSICAL) -> FaultKind | None:
+    return kind_in(find_failure(seen, physical))
 
 
-def seen(recording: Recording, *, is_log: bool) -> Seen:
+def seen(recording: Recording, *, is_log: bool) -> ChannelRecord:
     assert recording.voltage_v is not None
     columns = recording.voltage_v, recording.current_a, recording.speed_rad_s
-    return Seen(recording.dt_s, *columns, at_work=is_log)
+    return ChannelRecord(recording.dt_s, *columns, at_work=is_log)
 
 
 @pytest.mark.parametrize("is_log", [False, True], ids=["start", "log"])
@@ -106,38 +105,38 @@ def test_a_duty_is_that_share_of_the_supply() -> None:
     log = at_work(np.random.default_rng(2))
     assert log.voltage_v is not None
     chopped = replace(log, voltage_v=None, duty=log.voltage_v / 24.0)
-    assert failed_sensor(chopped, SHEET, 24.0, at_work=True) is None
+    assert diagnose_sensors(chopped, SHEET, 24.0, at_work=True) is None
     dead = replace(chopped, current_a=np.zeros(3000))
-    assert kind_in(failed_sensor(dead, SHEET, 24.0, at_work=True)) == "current_dead"
+    assert kind_in(diagnose_sensors(dead, SHEET, 24.0, at_work=True)) == "current_dead"
 
 
 def test_a_shunt_is_in_the_circuit_that_sensors_are_checked_in(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[float] = []
     monkeypatch.setattr(
-        "motor_env.diagnosis.sensors.failed.failure_in",
+        "motor_env.diagnosis.sensors.sensor_diagnosis.find_failure",
         lambda _, physical: given.append(float(physical[places.R])),
     )
     for circuit in (None, Circuit(shunt_ohm=0.5)):
-        assert failed_sensor(commanded(5), SHEET, circuit=circuit) is None
+        assert diagnose_sensors(commanded(5), SHEET, circuit=circuit) is None
     assert given == pytest.approx([PHYSICAL[places.R], PHYSICAL[places.R] + 0.5])
 
 
 def test_a_range_and_an_offset_are_named() -> None:
     log, start = at_work(np.random.default_rng(3)), started(np.random.default_rng(3))
     short = replace(start, current_a=np.clip(start.current_a, -2.5, 2.5))
-    found = failure_in(seen(short, is_log=False), PHYSICAL)
+    found = find_failure(seen(short, is_log=False), PHYSICAL)
     assert found is not None
     assert found.kind == "current_clipped"
     assert re.search(r"stand at 2\.5 A, where the healthy motor reaches [45]\.\d+ A$", found.reasons[0])
     # A data sheet says nothing of the sensor of a start.
-    assert failure_in(seen(short, is_log=False)._replace(is_taught=False), PHYSICAL) is None
+    assert find_failure(seen(short, is_log=False)._replace(is_taught=False), PHYSICAL) is None
     off = replace(log, current_a=log.current_a + 1.0)
     assert failed_kind(seen(off, is_log=True)) == "current_offset"
-    assert failure_in(seen(replace(log, current_a=log.current_a + 0.1), is_log=True), PHYSICAL) is None
+    assert find_failure(seen(replace(log, current_a=log.current_a + 0.1), is_log=True), PHYSICAL) is None
     known = PHYSICAL.copy()
     known[9] = 1.0  # the healthy logs had that offset, too
-    assert failure_in(seen(off, is_log=True), known) is None
-    assert failure_in(seen(log, is_log=True), known) is None  # it is gone, and nothing contradicts that
+    assert find_failure(seen(off, is_log=True), known) is None
+    assert find_failure(seen(log, is_log=True), known) is None  # it is gone, and nothing contradicts that
     known[9] = -1.0
     assert failed_kind(seen(off, is_log=True), known) == "current_offset"
 
@@ -150,12 +149,12 @@ def test_an_encoder_of_few_edges_is_not_clipped() -> None:
     clipped, held = np.minimum(speed, 0.8 * speed.max()), speed.copy()
     held[fast] = np.resize([0.6, 0.7, 0.75], len(fast)) * speed.max()
     held[fast[5:14]] = 0.8 * speed.max()
-    assert failed_kind(Seen(DT_S, volts, current, clipped)) == "speed_clipped"
-    assert failure_in(Seen(DT_S, volts, current, held), PHYSICAL) is None
+    assert failed_kind(ChannelRecord(DT_S, volts, current, clipped)) == "speed_clipped"
+    assert find_failure(ChannelRecord(DT_S, volts, current, held), PHYSICAL) is None
     # Nor where it stands at its largest value less than half of the time that the motor is faster.
     seldom = np.minimum(speed, 0.8 * speed.max())
     seldom[fast[np.arange(len(fast)) % 16 >= 7]] *= 0.99
-    assert failure_in(Seen(DT_S, volts, current, seldom), PHYSICAL) is None
+    assert find_failure(ChannelRecord(DT_S, volts, current, seldom), PHYSICAL) is None
 
 
 def test_what_a_controller_holds_is_not_clipped() -> None:
@@ -163,8 +162,8 @@ def test_what_a_controller_holds_is_not_clipped() -> None:
     volts = np.tile(np.concatenate([np.full(60, 3.0), np.full(40, 6.0), np.linspace(6.0, 3.0, 30)]), 5)
     current, speed = free_run(PHYSICAL, volts, DT_S)
     steady = np.round(speed)
-    assert failure_in(Seen(DT_S, volts, current, 0.85 * steady), PHYSICAL) is None
-    clipped = Seen(DT_S, volts, current, np.minimum(steady, 0.75 * steady.max()))
+    assert find_failure(ChannelRecord(DT_S, volts, current, 0.85 * steady), PHYSICAL) is None
+    clipped = ChannelRecord(DT_S, volts, current, np.minimum(steady, 0.75 * steady.max()))
     assert failed_kind(clipped) == "speed_clipped"
 
 
@@ -176,22 +175,22 @@ def test_a_current_that_a_rotor_at_rest_draws_is_no_offset() -> None:
     current, speed = free_run(slow, volts, DT_S)
     pulses, decay = np.tile(np.repeat([5.0, 0.0], 3), 10), math.exp(-DT_S * slow[places.R] / slow[places.L])
     held = lfilter([0.0, 1.0 - decay], [1.0, -decay], pulses / slow[places.R])
-    log = Seen(
+    log = ChannelRecord(
         DT_S,
         np.append(volts, pulses),
         np.append(current, held),
         np.append(speed, np.zeros(len(pulses))),
     )
     assert log.current_a is not None
-    assert failure_in(log, slow) is None
+    assert find_failure(log, slow) is None
     off = log._replace(current_a=log.current_a + 0.4)
     assert failed_kind(off, slow) == "current_offset"
     late = log.current_a.copy()  # as that of the voltage before
     late[len(volts) + 3 :: 6] += 0.8
-    assert failure_in(log._replace(current_a=late), slow) is None
+    assert find_failure(log._replace(current_a=late), slow) is None
     known = slow.copy()
     known[places.OFFSET_I] = 0.4
-    assert failure_in(off, known) is None
+    assert find_failure(off, known) is None
 
 
 @pytest.mark.parametrize(("other_volts", "kind"), [(8.0, "current_offset"), (-0.5, None)])
@@ -203,7 +202,7 @@ def test_only_a_motor_that_turns_both_ways_tells_an_offset_while_it_never_rests(
     sticking[places.COULOMB] = 0.5 * sticking[places.K]
     volts = np.tile(np.repeat([-8.0, other_volts], 60), 20)
     current, speed = free_run(sticking, volts, DT_S)
-    found = failure_in(Seen(DT_S, volts, current + 1.2, speed, at_work=True), sticking)
+    found = find_failure(ChannelRecord(DT_S, volts, current + 1.2, speed, at_work=True), sticking)
     assert (None if found is None else found.kind) == kind
 
 
@@ -212,7 +211,7 @@ def test_a_column_of_another_motor_is_named(column: str) -> None:
     """Two motors of one machine, each under its own voltage, and their columns exchanged."""
     one, other = (at_work(np.random.default_rng(seed)) for seed in (4, 5))
     columns: dict[str, Any] = {column: getattr(other, column)}
-    found = failure_in(seen(replace(one, **columns), is_log=True), PHYSICAL)
+    found = find_failure(seen(replace(one, **columns), is_log=True), PHYSICAL)
     assert found is not None
     assert found.kind == "swapped"
     assert found.reasons[0].startswith(f"the {COLUMNS[column]} is not that of the motor")
@@ -223,12 +222,12 @@ def test_a_noisy_column_is_not_that_of_another_motor(column: str) -> None:
     """A controller moves the voltage by 1 V about 6 V: less than one count of an encoder, or step of a converter."""
     rng = np.random.default_rng(3)
     volts = 6.0 + np.repeat(rng.uniform(-1.0, 1.0, 40), 30)
-    healthy = Seen(DT_S, volts, *free_run(PHYSICAL, volts, DT_S))
+    healthy = ChannelRecord(DT_S, volts, *free_run(PHYSICAL, volts, DT_S))
     own = getattr(healthy, column)
     noise = rng.normal(0.0, np.std(own), len(volts))
     shown = healthy._replace(**{column: own + 4.0 * noise})
-    assert likeness(getattr(shown, column), own) < 0.3
-    assert failure_in(shown, PHYSICAL) is None
+    assert correlation(getattr(shown, column), own) < 0.3
+    assert find_failure(shown, PHYSICAL) is None
     assert failed_kind(healthy._replace(**{column: np.roll(own, 317) + 0.01 * noise})) == "swapped"
 
 
@@ -245,19 +244,19 @@ def test_no_motor_is_taken_for_a_failed_sensor(recipe: str, request: pytest.Fixt
     drawn = draw(drawn_from, 3, np.arange(350))
     readings = measure_draw(drawn, drawn_from, 3).astype(np.float64)
     is_log, time_s = drawn_from.duty is not None, drawn_from.timing.time_s
-    physical = physical_of(replace(SHEET, parameters=drawn_from.motor))
+    physical = physical_values(replace(SHEET, parameters=drawn_from.motor))
     step = np.where(time_s > 1e-9, 12.0, 0.0)
     for row in readings:
         volts = row[-1] if is_log else step
         for speed in (row[1], None):
-            one = Seen(drawn_from.timing.dt_s, volts, row[0], speed, at_work=is_log)
-            assert failure_in(one, physical) is None
-            assert failure_in(one._replace(has_sign=False), physical) is None
+            one = ChannelRecord(drawn_from.timing.dt_s, volts, row[0], speed, at_work=is_log)
+            assert find_failure(one, physical) is None
+            assert find_failure(one._replace(has_sign=False), physical) is None
 
 
 def test_every_failure_says_what_to_do_first() -> None:
     for kind in SENSOR_KINDS:
-        title, *first = WORDS[kind]
+        title, *first = VERDICT_TEXTS[kind]
         assert len(first) >= 2
         assert min(map(len, (kind.finding, title, *first))) > 15
     log = at_work(np.random.default_rng(1))
@@ -319,9 +318,9 @@ def test_a_unit_is_no_failed_sensor() -> None:
     log = at_work(np.random.default_rng(3))
     assert log.current_a is not None
     off = replace(log, current_a=log.current_a + 1.5)
-    assert kind_in(failed_sensor(off, SHEET, at_work=True)) == "current_offset"
+    assert kind_in(diagnose_sensors(off, SHEET, at_work=True)) == "current_offset"
     for read in ({}, {"current_a": 1e3}, {"speed_rad_s": 0.03 / np.pi}):
-        assert failed_sensor(scaled(log, **read), SHEET, at_work=True) is None
+        assert diagnose_sensors(scaled(log, **read), SHEET, at_work=True) is None
 
 
 def test_a_probe_that_was_turned_when_the_motor_was_learned_is_no_failure() -> None:
@@ -335,8 +334,8 @@ def test_a_probe_that_was_turned_when_the_motor_was_learned_is_no_failure() -> N
     assert diagnose(other, motor).kind == "current_polarity"
     assert diagnose(scaled(other, current_a=-1.0), learned()).kind == "current_polarity"
     alone = replace(other, voltage_v=None, speed_rad_s=None)
-    assert failed_sensor(alone, learned()) is None
-    assert kind_in(failed_sensor(scaled(alone, current_a=-1.0), learned())) == "current_polarity"
+    assert diagnose_sensors(alone, learned()) is None
+    assert kind_in(diagnose_sensors(scaled(alone, current_a=-1.0), learned())) == "current_polarity"
 
 
 @pytest.mark.parametrize(
@@ -346,7 +345,7 @@ def test_a_probe_was_turned_only_if_it_was_in_all_healthy_starts(
     signs: tuple[float, ...], turned: tuple[str, ...]
 ) -> None:
     starts = [scaled(commanded(n), current_a=sign) for n, sign in enumerate(signs)]
-    healthy = with_signs(learned(), starts, None).healthy
+    healthy = learn_signs(learned(), starts, None).healthy
     assert healthy is not None
     assert healthy.starts is not None
     assert healthy.starts.turned == turned
@@ -356,8 +355,8 @@ def test_a_column_that_never_moved_is_no_dead_sensor() -> None:
     """Some recorders write a column of zeros where they have no sensor."""
     start = commanded(5)
     without = replace(start, speed_rad_s=np.zeros(len(start.time_s)))
-    assert failed_sensor(without, SHEET) is None
-    assert kind_in(failed_sensor(without, learned())) == "speed_dead"
+    assert diagnose_sensors(without, SHEET) is None
+    assert kind_in(diagnose_sensors(without, learned())) == "speed_dead"
 
 
 def of_itself(recording: Recording, voltage_v: float | None) -> Motor:
@@ -420,7 +419,7 @@ def test_the_failed_sensors_of_a_fleet_are_found() -> None:
     """Dead channels, a reversed current, and currents at the end of their range; nothing else."""
     found: dict[str, str] = {}
     for path in sorted((RECORDINGS / "regbot").glob("*.csv")):
-        failed = failed_sensor(read_recording(path), sisters("left"), at_work=True)
+        failed = diagnose_sensors(read_recording(path), sisters("left"), at_work=True)
         if failed is not None:
             found[path.stem.removeprefix("regbot_")] = str(failed.fault_kind)
     clipped = dict.fromkeys(("61_right", "79_right", "81_right", "86_dagmar_right"), "current_clipped")

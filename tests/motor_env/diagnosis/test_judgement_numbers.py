@@ -12,18 +12,18 @@ from scipy import integrate, stats
 from motor_env import (
     FaultKind,
 )
-from motor_env.diagnosis.decision import limits_of
-from motor_env.diagnosis.explanations import (
+from motor_env.diagnosis.decision import alarm_limits
+from motor_env.diagnosis.hypotheses import (
     alarm_share,
     compare,
     explain,
-    is_its_own,
+    form_hypotheses,
+    is_separable,
     joint_share,
     probabilities,
     severity_of,
     smallest_changes,
 )
-from motor_env.diagnosis.views import views_of
 
 # Reaches in: faults move a fit in directions that no public name gives.
 from motor_env.motor.identifiable import matrix, nameable_kinds, visible_direction
@@ -53,8 +53,8 @@ def test_tests_share_the_rate_of_false_alarms() -> None:
 def test_the_noise_has_its_share_and_the_motor_the_rest(tests_noise: bool) -> None:
     """The noise is told apart from the motor: its share is taken off the rate first."""
     _, fit, reference = fitted()
-    views = views_of(fit, replace(reference, degrees_of_freedom=7.0), RATE)
-    found = limits_of(views, RATE, tests_noise=tests_noise)
+    views = form_hypotheses(fit, replace(reference, degrees_of_freedom=7.0), RATE)
+    found = alarm_limits(views, RATE, tests_noise=tests_noise)
     left = 0.8 * RATE if tests_noise else RATE
     assert found.share == joint_share(left, views[0].difference.covariance, EXPONENTS, 7.0)
     expected = [float(stats.t.isf(share, 7.0)) for share in (found.share, RATE / 5.0)]
@@ -134,8 +134,8 @@ def test_a_fault_is_its_own_where_the_winding_alone_shows_it() -> None:
     sd = (part @ np.linalg.inv(covariance[:2, :2]) @ part) ** -0.5
     for z, expected in ((1.64, False), (1.65, True)):
         off = np.array([*(z * sd * part), -0.3, 0.0])
-        assert is_its_own(difference(off, covariance), FaultKind.WINDING_SHORT) is expected
-        assert is_its_own(difference(off, covariance), FaultKind.BEARING)
+        assert is_separable(difference(off, covariance), FaultKind.WINDING_SHORT) is expected
+        assert is_separable(difference(off, covariance), FaultKind.BEARING)
 
 
 def test_intervals_of_changes_hold_95_of_100() -> None:

@@ -22,8 +22,8 @@ from motor_env import (
     watch,
 )
 from motor_env.diagnosis.commission import commission
+from motor_env.diagnosis.hypotheses import NAMES
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import NAMES
 from motor_env.fitting import parameter_index as places
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray

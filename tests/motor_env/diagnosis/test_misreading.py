@@ -11,13 +11,17 @@ import numpy as np
 import pytest
 
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Difference
 from motor_env.diagnosis.healthy_motor import Reference
-from motor_env.diagnosis.misreading import BEYOND_WEAR, EXPLAINED, as_sentence, wrong_scales
+from motor_env.diagnosis.hypotheses import NAMES, Difference, FittedWindow
 from motor_env.diagnosis.running import log_diagnosis as judging
 from motor_env.diagnosis.running.windows import WindowJudge
+from motor_env.diagnosis.scaling_errors import (
+    BEYOND_WEAR,
+    EXPLAINED,
+    describe_scaling_errors,
+    find_scaling_errors,
+)
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.fitting import parameter_index as places
 from motor_env.motor.healthy import Windows
 from motor_env.recordings.recording import Recording
@@ -46,7 +50,7 @@ def told(names: tuple[str, ...], column: str, factor: float, sd: float = 0.01, o
     moved = exponents @ [*POWERS[column], 0.0] * math.log(factor)
     moved[0] += off
     difference = Difference(moved, sd**2 * np.eye(len(names)), exponents, 1e6)
-    sentence = as_sentence(wrong_scales(difference, names, 3.0, 0.01))
+    sentence = describe_scaling_errors(find_scaling_errors(difference, names, 3.0, 0.01))
     assert sentence == "" or sentence.startswith(f"{EXPLAINED} if the ")
     return sentence.removeprefix(f"{EXPLAINED} if the ")
 
@@ -98,7 +102,9 @@ def test_without_a_speed_a_larger_current_is_a_smaller_voltage() -> None:
     per_volt = Difference(
         -math.log(2.0) * np.array([1.0, 1.0, 1.0, 0.0]), 1e-4 * np.eye(4), EXPONENTS[CURRENT], 1e6
     )
-    alone = as_sentence(wrong_scales(per_volt, ("R/V", "L/V", "K^2/(J V)", "B/J"), 3.0, 0.01))
+    alone = describe_scaling_errors(
+        find_scaling_errors(per_volt, ("R/V", "L/V", "K^2/(J V)", "B/J"), 3.0, 0.01)
+    )
     assert "current is 2 times" in alone
     assert "voltage" not in alone
 
@@ -113,7 +119,7 @@ def test_an_inertia_that_moved_alone_is_put_down_to_the_clock_only_by_a_round_fa
     ):
         moved[2] = math.log(factor)
         difference = Difference(moved, sd**2 * np.eye(4), exponents, 1e6)
-        sentence = as_sentence(wrong_scales(difference, NAMES, 3.0, 0.01))
+        sentence = describe_scaling_errors(find_scaling_errors(difference, NAMES, 3.0, 0.01))
         assert (words in sentence) is bool(words or not sentence)
         assert bool(sentence) is bool(words)
 

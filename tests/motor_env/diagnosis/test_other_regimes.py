@@ -12,12 +12,12 @@ from scipy import optimize, stats
 
 from motor_env import Diagnosis, InputError, Recording, diagnose, load_motor
 from motor_env.diagnosis.decision import decide
+from motor_env.diagnosis.hypotheses import FittedWindow
 from motor_env.diagnosis.motor_files import motor_of_windows
 from motor_env.diagnosis.running.operating_conditions import condition_distance, condition_features
 from motor_env.diagnosis.running.window_baseline import learn_windows
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Verdict
-from motor_env.diagnosis.views import FittedWindow
 
 # Reaches in: windows are made by hand.
 from motor_env.fitting.operation_fit import identify_operation

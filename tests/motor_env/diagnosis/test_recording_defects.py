@@ -60,7 +60,7 @@ def test_a_fault_is_seen_through_each_defect(name: str, truth: Verdict) -> None:
     defect = DEFECTS[name]
     found = judge(defect, truth, Circuit(shunt_ohm=defect.shunt_ohm))
     assert found.verdict is truth
-    fit = found.telling.identified
+    fit = found.decisive.identified
     assert fit is not None
     assert defect.words in " ".join([*found.recording.columns, *map(str, fit.defects)])
 
@@ -159,14 +159,14 @@ def test_the_starts_of_a_recording_share_its_rate() -> None:
     both = diagnose(several(voltage=True), MOTOR, false_alarm_rate=0.02)
     assert (both.taken.regime, both.of) == ("start", 2)
     assert [piece.verdict for piece in both.pieces] == [Verdict.HEALTHY, Verdict.WINDING]
-    assert (both.verdict, both.telling) == (Verdict.WINDING, both.pieces[1])
+    assert (both.verdict, both.decisive) == (Verdict.WINDING, both.pieces[1])
     parts = chosen_starts(several(voltage=True), None)
     assert [piece.begin_s for piece in both.pieces] == [float(part.time_s[0]) for part in parts]
     second = diagnose(several(voltage=True), MOTOR, false_alarm_rate=0.02, start=2)
     assert (second.taken, second.of) == (("start", "as asked"), 1)
     half = diagnose(parts[1], MOTOR, false_alarm_rate=0.01)
-    assert both.telling.smallest_changes == half.telling.smallest_changes
-    assert both.telling.smallest_changes["bearing"] > second.telling.smallest_changes["bearing"]
+    assert both.decisive.smallest_changes == half.decisive.smallest_changes
+    assert both.decisive.smallest_changes["bearing"] > second.decisive.smallest_changes["bearing"]
 
 
 @pytest.mark.parametrize("voltage", [True, False])
@@ -182,9 +182,9 @@ def test_each_start_of_a_file_is_judged(voltage: bool) -> None:
 
 def test_a_recording_that_the_model_does_not_explain_is_said_to_be_inconsistent() -> None:
     (good,) = captures(Defect(), (), MOTOR.parameters, 5, 1)
-    assert diagnose(good, MOTOR).telling.warning == ""
+    assert diagnose(good, MOTOR).decisive.warning == ""
     wavy = replace(good, current_a=good.current_a + 0.1 * np.sin(60.0 * good.time_s))
-    assert "correlated in time" in diagnose(wavy, MOTOR).telling.warning
+    assert "correlated in time" in diagnose(wavy, MOTOR).decisive.warning
 
 
 def test_a_sensor_that_hides_small_currents_is_told_by_the_evidence() -> None:
@@ -218,7 +218,7 @@ def test_friction_that_is_not_viscous_is_tried_where_nothing_is_compared(with_re
     states = driven(PAPER_MOTOR, voltage, 2e-4, from_rest=True, COULOMB=2e-3)
     noise = np.random.default_rng(3).normal(0.0, 0.002, len(time_s))
     recording = Recording(Path("square"), time_s, states[:, 0] + noise, voltage)
-    found = diagnose(recording, MOTOR if with_reference else None, regime="start").telling
+    found = diagnose(recording, MOTOR if with_reference else None, regime="start").decisive
     assert found.identified is not None
     assert ("coulomb" in found.identified.model) is not with_reference
     if not with_reference:  # and the filter, which is linear, takes it as a load that it knows

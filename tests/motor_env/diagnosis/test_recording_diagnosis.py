@@ -28,7 +28,7 @@ from motor_env import (
     read_recording,
     simulate,
 )
-from motor_env.diagnosis.files import diagnose_files
+from motor_env.diagnosis.batch import diagnose_files
 from motor_env.recordings.recording import UnusableError
 from motor_env.recordings.start import prepare
 
@@ -144,7 +144,7 @@ def test_without_a_voltage_only_ratios_are_told_and_the_sheet_is_no_reference() 
     recording = captures(1, known_voltage=False)[0]
     alone = diagnose(recording)
     assert alone.verdict is Verdict.NO_REFERENCE
-    fit = alone.telling.identified
+    fit = alone.decisive.identified
     assert fit is not None
     assert fit.quantity_names == ("R/V", "L/V", "K^2/(J V)", "B/J")
     np.testing.assert_allclose(fit.values[0], 2.18 / 12.0, rtol=0.05)
@@ -263,7 +263,7 @@ def test_production_line_starts(n_healthy: int, ends: dict[str, bool]) -> None:
     others = [folder / f"{name}.csv" for name in ends]
     found = [o.diagnosis for o in diagnose_files(others, healthy=healthy) if o.diagnosis is not None]
     assert [d.verdict.is_fault for d in found] == [*ends.values()]
-    fits = [d.telling.identified for d in found if d.telling.identified is not None]
+    fits = [d.decisive.identified for d in found if d.decisive.identified is not None]
     assert [fit.r2_current >= 0.99 and abs(fit.lag_one) <= 0.8 for fit in fits] == [True] * len(ends)
     for faulty in found[len(ends) // 2 :]:
         moved = {c.name: c.ratio for c in faulty.changes if c.significant}

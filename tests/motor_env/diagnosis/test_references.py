@@ -15,16 +15,30 @@ from motor_env import (
     InputError,
     Motor,
 )
-from motor_env.diagnosis import commission, files, learning, motor_files
-from motor_env.diagnosis.decision import limits_of
-from motor_env.diagnosis.explanations import (
-    joint_share,
-    smallest_changes,
+from motor_env.diagnosis import batch, commission, healthy_spread, motor_files
+from motor_env.diagnosis.decision import alarm_limits
+from motor_env.diagnosis.healthy_motor import (
+    ReferenceShift,
+    add_normal_spread,
+    reference_of,
+    reference_of_pieces,
 )
-from motor_env.diagnosis.healthy_motor import Moved, reference_of, reference_of_pieces, with_normal
-from motor_env.diagnosis.learning import disagreement, fit_healthy, learn_starts, odd_one_out, the_next
-from motor_env.diagnosis.shown import page, report
-from motor_env.diagnosis.views import covariance_at_one_temperature, smallest_of, unit_of, views_of
+from motor_env.diagnosis.healthy_spread import (
+    explain_disagreement,
+    explain_outlier,
+    fit_healthy,
+    learn_starts,
+    predictive_t,
+)
+from motor_env.diagnosis.hypotheses import (
+    covariance_at_one_temperature,
+    form_hypotheses,
+    joint_share,
+    severity_unit,
+    smallest_changes,
+    smallest_detectable,
+)
+from motor_env.diagnosis.report import formats, page
 from motor_env.fitting.uncertainty import excess_covariance as beyond
 
 # Reaches in: what a reference must hold follows from a motor's equations and from the noise of its starts.
@@ -39,12 +53,12 @@ def test_the_next_of_several_healthy_ones() -> None:
     """The prior is worth four of them; the next one is off by its own spread and the mean's."""
     logs = np.array([[0.0, 1.0], [0.3, 1.2], [0.6, 0.5]])
     prior = np.array([[0.04, 0.01], [0.01, 0.09]])
-    centre, covariance, freedom = the_next(logs, prior)
+    centre, covariance, freedom = predictive_t(logs, prior)
     assert centre == pytest.approx([0.3, 0.9])
     scatter = sum(np.outer(row - centre, row - centre) for row in logs)
     np.testing.assert_allclose(covariance, (scatter + 4.0 * prior) / 6.0 * 4.0 / 3.0)
     assert freedom == 6.0
-    one = the_next(logs[:1], prior)
+    one = predictive_t(logs[:1], prior)
     np.testing.assert_allclose(one[1], prior * 2.0)
     assert one[2] == 4.0
 
@@ -62,7 +76,7 @@ def test_a_known_temperature_spread_counts_in_the_ratio_of_the_quantiles() -> No
     ratio = stats.norm.isf(0.002) / stats.t.isf(0.002, 6.0)
     expected = covariance + ratio**2 * np.outer(warmth, warmth)
     np.testing.assert_allclose(
-        with_normal(covariance, np.outer(warmth, warmth), 0.002, 6.0), expected, rtol=1e-9
+        add_normal_spread(covariance, np.outer(warmth, warmth), 0.002, 6.0), expected, rtol=1e-9
     )
 
 
@@ -105,16 +119,16 @@ def test_the_data_sheet_as_a_reference() -> None:
     assert noisy.log_noise_sd == 0.10
     assert reference_of(SHEET, names(has_voltage=False, has_speed=False)) is None
     # Brushes that leave 0.8 of the voltage; a drag that is half as much again over the speed, to within 20 %.
-    moved = reference_of(replace(SHEET, tolerance=tolerance), CURRENT, moved=Moved(0.8, 1.5, 0.2))
+    moved = reference_of(replace(SHEET, tolerance=tolerance), CURRENT, shift=ReferenceShift(0.8, 1.5, 0.2))
     assert moved is not None
     np.testing.assert_allclose(np.exp(moved.log_values - found.log_values), [1.25, 1.25, 1.25, 1.5])
     more = moved.log_covariance - found.log_covariance
     np.testing.assert_allclose(more, np.diag([0.0, 0.0, 0.0, 0.2**2]), atol=1e-12)
     np.testing.assert_allclose(
-        np.exp(Moved(0.5, 3.0).logs), [2.0, 2.0, 2.0, 2.0, 6.0, 1.0]
+        np.exp(ReferenceShift(0.5, 3.0).logs), [2.0, 2.0, 2.0, 2.0, 6.0, 1.0]
     )  # the voltage stays
     # Of a drag that is half over the speed, only B is half.
-    other = reference_of(SHEET, ("R", "B"), moved=Moved(friction=0.5))
+    other = reference_of(SHEET, ("R", "B"), shift=ReferenceShift(friction=0.5))
     assert other is not None
     assert other.values == pytest.approx({"R": p.resistance_ohm, "B": 0.5 * p.viscous_friction_n_m_s_per_rad})
 
@@ -123,7 +137,7 @@ def test_healthy_starts_teach_the_next_one() -> None:
     given = fits(*SCATTER)
     learned = learn_starts(given)
     logs, error = np.array([fit.log_values for fit in given]), given[0].white_covariance
-    centre, covariance, freedom = the_next(logs, np.eye(4) * 0.02**2 + error)
+    centre, covariance, freedom = predictive_t(logs, np.eye(4) * 0.02**2 + error)
     assert learned.values == pytest.approx(np.exp(centre))
     np.testing.assert_allclose(learned.log_covariance, covariance)
     assert (learned.pieces, learned.degrees_of_freedom, learned.quantities) == (3, freedom, CURRENT)
@@ -174,11 +188,11 @@ def test_healthy_recordings_are_learned_with_what_is_known_of_those_that_are_jud
         given.update(options)
         return SimpleNamespace(motor=SHEET)
 
-    monkeypatch.setattr(files, "commission", learn)
-    monkeypatch.setattr(files, "read_recording", lambda *_: judged().recording)
-    monkeypatch.setattr(files, "diagnose", lambda *_, **__: judged())
+    monkeypatch.setattr(batch, "commission", learn)
+    monkeypatch.setattr(batch, "read_recording", lambda *_: judged().recording)
+    monkeypatch.setattr(batch, "diagnose", lambda *_, **__: judged())
     known: dict[str, Any] = {"voltage_v": 24.0, "circuit": Circuit(shunt_ohm=0.5), "regime": "start"}
-    (outcome,) = files.diagnose_files([Path("start.csv")], healthy=[Path("healthy.csv")], **known)
+    (outcome,) = batch.diagnose_files([Path("start.csv")], healthy=[Path("healthy.csv")], **known)
     assert outcome.diagnosis is judged()
     assert known.items() <= given.items()
 
@@ -216,19 +230,19 @@ def test_healthy_starts_must_agree() -> None:
     apart = 0.5 * math.sqrt(2.0)
     for size, is_far in ((0.999, False), (1.001, True)):
         two = fits(*([side * size * apart / math.sqrt(2.0), 0.0, 0.0, 0.0] for side in (-1.0, 1.0)))
-        said = disagreement(two)
+        said = explain_disagreement(two)
         assert (said is not None and "their R lies between" in said) is is_far
-    assert disagreement(fits([0.0, 0.0, 0.0, -2.0], [0.0, 0.0, 0.0, 2.0])) is None
+    assert explain_disagreement(fits([0.0, 0.0, 0.0, -2.0], [0.0, 0.0, 0.0, 2.0])) is None
     others = [[0.0] * 4, [0.02, 0.0, 0.0, 0.0], [-0.02, 0.0, 0.0, 0.0]]
     _, fit, _ = fitted()
     sd = math.sqrt(fit.log_covariance[0, 0] + 0.02**2 + 0.1**2)
     for size, is_odd in ((4.99, False), (5.01, True)):
         given = fits(*others, [size * sd, 0.0, 0.0, 0.0])
-        said = odd_one_out(given, 3)
+        said = explain_outlier(given, 3)
         assert (said is not None) is is_odd
         if said:
             assert said == f"its R is {math.exp(size * sd):.3g} times that of the others"
-    assert odd_one_out(fits([0.0] * 4, [9.0] * 4), 1) is None  # of two none is odd
+    assert explain_outlier(fits([0.0] * 4, [9.0] * 4), 1) is None  # of two none is odd
 
 
 def test_a_start_is_compared_with_what_is_as_warm() -> None:
@@ -241,23 +255,24 @@ def test_a_start_is_compared_with_what_is_as_warm() -> None:
     expected = sheet.log_covariance + beyond(sheet.log_covariance, fit.white_covariance)
     np.testing.assert_allclose(covariance_at_one_temperature(fit, starts), expected)
     warm = replace(starts, temperature_k=15.0, warmer_k=5.0, own_friction=1.0, degrees_of_freedom=8.0)
-    view = views_of(fit, warm, RATE)[0]
+    view = form_hypotheses(fit, warm, RATE)[0]
     warmth = np.array([0.00393, 0.0, -0.002, -0.003])
-    np.testing.assert_allclose(view.drag.warmth, warmth)
+    np.testing.assert_allclose(view.load.warmth, warmth)
     # The factors move in proportion to the temperature: by its posterior mean, 15 K believed, the logarithms do too.
     raw = fit.log_values - sheet.log_values - 5.0 * warmth
     slope = np.linalg.inv(expected) @ warmth
     factors = slope @ raw / (slope @ warmth + 15.0**-2) * warmth
     np.testing.assert_allclose(view.difference.log_ratios, raw + factors - np.log1p(factors))
     np.testing.assert_allclose(
-        view.difference.covariance, with_normal(expected, 225.0 * np.outer(warmth, warmth), RATE / 5.0, 8.0)
+        view.difference.covariance,
+        add_normal_spread(expected, 225.0 * np.outer(warmth, warmth), RATE / 5.0, 8.0),
     )
     limit = view.faults[0].z
     assert not view.is_alarm(max(one.z for one in view.faults) + 1e-9, 0.0)
     assert view.is_alarm(max(one.z for one in view.faults) - 1e-9, 0.0)
     assert view.is_alarm(math.inf, 1.0) or limit
-    views = views_of(fit, replace(warm, own_friction=None), RATE)
-    assert [(one.drag.load, one.drag.own) for one in views] == [
+    views = form_hypotheses(fit, replace(warm, own_friction=None), RATE)
+    assert [(one.load.name, one.load.own_friction) for one in views] == [
         (None, 1.0),
         ("constant", 1.0),
         ("constant", 0.0),
@@ -265,9 +280,13 @@ def test_a_start_is_compared_with_what_is_as_warm() -> None:
     ]
     each = [smallest_changes(one.difference, 3.0) for one in views]
     largest = {kind: max(one[kind] for one in each) for kind in each[0]}
-    assert smallest_of(views, None, 3.0) == largest
-    assert smallest_of(views, 0.25, 3.0) == largest | {"bearing": 4.0 * largest["bearing"]}
-    assert (unit_of("bearing", 0.3), unit_of("bearing", None), unit_of("winding_contact", 0.3)) == (
+    assert smallest_detectable(views, None, 3.0) == largest
+    assert smallest_detectable(views, 0.25, 3.0) == largest | {"bearing": 4.0 * largest["bearing"]}
+    assert (
+        severity_unit("bearing", 0.3),
+        severity_unit("bearing", None),
+        severity_unit("winding_contact", 0.3),
+    ) == (
         0.3,
         1.0,
         1.0,
@@ -304,8 +323,8 @@ def test_healthy_starts_are_fitted_with_what_most_of_them_prefer(
         fitted_with.append(with_model)
         return fits([0.0] * 4)[0]
 
-    monkeypatch.setattr(learning, "identify_best", best)
-    monkeypatch.setattr(learning, "identify", fit)
+    monkeypatch.setattr(healthy_spread, "identify_best", best)
+    monkeypatch.setattr(healthy_spread, "identify", fit)
     assert len(fit_healthy([prepare(judged().recording)] * len(preferred))) == len(preferred)
     assert fitted_with == [model] * 2 * len(preferred)
 
@@ -337,11 +356,11 @@ def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
         pair = [replace(fit, fitted_extension={"coulomb": (0.1, error * math.sqrt(2.0))})] * 2
         assert motor_files.to_motor(pair, "two").coulomb_friction_n_m == pytest.approx(told)
     wide = replace(fit, log_covariance=np.diag([0.49, 0.51, 0.1, 0.1]) ** 2)
-    assert [one for one in motor_files.not_told(wide) if "is not told" in one] == [
+    assert [one for one in motor_files.describe_undetermined(wide) if "is not told" in one] == [
         "L is not told by this recording (its standard error is 51 %)"
     ]
     for model, alike in (((), False), (("speed_lag", "coulomb"), False), (("coulomb", "sensor_lag"), True)):
-        said = motor_files.not_told(replace(fit, model=model))
+        said = motor_files.describe_undetermined(replace(fit, model=model))
         assert any("a lag of the sensor and L look alike" in one for one in said) is alike
 
 
@@ -362,20 +381,22 @@ def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> N
     prior, warmth = np.eye(4) * 0.02**2 + white, np.array([0.00393, 0.0, -0.002, -0.003])
     expected = 0
     for n in range(5):
-        _, covariance, freedom = the_next(np.delete(logs, n, axis=0), prior)
+        _, covariance, freedom = predictive_t(np.delete(logs, n, axis=0), prior)
         same = covariance + beyond(covariance, white)
-        whole = with_normal(same, 225.0 * np.outer(warmth, warmth), RATE / 5.0, freedom)
+        whole = add_normal_spread(same, 225.0 * np.outer(warmth, warmth), RATE / 5.0, freedom)
         limit = stats.t.isf(joint_share(0.8 * RATE, whole, EXPONENTS, freedom), freedom)
         expected += bool((limit + 1.645) * math.sqrt(same[3, 3]) > math.log(2.0))
     assert expected == (4 if odd else 0)
     motor = motor_files.to_motor(given, "m", healthy=learn_starts(given))
-    smallest, undecided = learning.promise_of(motor, given, None, RATE)
+    smallest, undecided = healthy_spread.detectable_changes(motor, given, None, RATE)
     assert undecided == ({"B/J": expected} if odd else {})
     reference = reference_of(motor, CURRENT)
     assert reference is not None
-    views = views_of(given[0], reference, RATE)
-    assert smallest == smallest_of(views, None, limits_of(views, RATE, tests_noise=True).z)
-    assert learning.promise_of(motor, given[:1], None, RATE)[1] == {}  # nothing is left to judge one by
+    views = form_hypotheses(given[0], reference, RATE)
+    assert smallest == smallest_detectable(views, None, alarm_limits(views, RATE, tests_noise=True).z)
+    assert (
+        healthy_spread.detectable_changes(motor, given[:1], None, RATE)[1] == {}
+    )  # nothing is left to judge one by
 
 
 def test_words_of_a_commissioning() -> None:
@@ -388,10 +409,10 @@ def test_words_of_a_commissioning() -> None:
     half = stats.t.isf(0.025, 6.0) * np.sqrt(np.diag(learned.log_covariance))
     assert "(95%, Student t, 6 degrees)" in text
     for name, value, h in zip(learned.quantities, learned.values, half, strict=True):
-        words = f"{value:.4g} {report.UNITS[name]:<12} {math.expm1(-h):+.1%} to {math.expm1(h):+.1%}"
+        words = f"{value:.4g} {formats.UNITS[name]:<12} {math.expm1(-h):+.1%} to {math.expm1(h):+.1%}"
         assert " ".join(words.split()) in " ".join(text.split()), name
         told = replace(known, false_alarm_rate=0.05).parameters[name]
-        assert (told["value"], told["unit"]) == (value, report.UNITS[name])
+        assert (told["value"], told["unit"]) == (value, formats.UNITS[name])
         assert told["interval"] == pytest.approx([value * math.exp(-h), value * math.exp(h)])
     assert "found in 95 of 100 cases: bearing 25.0%" in text
     assert "\n  B/J is left undecided by 2 of these 3 starts: a doubling would not show\n" in text

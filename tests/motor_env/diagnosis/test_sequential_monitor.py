@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 from motor_env import InputError, Recording
+from motor_env.diagnosis.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.running import sequential_monitor
 from motor_env.diagnosis.running.operating_conditions import condition_features
 from motor_env.diagnosis.running.score_calibration import (
@@ -29,7 +30,6 @@ from motor_env.diagnosis.running.sequential_monitor import (
 )
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import NAMES, FittedWindow
 from motor_env.fitting import parameter_index as places
 from motor_env.motor.healthy import Healthy, OperatingCondition, ScoreCalibration, Windows
 from motor_env.motor.parameters import FloatArray

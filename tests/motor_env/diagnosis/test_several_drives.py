@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from motor_env import FaultKind, Recording, commission
-from motor_env.diagnosis.learning import (
+from motor_env.diagnosis.healthy_spread import (
     RECORD_SPREAD,
+    detectable_changes,
+    learn_without,
     next_window,
-    promise_of,
-    the_next,
-    usual_beside,
-    without,
+    predictive_t,
+    usual_condition_windows,
 )
+from motor_env.diagnosis.hypotheses import FittedWindow
 from motor_env.diagnosis.motor_files import motor_of_windows
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
@@ -33,7 +34,6 @@ from motor_env.diagnosis.running.windows import (
     windows_of,
 )
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.record import Record
 from motor_env.fitting.uncertainty import excess_covariance as beyond
@@ -96,7 +96,7 @@ def test_each_drive_teaches_its_own_values(learned: tuple[Healthy, list[FittedWi
     assert [drive.pieces for drive in drives] == [(0, 1, 2), (3, 4, 5)]
     for drive in drives:
         some = [fits[n] for n in drive.pieces]
-        centre, covariance, freedom = the_next(
+        centre, covariance, freedom = predictive_t(
             np.array([fit.log_values for fit in some]),
             np.mean([fit.white_covariance for fit in some], axis=0),
         )
@@ -118,13 +118,13 @@ def test_windows_of_a_rare_drive_scatter_no_less_than_those_of_the_usual_one() -
     assert np.diag(believed)[0] == pytest.approx(of_usual[0, 0], rel=0.1)
     assert believed[3, 3] > 4.0  # its own error is larger
     centre, covariance, freedom = next_window(rare, steady=False, usual=usual)
-    expected = the_next(logs, believed)
+    expected = predictive_t(logs, believed)
     np.testing.assert_allclose(centre, expected[0])
     np.testing.assert_allclose(covariance, expected[1] + np.diag(np.square(RECORD_SPREAD)))
     assert freedom == expected[2] == 5.0
-    assert usual_beside([8, 9], [range(8), [8, 9]]) == range(8)
-    assert len(usual_beside([7, 8], [range(7), [7, 8]])) == 0
-    assert len(usual_beside(range(8), [range(8), [8, 9]])) == 0
+    assert usual_condition_windows([8, 9], [range(8), [8, 9]]) == range(8)
+    assert len(usual_condition_windows([7, 8], [range(7), [7, 8]])) == 0
+    assert len(usual_condition_windows(range(8), [range(8), [8, 9]])) == 0
 
 
 def test_a_rare_drive_is_learned_beside_the_usual_one(
@@ -139,7 +139,8 @@ def test_a_rare_drive_is_learned_beside_the_usual_one(
     np.testing.assert_allclose(usual.log_covariance, next_window(fits[:8], steady=False)[1])
     np.testing.assert_allclose(rare.log_covariance, next_window(fits[8:], steady=False, usual=fits[:8])[1])
     np.testing.assert_allclose(
-        without(healthy, fits, 9).log_covariance, next_window(fits[8:9], steady=False, usual=fits[:8])[1]
+        learn_without(healthy, fits, 9).log_covariance,
+        next_window(fits[8:9], steady=False, usual=fits[:8])[1],
     )
 
 
@@ -187,19 +188,21 @@ def test_the_smallest_change_shows_under_each_drive(learned: tuple[Healthy, list
     healthy, fits = learned
     assert healthy.windows is not None
     motor = motor_of_windows(healthy, "it")
-    smallest, _ = promise_of(motor, fits, None, 0.01)
+    smallest, _ = detectable_changes(motor, fits, None, 0.01)
     each = []
     for drive in healthy.windows.drives:
         alone = replace(healthy.under(drive), windows=replace(healthy.windows, drives=()))
         own = [fits[n] for n in drive.pieces]
-        each.append(promise_of(replace(motor, healthy=alone), own, None, 0.01)[0])
+        each.append(detectable_changes(replace(motor, healthy=alone), own, None, 0.01)[0])
     assert smallest == pytest.approx({kind: max(one[kind] for one in each) for kind in each[0]})
     assert each[0] != each[1]
     turned = replace(healthy, windows=replace(healthy.windows, drives=healthy.windows.drives[::-1]))
-    assert promise_of(replace(motor, healthy=turned), fits, None, 0.01)[0] == smallest  # whatever their order
+    assert (
+        detectable_changes(replace(motor, healthy=turned), fits, None, 0.01)[0] == smallest
+    )  # whatever their order
     others = [fits[n] for n in (3, 5)]
     np.testing.assert_allclose(
-        np.log(without(healthy, fits, 4).values), np.mean([fit.log_values for fit in others], axis=0)
+        np.log(learn_without(healthy, fits, 4).values), np.mean([fit.log_values for fit in others], axis=0)
     )
 
 

@@ -1,4 +1,4 @@
-"""A judgement as it is shown: status, text, JSON, page and pictures."""
+"""A judgement as it is shown: status, text, JSON and pages."""
 
 import json
 import math
@@ -15,16 +15,18 @@ from motor_env import (
     Diagnosis,
     FaultKind,
     Verdict,
+    commission,
     diagnose,
+    identify,
     read_recording,
 )
 from motor_env.cli import main
-from motor_env.diagnosis.explanations import (
+from motor_env.diagnosis.batch import page_path
+from motor_env.diagnosis.hypotheses import (
     Change,
     joint_share,
 )
-from motor_env.diagnosis.files import picture_of
-from motor_env.diagnosis.shown import page, report
+from motor_env.diagnosis.report import formats, page
 
 # Reaches in: fits are altered by hand.
 from motor_env.fitting.starts.start_fit import StartFit as Identified
@@ -55,13 +57,13 @@ def test_text_and_json_say_the_same() -> None:
     found, fit, _ = fitted()
     check = found.consistency
     assert check is not None
-    told, text = report.as_json(faulty()), report.as_text(faulty(), verbose=True)
+    told, text = formats.as_json(faulty()), formats.as_text(faulty(), verbose=True)
     said = "winding (winding_contact) +20% (95 %: +10% to +31%), confidence 0.88"
     assert text.splitlines()[0] == f"start.csv: {said}"
-    unsure = replace(faulty().telling, kind_probability=0.94)
-    assert report.headline(unsure) == said.replace(" (winding_contact)", "")
-    bearing = replace(faulty().telling, verdict=Verdict.BEARING, fault_kind=FaultKind.BEARING)
-    assert report.headline(bearing).startswith("bearing +20%")
+    unsure = replace(faulty().decisive, kind_probability=0.94)
+    assert formats.headline(unsure) == said.replace(" (winding_contact)", "")
+    bearing = replace(faulty().decisive, verdict=Verdict.BEARING, fault_kind=FaultKind.BEARING)
+    assert formats.headline(bearing).startswith("bearing +20%")
     assert "R            " in text
     assert "+20.0% from the reference (95 %: +10.0% to +31.0%)\n" in text
     assert "-5.0% from the reference (95 %: -10.0% to +0.0%), undecided\n" in text
@@ -104,11 +106,11 @@ def test_text_and_json_say_the_same() -> None:
         assert f"{value:.4g} +- {error:.2g} {unit}" in text
     assert told["parameters"]["onset_s"] == {"value": fit.onset_s, "unit": "s"}
     assert told["parameters"]["offset_a"] == {"value": fit.offset_a, "unit": "A"}
-    assert report.of_the_drag(0.4).endswith("own friction, 40% of the drag")
+    assert formats.describe_friction_share(0.4).endswith("own friction, 40% of the drag")
     assert of_one(severity_interval=(0.1, 0.31)).severity_interval == (0.1, 0.31)
     for number in (math.nan, math.inf):
-        assert report.as_json(of_one(severity=number))["severity"] is None
-    assert report.headline(of_one(confidence=None).telling) == "healthy"
+        assert formats.as_json(of_one(severity=number))["severity"] is None
+    assert formats.headline(of_one(confidence=None).decisive) == "healthy"
 
 
 def test_something_else_names_what_moved_most() -> None:
@@ -147,7 +149,7 @@ def test_pieces_stand_at_their_middles_on_one_axis_of_time() -> None:
     ratios = [(0.0, 8.0, 1.5), (8.0, 10.0, 1.0), (30.0, 10.0, 0.8)]
     pieces = [
         replace(
-            judged().telling,
+            judged().decisive,
             begin_s=begin,
             duration_s=length,
             changes=(
@@ -251,25 +253,51 @@ def test_words_of_the_page() -> None:
 def test_the_piece_that_a_verdict_rests_on(said: list[tuple[str, float | None]], telling: int) -> None:
     """The surest of the most frequent fault; without a fault a healthy one, else the first."""
     pieces = tuple(
-        replace(judged().telling, verdict=Verdict(word), confidence=sure, begin_s=float(n))
+        replace(judged().decisive, verdict=Verdict(word), confidence=sure, begin_s=float(n))
         for n, (word, sure) in enumerate(said)
     )
     found = replace(judged(), pieces=pieces, of=9)
-    assert found.telling is pieces[telling]
+    assert found.decisive is pieces[telling]
     assert (found.verdict, found.confidence) == (Verdict(said[telling][0]), said[telling][1])
-    told = report.as_json(found)
+    told = formats.as_json(found)
     assert (told["verdict"], told["pieces_of_recording"]) == (said[telling][0], 9)
     assert [(one["verdict"], one["confidence"]) for one in told["pieces"]] == said
-    first, *lines = report.as_text(found).splitlines()
+    first, *lines = formats.as_text(found).splitlines()
     same = sum(word == said[telling][0] for word, _ in said)
     assert first.endswith(f"; {same} of {len(said)} starts judged, of 9")
     marked = [line for line in lines if line.endswith(" <")]
     assert [line.startswith(f"  from {telling} s: {said[telling][0]}") for line in marked] == [True]
 
 
+def test_a_page_of_fits_shows_what_was_measured_beside_it() -> None:
+    found = identify(EXAMPLES / "startup_capture.csv")
+    ((recording, fit),) = found.starts
+    charts = re.findall(r'aria-label="([^"]*)"(.*?)</svg>', found.page())
+    assert [label for label, _ in charts] == ["Current, measured and fitted", "Current: residual"]
+    heights = {
+        style: np.array([float(point.split(",")[1]) for point in points.split()])
+        for _, chart in charts
+        for style, points in re.findall(r'<polyline class="(\w+)" points="([^"]*)"', chart)
+    }
+    kept = slice(None, None, len(recording.time_s) // 700)
+    measured = np.asarray(fit.start.current_a)[kept]
+    assert np.corrcoef(measured, -heights["measured"])[0, 1] > 0.99999
+    assert np.corrcoef(fit.expected[kept, 0], -heights["healthy"])[0, 1] > 0.99999
+    assert np.corrcoef(measured - fit.expected[kept, 0], -heights["beyond"])[0, 1] > 0.999
+
+
+def test_a_page_of_a_commissioning_has_a_dot_for_each_piece() -> None:
+    example = read_recording(EXAMPLES / "startup_capture.csv")
+    starts = [replace(example, path=Path(f"{n}.csv"), current_a=n * example.current_a) for n in (1.0, 1.1)]
+    html = commission(starts, fewest=2).page()
+    (spread,) = re.findall(r'aria-label="Deviation of each quantity.*?</svg>', html, re.DOTALL)
+    assert (spread.count('class="interval"'), spread.count('class="dot"')) == (4, 8)
+    assert "Healthy start 2" in html
+
+
 def test_names_of_pages_are_numbered() -> None:
-    assert picture_of(Path("a.b/c.d.csv"), Path("out"), 7) == Path("out/007-c-d-csv.png")
-    assert len(picture_of(Path("x" * 99), Path("out"), 7).stem) == 4 + 50
+    assert page_path(Path("a.b/c.d.csv"), Path("out"), 7) == Path("out/007-c-d-csv.html")
+    assert len(page_path(Path("x" * 99), Path("out"), 7).stem) == 4 + 50
 
 
 @pytest.mark.parametrize(
@@ -296,7 +324,7 @@ def test_a_false_alarm_rate_reaches_the_tests(capsys: pytest.CaptureFixture[str]
         (told,) = json.loads(capsys.readouterr().out)
         smallest[rate] = math.log1p(told["smallest_changes"]["bearing"])
     one = diagnose(read_recording(EXAMPLES / "startup_capture.csv"), SHEET)  # the library's own default
-    assert smallest[""] == smallest["0.01"] == math.log1p(one.telling.smallest_changes["bearing"])
+    assert smallest[""] == smallest["0.01"] == math.log1p(one.decisive.smallest_changes["bearing"])
     (judgement,) = one.pieces
     assert isinstance(judgement.identified, Identified)
     assert judgement.reference is not None

@@ -23,10 +23,10 @@ from motor_env import (
     simulate,
     simulate_states,
 )
+from motor_env.diagnosis.hypotheses import NAMES
 from motor_env.diagnosis.running import log_diagnosis, window_baseline
 from motor_env.diagnosis.running.log_diagnosis import judge_for
 from motor_env.diagnosis.running.windows import viscous
-from motor_env.diagnosis.views import NAMES
 from motor_env.fitting import parameter_index as places
 
 # Reaches in: the long test judges by the joint fit itself, made once for two motors.

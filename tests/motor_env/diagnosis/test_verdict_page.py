@@ -12,8 +12,8 @@ import pytest
 from judged_by_hand import SHEET, start
 
 from motor_env import Diagnosis, Fault, FaultKind, Verdict, diagnose
-from motor_env.diagnosis.shown.page import page, reference_current
-from motor_env.diagnosis.shown.words import RUN_ON
+from motor_env.diagnosis.report.page import page, reference_current
+from motor_env.diagnosis.report.verdict_texts import RUN_ON_TEXTS
 
 Answers = tuple[str, str, str]
 
@@ -64,7 +64,7 @@ def test_a_technician_finds_verdict_size_and_next_action(case: str) -> None:
 
 
 def test_the_page_says_whether_the_motor_may_run_on() -> None:
-    assert set(RUN_ON) >= set(Verdict)
+    assert set(RUN_ON_TEXTS) >= set(Verdict)
     for case, words in {
         "healthy": "It may run on.",
         "short": "It should not run on",
@@ -95,7 +95,7 @@ def test_numbers_of_experts_lie_behind_the_fold() -> None:
 
 
 def test_the_healthy_motors_current_is_what_was_measured_when_nothing_is_wrong() -> None:
-    healthy, bearing = judged("healthy").telling, judged("bearing").telling
+    healthy, bearing = judged("healthy").decisive, judged("bearing").decisive
     fit, expected = healthy.identified, reference_current(healthy)
     assert fit is not None
     assert expected is not None

@@ -15,13 +15,21 @@ from scipy import integrate, optimize, stats
 
 from motor_env import Diagnosis, FaultKind, InputError, Motor, Recording, Verdict, diagnose
 from motor_env.cli import main
-from motor_env.diagnosis import files, views
+from motor_env.diagnosis import batch, hypotheses
 from motor_env.diagnosis.commission import Commissioned, commission
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Change, joint_share
 from motor_env.diagnosis.healthy_motor import Reference
-from motor_env.diagnosis.learning import the_next, without
+from motor_env.diagnosis.healthy_spread import learn_without, predictive_t
+from motor_env.diagnosis.hypotheses import (
+    EXPONENTS,
+    NAMES,
+    Change,
+    FittedWindow,
+    covariance_at_one_temperature,
+    joint_share,
+)
 from motor_env.diagnosis.motor_files import motor_of_windows
+from motor_env.diagnosis.report import formats
 from motor_env.diagnosis.running import window_baseline, windows
 from motor_env.diagnosis.running.operating_conditions import (
     condition_distance,
@@ -38,10 +46,8 @@ from motor_env.diagnosis.running.windows import (
     viscous,
     windows_of,
 )
-from motor_env.diagnosis.sensors.failed import physical_of
-from motor_env.diagnosis.shown import report
+from motor_env.diagnosis.sensors.sensor_diagnosis import physical_values
 from motor_env.diagnosis.verdict import Judgement
-from motor_env.diagnosis.views import EXPONENTS, NAMES, FittedWindow, covariance_at_one_temperature
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.record import Record
 
@@ -137,9 +143,9 @@ def test_only_windows_that_tell_all_four_have_a_judge() -> None:
 def test_sensors_are_checked_against_what_windows_have_taught(monkeypatch: pytest.MonkeyPatch) -> None:
     """R, K and J of the windows' mean, not those of the fit of all of them; and their drag."""
     given: list[FloatArray] = []
-    monkeypatch.setattr(windows, "failure_in", lambda _, physical: given.append(physical))
+    monkeypatch.setattr(windows, "find_failure", lambda _, physical: given.append(physical))
     assert JUDGE.failed_sensor(recording(500)) is None
-    given.append(physical_of(motor_of_windows(HEALTHY, "m")))
+    given.append(physical_values(motor_of_windows(HEALTHY, "m")))
     for physical in given:
         assert physical[[places.R, places.K, places.J]] == pytest.approx([2.0, 0.03, 4e-6])
         assert physical[[places.L, places.B, places.COULOMB]] == pytest.approx([1e-3, 2e-6, 3e-4])
@@ -148,7 +154,7 @@ def test_sensors_are_checked_against_what_windows_have_taught(monkeypatch: pytes
 
 def test_the_temperature_of_healthy_logs_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("motor_env.diagnosis.commission.learn_windows", lambda *_, **__: (HEALTHY, []))
-    monkeypatch.setattr("motor_env.diagnosis.commission.promise_of", lambda *_: ({}, {}))
+    monkeypatch.setattr("motor_env.diagnosis.commission.detectable_changes", lambda *_: ({}, {}))
     for celsius in (None, 21.0):
         found = commission([recording(2000)], window_s=0.5, temperature_c=celsius)
         assert found.healthy.temperature_c == celsius
@@ -378,9 +384,9 @@ def test_a_quiet_window_decides_nothing_where_no_doubling_would_show() -> None:
 def test_a_window_is_judged_by_what_moved_in_it(off: tuple[float, ...], verdict: str) -> None:
     reference = replace(JUDGE.reference, temperature_k=15.0, warmer_k=3.0, own_friction=0.8)
     window = FittedWindow(JUDGE.reference.log_values + off, spread(4) * 0.5)
-    (view,) = views.views_of(window, reference, 0.01)
+    (view,) = hypotheses.form_hypotheses(window, reference, 0.01)
     # No load falls with the temperature.
-    np.testing.assert_allclose(view.drag.warmth, [0.00393, -0.001, 0.0, -0.003 * 0.8])
+    np.testing.assert_allclose(view.load.warmth, [0.00393, -0.001, 0.0, -0.003 * 0.8])
     assert decide(window, reference, 0.01).verdict == verdict
 
 
@@ -392,18 +398,18 @@ def test_warmth_widens_what_is_healthy() -> None:
     assert decided(ratios, covariance, 0.01, 1e3).verdict.is_fault
     assert decided(ratios, covariance, 0.01, 1e3, 15.0).verdict == "healthy"
     assert decided(ratios, covariance, 0.01, 1e3, 2.0).verdict.is_fault
-    np.testing.assert_array_equal(views._straightened(ratios, spread(4), WARMTH, 0.0), ratios)
+    np.testing.assert_array_equal(hypotheses._linearise_warming(ratios, spread(4), WARMTH, 0.0), ratios)
     # At most 100 K are taken for warmth when logarithms are straightened.
     tight = np.diag([1e-5, 1e-5, 1.0, 1e-5]) ** 2
     for kelvin in (99.0, 101.0, 130.0):
-        found = views._straightened(np.log1p(kelvin * WARMTH), tight, WARMTH, 1e3)
+        found = hypotheses._linearise_warming(np.log1p(kelvin * WARMTH), tight, WARMTH, 1e3)
         slope = np.linalg.solve(tight, WARMTH)
         least = slope @ np.log1p(kelvin * WARMTH) / (slope @ WARMTH + 1e-6)
         kept = min(float(least), 100.0) * WARMTH
         np.testing.assert_allclose(found, np.log1p(kelvin * WARMTH) + kept - np.log1p(kept), rtol=1e-9)
     # And no quantity is taken for less than half: a load may answer to warmth by more than 1 % a kelvin.
     steep = np.array([0.004, -0.012, 0.0, -0.003])
-    found = views._straightened(99.0 * steep, tight, steep, 1e3)
+    found = hypotheses._linearise_warming(99.0 * steep, tight, steep, 1e3)
     assert found[1] == pytest.approx(-99.0 * 0.012 - 0.5 - math.log(0.5), rel=1e-6)
 
 
@@ -485,8 +491,8 @@ class Lesson:
 def test_each_healthy_window_is_judged_by_the_others(temperature_k: float, times: float) -> None:
     """With the spread from record to record that is believed of them: a steady motor has none."""
     fits = [FittedWindow(row, 1e-4 * np.eye(4)) for row in LOGS]
-    found = without(replace(HEALTHY, temperature_k=temperature_k), fits, 2)
-    centre, covariance, freedom = the_next(np.delete(LOGS, 2, axis=0), 1e-4 * np.eye(4))
+    found = learn_without(replace(HEALTHY, temperature_k=temperature_k), fits, 2)
+    centre, covariance, freedom = predictive_t(np.delete(LOGS, 2, axis=0), 1e-4 * np.eye(4))
     np.testing.assert_allclose(np.log(found.values), centre)
     record = np.diag([1e-4, 0.25e-4, 1e-4, 25e-4])
     np.testing.assert_allclose(found.log_covariance, covariance + times * record)
@@ -731,32 +737,32 @@ def record(*said: str, of: int | None = None) -> Diagnosis:
 
 def test_text_and_json_of_a_record_say_the_same() -> None:
     found = record("healthy", "bearing", of=7)
-    assert report.as_text(found).splitlines() == [
+    assert formats.as_text(found).splitlines() == [
         "log: bearing; 1 of 2 windows judged, of 7",
         "  it is bearing.",
         "  taken for a motor at work (reversed)",
         "  from 0 s: healthy; R +25.0%, K -2.0%, J +0.0%, B +33.3%",
         "  from 0.5 s: bearing; R +25.0%, K -2.0%, J +0.0%, B +33.3% <",
     ]
-    told = report.as_json(found)
+    told = formats.as_json(found)
     assert told["taken_for"] == {"regime": "operation", "why": "reversed"}
     assert [(one["verdict"], one["begin_s"], one["duration_s"]) for one in told["pieces"]] == [
         ("healthy", 0.0, 0.5),
         ("bearing", 0.5, 0.5),
     ]
-    whole = report.as_text(record("bearing", "bearing", "healthy"))
+    whole = formats.as_text(record("bearing", "bearing", "healthy"))
     assert whole.startswith("log: bearing; 2 of 3 windows\n")
     torn = Judgement(Verdict.UNUSABLE, ("torn", "worn"), begin_s=1.0)
-    assert "  from 1 s: unusable; torn; worn" in report.as_text(replace(found, pieces=(*found.pieces, torn)))
+    assert "  from 1 s: unusable; torn; worn" in formats.as_text(replace(found, pieces=(*found.pieces, torn)))
     one = replace(found, taken=Taken("start", "it rises"), pieces=(torn,), of=1)
     lines = ["log: unusable", "  torn.", "  worn.", "  taken for a start (it rises)"]
-    assert report.as_text(one).splitlines() == lines
+    assert formats.as_text(one).splitlines() == lines
 
 
 def test_a_log_has_no_reference_without_a_motor() -> None:
     found = diagnose(recording(500), regime="operation")
     assert (found.verdict, found.of) == ("no_reference", 1)
-    assert found.telling.duration_s == pytest.approx(0.5)
+    assert found.decisive.duration_s == pytest.approx(0.5)
 
 
 def test_words_of_a_commissioning_by_windows() -> None:
@@ -801,7 +807,7 @@ def test_the_command_counts_all_windows_of_a_log(
         return motor_of_windows(HEALTHY, "m")
 
     monkeypatch.setattr(WindowJudge, "judge", judge)
-    monkeypatch.setattr(files, "load_motor", known)
+    monkeypatch.setattr(batch, "load_motor", known)
     log = str(log_file(tmp_path))
     assert main(["diagnose", log, "--motor", "m.toml", "--json", "--false-alarm-rate", "0.2"]) == 1
     (told,) = json.loads(capsys.readouterr().out)

@@ -26,7 +26,7 @@ def test_logs_are_identified_jointly(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert found["taken_for"]["regime"] == "operation"
     assert found["parameters"]["K"]["value"] == pytest.approx(motor.constant, rel=0.05)
     assert load_motor(toml).parameters.resistance_ohm == pytest.approx(motor.ohm, rel=0.05)
-    assert (tmp_path / "001-reversals-csv.png").exists()
+    assert (tmp_path / "identify.html").exists()
 
 
 def test_noise_is_unusable_with_a_status(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

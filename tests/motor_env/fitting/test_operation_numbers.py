@@ -17,7 +17,7 @@ from motor_env import InputError, Recording, identify, load_motor
 from motor_env.cli import main
 
 # Reaches in: a fit made by hand is patched in below `identify`, and told by the answer that it gives.
-from motor_env.diagnosis import identify as identifying
+from motor_env.diagnosis import identification as identifying
 from motor_env.diagnosis.motor_files import motor_of_log
 from motor_env.fitting import ekf, model_selection as fitting, parameter_index as index, uncertainty
 from motor_env.fitting.initial_values import _sign, initial_values

@@ -14,9 +14,8 @@ from scipy.stats import f as fisher, t as student_t
 
 from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
-from motor_env.diagnosis.explanations import Difference
+from motor_env.diagnosis.hypotheses import Difference, FittedWindow
 from motor_env.diagnosis.verdict import Verdict
-from motor_env.diagnosis.views import FittedWindow
 from motor_env.envs import MonitorEnv
 from motor_env.errors import InputError
 from motor_env.fleet.fits import fit_fleet, processes
@@ -165,7 +164,7 @@ def test_a_motor_is_told_by_the_surest_of_its_faults(found: FleetDiagnosis) -> N
     healthy, worst = found.units[-1].telling, found.units[0].telling
 
     def record(verdict: Verdict, confidence: float) -> Diagnosis:
-        return replace(worst, pieces=(replace(worst.telling, verdict=verdict, confidence=confidence),))
+        return replace(worst, pieces=(replace(worst.decisive, verdict=verdict, confidence=confidence),))
 
     faults = [record(Verdict.WINDING, 0.6), record(Verdict.BEARING, 0.9), record(Verdict.WINDING, 0.7)]
     records = {Path(str(n)): one for n, one in enumerate([healthy, *faults])}

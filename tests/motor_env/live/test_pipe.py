@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR, Motor, discretize
+from motor_env.diagnosis.hypotheses import NAMES
 
 # Reaches in: what windows teach is written by hand, without the long fits of a commissioning at work.
 from motor_env.diagnosis.running.windows import viscous
-from motor_env.diagnosis.views import NAMES
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.terms import NOISES
 from motor_env.motor.data_sheet import save_motor

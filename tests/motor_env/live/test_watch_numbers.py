@@ -26,11 +26,10 @@ from motor_env.console import ExitStatus
 
 # Reaches in: the judge of windows is replaced, or is given fits made by hand, and answers in its own types.
 from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.explanations import Change
+from motor_env.diagnosis.hypotheses import Change, FittedWindow
 from motor_env.diagnosis.running.windows import WindowJudge, judge_of
-from motor_env.diagnosis.sensors.checks import sensor_failed
+from motor_env.diagnosis.sensors.channels import sensor_judgement
 from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.diagnosis.views import FittedWindow
 from motor_env.fitting import parameter_index as places
 from motor_env.live import command, watch as watching
 from motor_env.live.command import showing
@@ -211,7 +210,7 @@ def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
         replace(unsure, kind_probability=0.951),
         Judgement(Verdict.UNUSABLE, ("the motor stands", "all the time")),
         UnusableError("too short"),
-        sensor_failed("current_dead", "the current shows nothing"),
+        sensor_judgement("current_dead", "the current shows nothing"),
     ]
     Judge(monkeypatch, *verdicts)
     state = State()

@@ -97,9 +97,9 @@ def test_odd_names_cost_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture
     empty, commas = tmp_path / "bom.csv", tmp_path / "commas.csv"
     empty.write_bytes(b"\xef\xbb\xbf")
     commas.write_bytes(b"," * 5_000_000)
-    files = [str(name) for name in (*names, empty, commas)]
+    batch = [str(name) for name in (*names, empty, commas)]
     options = ["--motor", str(EXAMPLES / "motor.toml"), "--out", str(tmp_path / "out")]
-    assert cli.main(["diagnose", *files, *options]) == 2
+    assert cli.main(["diagnose", *batch, *options]) == 2
     printed = capsys.readouterr()
     assert printed.out.count("bearing +") == len(names)
     assert "\x1b" not in printed.out + printed.err
@@ -113,7 +113,7 @@ def test_a_bug_on_one_file_costs_no_verdict(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # Reaches in: a bug is patched in for the reader that the command calls for each file.
-    from motor_env.diagnosis import files
+    from motor_env.diagnosis import batch
 
     calls = iter([TypeError("a bug"), None])
 
@@ -122,7 +122,7 @@ def test_a_bug_on_one_file_costs_no_verdict(
             raise error
         return read_recording(path, columns)
 
-    monkeypatch.setattr(files, "read_recording", sometimes)
+    monkeypatch.setattr(batch, "read_recording", sometimes)
     capture, motor = str(EXAMPLES / "startup_capture.csv"), str(EXAMPLES / "motor.toml")
     assert cli.main(["diagnose", capture, capture, "--motor", motor]) == 70
     printed = capsys.readouterr()

@@ -25,7 +25,7 @@ _LONGEST_NAME = 50  # of a page: a file's name has 255 bytes
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one file: a diagnosis, or the sentence why it could not be read."""
+    """Diagnosis of one file, or the sentence why there is none."""
 
     path: Path
     diagnosis: Diagnosis | None = None
@@ -34,13 +34,13 @@ class Outcome:
 
     @property
     def status(self) -> ExitStatus:
-        """Exit status that it alone gives."""
+        """Exit status of this file alone."""
         if self.diagnosis is None or self.is_bug:
             return ExitStatus.BUG if self.is_bug else ExitStatus.BAD_INPUT
         return self.diagnosis.verdict.status
 
     def as_json(self) -> dict[str, Any]:
-        """One object; a file that could not be read has the verdict unusable, and the error."""
+        """Return one JSON object; a file that could not be read is unusable, with its error."""
         unread: dict[str, Any] = {
             "file": str(self.path),
             "verdict": "unusable",
@@ -69,10 +69,10 @@ def diagnose_files(
         motor: motor file, or name of a catalogue motor.
         healthy: healthy recordings of the same motor.
         false_alarm_rate: per healthy recording.
-        out: folder for one HTML page a recording; none are written without it.
+        out: folder for one HTML page a recording; None for no pages.
         columns: columns named by the user.
-        periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
-        progress: told each file before it is read.
+        periods_per_turn: of the commutation ripple, for the true speed.
+        progress: called with each file before it is read.
         options: of `diagnose`.
 
     Raises:
@@ -83,7 +83,7 @@ def diagnose_files(
     if healthy:
         if known is not None and options.get("voltage_v") is None:
             options["voltage_v"] = known.nominal_voltage_v
-        known = _learned(healthy, known, columns, options)
+        known = _learn_motor(healthy, known, columns, options)
     options |= {"false_alarm_rate": false_alarm_rate, "periods_per_turn": periods_per_turn}
     outcomes: list[Outcome] = []
     for number, path in enumerate(files, 1):
@@ -94,18 +94,20 @@ def diagnose_files(
             outcome = Outcome(path, judged)
             html = "" if out is None else judged.page()
         except Exception as error:  # noqa: BLE001  # whatever it is, it is said, and the others keep their verdicts
-            sentence, is_bug = why_not(path, error, "judged" if outcome.diagnosis is None else "drawn")
+            sentence, is_bug = explain_failure(
+                path, error, "judged" if outcome.diagnosis is None else "drawn"
+            )
             outcome = replace(outcome, error=sentence, is_bug=is_bug)
         if out is not None and html:
-            write_text(picture_of(path, out, number).with_suffix(".html"), html)
+            write_text(page_path(path, out, number), html)
         outcomes.append(outcome)
     return outcomes
 
 
-def _learned(
+def _learn_motor(
     healthy: Sequence[Path], motor: Motor | None, columns: Sequence[ColumnChoice], options: dict[str, Any]
 ) -> Motor:
-    """The motor of healthy recordings; what they do not tell is the other file's."""
+    """Commission a motor on healthy recordings; what they leave open comes from the other motor file."""
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     shared = {name: options[name] for name in ("voltage_v", "circuit", "regime") if name in options}
     return commission(
@@ -113,13 +115,13 @@ def _learned(
     ).motor
 
 
-def picture_of(recording: Path, folder: Path, number: int) -> Path:
-    """Where the picture of the n-th recording goes."""
-    return folder / f"{number:03d}-{recording.name.replace('.', '-')[:_LONGEST_NAME]}.png"
+def page_path(recording: Path, folder: Path, number: int) -> Path:
+    """Return the path of the page of the n-th recording."""
+    return folder / f"{number:03d}-{recording.name.replace('.', '-')[:_LONGEST_NAME]}.html"
 
 
-def why_not(path: Path, error: Exception, word: str = "judged") -> tuple[str, bool]:
-    """What is said of a file that cannot be read, on which the numerics give up, or which shows a bug: true then."""
+def explain_failure(path: Path, error: Exception, word: str = "judged") -> tuple[str, bool]:
+    """Explain in a sentence why a file has no verdict, and whether that is a bug."""
     if isinstance(error, InputError):
         return str(error), False
     words = " ".join(str(error).split())

@@ -1,4 +1,4 @@
-"""What healthy starts of one motor teach about its next start."""
+"""Predict the next healthy start or window of a motor from healthy ones."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.decision import decide, limits_of
+from motor_env.diagnosis.decision import alarm_limits, decide
 from motor_env.diagnosis.healthy_motor import Reference, reference_of
-from motor_env.diagnosis.views import Fitted, smallest_of, views_of
+from motor_env.diagnosis.hypotheses import Fitted, form_hypotheses, smallest_detectable
 from motor_env.fitting.starts.commutation import ripple_quantities
 from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.fitting.starts.start_identification import NUISANCES, identify, identify_best
@@ -22,22 +22,21 @@ from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.start import Start
 
 START_SPREAD = 0.02
-"""Standard deviation of a logarithm from start to start, as believed before any is seen."""
+"""Prior standard deviation of a logarithm from start to start."""
 RECORD_SPREAD = np.array([0.01, 0.005, 0.01, 0.05])
-"""Standard deviation of the logarithms of R, K, J and B from one record of a motor at work to the next, however long
-each lasts: the error of the model is much the same in all windows of a record."""
+"""Standard deviation of the logarithms of R, K, J and B between records of a motor at work. Their length does not
+matter: the model's error is nearly constant within a record."""
 PRIOR_WEIGHT = 4.0
-_FEW_BESIDE = 4  # times as many are of the usual drive
+_FEW_BESIDE = 4  # times as many windows of the usual drive
 _NOISE_SPREAD = 0.10
 _DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
-_SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm from start to start, and how many are odd
+_SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm between starts; so many are an outlier
 
 
 def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> list[Identified]:
-    """Fit healthy starts with one common model: the one that the evidence prefers in most of them.
+    """Fit healthy starts with one common model, which the evidence prefers in most of them.
 
-    All are fitted twice, the second time from the median of the first fits, so that no start is left in an optimum
-    of its own, and an ambiguous inductance is the same in all.
+    The second of two fits begins at the median of the first ones, so that no start stays in an optimum of its own.
 
     Raises:
         UnusableError: the current of one flows against its voltage.
@@ -54,73 +53,71 @@ def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> li
     return [identify(start, model, constant=constant, typical=typical) for start in starts]
 
 
-def the_next(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Mean, covariance and degrees of freedom of the next healthy one, of several.
+def predictive_t(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Return mean, covariance and degrees of freedom of the predictive Student t of the next healthy piece.
 
-    The spread between few is hardly known. A prior stands in: an inverse-Wishart, worth 4 of them (Gelman et al. 2013,
-    ch. 3.6). The next one then follows a multivariate Student t with n - 1 + 4 degrees of freedom and the scale
-    (1 + 1/n) S, never the sample's own sigma.
+    The prior of the covariance is an inverse-Wishart worth 4 pieces (Gelman et al. 2013, ch. 3.6). The next piece then
+    has n - 1 + 4 degrees of freedom and the scale (1 + 1/n) S.
 
     Args:
-        logs: of those seen, shape (n, p).
-        prior: covariance that is believed beforehand, shape (p, p).
+        logs: of the pieces, shape (n, p).
+        prior: expected covariance, shape (p, p).
     """
     n, centre = len(logs), logs.mean(axis=0)
     scatter, freedom = (logs - centre).T @ (logs - centre), n - 1 + PRIOR_WEIGHT
     return centre, (scatter + PRIOR_WEIGHT * prior) / freedom * (1.0 + 1.0 / n), freedom
 
 
-def next_sd(values: FloatArray, prior_sd: float) -> float:
-    """Scale of the next value's Student t, from values that scatter."""
-    return math.sqrt(the_next(values[:, None], np.eye(1) * prior_sd**2)[1][0, 0])
+def predictive_sd(values: FloatArray, prior_sd: float) -> float:
+    """Return the scale of the predictive Student t of the next value; `values` has shape (n,)."""
+    return math.sqrt(predictive_t(values[:, None], np.eye(1) * prior_sd**2)[1][0, 0])
 
 
 def next_piece(
     fits: Sequence[Fitted], prior_sd: float, lent: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Mean, covariance and degrees of freedom of the next healthy piece's logarithms.
+    """Return mean, covariance and degrees of freedom of the next healthy piece's logarithms.
 
-    The fit's own error is white between pieces; it is the least that the next one will differ by.
+    The fit's error is independent between pieces, so the next one scatters by it at least.
 
     Args:
         fits: healthy pieces with the same quantities.
-        prior_sd: of each logarithm from piece to piece, as believed before any is seen.
-        lent: covariance of other pieces that is believed where it is larger.
+        prior_sd: prior standard deviation of each logarithm from piece to piece.
+        lent: covariance of other pieces, used where it is larger.
     """
     logs = np.array([fit.log_values for fit in fits])
     error = np.mean([fit.white_covariance for fit in fits], axis=0)
     prior = np.eye(logs.shape[1]) * prior_sd**2 + error
-    return the_next(logs, prior if lent is None else prior + beyond(prior, lent))
+    return predictive_t(logs, prior if lent is None else prior + beyond(prior, lent))
 
 
 def next_window(
     fits: Sequence[Fitted], *, steady: bool, usual: Sequence[Fitted] = ()
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Mean, covariance and degrees of freedom of the logarithms of R, K, J and B of a healthy window of another record.
+    """Return mean, covariance and degrees of freedom of the logarithms of R, K, J and B in another record's window.
 
     Args:
         fits: healthy windows.
-        steady: nothing but a fault moves the motor, from record to record either.
-        usual: healthy windows of the usual drive, if these are few of another one. They scatter no less, as far as is
-            known: loads come and go.
+        steady: only a fault moves the motor, also from record to record.
+        usual: healthy windows of the usual drive, if `fits` are few of another one: those scatter no less.
     """
     lent = next_window(usual, steady=True)[1] if usual else None
     centre, covariance, freedom = next_piece(fits, 0.0, lent)
     return centre, covariance if steady else covariance + np.diag(np.square(RECORD_SPREAD)), freedom
 
 
-def usual_beside(few: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
-    """Windows of the usual drive, if those of another one are few beside them; none otherwise."""
+def usual_condition_windows(few: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
+    """Return the windows of the usual drive if those of another one are few beside them, else none."""
     usual = max(drives, key=len)
     return usual if len(usual) >= _FEW_BESIDE * len(few) else ()
 
 
-def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
-    """What all healthy pieces but one teach, fitted with the same model; of windows those that are driven alike."""
+def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
+    """Learn from all healthy pieces but one, with the same model; of windows from those of the same drive."""
     drives = () if healthy.windows is None else healthy.windows.drives
     alike = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
     others = [fits[n] for n in alike if n != number]
-    usual = [fits[n] for n in usual_beside(alike, [drive.pieces for drive in drives] or [alike])]
+    usual = [fits[n] for n in usual_condition_windows(alike, [drive.pieces for drive in drives] or [alike])]
     if healthy.windows is None:
         centre, covariance, freedom = next_piece(others, START_SPREAD)
     else:
@@ -135,10 +132,9 @@ def without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
 
 
 def learn_starts(fits: Sequence[Identified]) -> Healthy:
-    """What healthy starts of one motor teach about its next start, with a prior of 2 % (1 sd) on every quantity.
+    """Learn the distribution of the next start from one or more healthy starts, fitted with the same model.
 
-    Args:
-        fits: healthy starts, fitted with the same model, one or more.
+    The prior standard deviation of every quantity is 2 %.
     """
     centre, covariance, freedom = next_piece(fits, START_SPREAD)
     noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
@@ -147,7 +143,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
     signs = {fit.start.alignment.sign for fit in fits}
     starts = Starts(
         log_noise=float(noise.mean()),
-        log_noise_sd=next_sd(noise, _NOISE_SPREAD),
+        log_noise_sd=predictive_sd(noise, _NOISE_SPREAD),
         model=fits[0].model,
         model_low=tuple(min(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
         model_high=tuple(max(fit.fitted_extension[name][0] for fit in fits) for name in fits[0].model),
@@ -156,14 +152,14 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
         quiet_s=max(min(fit.onset_s - float(fit.start.time_s[0]) for fit in fits), 0.0),
         ripple_hz=float(np.exp(ripple[:, 0].mean())) if has_ripple else None,
         ripple_constant_v_s=float(np.exp(ripple[:, 1].mean())) if has_ripple else None,
-        ripple_log_sd=max(next_sd(row, START_SPREAD) for row in ripple.T) if has_ripple else None,
+        ripple_log_sd=max(predictive_sd(row, START_SPREAD) for row in ripple.T) if has_ripple else None,
         direction=0 if len(signs) > 1 else 1 if signs == {1.0} else -1,
     )
     return Healthy(len(fits), freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
 
 
-def disagreement(fits: Sequence[Identified]) -> str | None:
-    """Which quantity differs so much between healthy starts that they teach nothing; None where they agree."""
+def explain_disagreement(fits: Sequence[Identified]) -> str | None:
+    """Explain which quantity differs too much between healthy starts; None if they agree."""
     logs = np.array([fit.log_values for fit in fits])
     for name, column in zip(fits[0].quantity_names, logs.T, strict=True):
         if name[0] in "RKJ" and float(np.std(column)) > _DISAGREE:
@@ -172,28 +168,28 @@ def disagreement(fits: Sequence[Identified]) -> str | None:
     return None
 
 
-def odd_one_out(fits: Sequence[Identified], number: int) -> str | None:
-    """Why one of the healthy starts is of another motor than the others; None where it agrees with them."""
+def explain_outlier(fits: Sequence[Identified], number: int) -> str | None:
+    """Explain why a healthy start is an outlier; None if it agrees with the others."""
     others = np.array([fit.log_values for n, fit in enumerate(fits) if n != number])
     if len(others) < 2:
         return None
     middle = np.median(others, axis=0)
     scatter = np.median(np.abs(others - middle), axis=0)
-    off = fits[number].log_values - middle
+    deviation = fits[number].log_values - middle
     sd = np.sqrt(np.diag(fits[number].log_covariance) + scatter**2 + _SAME_MOTOR**2)
-    worst = int(np.argmax(np.abs(off) / sd))
-    if abs(off[worst]) <= _ODD * sd[worst]:
+    worst = int(np.argmax(np.abs(deviation) / sd))
+    if abs(deviation[worst]) <= _ODD * sd[worst]:
         return None
     name = fits[number].quantity_names[worst]
-    return f"its {name} is {math.exp(off[worst]):.3g} times that of the others"
+    return f"its {name} is {math.exp(deviation[worst]):.3g} times that of the others"
 
 
-def promise_of(
+def detectable_changes(
     motor: Motor, fits: Sequence[Fitted], temperature_c: float | None, rate: float
 ) -> tuple[dict[str, float], dict[str, int]]:
-    """Smallest changes that the next piece shows; and how many pieces, judged by the others, leave what undecided.
+    """Return the smallest changes that the next piece shows under every drive, by kind of fault.
 
-    Of a motor that was driven in several ways they are the smallest that show in each of them.
+    Also return how many pieces, judged by the others, leave a quantity undecided, by its name.
     """
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was just learned
@@ -202,21 +198,21 @@ def promise_of(
     smallest: dict[str, float] = {}
     for fit, some in taught:
         reference = _reference(replace(motor, healthy=some), fit, temperature_c)
-        views = views_of(fit, reference, rate)
-        limits = limits_of(views, rate, tests_noise=reference.log_noise is not None)
-        for kind, severity in smallest_of(views, reference.own_friction, limits.z).items():
+        hypotheses = form_hypotheses(fit, reference, rate)
+        limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
+        for kind, severity in smallest_detectable(hypotheses, reference.own_friction, limits.z).items():
             smallest[kind] = max(severity, smallest.get(kind, 0.0))
     count = len(fits) if len(fits) > 1 else 0
-    others = [replace(motor, healthy=without(healthy, fits, n)) for n in range(count)]
+    others = [replace(motor, healthy=learn_without(healthy, fits, n)) for n in range(count)]
     judged = [decide(fits[n], _reference(others[n], fits[n], temperature_c), rate) for n in range(count)]
-    changes = [change for one in judged for change in one.changes]
+    changes = [change for judgement in judged for change in judgement.changes]
     undecided = Counter(change.name for change in changes if change.verdict == "undecided")
     return smallest, dict(undecided)
 
 
 def _reference(motor: Motor, fit: Fitted, temperature_c: float | None) -> Reference:
-    found = reference_of(
+    reference = reference_of(
         motor, fit.quantity_names, are_starts=isinstance(fit, Identified), temperature_c=temperature_c
     )
-    assert found is not None  # noqa: S101  # it was learned from these quantities
-    return found
+    assert reference is not None  # noqa: S101  # it was learned from these quantities
+    return reference

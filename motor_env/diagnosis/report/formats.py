@@ -1,4 +1,4 @@
-"""A diagnosis for people and for programs: table, sentences, JSON, picture."""
+"""Format a diagnosis as text and as JSON."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from motor_env.diagnosis.hypotheses import Fitted
 from motor_env.diagnosis.verdict import Diagnosis, Judgement
-from motor_env.diagnosis.views import Fitted
 from motor_env.fitting.starts.commutation import constants_at, find_ripple
 from motor_env.fitting.starts.start_fit import StartFit as Identified, implausible
 from motor_env.motor.parameters import RAD_S_PER_RPM
@@ -42,14 +42,14 @@ _EXTENSION_UNITS = {
     "brush_drop": "V",
 }
 _PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
-"""Units of extensions where the voltage is not known: told for a supply of 1 V."""
+"""Units of extensions for a supply of unknown voltage, which counts as 1 V."""
 
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """One object: what the recording was taken for, its verdict by the piece that it rests on, and all pieces."""
-    recording, telling = diagnosis.recording, diagnosis.telling
-    fit, consistency = telling.identified, telling.consistency
-    parameters: dict[str, Any] = {} if telling.fit is None else quantities_json(telling.fit)
+    """Return one object: regime of the recording, its verdict by the decisive piece, and all pieces."""
+    recording, decisive = diagnosis.recording, diagnosis.decisive
+    fit, consistency = decisive.identified, decisive.consistency
+    parameters: dict[str, Any] = {} if decisive.fit is None else quantities_json(decisive.fit)
     if fit is not None:
         parameters |= extensions_json(fit) | {
             "onset_s": {"value": fit.onset_s, "unit": "s"},
@@ -58,54 +58,56 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "file": str(recording.path),
         "taken_for": diagnosis.taken._asdict(),
-        **_said(telling),
+        **_judgement_json(decisive),
         "parameters": parameters,
-        "reference": None if telling.reference is None else telling.reference.source,
+        "reference": None if decisive.reference is None else decisive.reference.source,
         "model": None if fit is None else ["textbook", *fit.model],
-        "r2_current": None if fit is None else number(fit.r2_current),
-        "r2_speed": None if fit is None else number(fit.r2_speed),
-        "residual_autocorrelation": None if fit is None else number(fit.lag_one),
-        "mean_nis": None if consistency is None else number(consistency.mean_square),
-        "sensor_noise_a": None if fit is None else number(fit.noise_a),
+        "r2_current": None if fit is None else finite_or_none(fit.r2_current),
+        "r2_speed": None if fit is None else finite_or_none(fit.r2_speed),
+        "residual_autocorrelation": None if fit is None else finite_or_none(fit.lag_one),
+        "mean_nis": None if consistency is None else finite_or_none(consistency.mean_square),
+        "sensor_noise_a": None if fit is None else finite_or_none(fit.noise_a),
         "consistent": None if consistency is None else consistency.holds,
-        "warning": telling.warning or None,
+        "warning": decisive.warning or None,
         "warnings": warnings_of(recording, fit),
         "commutation": None if fit is None else ripple_json(fit, diagnosis.periods_per_turn),
         "columns": list(recording.columns),
         "defects": [] if fit is None else list(fit.defects),
         "pieces_of_recording": diagnosis.of,
         "pieces": [
-            {"begin_s": piece.begin_s, "duration_s": piece.duration_s} | _said(piece)
+            {"begin_s": piece.begin_s, "duration_s": piece.duration_s} | _judgement_json(piece)
             for piece in diagnosis.pieces
         ],
     }
 
 
-def _said(judgement: Judgement) -> dict[str, Any]:
-    """What is said of a piece."""
+def _judgement_json(judgement: Judgement) -> dict[str, Any]:
+    """Return the judgement on a piece as an object."""
     interval = judgement.severity_interval
     return {
         "verdict": str(judgement.verdict),
         "kind": None if judgement.kind is None else str(judgement.kind),
-        "severity": number(judgement.severity),
-        "severity_interval": None if interval is None else [number(end) for end in interval],
-        "confidence": number(judgement.confidence),
+        "severity": finite_or_none(judgement.severity),
+        "severity_interval": None if interval is None else [finite_or_none(end) for end in interval],
+        "confidence": finite_or_none(judgement.confidence),
         "reasons": list(judgement.reasons),
         "changes": {
             c.name: {"verdict": c.verdict, "ratio": c.ratio, "interval": [c.low, c.high]}
             for c in judgement.changes
         },
-        "smallest_changes": {kind: number(value) for kind, value in judgement.smallest_changes.items()},
+        "smallest_changes": {
+            kind: finite_or_none(value) for kind, value in judgement.smallest_changes.items()
+        },
     }
 
 
 def warnings_of(recording: Recording, fit: Identified | None) -> list[str]:
-    """What looks wrong with the columns or with the values that they give, in sentences."""
+    """Return sentences on what looks wrong with the columns or the values that they give."""
     return [*recording.warnings, *([] if fit is None else implausible(fit))]
 
 
 def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
-    """What the commutation ripple tells of speed and constants; None without one."""
+    """Return speed and constants by the commutation ripple; None without one."""
     ripple = find_ripple(fit)
     if ripple is None:
         return None
@@ -121,7 +123,7 @@ def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, An
 
 
 def ripple_lines(ripple: Mapping[str, Any] | None) -> list[str]:
-    """What the commutation ripple tells, in sentences; none without a ripple."""
+    """Describe the commutation ripple in lines; none without a ripple."""
     if ripple is None:
         return []
     line = f"  commutation ripple of {ripple['ripple_hz']:.5g} Hz at the end"
@@ -133,7 +135,7 @@ def ripple_lines(ripple: Mapping[str, Any] | None) -> list[str]:
 
 
 def quantities_json(fit: Fitted) -> dict[str, Any]:
-    """The quantities with their standard errors and intervals, 95 %."""
+    """Return the quantities with standard errors and intervals, 95 %."""
     deviations = np.sqrt(np.diag(fit.log_covariance))
     rows = zip(fit.quantity_names, fit.log_values, deviations, strict=True)
     return {
@@ -150,18 +152,18 @@ def quantities_json(fit: Fitted) -> dict[str, Any]:
 def estimate_json(
     value: float, error: float, interval: tuple[float | None, float | None], unit: str
 ) -> dict[str, Any]:
-    """A value with its standard error, interval and unit; None for an infinite number."""
-    ends = [number(end) for end in interval]
-    return {"value": value, "standard_error": number(error), "interval": ends, "unit": unit}
+    """Return a value with its standard error, interval and unit; None for an infinite number."""
+    ends = [finite_or_none(end) for end in interval]
+    return {"value": value, "standard_error": finite_or_none(error), "interval": ends, "unit": unit}
 
 
 def exp_or_none(log: float) -> float | None:
-    """The factor of a logarithm; None beyond what a number holds."""
+    """Return the factor of a logarithm; None beyond what a number holds."""
     return math.exp(log) if log < _LARGEST_LOG else None
 
 
 def extensions_json(fit: Identified) -> dict[str, Any]:
-    """The extensions with their standard errors and intervals, 95 %."""
+    """Return the extensions with standard errors and intervals, 95 %."""
     units = _EXTENSION_UNITS if fit.start.voltage_known else _EXTENSION_UNITS | _PER_VOLT
     return {
         name: estimate_json(value, error, (value - TWO_SIDED * error, value + TWO_SIDED * error), units[name])
@@ -172,7 +174,7 @@ def extensions_json(fit: Identified) -> dict[str, Any]:
 def quantity_lines(
     quantities: Mapping[str, Mapping[str, Any]], beside: Mapping[str, str] | None = None
 ) -> list[str]:
-    """A line for each of such quantities, and what stands beside it."""
+    """Format each quantity as a line, with the text beside it."""
     width = max(map(len, quantities), default=0)
     return [
         f"  {name:<{max(width, 12)}} {row['value']:11.4g} +- {row['standard_error']:.2g} {row['unit']:<12}"
@@ -181,44 +183,44 @@ def quantity_lines(
     ]
 
 
-def quality(r2_current: float | None, r2_speed: float | None) -> str:
-    """How much of what was recorded a fit explains."""
-    found = {"current": r2_current, "speed": r2_speed}
-    return "R2 " + ", ".join(f"of the {name} {r2:.4f}" for name, r2 in found.items() if r2 is not None)
+def describe_r2(r2_current: float | None, r2_speed: float | None) -> str:
+    """Format the explained shares of current and speed."""
+    shares = {"current": r2_current, "speed": r2_speed}
+    return "R2 " + ", ".join(f"of the {name} {r2:.4f}" for name, r2 in shares.items() if r2 is not None)
 
 
-def number(value: float | None) -> float | None:
-    """The number; None where there is none, or an infinite one."""
+def finite_or_none(value: float | None) -> float | None:
+    """Return the number; None for none or an infinite one."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
-    """What a maintenance engineer reads; `verbose` adds how well model and filter fit."""
-    recording, telling, fit = diagnosis.recording, diagnosis.telling, diagnosis.telling.identified
+    """Describe a diagnosis for a maintenance engineer; `verbose` adds how well model and filter fit."""
+    recording, decisive, fit = diagnosis.recording, diagnosis.decisive, diagnosis.decisive.identified
     several = diagnosis.pieces if len(diagnosis.pieces) > 1 else ()
     lines = [
-        f"{recording.path}: {headline(telling)}{_among(diagnosis) if several else ''}",
-        *(f"  {reason}." for reason in telling.reasons),
+        f"{recording.path}: {headline(decisive)}{_count_agreeing(diagnosis) if several else ''}",
+        *(f"  {reason}." for reason in decisive.reasons),
         f"  taken for {diagnosis.taken}",
         *(["  read: " + "; ".join(recording.columns)] if recording.columns else []),
         *(f"  warning: {sentence}" for sentence in warnings_of(recording, fit)),
         *(_piece_line(diagnosis, piece) for piece in several),
-        *_piece_table(telling),
+        *_piece_table(decisive),
     ]
     if fit is not None:
         lines += ripple_lines(ripple_json(fit, diagnosis.periods_per_turn))
         lines += [f"  noticed: {defect}" for defect in fit.defects]
     if verbose:
-        lines += expert_lines(telling)
-    if telling.smallest_changes:
-        found = ", ".join(f"{kind} {severity:.0%}" for kind, severity in telling.smallest_changes.items())
-        own = of_the_drag(None if telling.reference is None else telling.reference.own_friction)
-        lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {found} ({own})")
+        lines += expert_lines(decisive)
+    if decisive.smallest_changes:
+        smallest = ", ".join(f"{kind} {severity:.0%}" for kind, severity in decisive.smallest_changes.items())
+        own = describe_friction_share(None if decisive.reference is None else decisive.reference.own_friction)
+        lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {smallest} ({own})")
     return "\n".join(lines)
 
 
-def _among(diagnosis: Diagnosis) -> str:
-    """How many of its pieces say so."""
+def _count_agreeing(diagnosis: Diagnosis) -> str:
+    """Count the pieces with the same verdict, in words."""
     same = sum(piece.verdict is diagnosis.verdict for piece in diagnosis.pieces)
     word = "windows" if diagnosis.taken.regime == "operation" else "starts"
     judged = "" if len(diagnosis.pieces) == diagnosis.of else f" judged, of {diagnosis.of}"
@@ -226,14 +228,14 @@ def _among(diagnosis: Diagnosis) -> str:
 
 
 def _piece_line(diagnosis: Diagnosis, piece: Judgement) -> str:
-    """One piece of several: when, what, and how far its quantities lie from the healthy ones."""
+    """Format one of several pieces: begin, verdict, and changes of its quantities."""
     moved = ", ".join(f"{c.name} {c.ratio - 1.0:+.1%}" for c in piece.changes)
-    mark = " <" if piece is diagnosis.telling else ""
+    mark = " <" if piece is diagnosis.decisive else ""
     return f"  from {piece.begin_s:.6g} s: {headline(piece)}; {moved or '; '.join(piece.reasons)}{mark}"
 
 
 def _piece_table(judgement: Judgement) -> list[str]:
-    """Quantities of a fitted piece, beside how far they lie from the reference."""
+    """Format the quantities of a fitted piece with their changes from the reference."""
     fit = judgement.fit
     if fit is None:
         return []
@@ -252,21 +254,21 @@ def _piece_table(judgement: Judgement) -> list[str]:
     ]
 
 
-def of_the_drag(own: float | None) -> str:
-    """What the friction of a bearing fault is a share of; `own` is the motor's share of the drag, where told."""
+def describe_friction_share(own: float | None) -> str:
+    """Say which friction a bearing fault counts in; `own` is the motor's share of the drag, if known."""
     if own is None:
         return "bearing: of the whole drag, any load included"
     return "bearing: of the motor's own friction" + (f", {own:.0%} of the drag" if own < 1.0 else "")
 
 
 def expert_lines(judgement: Judgement) -> list[str]:
-    """How well model and filter fit, and what the verdict allows for."""
+    """Describe how well model and filter fit."""
     fit, consistency = judgement.identified, judgement.consistency
     lines = []
     if fit is not None:
         lines += quantity_lines(extensions_json(fit))
         lines.append(
-            f"  fit: {quality(fit.r2_current, fit.r2_speed)}; model {' + '.join(['textbook', *fit.model])}"
+            f"  fit: {describe_r2(fit.r2_current, fit.r2_speed)}; model {' + '.join(['textbook', *fit.model])}"
         )
         judged = (
             "what the sensor shows: it hides small currents" if fit.is_hidden else "the filter's innovations"
@@ -282,7 +284,7 @@ def expert_lines(judgement: Judgement) -> list[str]:
 
 
 def headline(judgement: Judgement) -> str:
-    """Verdict, severity and confidence in one line."""
+    """Format verdict, severity and confidence in one line."""
     words, interval = str(judgement.verdict), judgement.severity_interval
     if judgement.kind is not None and str(judgement.kind) != words:
         words += f" ({judgement.kind})"

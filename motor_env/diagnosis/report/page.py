@@ -1,17 +1,19 @@
-"""A diagnosis as one self-contained HTML page: the verdict and what to do first, then what it rests on."""
+"""Self-contained HTML pages: a verdict with what to do first and what it rests on; fits beside what was measured."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from motor_env.console import printable
-from motor_env.diagnosis.explanations import Change
-from motor_env.diagnosis.shown.report import as_text, warnings_of
-from motor_env.diagnosis.shown.words import KIND, RUN_ON, SIZE, WORDS
+from motor_env.diagnosis.hypotheses import Change, Fitted
+from motor_env.diagnosis.report.formats import as_text, describe_r2, warnings_of
+from motor_env.diagnosis.report.verdict_texts import KIND_TEXTS, RUN_ON_TEXTS, SIZE_TEXTS, VERDICT_TEXTS
 from motor_env.diagnosis.verdict import Diagnosis, Judgement, Verdict
 from motor_env.fitting import parameter_index as places
+from motor_env.fitting.operation_fit import OperationFit as Operation
 from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.fitting.starts.start_prior import absolute_parameters as absolute
 from motor_env.motor.parameters import FloatArray
@@ -20,7 +22,7 @@ from motor_env.pages.svg import Axis, Chart, round_ticks
 
 _WIDTH = 480.0  # so narrow that its numbers can be read on a phone
 _RATIOS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0, 1.5, 0.75, 1.25, 0.8, 1.1, 0.9, 1.05, 0.95)
-"""Where a grid line may stand, the most welcome first."""
+"""Possible grid lines, the preferred ones first."""
 _MOST_POINTS = 700
 _SHOWN_SHARE = 0.02  # of the recording before the start
 _END = "The end of the start, averaged"
@@ -38,23 +40,23 @@ _QUANTITY = {
 
 
 def page(diagnosis: Diagnosis) -> str:
-    """The whole page."""
-    telling, verdict = diagnosis.telling, diagnosis.verdict
-    fit, expected = telling.identified, reference_current(telling)
+    """Draw the page of a diagnosis."""
+    decisive, verdict = diagnosis.decisive, diagnosis.verdict
+    fit, expected = decisive.identified, reference_current(decisive)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
-    named = telling.kind if telling.kind in WORDS else verdict
-    title, *first = WORDS.get(named, (str(verdict).capitalize(),))
+    named = decisive.kind if decisive.kind in VERDICT_TEXTS else verdict
+    title, *first = VERDICT_TEXTS.get(named, (str(verdict).capitalize(),))
     sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
     current, residual = ("", "") if fit is None else _currents(fit, expected, is_fault=verdict.is_fault)
     return render(
-        "motor_env.diagnosis.shown",
+        "motor_env.diagnosis.report",
         "diagnosis.html.j2",
         title=title,
         file=printable(diagnosis.recording.path.name),
         tone=tone,
-        size=_size(telling),
+        size=_size(decisive),
         sure="over 99 % sure" if (diagnosis.confidence or 0.0) > 0.99 else sure,
-        runs_on=RUN_ON.get(telling.kind or verdict) or RUN_ON.get(verdict, ""),
+        runs_on=RUN_ON_TEXTS.get(decisive.kind or verdict) or RUN_ON_TEXTS.get(verdict, ""),
         first=first,
         reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
         warnings=[
@@ -68,24 +70,88 @@ def page(diagnosis: Diagnosis) -> str:
         has_expected=expected is not None,
         part=f"{_END}: " if _END in current else "",
         residual=residual,
-        smallest=[(KIND.get(kind, kind), f"{share:.0%}") for kind, share in telling.smallest_changes.items()],
+        smallest=[
+            (KIND_TEXTS.get(kind, kind), f"{share:.0%}") for kind, share in decisive.smallest_changes.items()
+        ],
         expert=printable(as_text(diagnosis, verbose=True)),
     )
 
 
+def page_of_fits(
+    title: str, fits: Mapping[str, Identified | Operation], *, spread: str = "", note: str = ""
+) -> str:
+    """Draw the page of fits: measured beside fitted current and speed, and the residuals.
+
+    Args:
+        title: heading.
+        fits: of starts and of logs, by the name of the recording.
+        spread: chart of how the quantities of healthy pieces spread, as SVG.
+        note: sentence below that chart.
+    """
+    return render(
+        "motor_env.diagnosis.report",
+        "fits.html.j2",
+        title=printable(title),
+        spread=spread,
+        note=note,
+        fits=[
+            (
+                printable(name),
+                f"{' + '.join(fit.model) or 'textbook'}, {describe_r2(fit.r2_current, fit.r2_speed)}",
+                "\n".join(_fit_charts(fit)),
+            )
+            for name, fit in fits.items()
+        ],
+    )
+
+
+def _fit_charts(fit: Identified | Operation) -> Iterator[str]:
+    """Draw current and speed with their residuals, of a log also the voltage, without uncounted samples."""
+    if isinstance(fit, Identified):
+        time, unit = 1e3 * (fit.start.time_s - fit.onset_s), "ms"
+        measured = [fit.start.current_a, fit.start.speed_rad_s]
+        counted = [fit.start.counted, np.full(len(time), fill_value=True)]
+    else:
+        time, unit = fit.record.dt_s * np.arange(len(fit.expected), dtype=np.float64), "s"
+        measured = [fit.record.readings[:, n] if fit.record.seen[n] else None for n in range(2)]
+        counted = [np.isfinite(fit.record.readings[:, n]) for n in range(2)]
+        yield _chart(time, {"measured": fit.record.voltage_v}, "V", "Voltage", time_unit=unit)
+    channels = (("Current", "A"), ("Speed", "rad/s"))
+    for (name, symbol), values, fitted, rows in zip(channels, measured, fit.expected.T, counted, strict=True):
+        if values is None:
+            continue
+        kept = np.flatnonzero(rows)
+        kept = kept[:: max(len(kept) // _MOST_POINTS, 1)]
+        both = {"measured": values[kept], "healthy": fitted[kept]}
+        yield _chart(time[kept], both, symbol, f"{name}, measured and fitted", time_unit=unit)
+        residual = {"beyond": values[kept] - fitted[kept]}
+        yield _chart(time[kept], residual, symbol, f"{name}: residual", time_unit=unit)
+
+
+def spread_chart(fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Draw the interval of each quantity of the next healthy piece, and a dot for each piece, in per cent."""
+    rows = zip(parameters.items(), np.exp([fit.log_values for fit in fits]).T, strict=True)
+    changes, pieces = [], {}
+    for (name, row), values in rows:
+        low, high = np.asarray(row["interval"]) / row["value"]
+        changes.append(Change(name, 1.0, low, high, "healthy"))
+        pieces[name] = values / row["value"]
+    return _bars(tuple(changes), pieces)
+
+
 def _size(judgement: Judgement) -> str:
-    """How far it moved, with its interval, in words; empty without a size."""
+    """Describe the size of a fault with its interval; empty without a size."""
     size, interval, kind = judgement.severity, judgement.severity_interval, judgement.fault_kind
     if not size or not judgement.verdict.is_fault or kind is None:
         return ""
     between = "" if interval is None else f", between {interval[0]:.0%} and {interval[1]:.0%}"
-    return SIZE.get(kind, "Size {}").format(f"{size:.0%}") + between
+    return SIZE_TEXTS.get(kind, "Size {}").format(f"{size:.0%}") + between
 
 
 def reference_current(judgement: Judgement) -> FloatArray | None:
-    """The current that the reference's motor would have drawn in this start; None without a reference.
+    """Simulate the current of the reference's motor in this start, shape (n,); None without a reference.
 
-    K is that of the fit where the current alone is told: the current depends on K^2/J and B/J only.
+    If only the current was recorded, K is that of the fit: the current depends on K^2/J and B/J only.
     """
     fit, reference = judgement.identified, judgement.reference
     if fit is None or reference is None:
@@ -100,8 +166,8 @@ def reference_current(judgement: Judgement) -> FloatArray | None:
     return fit.run(physical)[:, 0] + fit.start.alignment.offset_a
 
 
-def _bars(changes: tuple[Change, ...]) -> str:
-    """Deviation of each quantity with its interval, in per cent on a logarithmic axis."""
+def _bars(changes: tuple[Change, ...], pieces: Mapping[str, FloatArray] | None = None) -> str:
+    """Draw the change of each quantity, or those of several pieces, with its interval on a logarithmic axis."""
     height = 34.0 * len(changes)
     chart = Chart(
         _ratio_axis(changes),
@@ -118,13 +184,17 @@ def _bars(changes: tuple[Change, ...]) -> str:
         with chart.group(style, f"{change.name}: {change.ratio - 1.0:+.1%}"):
             chart.text((0.0, y + 5.0), _QUANTITY.get(name, change.name), "name")
             chart.line("interval", (chart.x(change.low), y), (chart.x(change.high), y))
+            if pieces is not None:
+                for ratio in pieces[change.name]:
+                    chart.dot("dot", (chart.x(ratio), y), 4.0)
+                continue
             chart.dot("dot", (chart.x(change.ratio), y), 6.0)
             chart.text((_WIDTH, y + 5.0), f"{round(change.ratio - 1.0, 2) + 0.0:+.0%}", "value", "end")
     return chart.svg()
 
 
 def _ratio_axis(changes: Sequence[Change]) -> Axis:
-    """Per cent on a logarithmic axis, a tenth wider than the widest interval; the most welcome grid lines first."""
+    """Make a logarithmic axis in per cent, a tenth wider than the widest interval."""
     widest = max(max(change.high, 1.0 / change.low) for change in changes)
     edge = float(np.clip(1.1 * widest, 1.1, 8.0))
     ticks: list[float] = []
@@ -136,10 +206,10 @@ def _ratio_axis(changes: Sequence[Change]) -> Axis:
 
 
 def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -> tuple[str, str]:
-    """The measured current beside the healthy motor's, and what it is beyond that; empty without a healthy motor.
+    """Draw the measured current beside the healthy motor's, and their difference; empty without a healthy motor.
 
-    The latter is averaged over a fiftieth of the recording, with the sensor's noise as a band. Where a fault shows in
-    so little current that the two curves would lie on one another, the end of the start is shown, averaged alike.
+    The difference is averaged over a fiftieth of the recording, with the sensor's noise as a band. If the curves of a
+    fault would coincide, only the end of the start is drawn, averaged alike.
     """
     time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
     begin = int(np.searchsorted(time_ms, -_SHOWN_SHARE * time_ms[-1]))
@@ -177,13 +247,13 @@ def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -
 
 
 def moving_average(values: FloatArray, span: int) -> FloatArray:
-    """Moving average over so many samples."""
+    """Average over so many samples, moving; shape (n,)."""
     padded = np.pad(values, (span // 2, span - 1 - span // 2), "reflect")
     return np.convolve(padded, np.ones(span) / span, "valid")
 
 
 def _end_chart(time_ms: FloatArray, measured: FloatArray, healthy: FloatArray, apart_a: float) -> str:
-    """Both currents from where they have settled, on a scale on which they lie apart; empty if they do not settle."""
+    """Draw both currents from where they have settled; empty if they do not settle."""
     moving = np.flatnonzero(np.abs(healthy - healthy[-1]) > 2.0 * apart_a)
     begin = int(moving[-1]) + 1 if moving.size else 0
     if begin > 0.9 * len(healthy):
@@ -203,17 +273,18 @@ def _chart(
     *,
     limits: tuple[float, float] | None = None,
     band: float = 0.0,
+    time_unit: str = "ms",
 ) -> str:
-    """Curves by their style over the time, within limits or their own, and a band about 0."""
+    """Draw curves by their style over the time, within limits or their own, and a band about 0."""
     begin, end = float(time_ms[0]), float(time_ms[-1])
     low, high = limits or (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
     room = 0.05 * max(high - low, 1e-9)
     low, high = low - room, high + room
     chart = Chart(
-        Axis("", begin, end, round_ticks(begin, end), lambda value: f"{value:g} ms"),
+        Axis("", begin, end, round_ticks(begin, end), lambda value: f"{value:g} {time_unit}"),
         Axis("", low, high, round_ticks(low, high), lambda value: f"{value:g} {unit}"),
         size=(_WIDTH, 230.0),
-        margins=(66.0, 32.0, 8.0, 28.0),
+        margins=(66.0 + 8.0 * max(len(unit) - 2, 0), 32.0, 8.0, 28.0),
         label=label,
     )
     if band:
@@ -227,17 +298,17 @@ def _chart(
 
 
 def pieces_chart(pieces: Sequence[Judgement]) -> str:
-    """How far each quantity lies from the healthy motor, piece by piece, in per cent over the recording's time."""
-    told = [(piece, {change.name: change for change in piece.changes}) for piece in pieces if piece.changes]
-    names = [name for name in told[0][1] if name in told[-1][1]] if told else []
+    """Draw the change of each quantity from the healthy motor, piece by piece over the recording's time."""
+    judged = [(piece, {change.name: change for change in piece.changes}) for piece in pieces if piece.changes]
+    names = [name for name in judged[0][1] if name in judged[-1][1]] if judged else []
     return "\n".join(
-        _history(name, [(piece, changes[name]) for piece, changes in told if name in changes])
+        _history(name, [(piece, changes[name]) for piece, changes in judged if name in changes])
         for name in names
     )
 
 
 def _history(name: str, changes: Sequence[tuple[Judgement, Change]]) -> str:
-    """One quantity: a dot and its interval for each piece."""
+    """Draw one quantity: a dot and its interval for each piece."""
     begin, end = changes[0][0].begin_s, max(piece.begin_s + piece.duration_s for piece, _ in changes)
     what = _QUANTITY.get(name, name)
     chart = Chart(

@@ -1,8 +1,7 @@
-"""What a healthy motor looks like whose recording was read wrongly: another unit, a probe's scale, a clock.
+"""Scaling errors of columns that make a healthy motor look faulty: a unit, a probe's scale, a clock.
 
-A column that is g times too large multiplies each quantity by a power of g. From V = R i + L di/dt + K w and
-J dw/dt = K i - B w: a larger current is a smaller R and L and a larger J and B; a larger voltage scales all; a larger
-speed is a smaller K, and J and B smaller by the square; longer times are a larger L and J.
+A column that is g times too large multiplies each quantity by a power of g, by V = R i + L di/dt + K w and
+J dw/dt = K i - B w.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.explanations import Difference, Explanation, along, left_over
+from motor_env.diagnosis.hypotheses import Difference, Explanation, project, residual_p_value
 from motor_env.diagnosis.verdict import Judgement, Verdict
 from motor_env.fitting.starts.start_fit import NOT_TURNING
 from motor_env.motor.faults import FaultKind
@@ -52,7 +51,7 @@ _ROUND = (2.0, 10.0, 100.0, 1e3)
 _NEAR, _SURE = 0.05, 3.0  # of a factor, and its standard errors, within which it is a unit's
 _FAR, _NOT_NEAR = math.log(3.0), math.log(1.5)
 _MOST = {"B": math.log(10.0), "R": math.log(10.0)}
-"""Beyond a factor of 10 on friction and R, and of 3 on anything else, no wear explains a change."""
+"""Logarithm of the largest wear of friction and R; `_FAR` for anything else."""
 BEYOND_WEAR = (
     "so large a change is no wear: is this the right motor? It is another motor or load, or no motor at all, or"
     " columns, units or a rate were read wrongly"
@@ -62,64 +61,63 @@ READ_SO = "seem to be swapped: read so, the recording is that of this motor"
 SWAPPED = f"voltage and current {READ_SO}"
 
 
-class Scale(NamedTuple):
-    """A column at a wrong scale that explains a difference: which one, what it is, and as an explanation.
-
-    The explanation's kind is the gain of a sensor; None where the scale is a unit's, or the clock's.
-    """
+class ScalingError(NamedTuple):
+    """A column at a wrong scale that explains a difference; `gain` is None if the scale is a unit's or the clock's."""
 
     column: str
     words: str
     gain: Explanation | None
 
 
-def as_sentence(scales: Sequence[Scale]) -> str:
-    """The columns of which one, at a wrong scale, would explain a difference; empty without any."""
+def describe_scaling_errors(scales: Sequence[ScalingError]) -> str:
+    """Describe the columns of which one, at a wrong scale, would explain a difference; empty without any."""
     words = sorted(f"the {scale.column} is {scale.words}" for scale in scales)
     return f"{EXPLAINED} if {', or if '.join(words)}" if words else ""
 
 
-def wrong_scales(difference: Difference, names: tuple[str, ...], limit: float, rate: float) -> list[Scale]:
-    """The columns of which each one, at a wrong scale, would explain a difference.
+def find_scaling_errors(
+    difference: Difference, names: tuple[str, ...], limit: float, rate: float
+) -> list[ScalingError]:
+    """Find the columns of which each, at a wrong scale, would explain a difference.
 
     Args:
         difference: of the logarithms to a healthy motor, shape (n,).
         names: of the quantities.
-        limit: standard deviations beyond which a factor is none of chance.
-        rate: probability below which what is left unexplained is too much.
+        limit: standard deviations beyond which a factor is significant.
+        rate: p-value below which too much is left unexplained.
     """
     missing = {"voltage"} if any("V" in name for name in names) else set()
     missing |= set() if {"K", "K/V"} & set(names) else {"speed"}
-    sd, found = np.sqrt(np.diag(difference.covariance)), []
+    sd, errors = np.sqrt(np.diag(difference.covariance)), []
     for column in sorted(POWERS.keys() - missing):  # a set's order changes from run to run
         direction = difference.exponents @ [POWERS[column].get(parameter, 0.0) for parameter in PARAMETERS]
         if not direction.any():  # a voltage, where nothing of it is compared
             continue
-        z, step, step_sd = along(difference, direction)
+        z, step, step_sd = project(difference, direction)
         # A reading's scale is exact: nothing else moves with it.
-        p_left_over = left_over(difference, step * direction, difference.covariance)
+        p_left_over = residual_p_value(difference, step * direction, difference.covariance)
         if abs(z) <= limit or p_left_over <= rate:
             continue
         # One quantity alone moves by faults and loads as well: only a known factor, and no other near it, counts.
         is_shared = np.count_nonzero(np.abs(step * direction) > limit * sd) > 1
         near = max(_NEAR, _SURE * step_sd) if is_shared else _NEAR
-        word = _factor(column, step, near, only_known=not is_shared)
+        word = _describe_factor(column, step, near, only_known=not is_shared)
         gain, turned = None, math.copysign(1.0, step)
         if column != "time" and word not in _UNITS[column].values():
             kind = FaultKind(f"{column}_gain")
             gain = Explanation(
                 kind, abs(z), abs(step), step_sd, p_left_over, turned * direction, difference.covariance
             )
-        found += [Scale(column, word, gain)] if word else []
-    return found
+        errors += [ScalingError(column, word, gain)] if word else []
+    return errors
 
 
-def _factor(column: str, step: float, near: float, *, only_known: bool) -> str:
-    """What a column multiplied with e^step may be; empty for no known factor where only those count."""
+def _describe_factor(column: str, step: float, near: float, *, only_known: bool) -> str:
+    """Describe what multiplies a column by e^step; empty if only known factors count and it is none."""
     for factor, unit in _UNITS[column].items():
         if abs(step - math.log(factor)) < near:
             return unit
-    size = min(_ROUND, key=lambda one: abs(abs(step) - math.log(one)))
+    size = min(_ROUND, key=lambda factor: abs(abs(step) - math.log(factor)))
     if abs(abs(step) - math.log(size)) > near:
         if only_known:
             return ""
@@ -128,27 +126,31 @@ def _factor(column: str, step: float, near: float, *, only_known: bool) -> str:
     return f"{size:.3g} times too {'large' if step > 0.0 else 'small'} (look at {_SCALES[column]}{brushes})"
 
 
-def is_far(judgement: Judgement) -> bool:
-    """Whether a window seems so far from the healthy motor, where its fit begins, that the fit may not have arrived."""
+def is_far_from_healthy(judgement: Judgement) -> bool:
+    """Whether a window is so far from the healthy motor, where its fit begins, that the fit may not have converged."""
     return judgement.verdict.is_fault and any(
-        abs(math.log(one.ratio)) > (_FAR if one.name == "B" else _NOT_NEAR) for one in judgement.changes
+        abs(math.log(change.ratio)) > (_FAR if change.name == "B" else _NOT_NEAR)
+        for change in judgement.changes
     )
 
 
-def is_strange(judgement: Judgement) -> bool:
-    """Whether a piece cannot be judged, or is like no motor, or too far from this one."""
+def is_unlike_motor(judgement: Judgement) -> bool:
+    """Whether a piece cannot be judged, or is no motor's, or too far from this one."""
     odd = {NOT_TURNING, BEYOND_WEAR} & set(judgement.reasons)
     return judgement.verdict is Verdict.UNUSABLE or bool(odd)
 
 
-def as_wear(judgement: Judgement) -> Judgement:
-    """The judgement; of what is further from the healthy motor than any wear no fault is named, and it is said."""
+def limit_to_wear(judgement: Judgement) -> Judgement:
+    """Return the judgement; beyond plausible wear it names no fault and says so."""
     kind, interval = judgement.fault_kind, judgement.severity_interval
     if kind is not None and interval is not None:
         moved = list(zip(PARAMETERS, float(kind.log_size(interval[0])) * fault_direction(kind), strict=True))
     else:
-        told = [one for one in judgement.changes if one.significant]
-        moved = [(one.name[0], min(math.log(one.low), math.log(one.high), key=abs)) for one in told]
+        moved = [
+            (change.name[0], min(math.log(change.low), math.log(change.high), key=abs))
+            for change in judgement.changes
+            if change.significant
+        ]
     is_beyond = any(abs(log) > _MOST.get(letter, _FAR) for letter, log in moved)
     if not is_beyond:
         return judgement

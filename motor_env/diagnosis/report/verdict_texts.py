@@ -1,23 +1,23 @@
-"""What a page says of each verdict and kind: its heading, its size, and what to do first."""
+"""Texts of each verdict and kind: heading, size, what to do first, and whether the motor may run on."""
 
 from __future__ import annotations
 
 from motor_env.diagnosis.verdict import Verdict
 from motor_env.motor.faults import FaultKind
 
-KIND = {
+KIND_TEXTS = {
     "bearing": "more friction",
     "winding_contact": "more winding resistance",
     "winding_short": "shorted turns",
     "magnet": "weaker magnets",
 }
-SIZE = {
+SIZE_TEXTS = {
     FaultKind.BEARING: "Friction up by {}",
     FaultKind.WINDING_CONTACT: "Winding resistance up by {}",
     FaultKind.WINDING_SHORT: "{} of the turns shorted",
     **dict.fromkeys(map(FaultKind, ("current_gain", "speed_gain", "voltage_gain")), "Off by {}"),
 }
-WORDS: dict[Verdict | FaultKind, tuple[str, ...]] = {
+VERDICT_TEXTS: dict[Verdict | FaultKind, tuple[str, ...]] = {
     Verdict.HEALTHY: (
         "Healthy",
         "Nothing to do. Keep this recording: more healthy starts make smaller faults visible.",
@@ -125,7 +125,7 @@ WORDS: dict[Verdict | FaultKind, tuple[str, ...]] = {
 }
 """The heading of a verdict, or of a kind of its own, and what to do first."""
 
-RUN_ON: dict[Verdict | FaultKind, str] = {
+RUN_ON_TEXTS: dict[Verdict | FaultKind, str] = {
     Verdict.HEALTHY: "It may run on.",
     Verdict.BEARING: "It may run on to the next stop while it stays cool and quiet: friction heats it, and may jam it.",
     Verdict.WINDING: "It may run on to the next stop at a light load: a bad contact heats up, and may open.",
@@ -137,4 +137,4 @@ RUN_ON: dict[Verdict | FaultKind, str] = {
     Verdict.NO_REFERENCE: "Not known from this recording.",
     Verdict.UNUSABLE: "Not known from this recording.",
 }
-"""Whether the motor may run on, by the verdict or a kind of its own; nothing of it is said of other verdicts."""
+"""Whether the motor may run on, by verdict or kind."""

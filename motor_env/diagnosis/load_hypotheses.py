@@ -1,7 +1,7 @@
-"""What a fault looks like where a load makes the drag: the textbook fit of a start takes any load for viscous friction.
+"""Effect of a fault on the textbook fit of a start, which takes any load for viscous friction.
 
-The motor with that load which the textbook would fit like this start is found first. A fault of it moves current and
-speed, and the textbook's parameters follow them.
+First find the motor with that load whose start the textbook would fit like this one. A fault of that motor moves
+current and speed, and so the textbook's parameters.
 """
 
 from __future__ import annotations
@@ -26,79 +26,80 @@ _FRICTION = quantities.PARAMETERS.index("B")
 
 
 @dataclass(frozen=True, slots=True)
-class Drag:
-    """What makes the drag of a start.
+class LoadHypothesis:
+    """A hypothesis of what makes the drag of a start.
 
     Attributes:
-        load: of LOADS, what most of it looks like; None for viscous friction.
+        name: of `LOADS`, for most of it; None for viscous friction.
         response: how the logarithms of the start's quantities move with those of R, L, K, J, the drag and V, (n, 6).
-        own: share of the drag that is the motor's own friction.
+        own_friction: the motor's own share of the drag.
     """
 
-    load: str | None
+    name: str | None
     response: FloatArray
-    own: float
+    own_friction: float
 
     @property
     def warmth(self) -> FloatArray:
-        """How the logarithms move for each kelvin that the motor is warmer, shape (n,): no load falls with it."""
-        return quantities.warmth_direction(self.response, self.own)
+        """Change of the logarithms per kelvin, shape (n,); a load does not fall with the temperature."""
+        return quantities.warmth_direction(self.response, self.own_friction)
 
 
-def drags(fit: Identified, own: float | None) -> list[Drag]:
-    """What the drag of a start may be, viscous friction first; `own` is the motor's share of it, None if not told.
+def possible_loads(fit: Identified, own: float | None) -> list[LoadHypothesis]:
+    """Return what may make the drag, viscous friction first; `own` is the motor's share of it, None if unknown.
 
     Dry friction looks like a constant load, and is the motor's own.
     """
     owns = {"constant": (1.0, 0.0), "fan": (0.0,)} if own is None else dict.fromkeys(LOADS, (own,))
-    inverse = _textbook_of(fit)
-    found = {load: _response(fit, load, inverse) for load in LOADS}
+    inverse = _textbook_inverse(fit)
+    responses = {load: _response(fit, load, inverse) for load in LOADS}
     return [
-        Drag(None, fit.exponents, own or 1.0),
+        LoadHypothesis(None, fit.exponents, own or 1.0),
         *(
-            Drag(load, moves, share)
-            for load, moves in found.items()
-            if moves is not None
+            LoadHypothesis(load, response, share)
+            for load, response in responses.items()
+            if response is not None
             for share in owns[load]
         ),
     ]
 
 
 def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | None:
-    """See `Drag`; None where no motor with that load looks like this start.
+    """Return the response of a `LoadHypothesis`; None if no motor with that load looks like this start.
 
-    More drag is a torque that does not depend on the speed, as that of a faulty bearing. `inverse` is `_textbook_of`.
+    More drag is a torque that does not depend on the speed, as that of a faulty bearing. `inverse` is
+    `_textbook_inverse`.
     """
-    free, textbook, motor = _free(fit), _run(fit, np.zeros(5)), np.zeros(5)
+    free, textbook, motor = _free_parameters(fit), _simulate(fit, np.zeros(5)), np.zeros(5)
     for _ in range(_ROUNDS):
-        motor[free] -= inverse @ (_run(fit, motor, load) - textbook)
+        motor[free] -= inverse @ (_simulate(fit, motor, load) - textbook)
         if not np.abs(motor).max() < _FARTHEST:
             return None
-    healthy = _run(fit, motor, load)
-    moved = [_run(fit, motor + step, load) for step in _STEP * np.eye(5)[:_FRICTION]]
-    moved.append(_run(fit, motor, load, added=_STEP))
+    healthy = _simulate(fit, motor, load)
+    moved = [_simulate(fit, motor + step, load) for step in _STEP * np.eye(5)[:_FRICTION]]
+    moved.append(_simulate(fit, motor, load, added=_STEP))
     textbooks = inverse @ (np.stack(moved, axis=1) - healthy[:, None]) / _STEP
     return np.column_stack([fit.exponents[:, free] @ textbooks, fit.exponents[:, -1]])
 
 
-def _textbook_of(fit: Identified) -> FloatArray:
-    """How the free logarithms of a textbook fit follow the samples that `_run` gives, shape (n_free, n_samples)."""
-    textbook = _run(fit, np.zeros(5))
-    columns = [(_run(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free(fit)]
-    later = (_run(fit, np.zeros(5), late=_STEP) - textbook) / _STEP
+def _textbook_inverse(fit: Identified) -> FloatArray:
+    """Return how the free logarithms of a textbook fit follow samples of `_simulate`, shape (n_free, n_samples)."""
+    textbook = _simulate(fit, np.zeros(5))
+    columns = [(_simulate(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free_parameters(fit)]
+    later = (_simulate(fit, np.zeros(5), late=_STEP) - textbook) / _STEP
     slopes = np.stack([*columns, later], axis=1)
     # What the start hardly tells, such as L at a slow rate, stays: each logarithm, and a sample of delay, by 1 (1 sd).
     inverse = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
     return np.asarray(inverse, dtype=np.float64)
 
 
-def _free(fit: Identified) -> list[int]:
-    """Which of R, L, K, J and B are free in the fit: K where the speed was recorded."""
+def _free_parameters(fit: Identified) -> list[int]:
+    """Return which of R, L, K, J and B are free in the fit: K if the speed was recorded."""
     has_speed = fit.start.speed_rad_s is not None
     return [n for n, name in enumerate(quantities.PARAMETERS[:-1]) if name != "K" or has_speed]
 
 
-def _run(
+def _simulate(
     fit: Identified,
     logs: FloatArray,
     load: str | None = None,
@@ -106,7 +107,7 @@ def _run(
     added: float = 0.0,
     late: float = 0.0,
 ) -> FloatArray:
-    """Current, and speed where it was recorded, each over what the fit leaves of it.
+    """Simulate the current, and the speed if recorded, each over the fit's residual.
 
     Args:
         fit: the start.

@@ -1,4 +1,4 @@
-"""`identify`: the parameters of a motor from recordings, whatever it did in them."""
+"""`identify`: parameters of a motor from recordings of starts and of logs."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motor_env.diagnosis.diagnose import unusable_reason
-from motor_env.diagnosis.motor_files import motor_of_log, not_told, to_motor
-from motor_env.diagnosis.shown.report import (
+from motor_env.diagnosis.diagnose import explain_unusable
+from motor_env.diagnosis.motor_files import describe_undetermined, motor_of_log, to_motor
+from motor_env.diagnosis.report.formats import (
     TWO_SIDED,
+    describe_r2,
     estimate_json,
     extensions_json,
-    quality,
     quantities_json,
     quantity_lines,
     ripple_json,
@@ -41,13 +41,13 @@ _WARM_K = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What recordings tell of a motor: a fit of each start, and one fit of all logs of the motor at work.
+    """Fits of recordings of a motor: one of each start, and one of all logs of the motor at work.
 
     Attributes:
         starts: each start with its fit.
         logs: recordings of the motor at work.
-        taken: what the recordings, and the starts cut from them, were taken for, and why; by their paths.
-        joint: the fit of the logs; None where there are none, or no motor explains them.
+        taken: regime of the recordings and of the starts cut from them, and why; by their paths.
+        joint: the fit of the logs; None without logs, or if no motor explains them.
         trouble: why no motor explains the logs.
         periods_per_turn: of the commutation ripple, where known.
         constant: torque constant in N m/A, where known beforehand.
@@ -64,25 +64,25 @@ class Identification:
     @property
     def usable(self) -> list[Identified]:
         """Fits of the starts that a motor explains."""
-        return [fit for _, fit in self.starts if unusable_reason(fit) is None]
+        return [fit for _, fit in self.starts if explain_unusable(fit) is None]
 
     @property
     def is_complete(self) -> bool:
-        """Whether a motor explains all of it."""
+        """Whether a motor explains all starts and the logs."""
         return len(self.usable) == len(self.starts) and not self.trouble
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Quantities with value, standard error, interval (95 %), unit: of the logs, else of the first good start."""
         if self.joint is not None:
-            return _of_logs(self.joint)
+            return _log_quantities(self.joint)
         return quantities_json(self.usable[0]) if self.usable else {}
 
     def motor(self, name: str = "identified motor") -> Motor:
-        """Motor of the logs, else of all good starts.
+        """Return the motor of the logs, else of all good starts.
 
         Raises:
-            InputError: no motor explains the recordings, or they do not tell the parameters one by one.
+            InputError: no motor explains the recordings, or they do not determine each parameter.
         """
         if self.joint is not None:
             return motor_of_log(self.joint, name)
@@ -91,37 +91,34 @@ class Identification:
         return to_motor(self.usable, name, constant=self.constant)
 
     def to_json(self) -> list[dict[str, Any]]:
-        """One object a start, and one for all logs."""
-        found = [self._start_json(recording, fit) for recording, fit in self.starts]
-        return [*found, self._logs_json()] if self.logs else found
+        """Return one object a start, and one for all logs."""
+        starts = [self._start_json(recording, fit) for recording, fit in self.starts]
+        return [*starts, self._logs_json()] if self.logs else starts
 
     def __repr__(self) -> str:
         return self.text()
 
     def text(self) -> str:
-        """Tables, and what is not told."""
+        """Describe the fits in tables, and what is not determined."""
         return "\n".join(map(_text, self.to_json()))
 
-    def plot(self, folder: Path) -> None:
-        """One picture a start, and one of all logs.
+    def page(self) -> str:
+        """Draw a self-contained HTML page: measured beside fitted current and speed of each start and of all logs."""
+        from motor_env.diagnosis.report.page import page_of_fits
 
-        Raises:
-            InputError: a file cannot be written.
-        """
-        from motor_env.diagnosis.files import picture_of
-        from motor_env.diagnosis.shown.pictures import plot_fit
-
-        shown: list[tuple[Recording, Identified | Operation]] = [*self.starts]
+        fits: dict[str, Identified | Operation] = {
+            f"{recording.path.name}, start {number}": fit
+            for number, (recording, fit) in enumerate(self.starts, 1)
+        }
         if self.joint is not None:
-            shown.append((self.logs[0], self.joint))
-        for place, (recording, fit) in enumerate(shown, 1):
-            plot_fit(fit, recording.path.name, picture_of(recording.path, folder, place))
+            fits[", ".join(recording.path.name for recording in self.logs)] = self.joint
+        return page_of_fits("Fits of the recordings", fits)
 
     def _start_json(self, recording: Recording, fit: Identified) -> dict[str, Any]:
         return {
             "files": [str(recording.path)],
             "taken_for": self.taken[recording.path]._asdict(),
-            "unusable": unusable_reason(fit),
+            "unusable": explain_unusable(fit),
             "model": ["textbook", *fit.model],
             "parameters": quantities_json(fit) | extensions_json(fit),
             "correlations": fit.correlation.tolist(),
@@ -133,7 +130,7 @@ class Identification:
             "offset_a": fit.offset_a,
             "columns": list(recording.columns),
             "defects": list(fit.defects),
-            "not_told": not_told(fit),
+            "not_told": describe_undetermined(fit),
             "warnings": warnings_of(recording, fit),
         }
 
@@ -149,7 +146,7 @@ class Identification:
         return head | {
             "model": list(self.joint.model),
             "voltage": self.joint.record.hold,
-            "parameters": _of_logs(self.joint),
+            "parameters": _log_quantities(self.joint),
             "r2_current": self.joint.r2_current,
             "r2_speed": self.joint.r2_speed,
             "warmth_k": float(self.joint.warmth_k.max()),
@@ -162,48 +159,46 @@ class Identification:
         }
 
 
-def _text(told: Mapping[str, Any]) -> str:
-    """One object of `to_json` for people."""
-    files, rows = ", ".join(told["files"]), told["parameters"]
-    if told["unusable"]:
-        return f"{files}: unusable: {told['unusable']}"
+def _text(fields: Mapping[str, Any]) -> str:
+    """Format one object of `to_json` for people."""
+    files, rows = ", ".join(fields["files"]), fields["parameters"]
+    if fields["unusable"]:
+        return f"{files}: unusable: {fields['unusable']}"
     beside = {
         name: "{:.4g} to {:.4g}".format(*row["interval"]) if row.get("determined", True) else "not determined"
         for name, row in rows.items()
     }
     lines = [
-        f"{files}: model {' + '.join(told['model'])}; 95 % intervals",
-        f"  taken for {Taken(**told['taken_for'])}",
-        "  read: " + "; ".join(told["columns"]),
+        f"{files}: model {' + '.join(fields['model'])}; 95 % intervals",
+        f"  taken for {Taken(**fields['taken_for'])}",
+        "  read: " + "; ".join(fields["columns"]),
         *quantity_lines(rows, beside),
     ]
-    explained = f"  {quality(told['r2_current'], told['r2_speed'])}"
-    if told["taken_for"]["regime"] == "operation":
-        lines += [f"  the voltage of a sample is {_HELD[told['voltage']]}", explained]
-        if told["warmth_k"] > _WARM_K:
-            lines.append(f"  the winding warms by up to {told['warmth_k']:.0f} K")
+    explained = f"  {describe_r2(fields['r2_current'], fields['r2_speed'])}"
+    if fields["taken_for"]["regime"] == "operation":
+        lines += [f"  the voltage of a sample is {_HELD[fields['voltage']]}", explained]
+        if fields["warmth_k"] > _WARM_K:
+            lines.append(f"  the winding warms by up to {fields['warmth_k']:.0f} K")
     else:
         names = list(rows)
         pairs = [
             f"{names[i]} with {names[j]} {row[j]:+.2f}"
-            for i, row in enumerate(told["correlations"])
+            for i, row in enumerate(fields["correlations"])
             for j in range(i)
         ]
-        lag = f"residual's autocorrelation at one sample {told['residual_autocorrelation']:.2f}"
+        lag = f"residual's autocorrelation at one sample {fields['residual_autocorrelation']:.2f}"
         lines += ["  correlations: " + ", ".join(pairs), f"{explained}; {lag}"]
-        lines += ripple_lines(told["commutation"])
-    lines += [f"  warning: {sentence}" for sentence in told["warnings"]]
-    lines += [f"  noticed: {defect}" for defect in told.get("defects", ())]
-    return "\n".join([*lines, *(f"  note: {sentence}" for sentence in told["not_told"])])
+        lines += ripple_lines(fields["commutation"])
+    lines += [f"  warning: {sentence}" for sentence in fields["warnings"]]
+    lines += [f"  noticed: {defect}" for defect in fields.get("defects", ())]
+    return "\n".join([*lines, *(f"  note: {sentence}" for sentence in fields["not_told"])])
 
 
-def _of_logs(joint: Operation) -> dict[str, dict[str, Any]]:
+def _log_quantities(joint: Operation) -> dict[str, dict[str, Any]]:
     return {
-        one.name: estimate_json(
-            one.value, (one.high - one.low) / (2.0 * TWO_SIDED), (one.low, one.high), one.unit
-        )
-        | {"determined": one.is_told}
-        for one in joint.quantities
+        q.name: estimate_json(q.value, (q.high - q.low) / (2.0 * TWO_SIDED), (q.low, q.high), q.unit)
+        | {"determined": q.is_told}
+        for q in joint.quantities
     }
 
 
@@ -218,13 +213,13 @@ def identify(
     constant: float | None = None,
     periods_per_turn: float | None = None,
 ) -> Identification:
-    """Parameters of one motor from recordings of it: each start alone, all logs of the motor at work together.
+    """Identify the parameters of one motor: from each start alone, from all logs of the motor at work together.
 
     Args:
         recordings: one or several, or their files.
         columns: columns named by the user, of files.
         voltage_v: level of the supply where none was recorded.
-        circuit: what is known of the measuring circuit.
+        circuit: the measuring circuit.
         regime: start, operation, or auto: decided by what the voltage does.
         start: which one, counted from 1, of a recording of several; all of them unless given.
         constant: torque constant in N m/A, where known and the speed was not recorded.
@@ -241,21 +236,23 @@ def identify(
     """
     require_options(voltage=voltage_v, torque_constant=constant, ripple_periods_per_turn=periods_per_turn)
     several = [recordings] if isinstance(recordings, Recording | str | Path) else recordings
-    read = [recording_of(one, columns) for one in several]
-    taken = {one.path: taken_for(one, regime, start) for one in read}
+    read = [recording_of(each, columns) for each in several]
+    taken = {recording.path: taken_for(recording, regime, start) for recording in read}
     starts: list[tuple[Recording, Identified]] = []
-    for one in read:
-        if taken[one.path].regime == "operation":
+    for recording in read:
+        if taken[recording.path].regime == "operation":
             continue
         try:
-            for part in chosen_starts(one, start):
+            for part in chosen_starts(recording, start):
                 fit = identify_best(prepare(part, voltage_v, circuit), EXTENSIONS, constant=constant)
                 starts.append((part, fit))
-                taken[part.path] = taken[one.path]
+                taken[part.path] = taken[recording.path]
         except UnusableError as error:
-            raise InputError(f"{one.path}: {error}") from None
+            raise InputError(f"{recording.path}: {error}") from None
     at_work = tuple(
-        at_terminals(one, voltage_v, circuit) for one in read if taken[one.path].regime == "operation"
+        at_terminals(recording, voltage_v, circuit)
+        for recording in read
+        if taken[recording.path].regime == "operation"
     )
     joint, trouble = None, ""
     if at_work:

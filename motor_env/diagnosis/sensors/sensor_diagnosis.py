@@ -1,4 +1,4 @@
-"""Sensors before motors: of a piece whose channel carries nothing, or contradicts the others, no motor is judged."""
+"""Diagnose the sensors of a recording before its motor."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from motor_env.diagnosis.sensors.checks import failure_in, sensor_failed
-from motor_env.diagnosis.sensors.seen import Seen
+from motor_env.diagnosis.sensors.channels import ChannelRecord, find_failure, sensor_judgement
 from motor_env.diagnosis.verdict import Judgement
 from motor_env.fitting import parameter_index as places
 from motor_env.motor.data_sheet import Motor
@@ -22,14 +21,14 @@ from motor_env.recordings.start import Circuit
 
 _BACKWARDS = "the current has the other sign than in all healthy starts: it is reversed, or the motor started backwards"
 
-_TURNED: dict[str, Literal["current_a", "speed_rad_s", "voltage_v"]] = {
+_POLARITY_COLUMNS: dict[str, Literal["current_a", "speed_rad_s", "voltage_v"]] = {
     "current_polarity": "current_a",
     "speed_polarity": "speed_rad_s",
     "voltage_polarity": "voltage_v",
 }
 
 
-def failed_sensor(
+def diagnose_sensors(
     recording: Recording,
     motor: Motor,
     voltage_v: float | None = None,
@@ -37,35 +36,34 @@ def failed_sensor(
     *,
     at_work: bool = False,
 ) -> Judgement | None:
-    """The judgement on a recording of which a sensor failed; None where none did, or nothing tells.
+    """Judge a recording with a failed sensor; None if none failed, or the voltage is not known.
 
     Args:
         recording: one start, or a log.
-        motor: the healthy one.
+        motor: the healthy motor.
         voltage_v: level of the supply where it was not recorded.
-        circuit: what is known of the measuring circuit.
+        circuit: the measuring circuit.
         at_work: whether it is a log.
     """
     starts = None if motor.healthy is None else motor.healthy.starts
-    if starts is not None and starts.direction and _goes_backwards(recording, starts.direction):
-        return sensor_failed("current_polarity", _BACKWARDS).on(recording)
-    recording = recording if starts is None else _turned(recording, starts.turned)
-    seen = _seen_in(recording, motor.nominal_voltage_v if voltage_v is None else voltage_v)
-    if seen is None:
+    if starts is not None and starts.direction and _starts_backwards(recording, starts.direction):
+        return sensor_judgement("current_polarity", _BACKWARDS).on(recording)
+    recording = recording if starts is None else _turn_signs(recording, starts.turned)
+    record = _record_channels(recording, motor.nominal_voltage_v if voltage_v is None else voltage_v)
+    if record is None:
         return None
-    speed = seen.speed_rad_s
-    if not (at_work or _tells_speed(motor)) and speed is not None and not np.ptp(speed):
-        seen = seen._replace(
-            speed_rad_s=None
-        )  # a column that never moves, as it did not where the motor was learned
-    physical = physical_of(motor)
+    speed = record.speed_rad_s
+    if not (at_work or _has_learned_speed(motor)) and speed is not None and not np.ptp(speed):
+        # A column that never moves, as it did not where the motor was learned.
+        record = record._replace(speed_rad_s=None)
+    physical = physical_values(motor)
     physical[places.R] += 0.0 if circuit is None else circuit.shunt_ohm
-    found = failure_in(seen._replace(at_work=at_work, is_taught=motor.healthy is not None), physical)
-    return None if found is None else found.on(recording)
+    failure = find_failure(record._replace(at_work=at_work, is_taught=motor.healthy is not None), physical)
+    return None if failure is None else failure.on(recording)
 
 
-def physical_of(motor: Motor) -> FloatArray:
-    """Values of a healthy motor in the order of `fitting.parameter_index`; those of windows hold their friction."""
+def physical_values(motor: Motor) -> FloatArray:
+    """Return a healthy motor's values in the order of `motor_env.fitting.parameter_index`, shape (places.N_VALUES,)."""
     if motor.healthy is not None and motor.healthy.windows is not None:
         physical = motor.healthy.windows.physical.copy()
         learned = dict(zip(motor.healthy.quantities, motor.healthy.values.tolist(), strict=True))
@@ -87,47 +85,47 @@ def physical_of(motor: Motor) -> FloatArray:
     return values
 
 
-def _seen_in(recording: Recording, level_v: float | None) -> Seen | None:
-    """What was recorded, with the step of a supply whose voltage was not; None where it is not known at all."""
+def _record_channels(recording: Recording, level_v: float | None) -> ChannelRecord | None:
+    """Return the channels, with a step for a voltage that was not recorded; None if its level is unknown too."""
     voltage, has_sign = recording.voltage_v, True
     if voltage is None and recording.duty is not None and level_v is not None:
         voltage = level_v * recording.duty
     if voltage is None:
-        onset = _onset(recording)
+        onset = _onset_index(recording)
         if onset is None or level_v is None:
             return None
         voltage, has_sign = np.where(np.arange(len(recording.time_s)) >= onset, level_v, 0.0), False
     if not np.any(voltage):
         return None
-    return Seen(recording.dt_s, voltage, recording.current_a, recording.speed_rad_s, has_sign)
+    return ChannelRecord(recording.dt_s, voltage, recording.current_a, recording.speed_rad_s, has_sign)
 
 
-def with_signs(motor: Motor, healthy: Sequence[Recording], voltage_v: float | None) -> Motor:
-    """The motor, with the columns that read with the other sign in its healthy starts: that is how they are wired."""
-    found = [failed_sensor(one, motor, voltage_v) for one in healthy]
-    kinds = {None if one is None else one.fault_kind for one in found}
-    turned = next((column for kind, column in _TURNED.items() if kinds == {FaultKind(kind)}), None)
-    if turned is None or motor.healthy is None or motor.healthy.starts is None:
+def learn_signs(motor: Motor, healthy: Sequence[Recording], voltage_v: float | None) -> Motor:
+    """Return the motor with the column that has the other sign in all its healthy starts: it is wired so."""
+    failures = [diagnose_sensors(recording, motor, voltage_v) for recording in healthy]
+    kinds = {None if failure is None else failure.fault_kind for failure in failures}
+    column = next((name for kind, name in _POLARITY_COLUMNS.items() if kinds == {FaultKind(kind)}), None)
+    if column is None or motor.healthy is None or motor.healthy.starts is None:
         return motor
     return replace(
-        motor, healthy=replace(motor.healthy, starts=replace(motor.healthy.starts, turned=(turned,)))
+        motor, healthy=replace(motor.healthy, starts=replace(motor.healthy.starts, turned=(column,)))
     )
 
 
-def _tells_speed(motor: Motor) -> bool:
-    """Whether the healthy pieces were recorded with the speed: they tell K, then."""
+def _has_learned_speed(motor: Motor) -> bool:
+    """Whether the healthy pieces were recorded with the speed, so that K is known."""
     return motor.healthy is not None and not {"K", "K/V"}.isdisjoint(motor.healthy.quantities)
 
 
-def _turned(recording: Recording, names: Sequence[str]) -> Recording:
-    """The recording with the sign of some of its columns changed."""
+def _turn_signs(recording: Recording, names: Sequence[str]) -> Recording:
+    """Return the recording with the sign of some columns changed."""
     changed: dict[str, Any] = {
         name: None if getattr(recording, name) is None else -getattr(recording, name) for name in names
     }
     return replace(recording, **changed)
 
 
-def _goes_backwards(recording: Recording, direction: int) -> bool:
+def _starts_backwards(recording: Recording, direction: int) -> bool:
     """Whether a current without voltage and speed has the other sign than that of the healthy starts."""
     if any(column is not None for column in (recording.voltage_v, recording.duty, recording.speed_rad_s)):
         return False
@@ -136,8 +134,8 @@ def _goes_backwards(recording: Recording, direction: int) -> bool:
     return False
 
 
-def _onset(recording: Recording) -> int | None:
-    """Where the current, or else the speed, begins to move."""
+def _onset_index(recording: Recording) -> int | None:
+    """Return the index where the current, or else the speed, begins to move."""
     for column in (recording.current_a, recording.speed_rad_s):
         if column is not None:
             try:
