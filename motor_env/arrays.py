@@ -28,6 +28,7 @@ Shape = tuple[int | str, ...]
 
 _KINDS = {"b": "bools", "c": "complex numbers", "m": "durations", "M": "dates", "U": "text", "S": "text"}
 _WHOLE = 2**63 - 1
+_DOUBLE = np.dtype(np.float64)
 
 
 def numbers(
@@ -45,11 +46,10 @@ def numbers(
     Raises:
         ValueError: no real numbers, another shape, or a value that is not finite; the sentence says where.
     """
+    if type(values) is float and not shape and abs(values) <= LARGEST_NUMBER:
+        return np.array(values)  # the quick way of a stream
     array = real(name, values, shape, single=single)
-    flat = array.reshape(-1)
-    # One quick pass: a number that is not finite stays in the sum, and a huge one makes it huge.
-    if not float(np.vdot(flat, flat)) <= LARGEST_NUMBER:
-        require_finite_entries(name, array, values, missing=missing)
+    require_finite_entries(name, array, values, missing=missing)
     return array
 
 
@@ -62,7 +62,7 @@ def real(
         array = _from_objects(name, array)
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{name} must be real numbers, got {_KINDS.get(array.dtype.kind, 'something else')}")
-    if not (single and array.dtype == np.float32) and array.dtype != np.float64:
+    if array.dtype is not _DOUBLE and not (single and array.dtype == np.float32):
         with np.errstate(over="ignore"):
             array = array.astype(np.float64)
     if shape is not None and not _fits(array.shape, shape):
@@ -75,7 +75,11 @@ def require_finite_entries(
     name: str, array: NDArray[np.float64], given: ArrayLike, *, missing: bool = False
 ) -> None:
     """Raise `ValueError` with place and value of the first entry that is not finite; with `missing` NaN may stand."""
-    bad = ~(np.abs(array) <= LARGEST_NUMBER)
+    flat = array.reshape(-1)
+    # One quick pass: a number that is not finite stays in the sum, and a huge one makes it huge.
+    if float(np.vdot(flat, flat)) <= LARGEST_NUMBER:
+        return
+    bad = ~(np.abs(array.astype(np.float64)) <= LARGEST_NUMBER)
     if missing:
         bad &= ~np.isnan(array)
     if bad.any():
@@ -92,6 +96,8 @@ def spread(
 ) -> NDArray[np.float64]:
     """As `numbers`, of a shape that NumPy's rules spread over `shape`: a scalar, or the last axes."""
     array = numbers(name, values, missing=missing)
+    if not array.ndim:
+        return array
     lengths = zip(array.shape[::-1], shape[::-1], strict=False)
     if array.ndim > len(shape) or any(own not in (1, whole) for own, whole in lengths):
         raise ValueError(f"{name} must be a number or have shape {shape}, got {array.shape}")
@@ -100,7 +106,7 @@ def spread(
 
 def number(
     name: str,
-    value: ArrayLike,
+    value: Any,
     *,
     above: float | None = None,
     least: float | None = None,
