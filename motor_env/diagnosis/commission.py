@@ -187,6 +187,11 @@ def commission(
     Raises:
         InputError: too few, one that cannot be read or used, or such as do not go together.
     """
+    given: Any = recordings
+    if isinstance(given, str) or not isinstance(given, Sequence) or not given:
+        raise InputError(
+            f"recordings must be a list of healthy recordings or their files, got {recordings!r:.60}"
+        )
     paths = [Path(one).resolve() for one in recordings if not isinstance(one, Recording)]
     if len(set(paths)) < len(paths):
         raise InputError(f"a healthy {word} is given twice: it would make the spread look smaller than it is")

@@ -27,6 +27,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from motor_env.arrays import instance
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.motor.healthy import Healthy
@@ -164,6 +165,7 @@ def load_motor(name_or_path: str | Path) -> Motor:
     """
     if str(name_or_path) in CATALOGUE:
         return Motor(str(name_or_path), "data_sheet", CATALOGUE[str(name_or_path)])
+    instance("name_or_path", name_or_path, (str, Path))
     path = Path(name_or_path)
     content = read_toml(path, f"no such motor file; presets are {', '.join(sorted(CATALOGUE))}")
     try:

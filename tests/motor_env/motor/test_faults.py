@@ -45,7 +45,7 @@ def test_the_order_of_the_kinds_is_that_of_a_cases_random_numbers() -> None:
 def unregistered(**powers: float) -> FaultKind:
     """A kind that no other test sees."""
     kind = str.__new__(FaultKind, "mine")
-    kind.powers, kind.verdict, kind.finding = powers, "mine", ""
+    vars(kind).update(powers=powers, verdict="mine", finding="")
     return kind
 
 
