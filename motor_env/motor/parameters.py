@@ -78,8 +78,9 @@ def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, on
     array = real(name, value, () if one else None)
     good = (array <= LARGEST_NUMBER) & ((array >= 0.0) if zero_allowed else (array > 0.0))
     if not good.all():
-        bad = array[~good].flat[0]
-        raise ValueError(f"{name} must be finite and {'>=' if zero_allowed else '>'} 0, got {bad:g}")
+        bad = float(array[~good].flat[0])
+        bound = f" and at most {LARGEST_NUMBER:g}" if LARGEST_NUMBER < bad < math.inf else ""
+        raise ValueError(f"{name} must be finite and {'>=' if zero_allowed else '>'} 0{bound}, got {bad:g}")
     return _plain(value, array)
 
 

@@ -223,11 +223,7 @@ class Recipe:
             f"weights of recipe {self.name} must not all be 0",
         )
         require(
-            1 <= self.starts_per_motor <= MOST_STARTS,
-            f"starts_per_motor must be in 1 .. {MOST_STARTS}, got {self.starts_per_motor:g}",
-        )
-        require(
-            0 <= self.healthy_starts <= self.starts_per_motor,
+            self.healthy_starts <= self.starts_per_motor,
             f"healthy_starts must be in 0 .. starts_per_motor ({self.starts_per_motor}), got {self.healthy_starts}",
         )
         require(
@@ -262,8 +258,8 @@ class Recipe:
         require(
             np.shape(self.supply.voltage_v) == (), "supply of a recipe must have one voltage_v, got a batch"
         )
-        for count in ("starts_per_motor", "healthy_starts"):
-            whole(count, getattr(self, count), -MOST_STARTS)
+        whole("starts_per_motor", self.starts_per_motor, 1, MOST_STARTS)
+        whole("healthy_starts", self.healthy_starts, 0, MOST_STARTS)
 
     @property
     def kinds(self) -> tuple[FaultKind, ...]:

@@ -165,7 +165,7 @@ def test_a_verdict_that_is_no_fault_names_no_kind(word: Verdict) -> None:
 
 @pytest.mark.parametrize("power", ["1.0", float("nan"), float("inf"), 0.0, None, 1j])
 def test_a_power_is_a_finite_number(power: Any) -> None:
-    with pytest.raises(ValueError, match=r"^power of inertia must be a finite number other than 0, got "):
+    with pytest.raises(ValueError, match=r"^power of inertia must be "):
         register_fault_kind("fouling", {"inertia": power})
 
 
