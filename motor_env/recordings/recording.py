@@ -121,6 +121,7 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
         InputError: the file is missing, empty, binary, lacks a column, or holds a value that is no finite number, or a
             time axis that does not rise.
     """
+    instance("path", path, (str, Path))
     path = Path(path)
     table = read_table(path, [choice.column for choice in choices])
     columns, unused = recognise(path, table, choices)
@@ -134,6 +135,8 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
 
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
     """A recording, or that of a file."""
+    instance("recording", recording, (Recording, str, Path))
+    instance("columns", choices, (tuple, list))
     return recording if isinstance(recording, Recording) else read_recording(recording, choices)
 
 

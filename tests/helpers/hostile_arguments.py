@@ -142,7 +142,8 @@ def complaint(error: BaseException) -> str:
     if foreign:
         return f"{kind.__name__} with a word of others ({foreign[0]}): {sentence:.100}"
     last = traceback.extract_tb(error.__traceback__)[-1]
-    if not set(Path(last.filename).parts) & set(PACKAGES) or "raise" not in _statement(last):
+    parts = set(Path(last.filename).parts)
+    if not parts & set(PACKAGES) or "tests" in parts or "raise" not in _statement(last):
         place = f"{Path(last.filename).name}:{last.lineno}"
         return f"{kind.__name__} that is not raised by us but at {place}: {sentence:.100}"
     return ""
@@ -291,7 +292,7 @@ def _numbers(good: float) -> Iterator[Cell]:
     yield from _no_numbers()
     yield "bool", True, REFUSED
     yield "huge", 1e300, REFUSED
-    for value in (10**30, 1e99, 5e-324, 1e-30, -5e-324, 0.0, -1.0, -1e99, 1.0):
+    for value in (10**30, 1e99, 5e-324, 0.0, -1.0):
         yield f"{value:.3g}", value, EITHER
 
 

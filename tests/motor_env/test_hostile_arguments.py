@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -22,6 +23,7 @@ import motor_env
 from motor_env import (
     PAPER_MOTOR,
     Channel,
+    ColumnChoice,
     Cusum,
     Fault,
     FaultKind,
@@ -30,6 +32,7 @@ from motor_env import (
     KalmanFilter,
     ModelBank,
     MOfN,
+    Motor,
     MotorParameters,
     Recipe,
     Recording,
@@ -91,6 +94,10 @@ DRAWN = simulate(
     Scenario(PAPER_MOTOR, sensor=RECIPE.sensor, timing=TIMING), seed=1, cases=[0, 1, 2]
 ).measurements
 SHARES = np.array([[0.8, 0.2], [0.4, 0.6], [0.5, 0.5]])
+LONGER = simulate(
+    Scenario(PAPER_MOTOR, sensor=SENSOR, timing=Timing(duration_s=0.05, quiet_s=0.01)), seed=1, cases=[0]
+)
+STARTUP = Recording(Path("start"), LONGER.time_s, LONGER.measurements[0, 0], LONGER.voltage_v[0])
 RECORDING = Recording(Path("start"), START.time_s, READINGS[0, 0], VOLTAGE.copy())
 
 
@@ -116,6 +123,11 @@ def joint(**changes: Any) -> Any:
 
 def axis_of(figure: Any) -> Any:
     return [line.get_ydata() for axis in figure.axes for line in axis.get_lines()]
+
+
+def without(call: Callable[[Any], Any], good: Any) -> Callable[[Any], Any]:
+    """The call, but for the good value, which would take long or need a file."""
+    return lambda value: None if isinstance(value, type(good)) and value == good else call(value)
 
 
 MOTOR = {f: getattr(PAPER_MOTOR, f) for f in PAPER_MOTOR.__slots__}
@@ -583,7 +595,7 @@ ROWS = [
     Row.of("Timing", "sampling_rate_hz", lambda v: Timing(v).n_samples, 1e4),
     Row.of("Timing", "duration_s", lambda v: Timing(duration_s=v).n_samples, 0.1),
     Row.of("Timing", "quiet_s", lambda v: Timing(quiet_s=v).n_samples, 0.1),
-    Row.of("Scenario", "parameters", lambda v: Scenario(v), PAPER_MOTOR),
+    Row.of("Scenario", "parameters", Scenario, PAPER_MOTOR),
     Row.of(
         "Scenario",
         "faults",
@@ -712,6 +724,29 @@ ROWS = [
     Row.of(
         "Recording", "missing", lambda v: replace(RECORDING, missing=v), None, also=(np.zeros((N, 2), bool),)
     ),
+    Row.of("read_recording", "path", without(read_recording, "a.csv"), "a.csv", also=("no_such.csv",)),
+    Row.of("ColumnChoice", "text", ColumnChoice.parse, "current=CH2", also=("", "current=", "x=1")),
+    Row.of("Motor", "name", lambda v: Motor(v, "data_sheet", PAPER_MOTOR), "mine", "text", "digits"),
+    Row.of("Motor", "kind", lambda v: Motor("mine", v, PAPER_MOTOR), "data_sheet", also=("bogus",)),
+    Row.of("Motor", "parameters", lambda v: Motor("mine", "data_sheet", v), PAPER_MOTOR),
+    Row.of("Motor", "nominal_voltage_v", lambda v: Motor("mine", "data_sheet", PAPER_MOTOR, v), 12.0, "None"),
+    Row.of("diagnose", "recording", lambda v: str(diagnose(v, "paper")), STARTUP),
+    Row.of("diagnose", "motor", lambda v: str(diagnose(STARTUP, v)), "paper", "None", also=(PAPER_MOTOR,)),
+    Row.of("diagnose", "start", lambda v: str(diagnose(STARTUP, "paper", start=v)), 1, "None"),
+    Row.of(
+        "diagnose", "regime", lambda v: str(diagnose(STARTUP, "paper", regime=v)), "auto", also=("bogus",)
+    ),
+    Row.of("diagnose", "columns", lambda v: str(diagnose(STARTUP, "paper", columns=v)), (), "empty list"),
+    Row.of("identify", "recordings", lambda v: str(identify(v)), STARTUP, also=([1], [None])),
+    Row.of(
+        "commission", "recordings", without(commission, ["a.csv"]), ["a.csv"], also=([], [1], "abc", b"abc")
+    ),
+    Row.of("trend", "paths", without(trend, "a.csv"), "a.csv", also=([], [1], ["no_such"])),
+    Row.of("learn_fleet", "files", without(learn_fleet, ["a.csv"]), ["a.csv"], also=([], [1], ["no_such"])),
+    Row.of(
+        "diagnose_fleet", "files", without(diagnose_fleet, ["a.csv"]), ["a.csv"], also=([], [1], ["no_such"])
+    ),
+    Row.of("watch", "motor", without(lambda v: list(watch(v, [])), "a.toml"), "a.toml"),
     Row.of("Rule", "whitened", lambda v: Cusum(0.5).stream().update(v), 0.5, "missing", "several"),
 ]
 
@@ -734,3 +769,111 @@ def test_every_cell_is_the_right_value_or_one_sentence(row: Row) -> None:
 def test_every_public_name_has_a_row() -> None:
     public = public_names(Path(motor_env.__file__).with_name("__init__.pyi"))
     assert public - {row.name for row in ROWS} - set(HOLDERS) == set()
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    [
+        {"measurement": np.inf},
+        {"measurement": np.zeros(5)},
+        {"voltage_v": np.nan},
+        {"voltage_v": np.ma.masked},
+        {"load_torque_n_m": np.nan},
+        {"load_torque_n_m": "1"},
+    ],
+    ids=str,
+)
+def test_after_a_refusal_a_stream_stands_where_it_stood(hostile: dict[str, Any]) -> None:
+    stream, untouched = FilterStream(KALMAN), FilterStream(KALMAN)
+    for k, reading in enumerate(CURRENT[0, 0]):
+        if k == 3:
+            with pytest.raises(ValueError, match=next(iter(hostile))):
+                stream.update(**{"measurement": reading, "voltage_v": 12.0} | hostile)
+        found = stream.update(reading, 12.0)
+        assert equal(values_of(found), values_of(untouched.update(reading, 12.0)))
+
+
+def test_a_missing_reading_of_a_stream_updates_nothing() -> None:
+    stream = FilterStream(KALMAN)
+    for reading in (None, np.nan, np.ma.masked):
+        assert stream.update(reading, 12.0).nis.tolist() == [0.0]
+    assert np.isfinite(stream.update(0.5, 12.0).state).all()
+
+
+def test_a_wild_reading_that_is_masked_counts_as_missing() -> None:
+    wild = CURRENT.copy()
+    wild[0, 0, 20] = 300.0
+    masked = np.ma.masked_greater(wild, 100.0)
+    found = run_filter(KALMAN, masked, VOLTAGE)
+    assert equal(values_of(found), values_of(run_filter(KALMAN, masked.filled(np.nan), VOLTAGE)))
+    assert found.nis[0, 20] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("process_covariance", np.diag([1.0, -1.0]), "positive semi-definite"),
+        ("process_covariance", np.array([[1.0, 2.0], [2.0, 1.0]]), "positive semi-definite"),
+        ("initial_covariance", np.array([[1.0, 0.5], [0.4, 1.0]]), "symmetric"),
+        ("measurement_covariance", np.zeros((2, 2)), "positive definite"),
+        ("measurement_covariance", np.ones((2, 2)), "positive definite"),
+        ("observation", np.zeros((3, 2)), "1 or 2 rows"),
+        ("initial_state", np.zeros(0), "shape"),
+    ],
+)
+def test_a_belief_that_is_none_is_refused_when_made(name: str, value: Any, words: str) -> None:
+    with pytest.raises(ValueError, match=f"{name} must .*{words}"):
+        replace(TWO, **{name: value})
+    with pytest.raises(ValueError, match=f"{name} must .*{words}"):
+        KalmanFilter(**{f: getattr(TWO, f) for f in TWO.__slots__} | {name: value})
+
+
+def test_a_sample_that_takes_the_estimate_away_is_named() -> None:
+    wild = CURRENT[:1, :, :9].copy()
+    wild[0, 0, 5] = 1e99
+    with pytest.raises(ValueError, match=r"at sample \d+: the largest measurements there are"):
+        joint(measurements=wild)
+
+
+def test_both_ways_to_name_a_kind_are_one() -> None:
+    extended, unscented = joint(kind="extended"), joint(kind="unscented")
+    assert equal(values_of(extended), values_of(joint()))
+    assert not equal(values_of(extended), values_of(unscented))
+
+
+def test_nothing_changes_a_fault_kind() -> None:
+    kind: Any = FaultKind.BEARING
+    with pytest.raises(TypeError):
+        kind.powers["friction"] = -5.0
+    with pytest.raises(AttributeError, match="cannot be changed"):
+        kind.powers = {"friction": -5.0}
+    assert dict(kind.powers) == {"friction": 1.0}
+
+
+def test_a_complaint_knows_the_words_of_others() -> None:
+    def refusal(error: Exception) -> str:
+        try:
+            raise error
+        except type(error) as raised:
+            return complaint(raised)
+
+    assert "not raised by us" in refusal(ValueError("voltage_v must be finite, got nan"))
+    assert "word of others" in refusal(ValueError("operands could not be broadcast together"))
+    assert "ZeroDivisionError" in refusal(ZeroDivisionError("division by zero"))
+    assert "no one sentence" in refusal(ValueError("two\nlines"))
+
+
+@pytest.mark.long
+def test_compiled_code_stays_within_its_arrays() -> None:
+    """The tests of the rooms with compiled loops, each read of an array checked; compiled anew, so it takes minutes."""
+    here = Path(__file__).parent
+    rooms = [here / room for room in ("filters", "detection", "motor", "simulation", "inference")]
+    found = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-m", "not long", *rooms, __file__],
+        env=os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=here.parents[1],
+    )
+    assert found.returncode == 0, found.stdout[-3000:]

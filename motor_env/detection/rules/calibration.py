@@ -24,7 +24,7 @@ CALIBRATION_SEED = 20_101
 _TRANSIENTS = 100_000
 _MOST_RUNS, _LEAST_RUNS, _SAMPLES = 10_000, 1_000, 3e8
 _MOST_SAMPLES = 1e10  # some twenty minutes of one core
-_PROBE = 1e7  # samples after which it shows how seldom alarms are
+_PROBE = 3e6  # samples after which it shows how seldom alarms are, if they are some of a rule's memories
 _PILOT = 400
 _LEVELS = 9
 _NARROW = 0.3  # how far from the wanted average run length the pilot's thresholds reach, as a logarithm
@@ -150,7 +150,7 @@ def run_lengths(
     n_channels: int = 1,
     seed: int = CALIBRATION_SEED,
     mean: ArrayLike = 0.0,
-    most_samples: float = _MOST_SAMPLES,
+    most_samples: float = np.inf,
 ) -> IntArray:
     """Samples to the alarm of simulated runs, each followed to its alarm, shape (runs, n_levels) (Page 1954).
 
@@ -186,12 +186,14 @@ def run_lengths(
                 lengths[cases[~left]] = passages[~left]
                 cases, passed, passages, state = cases[left], passed[left], passages[left], state[left]
             block += 1
-            taken = block * _BLOCK * min(batch, runs - first)
-            alarms = min(batch, runs - first) - len(cases)
+            taken, together = block * _BLOCK, min(batch, runs - first)
+            alarms = together - len(cases)
+            shows = taken * together >= _PROBE and taken >= 4 * state.shape[1]
+            needed = taken * together * (runs / max(alarms, 1) if shows else 1)
             require(
-                taken < _PROBE or runs / max(alarms, 1) * taken <= most_samples,
+                needed <= most_samples,
                 f"threshold {thresholds.max():g} is passed too seldom to simulate {runs} runs to their alarms:"
-                f" {alarms} alarms in {taken:.0e} samples",
+                f" {alarms} of {together} in {taken} samples",
             )
     return lengths
 
