@@ -32,16 +32,23 @@ _DOUBLE = np.dtype(np.float64)
 
 
 def numbers(
-    name: str, values: Any, shape: Shape | None = None, *, missing: bool = False, single: bool = False
+    name: str,
+    values: Any,
+    shape: Shape | None = None,
+    *,
+    missing: bool = False,
+    single: bool = False,
+    least: float | None = None,
 ) -> NDArray[np.float64]:
     """The values as a float64 array that compiled code can read; a copy only where they are none.
 
     Args:
         name: of the argument.
         values: what the caller gave.
-        shape: what it must have; None for any.
+        shape: what it must have, with no axis of length 0; None for any.
         missing: whether NaN, None and masked values are allowed: they become NaN.
         single: whether float32 stays so.
+        least: no value may be smaller.
 
     Raises:
         ValueError: no real numbers, another shape, or a value that is not finite; the sentence says where.
@@ -50,6 +57,8 @@ def numbers(
         return np.array(values)  # the quick way of a stream
     array = real(name, values, shape, single=single)
     require_finite_entries(name, array, values, missing=missing)
+    if least is not None and not (array >= least).all():
+        raise ValueError(f"{name} must be >= {least:g}, got {array.min():g}")
     return array
 
 
@@ -63,9 +72,9 @@ def real(name: str, values: Any, shape: Shape | None = None, *, single: bool = F
     if array.dtype is not _DOUBLE and not (single and array.dtype == np.float32):
         with np.errstate(over="ignore"):
             array = array.astype(np.float64)
-    if shape is not None and not _fits(array.shape, shape):
-        shown = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" if shape else "() (one number)"
-        raise ValueError(f"{name} must have shape {shown}, got {array.shape}")
+    if shape is not None and not (array.size and _fits(array.shape, shape)):
+        wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" if shape else "() (one number)"
+        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
     return array if array.flags.carray else array.copy()
 
 
@@ -87,9 +96,9 @@ def require_finite_entries(name: str, array: NDArray[Any], given: Any, *, missin
         raise ValueError(f"{name} must be finite{bound}, got {found}{where}")
 
 
-def spread(name: str, values: Any, shape: tuple[int, ...], *, missing: bool = False) -> NDArray[np.float64]:
+def spread(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """As `numbers`, of a shape that NumPy's rules spread over `shape`: a scalar, or the last axes."""
-    array = numbers(name, values, missing=missing)
+    array = numbers(name, values)
     if not array.ndim:
         return array
     lengths = zip(array.shape[::-1], shape[::-1], strict=False)
@@ -146,6 +155,14 @@ def wholes(name: str, values: Any, least: int = 0, most: int = _WHOLE) -> NDArra
             where = f" at [{place}]" if array.ndim else ""
             raise ValueError(f"{name} must be whole numbers in {least} .. {most}, got {shown(entry)}{where}")
     return array.astype(np.int64)
+
+
+def flags(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Bools of that shape; else `ValueError`."""
+    array = _array(name, values)
+    if array.dtype != np.bool_ or array.shape != shape:
+        raise ValueError(f"{name} must be bools of shape {shape}, got shape {array.shape}")
+    return array
 
 
 def _array(name: str, values: Any) -> NDArray[Any]:

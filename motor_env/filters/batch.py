@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import instance, numbers, real, require_finite_entries, spread
+from motor_env.arrays import instance, numbers, real, require_finite_entries, shown, spread
 from motor_env.filters import kernels
 from motor_env.filters.kalman import KalmanFilter, schedule, schedules, score
 from motor_env.motor.model import N_STATES, Input, propagate
@@ -70,13 +70,10 @@ def _series(
     """Checked measurements, shape (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
     n_channels = len(kalman.observation)
     measured = real("measurements", measurements, ("...", n_channels, "n_samples"), single=True)
-    require(
-        measured.ndim <= 3 and measured.size > 0,
-        f"measurements must have shape (..., {n_channels}, n_samples), got {measured.shape}",
-    )
+    require(measured.ndim <= 3, f"measurements must have 2 or 3 axes, got shape {measured.shape}")
     n_samples = measured.shape[-1]
     voltage = numbers("voltage_v", voltage_v, ("...", n_samples))
-    require(voltage.ndim <= 2, f"voltage_v must have shape (..., {n_samples}), got {voltage.shape}")
+    require(voltage.ndim <= 2, f"voltage_v must have 1 or 2 axes, got shape {voltage.shape}")
     batch = measured.shape[:-2]
     flat = measured.reshape(-1, n_channels, n_samples)
     inputs = np.empty((*voltage.shape, len(Input)))
@@ -134,7 +131,7 @@ def filter_residuals(
     """
     require(
         dtype is np.float32 or dtype is np.float64,
-        f"dtype must be float32 or float64, got {getattr(dtype, '__name__', dtype)!s:.60}",
+        f"dtype must be float32 or float64, got {shown(dtype)}",
     )
     instance("kalman", kalman, KalmanFilter)
     measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)

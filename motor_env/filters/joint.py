@@ -165,18 +165,14 @@ def joint_filter(
     require_noise(sensor)
     instance("names", names, (tuple, list))
     given: tuple[Any, ...] = names
-    unknown = [str(name) for name in given if not (isinstance(name, str) and name in FREE)]
+    unknown = [shown(name) for name in given if not (isinstance(name, str) and name in FREE)]
     require(
         len(names) > 0 and not unknown and len(set(names)) == len(names),
         f"names must be of {', '.join(FREE)}, each once, got {', '.join(unknown or names) or 'none'}",
     )
-    require(
-        str(kind) in list(JointKind),
-        f"kind must be one of {', '.join(JointKind)}, got {shown(kind)}",
-    )
+    require(str(kind) in list(JointKind), f"kind must be one of {', '.join(JointKind)}, got {shown(kind)}")
     prior_std = number("prior_std", prior_std, above=0.0)
-    process_std = numbers("process_noise_std", process_noise_std, (N_STATES,))
-    require(bool((process_std >= 0.0).all()), f"process_noise_std must be >= 0, got {process_std.tolist()}")
+    process_std = numbers("process_noise_std", process_noise_std, (N_STATES,), least=0.0)
     memory = None if memory is None else number("memory", memory, least=1.0)
     c = np.concatenate([sensor.observation, np.zeros((len(sensor.channels), len(names)))], axis=1)
     measured, voltage = checked_series(measurements, voltage_v, len(c), missing=True)
@@ -213,9 +209,5 @@ def parameter_test_threshold(n_parameters: int, false_alarm_probability: float) 
 
     Exact for normal estimates whose prior is wide; watching it all along alarms more often.
     """
-    return float(
-        chdtri(
-            whole("n_parameters", n_parameters, 1),
-            number("false_alarm_probability", false_alarm_probability, above=0.0, below=1.0),
-        )
-    )
+    probability = number("false_alarm_probability", false_alarm_probability, above=0.0, below=1.0)
+    return float(chdtri(whole("n_parameters", n_parameters, 1), probability))

@@ -56,7 +56,7 @@ class KalmanFilter:
         transition = numbers("transition of the model", self.model.transition, ("...", *square))
         gain = numbers("gain of the model", self.model.gain, ("...", N_STATES, len(Input)))
         require(
-            transition.ndim <= 3 and transition.size > 0 and gain.shape[:-2] == transition.shape[:-2],
+            transition.ndim <= 3 and gain.shape[:-2] == transition.shape[:-2],
             f"transition and gain of the model must be of as many motors, got {transition.shape} and {gain.shape}",
         )
         dt_s = number("dt_s of the model", self.model.dt_s, above=0.0)
@@ -114,9 +114,7 @@ def require_noise(sensor: SensorParameters) -> None:
 
 
 def _variances(name: str, std: ArrayLike) -> FloatArray:
-    deviations = numbers(name, std, (N_STATES,))
-    require(bool((deviations >= 0.0).all()), f"{name} must be >= 0, got {deviations.tolist()}")
-    return np.diag(np.square(deviations))
+    return np.diag(np.square(numbers(name, std, (N_STATES,), least=0.0)))
 
 
 def _covariance(name: str, given: ArrayLike, size: int, least: float = 0.0) -> FloatArray:
@@ -271,8 +269,7 @@ def schedules(
         )
     except ZeroDivisionError:
         raise ValueError(
-            "measurement_covariance is too small beside process_covariance and initial_covariance: their sum cannot be"
-            " inverted"
+            "measurement_covariance is too small beside the others: no gain can be computed"
         ) from None
     return Schedule(gain, innovation_covariance, covariance, held_from)
 
@@ -282,7 +279,6 @@ def checked_series(
 ) -> tuple[FloatArray, FloatArray]:
     """Measurements (n_cases, n_channels, n_samples), NaN where `missing`, and the voltage (n_samples,) of all."""
     measured = numbers("measurements", measurements, ("n_cases", n_channels, "n_samples"), missing=missing)
-    require(measured.size > 0, f"measurements must hold a case and a sample, got shape {measured.shape}")
     return measured, numbers("voltage_v", voltage_v, measured.shape[2:])
 
 

@@ -123,7 +123,8 @@ def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
         A prior of each motor's own, in the coordinates of `class_coordinates`.
     """
     instance("recipe", recipe, Recipe)
-    measured = numbers("starts", starts, ("n_motors", "n_starts", len(recipe.sensor.channels), "n_samples"))
+    measured = numbers("starts", starts)
+    require(measured.ndim == 4, f"starts must have 4 axes, got shape {measured.shape}")
     coordinates = class_coordinates(recipe, FaultClass())
     n_motors, size = len(measured), coordinates.size
     prior = Prior(np.zeros((n_motors, size)), np.tile(np.eye(size), (n_motors, 1, 1)))
@@ -162,12 +163,11 @@ def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predict
     Raises:
         ValueError: shapes do not fit, fewer than 2 cases, or a number that is no class.
     """
-    likely = numbers("probabilities", probabilities, ("n_cases", "n_classes"))
+    likely = numbers("probabilities", probabilities, ("n_cases", "n_classes"), least=0.0)
     require(
-        len(likely) > 1 and likely.shape[1] > 0,
+        len(likely) > 1,
         f"probabilities must be of 2 cases or more, got {likely.shape}",
     )
-    require(bool((likely >= 0.0).all()), "probabilities must be >= 0, got a negative one")
     truth = wholes("class_index", class_index, 0, likely.shape[1] - 1)
     chosen = wholes("predicted", predicted, -1)
     for name, found in (("class_index", truth), ("predicted", chosen)):

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.arrays import LARGEST_NUMBER, instance, numbers, real
+from motor_env.arrays import LARGEST_NUMBER, instance, numbers, real, shown
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -214,7 +214,7 @@ class SensorParameters:
         instance("channels", self.channels, (tuple, list))
         given: tuple[Any, ...] = self.channels
         strange = [channel for channel in given if not (isinstance(channel, str) and channel in known)]
-        require(not strange, f"channels must be of {', '.join(known)}, got {strange!r:.80}")
+        require(not strange, f"channels must be of {', '.join(known)}, got {shown(strange)}")
         object.__setattr__(self, "channels", tuple(Channel(channel) for channel in self.channels))
         require(len(self.channels) > 0, "channels must name at least one of current, speed, got none")
         require(

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.arrays import instance, numbers
+from motor_env.arrays import flags, instance, numbers
 from motor_env.errors import InputError
-from motor_env.motor.parameters import FloatArray, require
+from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.columns import recognise
 from motor_env.recordings.headers import SI, ColumnChoice
 from motor_env.recordings.noise import filled
@@ -76,13 +76,8 @@ class Recording:
         object.__setattr__(self, "path", Path(self.path))
         time = numbers("time_s", self.time_s, ("n_samples",))
         object.__setattr__(self, "time_s", time)
-        require(len(time) > 0, "time_s must hold a sample, got none")
         if self.missing is not None:
-            shape, given = (len(time), 3), np.asarray(self.missing)
-            require(
-                given.shape == shape and given.dtype == np.bool_,
-                f"missing must be bools of shape {shape}, got {given.shape}",
-            )
+            object.__setattr__(self, "missing", flags("missing", self.missing, (len(time), 3)))
         for name, channel in _CHANNELS.items():
             if getattr(self, name) is None and name != "current_a":
                 continue

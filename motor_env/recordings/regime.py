@@ -54,7 +54,7 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
     Raises:
         InputError: an unknown regime.
     """
-    if not (isinstance(regime, str) and regime in REGIMES):
+    if str(regime) not in REGIMES:
         raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {shown(regime)}")
     if regime != "auto" or start is not None:
         return Taken("operation" if regime == "operation" else "start", "as asked")

@@ -142,8 +142,7 @@ class Scenario:
         instance("sensor", self.sensor, SensorParameters)
         instance("timing", self.timing, Timing)
         object.__setattr__(self, "load_torque_n_m", number("load_torque_n_m", self.load_torque_n_m))
-        std = numbers("process_noise_std", self.process_noise_std, (N_STATES,))
-        require(bool((std >= 0.0).all()), f"process_noise_std must be >= 0, got {std.tolist()}")
+        numbers("process_noise_std", self.process_noise_std, (N_STATES,), least=0.0)
         require_one_batch(
             self.parameters.batch_shape,
             np.shape(self.supply.voltage_v),
@@ -218,7 +217,7 @@ def simulate_states(
     _check_faults(faults)
     voltage = numbers("voltage_v", voltage_v, ("...", "n_samples"))
     require(
-        voltage.ndim <= 2 and voltage.shape[-1] > 0,
+        voltage.ndim <= 2,
         f"voltage_v must have shape (n_samples,) or (n_cases, n_samples), got {voltage.shape}",
     )
     n_samples = voltage.shape[-1]

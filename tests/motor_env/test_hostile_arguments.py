@@ -130,13 +130,25 @@ def without(call: Callable[[Any], Any], good: Any) -> Callable[[Any], Any]:
     return lambda value: None if isinstance(value, type(good)) and value == good else call(value)
 
 
+def setter(value: Any, name: str) -> Callable[[Any], Any]:
+    return lambda v: replace(value, **{name: v})
+
+
+def smoother(name: str) -> Callable[[Any], Any]:
+    return lambda v: smooth(TWO, RESULT._replace(**{name: v}))
+
+
+def discretizer(name: str) -> Callable[[Any], Any]:
+    return lambda v: discretize(MotorParameters(**MOTOR | {name: v}), DT_S)
+
+
 MOTOR = {f: getattr(PAPER_MOTOR, f) for f in PAPER_MOTOR.__slots__}
 BATCH = PAPER_MOTOR.scaled(resistance_ohm=np.array([1.0, 1.1, 1.2]))
 STREAMS = KalmanFilter.from_parameters(BATCH, SENSOR, DT_S)
 
 ROWS = [
     *(
-        Row.of("KalmanFilter", name, lambda v, name=name: replace(TWO, **{name: v}), getattr(TWO, name))
+        Row.of("KalmanFilter", name, setter(TWO, name), getattr(TWO, name))
         for name in (
             "observation",
             "process_covariance",
@@ -240,7 +252,7 @@ ROWS = [
         Row.of(
             "smooth",
             name,
-            lambda v, name=name: smooth(TWO, RESULT._replace(**{name: v})),
+            smoother(name),
             getattr(RESULT, name),
         )
         for name in ("innovation_covariance", "state", "covariance", "gain")
@@ -515,7 +527,7 @@ ROWS = [
         Row.of(
             "MotorParameters",
             name,
-            lambda v, name=name: discretize(MotorParameters(**MOTOR | {name: v}), DT_S),
+            discretizer(name),
             value,
             "several",
             "empty",
@@ -602,7 +614,7 @@ ROWS = [
         lambda v: Scenario(PAPER_MOTOR, v),
         (),
         "empty list",
-        also=((1,), Fault("bearing", 0.1)),
+        also=((1,), Fault(FaultKind.BEARING, 0.1)),
     ),
     Row.of("Scenario", "supply", lambda v: Scenario(PAPER_MOTOR, supply=v), SupplyParameters()),
     Row.of("Scenario", "sensor", lambda v: Scenario(PAPER_MOTOR, sensor=v), SENSOR),
@@ -622,7 +634,7 @@ ROWS = [
     Row.of(
         "Scenario",
         "batch",
-        lambda v: Scenario(BATCH, (Fault("bearing", v),)).batch_shape,
+        lambda v: Scenario(BATCH, (Fault(FaultKind.BEARING, v),)).batch_shape,
         np.array([0.1, 0.2, 0.3]),
         "0-d",
         also=([0.1, 0.2],),
@@ -704,7 +716,7 @@ ROWS = [
         Row.of(
             "Recipe",
             name,
-            lambda v, name=name: replace(RECIPE, **{name: v}),
+            setter(RECIPE, name),
             getattr(RECIPE, name),
             "empty list",
             "None",
@@ -795,7 +807,8 @@ def test_after_a_refusal_a_stream_stands_where_it_stood(hostile: dict[str, Any])
 
 def test_a_missing_reading_of_a_stream_updates_nothing() -> None:
     stream = FilterStream(KALMAN)
-    for reading in (None, np.nan, np.ma.masked):
+    missing: tuple[Any, ...] = (None, np.nan, np.ma.masked)
+    for reading in missing:
         assert stream.update(reading, 12.0).nis.tolist() == [0.0]
     assert np.isfinite(stream.update(0.5, 12.0).state).all()
 
@@ -864,13 +877,14 @@ def test_a_complaint_knows_the_words_of_others() -> None:
 
 
 @pytest.mark.long
-def test_compiled_code_stays_within_its_arrays() -> None:
+@pytest.mark.timeout(3600)
+def test_compiled_code_stays_within_its_arrays(tmp_path: Path) -> None:
     """The tests of the rooms with compiled loops, each read of an array checked; compiled anew, so it takes minutes."""
     here = Path(__file__).parent
     rooms = [here / room for room in ("filters", "detection", "motor", "simulation", "inference")]
     found = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-m", "not long", *rooms, __file__],
-        env=os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": ""},
+        env=os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)},
         capture_output=True,
         text=True,
         check=False,

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import instance, number, numbers, whole
+from motor_env.arrays import flags, instance, number, numbers, whole
 from motor_env.detection.rules import calibration
 from motor_env.detection.rules.thresholds import LONGEST, Request, Statistic, Threshold
 from motor_env.detection.run_length import RunLaw
@@ -171,11 +171,7 @@ class RuleStream:
         """Begin anew: all streams, or those where the mask is true."""
         fresh = self.rule.start(len(self.state))
         if streams is not None:
-            chosen, shape = np.asarray(streams), (len(fresh),)
-            require(
-                chosen.dtype == np.bool_ and chosen.shape == shape and not np.ma.is_masked(streams),
-                f"streams must be bools of shape {shape}, got shape {chosen.shape}",
-            )
+            chosen = flags("streams", streams, (len(fresh),))
             fresh = np.where(chosen[:, None], fresh, self.state)
         self.state = fresh
 

@@ -163,12 +163,8 @@ class ModelBank(Rule):
     def __post_init__(self) -> None:
         shifts = numbers("shifts", self.shifts, ("n_models",))
         require(
-            len(shifts) > 0 and bool((shifts != 0.0).all()),
-            f"shifts must be other than 0, got {shifts.tolist()}",
-        )
-        require(
-            bool((np.abs(shifts) <= _LARGEST_SHIFT).all()),
-            f"shifts must be at most {_LARGEST_SHIFT:g}, got {shifts.tolist()}",
+            bool(((shifts != 0.0) & (np.abs(shifts) <= _LARGEST_SHIFT)).all()),
+            f"shifts must be other than 0 and at most {_LARGEST_SHIFT:g}, got {shifts.tolist()}",
         )
         object.__setattr__(self, "shifts", tuple(shifts.tolist()))
 
@@ -194,7 +190,6 @@ class ModelBank(Rule):
         """
         hazard = number("hazard", hazard, above=0.0, below=1.0)
         values = numbers("whitened", whitened, ("...", "n_samples", "n_channels"), missing=True)
-        require(values.size > 0, f"whitened must hold a sample, got shape {values.shape}")
         flat = values.reshape(-1, *values.shape[-2:])
         shifts = np.asarray(self.shifts)
         start = np.log(hazard / len(shifts))

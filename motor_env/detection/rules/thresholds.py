@@ -123,6 +123,5 @@ class Statistic(ABC):
             Shape (..., n_samples).
         """
         values = numbers("whitened", whitened, ("...", "n_samples", "n_channels"), missing=True)
-        require(values.size > 0, f"whitened must hold a sample, got shape {values.shape}")
         flat = values.reshape(-1, *values.shape[-2:])
         return self.scan(self.start(len(flat)), flat).reshape(values.shape[:-1])
