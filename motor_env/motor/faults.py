@@ -58,6 +58,9 @@ class NoiseSource(StrEnum):
     PROCESS = "process"
 
 
+_SOURCES = tuple(NoiseSource)
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
     """A fault: its kind, its severity, when it begins and how it grows.
@@ -86,11 +89,10 @@ class Fault:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", FaultKind(self.kind))
-        sources = [source.value for source in NoiseSource]
-        require(
-            str(self.noise_source) in sources,
-            f"noise_source must be one of {', '.join(sources)}, got {shown(self.noise_source)}",
-        )
+        if str(self.noise_source) not in _SOURCES:
+            raise ValueError(
+                f"noise_source must be one of {', '.join(_SOURCES)}, got {shown(self.noise_source)}"
+            )
         object.__setattr__(self, "noise_source", NoiseSource(str(self.noise_source)))
         severity = require_positive("severity", self.severity, zero_allowed=True)
         object.__setattr__(self, "severity", severity)

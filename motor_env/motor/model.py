@@ -20,7 +20,7 @@ import numpy as np
 
 from motor_env.arrays import instance
 from motor_env.motor.compiled import inlined, njit
-from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require, require_positive
+from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require_positive
 
 
 class State(IntEnum):
@@ -182,10 +182,10 @@ def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
         shape = model.transition.shape
         gain = dt_s * (phi.reshape(shape) @ model.gain)
         found = DiscreteModel(exponential.reshape(shape), gain, dt_s)
-    require(
-        math.isfinite(float(np.vdot(exponential, exponential) + np.vdot(gain, gain))),
-        f"a motor of such parameters cannot be computed at dt_s = {dt_s:g}: one is too large or too small",
-    )
+    if not math.isfinite(np.vdot(exponential, exponential) + np.vdot(gain, gain)):
+        raise ValueError(
+            f"a motor of such parameters cannot be computed at dt_s = {dt_s:g}: one is too large or too small"
+        )
     return found
 
 

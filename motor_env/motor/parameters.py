@@ -157,12 +157,15 @@ class MotorParameters:
     viscous_friction_n_m_s_per_rad: Floats
 
     def __post_init__(self) -> None:
+        lengths = set()
         for field in fields(self):
             zero_allowed = field.name == "viscous_friction_n_m_s_per_rad"
             value = require_positive(field.name, getattr(self, field.name), zero_allowed=zero_allowed)
             object.__setattr__(self, field.name, value)
-        lengths = {np.shape(getattr(self, field.name)) for field in fields(self)} - {(), (1,)}
-        require(len(lengths) <= 1, f"all fields of a batch must have one shape, got {sorted(lengths)}")
+            if isinstance(value, np.ndarray):
+                lengths.add(value.shape)
+        if len(lengths - {(1,)}) > 1:
+            raise ValueError(f"all fields of a batch must have one shape, got {sorted(lengths)}")
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
