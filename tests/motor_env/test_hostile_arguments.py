@@ -74,6 +74,8 @@ from motor_env import (
     trend,
     watch,
 )
+
+# Reaches in: a threshold is written by hand.
 from motor_env.detection.rules import Threshold
 from motor_env.simulation.recipes import Spread
 
