@@ -17,9 +17,8 @@ from motor_env.motor.model import N_STATES, Input
 from motor_env.motor.parameters import FloatArray, require
 
 MEMORY = 200.0
-"""Samples over which noise is estimated: a variance from so many is known to 10 % (sqrt(2 / n)). Fewer make the gain
-restless, more follow a change late. At 10 kHz it is 20 ms, five mechanical time constants of the paper's motor, so
-that the estimate does not ride on the state's own motion."""
+"""Samples over which noise is estimated: a variance from so many is known to 10 % (sqrt(2 / n)). At
+10 kHz it is 20 ms, five mechanical time constants of the paper's motor."""
 
 
 class AdaptiveResult(NamedTuple):

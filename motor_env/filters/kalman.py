@@ -1,9 +1,8 @@
 """The Kalman filter (paper, Table 1): its belief, which is never the truth, its update and its gains.
 
 `measurement_update` is the update of the adaptive and of the joint filters, whose noise or motion the data change.
-Batches of transients (`batch.py`) and streams run the same equations compiled for two states
-(`kernels.covariance_step`), because a loop over samples in Python would take a thousand times as long; a test compares
-the two. What the paper calls R is `measurement_covariance`, its Q `process_covariance`, its H `observation`.
+Batches and streams run the same equations compiled for two states (`kernels.covariance_step`). What the paper calls R
+is `measurement_covariance`, its Q `process_covariance`, its H `observation`.
 """
 
 from __future__ import annotations

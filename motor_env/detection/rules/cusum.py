@@ -107,9 +107,7 @@ class Sprt(ExactRule):
     Attributes:
         shift: d, > 0.
         lower: log(missed / (1 - false alarms)) in Wald's approximation; < 0.
-        restart: whether an accepted test begins anew. Without, there is no ARL0: most healthy motors are accepted
-            once and for all, so the average time to a false alarm is infinite. With `lower` towards 0 the repeated
-            test is the CUSUM (Page 1954).
+        restart: whether an accepted test begins anew. Without, the average time to a false alarm is infinite.
     """
 
     shift: float

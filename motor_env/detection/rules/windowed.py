@@ -52,7 +52,7 @@ class Glr(Rule):
     samples since the onset, with the fault's signature s: the growth of the whitened innovation after an onset (Willsky
     & Jones 1976; window-limited on a geometric grid of ages: Lai 1995). Without a signature the fault is a step of the
     mean. With the term 2 ln m each octave of ages gives about as many false alarms as the next (Dumbgen & Spokoiny
-    2001), because N samples hold N / m independent looks at the age m. So one rule serves small and large faults.
+    2001).
 
     Attributes:
         shortest: least age of an onset that is scanned, in samples.
