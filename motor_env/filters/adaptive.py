@@ -11,8 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import instance, number
-from motor_env.filters.kalman import KalmanFilter, checked_series, measurement_update, sample_named, score
+from motor_env.arrays import number
+from motor_env.filters.kalman import (
+    KalmanFilter,
+    checked_series,
+    measurement_update,
+    require_belief,
+    sample_named,
+    score,
+)
 from motor_env.motor.model import N_STATES, Input
 from motor_env.motor.parameters import FloatArray, require
 
@@ -80,7 +87,7 @@ def adaptive_filter(
         ValueError: shapes do not fit, a sample is not finite or takes the estimate out of the range of numbers, or a
             memory below 1.
     """
-    instance("kalman", kalman, KalmanFilter)
+    require_belief(kalman)
     a, c = kalman.model.transition, kalman.observation
     require(a.ndim == 2, "adaptive_filter needs the belief of one motor, got a batch")
     measured, voltage = checked_series(measurements, voltage_v, len(c))

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import instance, numbers, real, require_finite_entries, shown, spread
+from motor_env.arrays import numbers, real, require_finite_entries, shown, spread
 from motor_env.filters import kernels
-from motor_env.filters.kalman import KalmanFilter, schedule, schedules, score
+from motor_env.filters.kalman import KalmanFilter, require_belief, schedule, schedules, score
 from motor_env.motor.model import N_STATES, Input, propagate
 from motor_env.motor.parameters import FloatArray, require
 
@@ -133,7 +133,7 @@ def filter_residuals(
         dtype is np.float32 or dtype is np.float64,
         f"dtype must be float32 or float64, got {shown(dtype)}",
     )
-    instance("kalman", kalman, KalmanFilter)
+    require_belief(kalman)
     measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
     plan = schedule(kalman, measured.shape[-1])
     n_cases, n_channels, n_samples = measured.shape
@@ -209,7 +209,7 @@ def run_filter(
     Raises:
         ValueError: shapes do not fit, or a measurement is infinite.
     """
-    instance("kalman", kalman, KalmanFilter)
+    require_belief(kalman)
     measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
     whole = measured.reshape(*batch, *measured.shape[1:])
     require_finite_entries("measurements", whole, measurements, missing=True)

@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import Shape, instance, number, numbers
+from motor_env.arrays import instance, number, numbers
 from motor_env.filters.kernels import fill_schedules, score_innovations
 from motor_env.motor.model import N_STATES, DiscreteModel, Input, discretize
 from motor_env.motor.parameters import SMALLEST, FloatArray, MotorParameters, SensorParameters, require
@@ -51,27 +51,26 @@ class KalmanFilter:
 
     def __post_init__(self) -> None:
         instance("model", self.model, DiscreteModel)
-        square: Shape = (N_STATES, N_STATES)
-        transition = numbers("transition of the model", self.model.transition, ("...", *square))
+        observation = numbers("observation", self.observation, ("n_channels", "n_states"))
+        channels, states = observation.shape
+        transition = numbers("transition of the model", self.model.transition, ("...", states, states))
         gain = numbers("gain of the model", self.model.gain, ("...", N_STATES, len(Input)))
         require(
             transition.ndim <= 3 and gain.shape[:-2] == transition.shape[:-2],
             f"transition and gain of the model must be of as many motors, got {transition.shape} and {gain.shape}",
         )
         dt_s = number("dt_s of the model", self.model.dt_s, above=0.0)
-        observation = numbers("observation", self.observation, ("n_channels", N_STATES))
-        channels = len(observation)
         require(channels in (1, 2), f"observation must have 1 or 2 rows, one a channel, got {channels}")
         checked = {
             "model": DiscreteModel(transition, gain, dt_s),
             "observation": observation,
-            "initial_state": numbers("initial_state", self.initial_state, (N_STATES,)),
+            "initial_state": numbers("initial_state", self.initial_state, (states,)),
             "measurement_covariance": _covariance(
                 "measurement_covariance", self.measurement_covariance, channels, least=SMALLEST**2
             ),
         }
         for name in ("process_covariance", "initial_covariance"):
-            checked[name] = _covariance(name, getattr(self, name), N_STATES)
+            checked[name] = _covariance(name, getattr(self, name), states)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
@@ -105,6 +104,14 @@ class KalmanFilter:
         )
 
 
+def require_belief(kalman: KalmanFilter) -> None:
+    """Raise `TypeError` or `ValueError` unless it is a belief of current and speed: compiled loops know no other."""
+    instance("kalman", kalman, KalmanFilter)
+    states = kalman.observation.shape[1]
+    if states != N_STATES:
+        raise ValueError(f"kalman must have {N_STATES} states, current and speed, got {states}")
+
+
 def require_noise(sensor: SensorParameters) -> None:
     """Raise `ValueError` unless each channel has noise: a filter needs a measurement variance > 0."""
     instance("sensor", sensor, SensorParameters)
@@ -117,19 +124,17 @@ def _variances(name: str, std: ArrayLike) -> FloatArray:
 
 
 def _covariance(name: str, given: ArrayLike, size: int, least: float = 0.0) -> FloatArray:
-    """A symmetric matrix of 1 or 2 rows, with variances of at least `least` and correlations within 1."""
+    """A symmetric matrix with variances of at least `least`: definite where that is > 0, else semi-definite."""
     matrix = numbers(name, given, (size, size))
-    variances, between = np.diag(matrix), float(matrix[0, -1] if size > 1 else 0.0)
-    product = float(variances[0] * variances[-1])
-    require(
-        bool((variances >= least).all())
-        and (between**2 <= product * (1.0 + 1e-9) if not least else between**2 < product),
-        f"{name} must be positive {'definite' if least else 'semi-definite'}, got {matrix.tolist()}",
-    )
-    scale = 1e-9 * float(np.sqrt(product))
-    require(
-        size == 1 or abs(between - matrix[1, 0]) <= scale, f"{name} must be symmetric, got {matrix.tolist()}"
-    )
+    variances, smallest, word = np.diag(matrix), -1e-9, "semi-definite"
+    if least > 0.0:
+        smallest, word = 1e-12, "definite"
+    root = np.where(variances > 0.0, np.sqrt(np.abs(variances)), 1.0)
+    correlation = matrix / root / root[:, None]
+    if not np.abs(correlation - correlation.T).max() <= 1e-9:
+        raise ValueError(f"{name} must be symmetric, got {matrix.tolist()}")
+    if variances.min() < least or np.linalg.eigvalsh(correlation)[0] < smallest:
+        raise ValueError(f"{name} must be positive {word}, got {matrix.tolist()}")
     return matrix
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from motor_env.arrays import instance, numbers, require_finite_entries
 from motor_env.filters.batch import FilterResult
-from motor_env.filters.kalman import KalmanFilter, masked_sensor
+from motor_env.filters.kalman import KalmanFilter, masked_sensor, require_belief
 from motor_env.motor.compiled import compiled, inlined, njit
 from motor_env.motor.model import N_STATES
 from motor_env.motor.parameters import FloatArray, require
@@ -152,7 +152,7 @@ def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
     Raises:
         ValueError: the result is of another belief: its shapes do not fit, or it holds what `run_filter` does not give.
     """
-    instance("kalman", kalman, KalmanFilter)
+    require_belief(kalman)
     instance("result", result, FilterResult)
     result = _checked(result, len(kalman.observation), kalman.model.transition.shape[:-2])
     n_samples, n_channels = result.innovation.shape[-2:]

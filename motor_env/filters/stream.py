@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import instance, numbers, spread, whole
+from motor_env.arrays import numbers, spread, whole
 from motor_env.filters.batch import innovations_and_states
-from motor_env.filters.kalman import KalmanFilter, schedules, score
+from motor_env.filters.kalman import KalmanFilter, require_belief, schedules, score
 from motor_env.motor.model import N_STATES, Input, propagate
 from motor_env.motor.parameters import FloatArray, require
 
@@ -42,7 +42,7 @@ class FilterStream:
     """
 
     def __init__(self, kalman: KalmanFilter, n_streams: int = 1) -> None:
-        instance("kalman", kalman, KalmanFilter)
+        require_belief(kalman)
         n_streams = whole("n_streams", n_streams, 1, MOST_STREAMS)
         self.kalman = kalman
         self.n_streams = n_streams
