@@ -146,6 +146,10 @@ def discretizer(name: str) -> Callable[[Any], Any]:
 
 MOTOR = {f: getattr(PAPER_MOTOR, f) for f in PAPER_MOTOR.__slots__}
 BATCH = PAPER_MOTOR.scaled(resistance_ohm=np.array([1.0, 1.1, 1.2]))
+THREE = KalmanFilter(
+    TWO.model._replace(transition=np.eye(3)), np.eye(2, 3), np.eye(3), np.eye(2), np.zeros(3), np.eye(3)
+)
+"""A belief of three states, which the environment Drive has and compiled loops of filters have not."""
 STREAMS = KalmanFilter.from_parameters(BATCH, SENSOR, DT_S)
 
 ROWS = [
@@ -183,7 +187,7 @@ ROWS = [
         also=((0.5,),),
     ),
     Row.of("KalmanFilter", "sensor", lambda v: KalmanFilter.from_parameters(PAPER_MOTOR, v, DT_S), SENSOR),
-    Row.of("run_filter", "kalman", lambda v: run_filter(v, READINGS, VOLTAGE), TWO, also=(STREAMS,)),
+    Row.of("run_filter", "kalman", lambda v: run_filter(v, READINGS, VOLTAGE), TWO, also=(STREAMS, THREE)),
     Row.of("run_filter", "measurements", lambda v: run_filter(TWO, v, VOLTAGE), READINGS, "missing"),
     Row.of(
         "run_filter", "measurements of one", lambda v: run_filter(KALMAN, v, VOLTAGE), CURRENT[0], "missing"
@@ -248,7 +252,7 @@ ROWS = [
     Row.of("FilterStream", "measurement of one", lambda v: fed(KALMAN, 1, v, 12.0), 0.5, "missing"),
     Row.of("FilterStream", "voltage_v", lambda v: fed(KALMAN, 3, np.ones(3), v), np.full(3, 12.0), "0-d"),
     Row.of("FilterStream", "load_torque_n_m", lambda v: fed(KALMAN, 1, 0.5, 12.0, v), 1e-3),
-    Row.of("smooth", "kalman", lambda v: smooth(v, RESULT), TWO, also=(KALMAN, STREAMS)),
+    Row.of("smooth", "kalman", lambda v: smooth(v, RESULT), TWO, also=(KALMAN, STREAMS, THREE)),
     Row.of("smooth", "result", lambda v: smooth(TWO, v), RESULT, also=(tuple(RESULT),)),
     *(
         Row.of(
