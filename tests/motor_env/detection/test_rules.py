@@ -149,7 +149,7 @@ def test_bad_requests_are_refused_in_one_sentence() -> None:
         MOfN(4, 3)
     with pytest.raises(ValueError, match="1 <= M <= N <= 14, got 1 and 15"):
         MOfN(1, 15)
-    with pytest.raises(ValueError, match="window must be a whole number in 1 .. 1000000, got 0"):
+    with pytest.raises(ValueError, match=r"window must be a whole number in 1 \.\. 1000000, got 0"):
         WindowedNis(0)
     with pytest.raises(ValueError, match="1 <= shortest <= longest, got 5 and 4"):
         Glr(5, 4)
