@@ -25,7 +25,7 @@ from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.report.formats import UNITS, describe_friction_share
 from motor_env.diagnosis.running.window_baseline import learn_windows
 from motor_env.diagnosis.sensors.sensor_diagnosis import learn_signs
-from motor_env.errors import InputError, require_options
+from motor_env.errors import InputError, require_options, require_several
 from motor_env.fitting.preprocessing import at_terminals
 from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.motor.assumptions import lines as lines_of
@@ -199,11 +199,14 @@ def commission(
     Raises:
         InputError: too few recordings, one that cannot be used, or two that do not go together.
     """
+    require_several("recordings", recordings, (Recording, str, Path))
     paths = [Path(each).resolve() for each in recordings if not isinstance(each, Recording)]
     if len(set(paths)) < len(paths):
         raise InputError(f"a healthy {word} is given twice: it would make the spread look smaller than it is")
     require_options(
         false_alarm_rate=false_alarm_rate,
+        start=start,
+        temperature=temperature_c,
         voltage=voltage_v,
         torque_constant=constant,
         window=window_s,

@@ -1,22 +1,24 @@
 """The Kalman filter (paper, Table 1): its belief, which is never the truth, its update and its gains.
 
 `measurement_update` is the update of the adaptive and of the joint filters, whose noise or motion the data change.
-Batches of transients (`batch.py`) and streams run the same equations compiled for two states
-(`kernels.covariance_step`), because a loop over samples in Python would take a thousand times as long; a test compares
-the two. What the paper calls R is `measurement_covariance`, its Q `process_covariance`, its H `observation`.
+Batches and streams run the same equations compiled for two states (`kernels.covariance_step`). What the paper calls R
+is `measurement_covariance`, its Q `process_covariance`, its H `observation`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import instance, number, numbers
 from motor_env.filters.kernels import fill_schedules, score_innovations
-from motor_env.motor.model import N_STATES, DiscreteModel, discretize
-from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
+from motor_env.motor.model import N_STATES, DiscreteModel, Input, discretize
+from motor_env.motor.parameters import SMALLEST, FloatArray, MotorParameters, SensorParameters, require
 
 DEFAULT_PROCESS_NOISE_STD = (1e-5, 1e-3)
 """Process noise of the belief in [A, rad/s] an interval. The paper prints none. It is small on purpose: process noise
@@ -34,6 +36,10 @@ class KalmanFilter:
         measurement_covariance: covariance of the measurement noise (the paper's R), shape (n_channels, n_channels).
         initial_state: state before the first interval, shape (2,).
         initial_covariance: its covariance, shape (2, 2).
+
+    Raises:
+        ValueError: a shape that does not fit, a number that is not finite, a covariance that is not symmetric or not
+            positive semi-definite, or measurement noise that is not positive definite.
     """
 
     model: DiscreteModel
@@ -42,6 +48,31 @@ class KalmanFilter:
     measurement_covariance: FloatArray
     initial_state: FloatArray
     initial_covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        instance("model", self.model, DiscreteModel)
+        observation = numbers("observation", self.observation, ("n_channels", "n_states"))
+        channels, states = observation.shape
+        transition = numbers("transition of the model", self.model.transition, ("...", states, states))
+        gain = numbers("gain of the model", self.model.gain, ("...", N_STATES, len(Input)))
+        require(
+            transition.ndim <= 3 and gain.shape[:-2] == transition.shape[:-2],
+            f"transition and gain of the model must be of as many motors, got {transition.shape} and {gain.shape}",
+        )
+        dt_s = number("dt_s of the model", self.model.dt_s, above=0.0)
+        require(channels in (1, 2), f"observation must have 1 or 2 rows, one a channel, got {channels}")
+        checked = {
+            "model": DiscreteModel(transition, gain, dt_s),
+            "observation": observation,
+            "initial_state": numbers("initial_state", self.initial_state, (states,)),
+            "measurement_covariance": _covariance(
+                "measurement_covariance", self.measurement_covariance, channels, least=SMALLEST**2
+            ),
+        }
+        for name in ("process_covariance", "initial_covariance"):
+            checked[name] = _covariance(name, getattr(self, name), states)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_parameters(
@@ -59,19 +90,52 @@ class KalmanFilter:
         A batch of motors gives a filter with a model for each case: some ten times slower than a common one.
 
         Raises:
-            ValueError: a sensor without noise (a filter needs a measurement variance > 0).
+            ValueError: a sensor without noise (a filter needs a measurement variance > 0), or what `KalmanFilter`
+                refuses.
         """
-        require(
-            bool((sensor.noise_std > 0.0).all()), f"noise of each channel must be > 0, got {sensor.noise_std}"
-        )
+        require_noise(sensor)
         return cls(
             model=discretize(parameters, dt_s),
             observation=sensor.observation,
-            process_covariance=np.diag(np.square(process_noise_std)),
+            process_covariance=_variances("process_noise_std", process_noise_std),
             measurement_covariance=np.diag(np.square(sensor.noise_std)),
-            initial_state=np.asarray(initial_state, dtype=np.float64),
-            initial_covariance=np.diag(np.square(initial_std)),
+            initial_state=numbers("initial_state", initial_state, (N_STATES,)),
+            initial_covariance=_variances("initial_std", initial_std),
         )
+
+
+def require_belief(kalman: KalmanFilter) -> None:
+    """Raise `TypeError` or `ValueError` unless it is a belief of current and speed: compiled loops know no other."""
+    instance("kalman", kalman, KalmanFilter)
+    states = kalman.observation.shape[1]
+    if states != N_STATES:
+        raise ValueError(f"kalman must have {N_STATES} states, current and speed, got {states}")
+
+
+def require_noise(sensor: SensorParameters) -> None:
+    """Raise `ValueError` unless each channel has noise: a filter needs a measurement variance > 0."""
+    instance("sensor", sensor, SensorParameters)
+    noise = sensor.noise_std.tolist()
+    require(min(noise) >= SMALLEST, f"noise of each channel must be > 0 (>= {SMALLEST:g}), got {noise}")
+
+
+def _variances(name: str, std: ArrayLike) -> FloatArray:
+    return np.diag(np.square(numbers(name, std, (N_STATES,), least=0.0)))
+
+
+def _covariance(name: str, given: ArrayLike, size: int, least: float = 0.0) -> FloatArray:
+    """A symmetric matrix with variances of at least `least`: definite where that is > 0, else semi-definite."""
+    matrix = numbers(name, given, (size, size))
+    variances, smallest, word = np.diag(matrix), -1e-9, "semi-definite"
+    if least > 0.0:
+        smallest, word = 1e-12, "definite"
+    root = np.where(variances > 0.0, np.sqrt(np.abs(variances)), 1.0)
+    correlation = matrix / root / root[:, None]
+    if not np.abs(correlation - correlation.T).max() <= 1e-9:
+        raise ValueError(f"{name} must be symmetric, got {matrix.tolist()}")
+    if variances.min() < least or np.linalg.eigvalsh(correlation)[0] < smallest:
+        raise ValueError(f"{name} must be positive {word}, got {matrix.tolist()}")
+    return matrix
 
 
 class Updated(NamedTuple):
@@ -195,31 +259,45 @@ def schedules(
     gain = block[: count * N_STATES * m].reshape(n_rows, n_samples, N_STATES, m)
     innovation_covariance = block[gain.size : gain.size + count * m * m].reshape(n_rows, n_samples, m, m)
     covariance = block[-count * N_STATES * N_STATES :].reshape(n_rows, n_samples, N_STATES, N_STATES)
-    held_from = fill_schedules(
-        np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES),
-        kalman.process_covariance,
-        observation,
-        noise,
-        kalman.initial_covariance[None] if initial is None else initial,
-        np.ascontiguousarray(missing),
-        gain,
-        innovation_covariance,
-        covariance,
-    )
+    try:
+        held_from = fill_schedules(
+            kalman.model.transition.reshape(-1, N_STATES, N_STATES),
+            kalman.process_covariance,
+            observation,
+            noise,
+            kalman.initial_covariance[None] if initial is None else initial,
+            np.ascontiguousarray(missing),
+            gain,
+            innovation_covariance,
+            covariance,
+        )
+    except ZeroDivisionError:
+        raise ValueError(
+            "measurement_covariance is too small beside the others: no gain can be computed"
+        ) from None
     return Schedule(gain, innovation_covariance, covariance, held_from)
 
 
 def checked_series(
-    measurements: ArrayLike, voltage_v: ArrayLike, n_channels: int
+    measurements: ArrayLike, voltage_v: ArrayLike, n_channels: int, *, missing: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Measurements (n_cases, n_channels, n_samples) and the voltage (n_samples,) that all of them share."""
-    measured, voltage = np.asarray(measurements, dtype=np.float64), np.asarray(voltage_v, dtype=np.float64)
-    require(
-        measured.ndim == 3 and measured.shape[1] == n_channels and voltage.shape == measured.shape[2:],
-        f"measurements must have shape (n_cases, {n_channels}, n_samples) with a voltage for each sample, "
-        f"got {measured.shape} and {voltage.shape}",
-    )
-    return measured, voltage
+    """Measurements (n_cases, n_channels, n_samples), NaN where `missing`, and the voltage (n_samples,) of all."""
+    measured = numbers("measurements", measurements, ("n_cases", n_channels, "n_samples"), missing=missing)
+    return measured, numbers("voltage_v", voltage_v, measured.shape[2:])
+
+
+@contextmanager
+def sample_named(k: int, measured: FloatArray, voltage_v: FloatArray) -> Iterator[None]:
+    """`ValueError` naming sample `k` and what was given there, where the estimate leaves the range of numbers."""
+    try:
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            yield
+    except (FloatingPointError, np.linalg.LinAlgError, OverflowError, ValueError):
+        case = int(np.argmax(np.abs(np.nan_to_num(measured[:, :, k])).max(axis=1)))
+        raise ValueError(
+            f"the estimate left the range of numbers at sample {k}: the largest measurements there are"
+            f" {measured[case, :, k].tolist()} (case {case}), the voltage is {voltage_v[k]:g}"
+        ) from None
 
 
 class Scores(NamedTuple):

@@ -15,7 +15,7 @@ from motor_env.diagnosis.healthy_spread import START_SPREAD, learn_starts
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.windows import viscous
 from motor_env.diagnosis.scaling_errors import POWERS
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_several
 from motor_env.fitting import parameter_index as places
 from motor_env.fitting.starts.start_fit import StartFit as Identified
 from motor_env.fleet.fits import FleetFits, Map, fit_fleet
@@ -223,6 +223,7 @@ def learn_fleet(
     Raises:
         InputError: too few motors, or records that cannot be used together.
     """
+    require_several("files", files, (str, Path))
     files = [Path(path) for path in files]
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a record of the fleet is given twice: it would count as two motors")
