@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 
 from motor_env.envs.tasks import require_environment, task_recipe, with_motor
+from motor_env.errors import UnknownOptionError
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
     FloatArray,
@@ -64,7 +66,8 @@ class MonitorOptions:
 
     Attributes:
         recipe: what is drawn: nominal motor, tolerances, faults and their weights, sensor, sampling rate. The name of
-            a recipe (easy, medium, hard, small, or of `simulation.named_recipes`), a recipe's TOML file, or a `Recipe`.
+            a recipe (easy, medium, hard, small, or of `simulation.named_recipes`), a recipe's TOML file, a `Recipe`, or
+            one as the dictionary that an EnvSpec's JSON makes of it.
         motor: in place of the recipe's nominal motor: a motor's TOML file, which also gives supply, noise and
             tolerances; a name of the catalogue or `MotorParameters`, for which these stay the recipe's; None: the
             recipe's motor.
@@ -138,10 +141,7 @@ class MonitorOptions:
 
     def __post_init__(self) -> None:
         require_numbers(self)
-        recipe = task_recipe(self.recipe) if isinstance(self.recipe, str | Path) else self.recipe
-        require(
-            isinstance(recipe, Recipe), f"recipe must be a name, a TOML file or a Recipe, got {recipe!r:.60}"
-        )
+        recipe = task_recipe(self.recipe)
         if self.motor is not None:
             recipe = with_motor(recipe, self.motor)
             object.__setattr__(self, "motor", recipe.motor)
@@ -235,12 +235,22 @@ Options = TypeVar("Options", bound="DataclassInstance")
 def with_changes(options: Options | None, kind: type[Options], changes: dict[str, Any]) -> Options:
     """The options, by default those of the kind, with some of them changed.
 
+    Args:
+        options: the options, or a dictionary of them as an EnvSpec's JSON has it.
+        kind: their class.
+        changes: by name.
+
     Raises:
-        ValueError: an option does not exist, or a value is of another type or out of its range.
+        UnknownOptionError: an option does not exist.
+        ValueError: a value is of another type or out of its range.
     """
+    if isinstance(options, Mapping) and options:
+        return with_changes(None, kind, {**options, **changes})
     options = kind() if options is None else options
     require(isinstance(options, kind), f"options must be {kind.__name__}, got {options!r:.60}")
     known = [field.name for field in fields(options)]
     for name in changes:
-        require(name in known, f"no option {name!r}; there are {', '.join(known)}")
+        if name not in known:  # the first words are those by which TorchRL knows that it should do without
+            there = f"no option {name!r:.60}; there are {', '.join(known)}"
+            raise UnknownOptionError(f"unexpected keyword argument {name!r:.60}: {there}")
     return replace(options, **changes)

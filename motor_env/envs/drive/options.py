@@ -9,6 +9,7 @@ from enum import StrEnum
 import numpy as np
 
 from motor_env.envs.options import settle_choice
+from motor_env.envs.tasks import described
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import load_torque
 from motor_env.motor.parameters import (
@@ -129,6 +130,7 @@ class DriveOptions:
 
     def __post_init__(self) -> None:
         require_numbers(self)
+        object.__setattr__(self, "motor", described(MotorParameters, self.motor))
         require(
             isinstance(self.motor, MotorParameters), f"motor must be MotorParameters, got {self.motor!r:.60}"
         )
