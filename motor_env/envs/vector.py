@@ -90,7 +90,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
     options_type: type[Options]
     _words: WordArray
     _flags: BoolArray
-    _by_class: dict[str, NDArray[Any]] = {}  # noqa: RUF012  # never written to
+    by_class: dict[str, NDArray[Any]] = {}  # noqa: RUF012  # never written to
     """What each class has in the info, by name."""
     part_names: tuple[str, ...]
 
@@ -134,7 +134,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         self.options = with_changes(options, self.options_type, changes)
         self.single_observation_space, self.single_action_space = self._set_up()
         (self._n_observed,) = self.single_observation_space.shape or (0,)
-        self._without_text = {name: each for name, each in self._by_class.items() if each.dtype != object}
+        self._without_text = {name: each for name, each in self.by_class.items() if each.dtype != object}
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -173,7 +173,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         if self.autoreset_mode is AutoresetMode.SAME_STEP:  # TorchRL reads these, and can read no text
             return _told(truth, self._without_text, self.part_names, parts, known)
         info = LateInfo()
-        info.fill = (_told, truth, self._by_class, self.part_names, parts, known)
+        info.fill = (_told, truth, self.by_class, self.part_names, parts, known)
         return info
 
     def reset(
@@ -299,10 +299,10 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         lanes = empty_lanes(blocks, blocks * LANES, self.options.precision)
         self._words, self._marks, self._flags = lanes.words, lanes.marks, lanes.flags
         self._drawn, classes = lanes.drawn, self.options.task.classes
-        self._by_class = {"label": np.array(self.setup.labels, dtype=object)}
+        self.by_class = {"label": np.array(self.setup.labels, dtype=object)}
         self._is_drawn = any(c.severity_to is not None for c in classes)
         if not self._is_drawn:
-            self._by_class["severity"] = np.array([c.severity for c in classes], dtype=np.float64)
+            self.by_class["severity"] = np.array([c.severity for c in classes], dtype=np.float64)
         self._arrays = (*pack_task(self.setup.numbers, self.options.precision), *lanes)
         self.part_names = reward_parts(self.options)
         self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)

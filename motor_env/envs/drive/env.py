@@ -144,7 +144,7 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
 
     options_type = DriveOptions
     part_names = REWARDS
-    _by_class = {"label": np.array(LABELS, dtype=object)}  # noqa: RUF012  # never written to
+    by_class = {"label": np.array(LABELS, dtype=object)}  # noqa: RUF012  # never written to
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
         self.setup = make_setup(self.options)
