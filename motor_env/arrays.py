@@ -18,7 +18,7 @@ import reprlib
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 LARGEST_NUMBER = 1e100
 """What is larger is refused as an infinite number is: its square is near the end of what a float can hold."""
@@ -32,7 +32,7 @@ _DOUBLE = np.dtype(np.float64)
 
 
 def numbers(
-    name: str, values: ArrayLike, shape: Shape | None = None, *, missing: bool = False, single: bool = False
+    name: str, values: Any, shape: Shape | None = None, *, missing: bool = False, single: bool = False
 ) -> NDArray[np.float64]:
     """The values as a float64 array that compiled code can read; a copy only where they are none.
 
@@ -53,9 +53,7 @@ def numbers(
     return array
 
 
-def real(
-    name: str, values: ArrayLike, shape: Shape | None = None, *, single: bool = False
-) -> NDArray[np.float64]:
+def real(name: str, values: Any, shape: Shape | None = None, *, single: bool = False) -> NDArray[np.float64]:
     """As `numbers`, with whatever values: for what finds out itself that one is not finite."""
     array = _array(name, values)
     if array.dtype.kind == "O":
@@ -71,9 +69,7 @@ def real(
     return array if array.flags.carray else array.copy()
 
 
-def require_finite_entries(
-    name: str, array: NDArray[np.float64], given: ArrayLike, *, missing: bool = False
-) -> None:
+def require_finite_entries(name: str, array: NDArray[Any], given: Any, *, missing: bool = False) -> None:
     """Raise `ValueError` with place and value of the first entry that is not finite; with `missing` NaN may stand."""
     flat = array.reshape(-1)
     # One quick pass: a number that is not finite stays in the sum, and a huge one makes it huge.
@@ -91,9 +87,7 @@ def require_finite_entries(
         raise ValueError(f"{name} must be finite{bound}, got {found}{where}")
 
 
-def spread(
-    name: str, values: ArrayLike, shape: tuple[int, ...], *, missing: bool = False
-) -> NDArray[np.float64]:
+def spread(name: str, values: Any, shape: tuple[int, ...], *, missing: bool = False) -> NDArray[np.float64]:
     """As `numbers`, of a shape that NumPy's rules spread over `shape`: a scalar, or the last axes."""
     array = numbers(name, values, missing=missing)
     if not array.ndim:
@@ -129,8 +123,8 @@ def instance(name: str, value: object, kind: type | tuple[type, ...]) -> None:
     """Raise `TypeError` unless the value is of the kind, or one of the kinds."""
     if not isinstance(value, kind):
         kinds = kind if isinstance(kind, tuple) else (kind,)
-        wanted, given = " or ".join(each.__name__ for each in kinds), type(value).__name__
-        raise TypeError(f"{name} must be of type {wanted}, got {_shown(value)} of type {given}")
+        wanted = " or ".join(each.__name__ for each in kinds if each is not type(None))
+        raise TypeError(f"{name} must be of type {wanted}, got {shown(value)}")
 
 
 def whole(name: str, value: Any, least: int = 0, most: int = _WHOLE) -> int:
@@ -139,22 +133,22 @@ def whole(name: str, value: Any, least: int = 0, most: int = _WHOLE) -> int:
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "iu" and not np.ma.is_masked(value):
         found = value.tolist()
     if not isinstance(found, int) or isinstance(found, bool) or not least <= found <= most:
-        raise ValueError(f"{name} must be a whole number in {least} .. {most}, got {_shown(value)}")
+        raise ValueError(f"{name} must be a whole number in {least} .. {most}, got {shown(value)}")
     return found
 
 
-def wholes(name: str, values: ArrayLike, least: int = 0, most: int = _WHOLE) -> NDArray[np.int64]:
+def wholes(name: str, values: Any, least: int = 0, most: int = _WHOLE) -> NDArray[np.int64]:
     """Whole numbers within the bounds, of any shape; else `ValueError` with the place of the first one that is none."""
     array = _array(name, values)
     is_good = array.dtype.kind in "iu" and bool(((array >= least) & (array <= most)).all())
     for place, entry in enumerate(() if is_good else array.reshape(-1).tolist()):
         if type(entry) is not int or not least <= entry <= most:
             where = f" at [{place}]" if array.ndim else ""
-            raise ValueError(f"{name} must be whole numbers in {least} .. {most}, got {_shown(entry)}{where}")
+            raise ValueError(f"{name} must be whole numbers in {least} .. {most}, got {shown(entry)}{where}")
     return array.astype(np.int64)
 
 
-def _array(name: str, values: ArrayLike) -> NDArray[Any]:
+def _array(name: str, values: Any) -> NDArray[Any]:
     if type(values) is np.ndarray:
         return values
     try:
@@ -165,12 +159,22 @@ def _array(name: str, values: ArrayLike) -> NDArray[Any]:
         OverflowError,
         RuntimeError,
     ):  # rows of several lengths, a tensor with gradients
-        raise ValueError(f"{name} must be numbers, in rows of one length, got {_shown(values)}") from None
+        raise ValueError(f"{name} must be numbers, in rows of one length, got {shown(values)}") from None
 
 
-def _shown(value: Any) -> str:
-    """What the caller gave, in Python's own words."""
-    return reprlib.repr(value.tolist() if isinstance(value, np.ndarray | np.generic) else value)
+def shown(value: Any) -> str:
+    """What a caller gave, in a few words of one line."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, str | bytes | int | float | complex | None):
+        return reprlib.repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(shown, value[:4]))}{', ...' * (len(value) > 4)}]"
+    if isinstance(value, np.ndarray):
+        return shown(value.tolist()) if value.size < 4 else f"an array of shape {value.shape}"
+    return (
+        f"the type {value.__name__}" if isinstance(value, type) else f"a value of type {type(value).__name__}"
+    )
 
 
 def _unmasked(values: Any) -> Any:
@@ -196,7 +200,7 @@ def _from_objects(name: str, array: NDArray[Any]) -> NDArray[np.float64]:
             return array.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise ValueError(f"{name} must be real numbers, got {_shown(array)}")
+    raise ValueError(f"{name} must be real numbers, got {shown(array)}")
 
 
 def _fits(own: tuple[int, ...], wanted: Shape) -> bool:

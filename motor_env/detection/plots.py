@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from motor_env.arrays import instance, number, numbers
 from motor_env.detection.rules.base import Rule, first_above
 from motor_env.detection.rules.thresholds import Threshold
 from motor_env.motor.parameters import FloatArray
@@ -27,7 +27,10 @@ def plot_rules(
         rules: by name, each with its threshold.
         onset_s: true onset of the fault, if it is to be drawn.
     """
-    time, values = 1e3 * np.asarray(time_s), np.asarray(whitened)
+    instance("rules", rules, Mapping)
+    values = numbers("whitened", whitened, ("n_samples", "n_channels"), missing=True)
+    time = 1e3 * numbers("time_s", time_s, (len(values),))
+    onset_s = None if onset_s is None else number("onset_s", onset_s)
     figure = Figure(figsize=(8.0, 2.0 + 1.4 * len(rules)), layout="constrained")
     axes = figure.subplots(1 + len(rules), 1, sharex=True)
     axes[0].plot(time, values, linewidth=0.6)
@@ -58,9 +61,11 @@ def plot_bank(time_s: ArrayLike, probabilities: FloatArray, names: Sequence[str]
         probabilities: shape (n_samples, 1 + n_models), health first.
         names: of health and the models.
     """
+    shares = numbers("probabilities", probabilities, ("n_samples", len(names)))
+    time = 1e3 * numbers("time_s", time_s, (len(shares),))
     figure = Figure(figsize=(8.0, 3.0), layout="constrained")
     axis = figure.subplots()
-    axis.stackplot(1e3 * np.asarray(time_s), probabilities.T, labels=names, alpha=0.8)
+    axis.stackplot(time, shares.T, labels=names, alpha=0.8)
     axis.set_xlabel("time / ms")
     axis.set_ylabel("probability")
     axis.set_ylim(0.0, 1.0)

@@ -17,6 +17,7 @@ from typing import Protocol
 import numpy as np
 from scipy.special import ndtr
 
+from motor_env.arrays import whole
 from motor_env.motor.parameters import FloatArray, require
 
 LONGEST_WINDOW = 14
@@ -24,6 +25,7 @@ LONGEST_WINDOW = 14
 
 _SETTLED = 1e-14  # relative change from sample to sample of what no longer changes
 _NEGLIGIBLE = 1e-300  # probability below which nothing is left to alarm
+_MOST_TWO_SIDED = 20_000  # the sum takes their number squared
 _NODES_PER_STD = 4.0
 _LEAST_NODES = 40
 _MOST_NODES = 3000
@@ -119,7 +121,11 @@ class TwoSided:
         return u + d
 
     def alarm_probability(self, n_samples: int) -> float:
-        """Probability of an alarm of either within `n_samples`."""
+        """Probability of an alarm of either within `n_samples`; `ValueError` for more than can be summed up."""
+        require(
+            n_samples <= _MOST_TWO_SIDED,
+            f"n_samples must be at most {_MOST_TWO_SIDED} for a two-sided rule, got {n_samples}",
+        )
         return float(self.alarm_pmf(n_samples).sum())
 
 
@@ -145,6 +151,8 @@ class HitChain:
     among: int
 
     def __post_init__(self) -> None:
+        for name in ("needed", "among"):
+            object.__setattr__(self, name, whole(name, getattr(self, name), least=-LONGEST_WINDOW))
         require(
             1 <= self.needed <= self.among <= LONGEST_WINDOW,
             f"needed and among must satisfy 1 <= M <= N <= {LONGEST_WINDOW}, got {self.needed} and {self.among}",
@@ -172,7 +180,8 @@ class HitChain:
             else:
                 after = (1.0 - p) * weights
             # Before the first alarm is possible its rate is 0, and not settled.
-            is_settled = alarm > 0.0 and abs(alarm - before) <= _SETTLED * alarm
+            is_possible = alarm > 0.0 or k > self.among  # later, it is too small for a float
+            is_settled = is_possible and abs(alarm - before) <= _SETTLED * alarm
             settled = settled + 1 if is_settled else 0
             # Divided by their own sum and not by 1 - alarm, with which the sum's rounding would grow for ever.
             silent, before = silent * float(after.sum()), alarm
@@ -185,6 +194,8 @@ class HitChain:
         if self.probability == 0.0:
             return np.inf
         silent, alarm = np.array(list(self._hazards(np.inf))).T
+        if alarm[-1] == 0.0:
+            return np.inf
         return float(silent[:-1].sum() + silent[-1] / alarm[-1])
 
     def alarm_probability(self, n_samples: int) -> float:
@@ -262,10 +273,11 @@ def _normal_chain(
     returns there, or leaves the chain without an alarm.
     """
     stds = (high - low) / std
-    count = int(_LEAST_NODES + _NODES_PER_STD * stds)
     require(
-        count <= _MOST_NODES, f"threshold is {stds:.0f} standard deviations high: too high for the equation"
+        _LEAST_NODES + _NODES_PER_STD * stds <= _MOST_NODES + 1,
+        f"threshold is {stds:.0f} standard deviations high: too high for the equation",
     )
+    count = int(_LEAST_NODES + _NODES_PER_STD * max(stds, 0.0))
     unit, weights = np.polynomial.legendre.leggauss(count)
     nodes = low + 0.5 * (high - low) * (unit + 1.0)
     ahead = mean(np.concatenate([[start], nodes]))

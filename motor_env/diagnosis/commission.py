@@ -19,7 +19,7 @@ from motor_env.diagnosis.running.lessons import learn_windows
 from motor_env.diagnosis.sensors.failed import with_signs
 from motor_env.diagnosis.shown.report import UNITS, of_the_drag
 from motor_env.diagnosis.views import Fitted
-from motor_env.errors import InputError, require_options
+from motor_env.errors import InputError, require_options, require_several
 from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.identified import Identified
 from motor_env.motor.assumptions import lines as lines_of
@@ -187,11 +187,14 @@ def commission(
     Raises:
         InputError: too few, one that cannot be read or used, or such as do not go together.
     """
+    require_several("recordings", recordings, (Recording, str, Path))
     paths = [Path(one).resolve() for one in recordings if not isinstance(one, Recording)]
     if len(set(paths)) < len(paths):
         raise InputError(f"a healthy {word} is given twice: it would make the spread look smaller than it is")
     require_options(
         false_alarm_rate=false_alarm_rate,
+        start=start,
+        temperature=temperature_c,
         voltage=voltage_v,
         torque_constant=constant,
         window=window_s,

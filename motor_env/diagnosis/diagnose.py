@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
+from motor_env.arrays import instance
 from motor_env.diagnosis import verdict
 from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.explanations import alarm_share, compare
@@ -116,8 +118,13 @@ def diagnose(
             cannot be read.
     """
     require_options(
-        false_alarm_rate=false_alarm_rate, voltage=voltage_v, ripple_periods_per_turn=periods_per_turn
+        false_alarm_rate=false_alarm_rate,
+        start=start,
+        temperature=temperature_c,
+        voltage=voltage_v,
+        ripple_periods_per_turn=periods_per_turn,
     )
+    instance("motor", motor, (Motor, str, Path, NoneType))
     recording = recording_of(recording, columns)
     if isinstance(motor, str | Path):
         motor = load_motor(motor)

@@ -20,7 +20,7 @@ from motor_env.diagnosis.shown.report import (
     ripple_lines,
     warnings_of,
 )
-from motor_env.errors import InputError, require_options
+from motor_env.errors import InputError, require_options, require_several
 from motor_env.fitting.identify import Operation, identify_operation
 from motor_env.fitting.recorded import at_terminals
 from motor_env.fitting.starts.choice import EXTENSIONS, identify_best
@@ -242,8 +242,11 @@ def identify(
         >>> print({name: float(f"{one['value']:.3g}") for name, one in found.parameters.items()})
         {'R': 2.18, 'L': 0.000238, 'K^2/J': 516.0, 'B/J': 1.48}
     """
-    require_options(voltage=voltage_v, torque_constant=constant, ripple_periods_per_turn=periods_per_turn)
+    require_options(
+        start=start, voltage=voltage_v, torque_constant=constant, ripple_periods_per_turn=periods_per_turn
+    )
     several = [recordings] if isinstance(recordings, Recording | str | Path) else recordings
+    require_several("recordings", several, (Recording, str, Path))
     read = [recording_of(one, columns) for one in several]
     taken = {one.path: taken_for(one, regime, start) for one in read}
     starts: list[tuple[Recording, Identified]] = []

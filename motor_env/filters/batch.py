@@ -160,6 +160,7 @@ def filter_residuals(
             nis,
         )
     else:
+        require_finite_entries("measurements", measured.reshape(*batch, *measured.shape[1:]), measurements)
         kernels.filter_two_channels(
             transition.astype(dtype),
             observation.astype(dtype),

@@ -9,13 +9,13 @@ Uhlmann 1997, with kappa = 0).
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
-from motor_env.arrays import instance, number, numbers, whole
+from motor_env.arrays import instance, number, numbers, shown, whole
 from motor_env.filters.adaptive import adapted_noise
 from motor_env.filters.kalman import checked_series, measurement_update, require_noise, sample_named, score
 from motor_env.motor.model import N_STATES, discretize
@@ -164,14 +164,15 @@ def joint_filter(
     require(motor.batch_shape == (), "joint_filter needs one motor, got a batch")
     require_noise(sensor)
     instance("names", names, (tuple, list))
-    unknown = [str(name) for name in names if not isinstance(name, str) or name not in FREE]
+    given: tuple[Any, ...] = names
+    unknown = [str(name) for name in given if not (isinstance(name, str) and name in FREE)]
     require(
         len(names) > 0 and not unknown and len(set(names)) == len(names),
         f"names must be of {', '.join(FREE)}, each once, got {', '.join(unknown or names) or 'none'}",
     )
     require(
-        isinstance(kind, str) and kind in list(JointKind),
-        f"kind must be one of {', '.join(JointKind)}, got {kind!r:.60}",
+        str(kind) in list(JointKind),
+        f"kind must be one of {', '.join(JointKind)}, got {shown(kind)}",
     )
     prior_std = number("prior_std", prior_std, above=0.0)
     process_std = numbers("process_noise_std", process_noise_std, (N_STATES,))

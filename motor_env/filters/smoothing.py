@@ -123,11 +123,12 @@ def _checked(result: FilterResult, n_channels: int, motors: tuple[int, ...]) -> 
         "result.innovation", result.innovation, ("...", "n_samples", n_channels), missing=True
     )
     batch, n_samples = innovation.shape[:-2], innovation.shape[-2]
-    lead = np.shape(result.covariance)[:-3]
+    covariance = numbers("result.covariance", result.covariance)
+    lead = covariance.shape[:-3]
     require(
         lead in ((), batch) and motors in ((), (1,), batch),
         f"result must be of the belief's motors {motors}, got innovations of shape {innovation.shape} and covariances"
-        f" of {np.shape(result.covariance)}",
+        f" of {covariance.shape}",
     )
     shapes = {
         "innovation_covariance": (*lead, n_samples, n_channels, n_channels),

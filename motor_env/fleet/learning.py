@@ -15,7 +15,7 @@ from motor_env.diagnosis.learning import START_SPREAD, learn_starts
 from motor_env.diagnosis.misreading import POWERS
 from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.running.windows import viscous
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_several
 from motor_env.fitting import places
 from motor_env.fitting.starts.identified import Identified
 from motor_env.fleet.first import Reading
@@ -220,6 +220,7 @@ def learn_fleet(
     Raises:
         InputError: too few motors, or records that cannot be used together.
     """
+    require_several("files", files, (str, Path))
     files = [Path(path) for path in files]
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a record of the fleet is given twice: it would count as two motors")

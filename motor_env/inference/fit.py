@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import numbers
 from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import (
     NormalEquations,
@@ -49,6 +50,15 @@ class Prior:
             bool((deviations > 0.0).all()), f"standard deviations of a prior must be > 0, got {deviations}"
         )
         return cls(np.zeros(deviations.shape), np.diag(1.0 / np.square(deviations)))
+
+    def require_shape(self, n_cases: int, size: int) -> None:
+        """Raise `ValueError` unless it is of so many coordinates, of all cases or of each."""
+        for name, shape in (("mean", (size,)), ("precision", (size, size))):
+            array = numbers(f"{name} of the prior", getattr(self, name))
+            require(
+                array.shape in (shape, (n_cases, *shape)),
+                f"{name} of the prior must have shape {shape} or {(n_cases, *shape)}, got {array.shape}",
+            )
 
     def rows(self, chosen: NDArray[np.int64] | slice) -> Prior:
         """The prior of some of the cases."""

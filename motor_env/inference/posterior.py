@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
+from motor_env.arrays import instance, numbers, wholes
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import Observed, fitted_residuals
 from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 
 
@@ -44,8 +45,14 @@ def recipe_observed(recipe: Recipe, measurements: ArrayLike) -> Observed:
         recipe: what the cases were drawn from.
         measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
     """
-    voltage = recipe.nominal_voltage_v[: np.shape(measurements)[-1]]
-    return Observed.from_measurements(measurements, voltage, recipe.sensor, recipe.timing.dt_s)
+    instance("recipe", recipe, Recipe)
+    measured = numbers("measurements", measurements, ("...", len(recipe.sensor.channels), "n_samples"))
+    most = recipe.timing.n_samples
+    require(
+        measured.shape[-1] <= most, f"measurements must have at most {most} samples, got {measured.shape[-1]}"
+    )
+    voltage = recipe.nominal_voltage_v[: measured.shape[-1]]
+    return Observed.from_measurements(measured, voltage, recipe.sensor, recipe.timing.dt_s)
 
 
 def class_log_evidence(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
@@ -63,8 +70,12 @@ def class_log_evidence(recipe: Recipe, measurements: ArrayLike, prior: Prior | N
         ValueError: shapes do not fit, a value is not finite, the recipe's sensor has no noise, or one of its sensors
             fails.
     """
+    instance("recipe", recipe, Recipe)
     recipe.require_motor_faults()
     observed = recipe_observed(recipe, measurements)
+    if prior is not None:
+        instance("prior", prior, Prior)
+        prior.require_shape(observed.n_cases, class_coordinates(recipe, FaultClass()).size)
     return np.column_stack([class_evidence(recipe, observed, each, prior) for each in recipe.classes])
 
 
@@ -90,6 +101,7 @@ def class_evidence(
 
 def class_probabilities(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
     """Posterior of each class (Bayes 1763), shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
+    instance("recipe", recipe, Recipe)
     with np.errstate(divide="ignore"):  # a class that is never drawn
         log_prior = np.log(recipe.class_probabilities)
     joint = class_log_evidence(recipe, measurements, prior) + log_prior
@@ -110,7 +122,8 @@ def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
     Returns:
         A prior of each motor's own, in the coordinates of `class_coordinates`.
     """
-    measured = np.asarray(starts, dtype=np.float64)
+    instance("recipe", recipe, Recipe)
+    measured = numbers("starts", starts, ("n_motors", "n_starts", len(recipe.sensor.channels), "n_samples"))
     coordinates = class_coordinates(recipe, FaultClass())
     n_motors, size = len(measured), coordinates.size
     prior = Prior(np.zeros((n_motors, size)), np.tile(np.eye(size), (n_motors, 1, 1)))
@@ -144,9 +157,23 @@ def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predict
     Args:
         probabilities: posterior probabilities of the cases, shape (n_cases, n_classes).
         class_index: true classes, shape (n_cases,).
-        predicted: the classifier's, shape (n_cases,).
+        predicted: the classifier's, shape (n_cases,); -1 for none.
+
+    Raises:
+        ValueError: shapes do not fit, fewer than 2 cases, or a number that is no class.
     """
-    truth = np.asarray(class_index)
-    best = probabilities.argmax(axis=1) == truth
-    difference = (np.asarray(predicted) == truth).astype(np.float64) - best
+    likely = numbers("probabilities", probabilities, ("n_cases", "n_classes"))
+    require(
+        len(likely) > 1 and likely.shape[1] > 0,
+        f"probabilities must be of 2 cases or more, got {likely.shape}",
+    )
+    require(bool((likely >= 0.0).all()), "probabilities must be >= 0, got a negative one")
+    truth = wholes("class_index", class_index, 0, likely.shape[1] - 1)
+    chosen = wholes("predicted", predicted, -1)
+    for name, found in (("class_index", truth), ("predicted", chosen)):
+        require(
+            found.shape == likely.shape[:1], f"{name} must have shape ({len(likely)},), got {found.shape}"
+        )
+    best = likely.argmax(axis=1) == truth
+    difference = (chosen == truth).astype(np.float64) - best
     return Excess(float(difference.mean()), float(difference.std(ddof=1) / np.sqrt(len(difference))))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import instance, numbers
 from motor_env.inference.kernels import fill_normal_equations, fill_sensitivities
 from motor_env.inference.parametrisation import Coordinates, model_slopes
 from motor_env.motor.model import N_STATES
@@ -66,21 +67,18 @@ class Observed:
         Raises:
             ValueError: shapes do not fit, a value is not finite, or a channel is believed to have no noise.
         """
-        measured = np.asarray(measurements, dtype=np.float64)
-        measured = measured[None] if measured.ndim == 2 else measured
+        instance("sensor", sensor, SensorParameters)
         n_channels = len(sensor.channels)
+        measured = numbers("measurements", measurements, ("...", n_channels, "n_samples"))
+        measured = measured[None] if measured.ndim == 2 else measured
         require(
-            measured.ndim == 3 and measured.shape[1] == n_channels,
-            f"measurements must have shape (n_cases, {n_channels}, n_samples), got {np.shape(measurements)}",
+            measured.ndim == 3 and measured.shape[2] > 0,
+            f"measurements must have shape (n_cases, {n_channels}, n_samples), got {measured.shape}",
         )
-        require(bool(np.isfinite(measured).all()), "measurements must be finite, got a value that is not")
         std = sensor.noise_std
-        require(bool((std > 0.0).all()), f"noise of each channel must be > 0, got {std}")
-        voltage, n_samples = np.ascontiguousarray(voltage_v, dtype=np.float64), measured.shape[-1]
-        require(
-            voltage.shape == (n_samples,), f"voltage_v must have shape ({n_samples},), got {voltage.shape}"
-        )
-        require(bool(np.isfinite(voltage).all()), "voltage_v must be finite, got a value that is not")
+        require(bool((std > 0.0).all()), f"noise of each channel must be > 0, got {std.tolist()}")
+        n_samples = measured.shape[-1]
+        voltage = numbers("voltage_v", voltage_v, (n_samples,))
         return cls(
             whitened=np.ascontiguousarray(measured / std[:, None]),
             voltage_v=voltage,

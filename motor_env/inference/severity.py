@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from motor_env.arrays import instance, number
 from motor_env.inference.posterior import class_evidence, recipe_observed
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env.simulation.recipes import LARGEST_SEVERITY, FaultClass, Recipe
 
 _NODES = 12
 _GRID = 201
@@ -39,8 +40,10 @@ class SeverityPrior:
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", FaultKind(self.kind))
         require(self.kind not in SENSOR_KINDS, f"kind must be a fault of the motor or noise, got {self.kind}")
+        for name in ("smallest", "largest"):
+            number(name, getattr(self, name))
         require(
-            0.0 <= self.smallest < self.largest < np.inf,
+            0.0 <= self.smallest < self.largest <= LARGEST_SEVERITY,
             f"severity of {self.kind} must range from >= 0 to more, got {self.smallest:g} to {self.largest:g}",
         )
         self.kind.require_severity(self.largest)
@@ -79,7 +82,7 @@ class SeverityPosterior(NamedTuple):
 
     def quantile(self, probability: float) -> FloatArray:
         """Severity below which the posterior holds the probability, shape (n_cases,)."""
-        require(0.0 < probability < 1.0, f"probability must be in (0, 1), got {probability:g}")
+        probability = number("probability", probability, above=0.0, below=1.0)
         # Half of a point's weight lies on either side of it.
         cumulated = np.cumsum(self.weights, axis=1) - 0.5 * self.weights
         rows = zip(cumulated, self.severity, strict=True)
@@ -87,7 +90,7 @@ class SeverityPosterior(NamedTuple):
 
     def interval(self, coverage: float = 0.90) -> FloatArray:
         """Bounds between equal tails, shape (n_cases, 2)."""
-        tail = 0.5 * (1.0 - coverage)
+        tail = 0.5 * (1.0 - number("coverage", coverage, above=0.0, below=1.0))
         return np.column_stack([self.quantile(tail), self.quantile(1.0 - tail)])
 
 
@@ -101,6 +104,7 @@ def severity_posterior(recipe: Recipe, prior: SeverityPrior, measurements: Array
         prior: kind and range of the severity.
         measurements: shape (n_cases, n_channels, n_samples); fewer samples than the recipe's are its first ones.
     """
+    instance("prior", prior, SeverityPrior)
     observed = recipe_observed(recipe, measurements)
     # Chebyshev's points of the second kind: they hold the ends.
     nodes = np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))[::-1]

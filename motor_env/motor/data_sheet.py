@@ -23,14 +23,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from types import NoneType
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
+from motor_env.arrays import instance, shown
 from motor_env.errors import InputError
 from motor_env.files import write_text
 from motor_env.motor.healthy import Healthy
-from motor_env.motor.parameters import CATALOGUE, RAD_S_PER_RPM, MotorParameters, require
+from motor_env.motor.parameters import CATALOGUE, RAD_S_PER_RPM, MotorParameters, require, require_positive
 from motor_env.motor.toml_files import (
     NotNegative,
     OneLine,
@@ -133,6 +135,19 @@ class Motor:
     notes: tuple[str, ...] = ()
     assumed: Mapping[str, str] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        instance("name", self.name, str)
+        kinds = get_args(Kind)
+        require(str(self.kind) in kinds, f"kind must be one of {', '.join(kinds)}, got {shown(self.kind)}")
+        instance("parameters", self.parameters, MotorParameters)
+        instance("healthy", self.healthy, (Healthy, NoneType))
+        for name in ("nominal_voltage_v", "current_noise_a", "speed_noise_rad_s"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, require_positive(name, getattr(self, name), one=True))
+        for name in ("coulomb_friction_n_m", "brush_drop_v"):
+            value = require_positive(name, getattr(self, name), zero_allowed=True, one=True)
+            object.__setattr__(self, name, value)
+
     def dry_share(self, speed_rad_s: float) -> float:
         """Coulomb friction over viscous friction at a speed, Tc / (B w); no viscous friction counts as 1e-300."""
         viscous = max(float(np.mean(self.parameters.viscous_friction_n_m_s_per_rad)), 1e-300)
@@ -164,6 +179,7 @@ def load_motor(name_or_path: str | Path) -> Motor:
     """
     if str(name_or_path) in CATALOGUE:
         return Motor(str(name_or_path), "data_sheet", CATALOGUE[str(name_or_path)])
+    instance("name_or_path", name_or_path, (str, Path))
     path = Path(name_or_path)
     content = read_toml(path, f"no such motor file; presets are {', '.join(sorted(CATALOGUE))}")
     try:

@@ -7,15 +7,15 @@ growing fault is therefore a ray along its powers; all that simulates, estimates
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from numbers import Real
+from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from motor_env.arrays import instance, number, shown
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, Floats, require
 
 HEALTHY = "healthy"
@@ -31,6 +31,7 @@ SENSOR = "sensor"
 """The verdict of all kinds that change what is read and not the motor."""
 
 _RESERVED = (HEALTHY, "no_reference", "other", "unusable", SENSOR)  # verdicts that are no registered kind's
+_LARGEST_POWER = 100.0
 _WORD = re.compile("[a-z][a-z0-9_]{0,39}")
 _KINDS: dict[str, FaultKind] = {}
 
@@ -70,6 +71,7 @@ class FaultKind(str, metaclass=_Registry):
 
     def __new__(cls, name: str) -> Self:
         """The registered kind of that name."""
+        instance("kind", name, str)
         require(name in _KINDS or name in cls, f"kind must be one of {', '.join(_KINDS)}, got {name[:40]!r}")
         return _KINDS[name]  # type: ignore[return-value]  # there are no subclasses
 
@@ -81,6 +83,10 @@ class FaultKind(str, metaclass=_Registry):
 
     def __deepcopy__(self, memo: object) -> Self:
         return self
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """A kind is one for the whole process: nothing changes it."""
+        raise AttributeError(f"a fault kind cannot be changed: {name} of {self}")
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
@@ -134,7 +140,7 @@ class FaultKind(str, metaclass=_Registry):
 
     def require_severity(self, severity: Floats) -> None:
         """Raise `ValueError` unless a fault of this kind can be so large."""
-        largest = float(np.max(severity))
+        largest = float(np.max(severity, initial=0.0))
         is_share = self.is_sensor and not self.endswith(_WITHOUT_END)
         require(not is_share or largest <= 1.0, f"severity of {self} must be <= 1, got {largest:g}")
         require(not self.loses or largest < 1.0, f"severity of {self} must be < 1, got {largest:g}")
@@ -161,20 +167,18 @@ def register_fault_kind(
         require(
             isinstance(word, str) and _WORD.fullmatch(word) is not None and word not in _RESERVED,
             f"{field} of a fault kind must be a word of a-z, 0-9 and _, and none of {', '.join(_RESERVED)},"
-            f" got {word!r:.60}",
+            f" got {shown(word)}",
         )
+    instance("powers", powers, Mapping)
     given: Mapping[str, Any] = powers
     for quantity, power in given.items():
         require(quantity in known, f"powers of {name} must be of {', '.join(known)}, got {quantity!r}")
-        require(
-            isinstance(power, Real) and math.isfinite(power) and power != 0.0,
-            f"power of {quantity} must be a finite number other than 0, got {power!r}",
-        )
+        size = number(f"power of {quantity}", power, least=-_LARGEST_POWER, most=_LARGEST_POWER)
+        require(size != 0.0, f"power of {quantity} must be other than 0, got {power!r}")
     require(bool(powers), f"powers of {name} must name a quantity of {', '.join(known)}, got none")
     kind = str.__new__(FaultKind, name)
-    kind.powers, kind.verdict = dict(powers), verdict or name
-    kind.finding = _moved_words(powers) if finding is None else finding
-    said: Any = kind.finding
+    said: Any = _moved_words(powers) if finding is None else finding
+    vars(kind).update(powers=MappingProxyType(dict(powers)), verdict=verdict or name, finding=said)
     require(
         isinstance(said, str) and said.isprintable(),
         f"finding of {name} must be one line of text, got {said!r:.60}",
@@ -186,7 +190,7 @@ def register_fault_kind(
                 f"{one} is the name of a fault kind of verdict {one.verdict}, and cannot be the verdict of {family}",
             )
     old = _KINDS.setdefault(name, kind)
-    require(vars(old) == vars(kind), f"fault kind {name} is registered already, with {old.powers}")
+    require(vars(old) == vars(kind), f"fault kind {name} is registered already, with {dict(old.powers)}")
     return old
 
 
@@ -241,7 +245,7 @@ BUILT_IN_KINDS = tuple(_KINDS.values())
 
 def _sensor(name: str, finding: str) -> FaultKind:
     kind = str.__new__(FaultKind, name)
-    kind.powers, kind.verdict, kind.finding = {}, SENSOR, finding
+    vars(kind).update(powers=MappingProxyType({}), verdict=SENSOR, finding=finding)
     return _KINDS.setdefault(name, kind)
 
 

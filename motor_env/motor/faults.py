@@ -9,6 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from motor_env.arrays import real, shown
 from motor_env.motor.fault_kinds import (
     BUILT_IN_KINDS,
     ENTRY_POINTS,
@@ -85,11 +86,20 @@ class Fault:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", FaultKind(self.kind))
-        object.__setattr__(self, "noise_source", NoiseSource(self.noise_source))
-        require_positive("severity", self.severity, zero_allowed=True)
-        self.kind.require_severity(self.severity)
-        require(not math.isnan(self.onset_s), "onset_s must be a number, got nan")
-        require_positive("growth_s", self.growth_s, zero_allowed=True)
+        sources = [source.value for source in NoiseSource]
+        require(
+            str(self.noise_source) in sources,
+            f"noise_source must be one of {', '.join(sources)}, got {shown(self.noise_source)}",
+        )
+        object.__setattr__(self, "noise_source", NoiseSource(str(self.noise_source)))
+        severity = require_positive("severity", self.severity, zero_allowed=True)
+        object.__setattr__(self, "severity", severity)
+        self.kind.require_severity(severity)
+        onset_s = float(real("onset_s", self.onset_s, ()))
+        require(not math.isnan(onset_s), "onset_s must be a number, got nan")
+        object.__setattr__(self, "onset_s", onset_s)
+        growth_s = require_positive("growth_s", self.growth_s, zero_allowed=True, one=True)
+        object.__setattr__(self, "growth_s", growth_s)
         require(
             self.growth_s == 0.0 or math.isfinite(self.onset_s),
             f"growth_s must be 0 for a fault that is always there, got {self.growth_s:g}",

@@ -78,12 +78,13 @@ def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, on
     array = real(name, value, () if one else None)
     good = (array <= LARGEST_NUMBER) & ((array >= 0.0) if zero_allowed else (array > 0.0))
     if not good.all():
-        bad = array[~good].flat[0]
-        raise ValueError(f"{name} must be finite and {'>=' if zero_allowed else '>'} 0, got {bad:g}")
+        bad = float(array[~good].flat[0])
+        bound = f" and at most {LARGEST_NUMBER:g}" if LARGEST_NUMBER < bad < math.inf else ""
+        raise ValueError(f"{name} must be finite and {'>=' if zero_allowed else '>'} 0{bound}, got {bad:g}")
     return _plain(value, array)
 
 
-def _plain(given: Floats, array: FloatArray) -> Floats:
+def _plain(given: Any, array: FloatArray) -> Floats:
     """A number as it was given, if arithmetic keeps it exact; else what was made of it: a float, or an array."""
     if isinstance(given, float) or (isinstance(given, int) and abs(given) < 2**53):
         return given
@@ -211,9 +212,8 @@ class SensorParameters:
     def __post_init__(self) -> None:
         known = [channel.value for channel in Channel]
         instance("channels", self.channels, (tuple, list))
-        strange = [
-            channel for channel in self.channels if not isinstance(channel, str) or channel not in known
-        ]
+        given: tuple[Any, ...] = self.channels
+        strange = [channel for channel in given if not (isinstance(channel, str) and channel in known)]
         require(not strange, f"channels must be of {', '.join(known)}, got {strange!r:.80}")
         object.__setattr__(self, "channels", tuple(Channel(channel) for channel in self.channels))
         require(len(self.channels) > 0, "channels must name at least one of current, speed, got none")

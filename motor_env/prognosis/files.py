@@ -15,7 +15,7 @@ import numpy as np
 from motor_env.console import printable
 from motor_env.diagnosis.files import why_not
 from motor_env.diagnosis.learning import fit_healthy
-from motor_env.errors import InputError
+from motor_env.errors import InputError, require_several
 from motor_env.fitting.starts.identify import identify
 from motor_env.motor.parameters import FloatArray
 from motor_env.pages.html import render
@@ -205,7 +205,9 @@ def trend(
         raise InputError(f"level must lie between 0 and 1, got {level:g}")
     if reference_count < 1:
         raise InputError(f"reference-count must be >= 1, got {reference_count}")
-    several = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
+    given = [paths] if isinstance(paths, str | Path) else paths
+    require_several("paths", given, (str, Path))
+    several = [Path(path) for path in given]
     if missing := [path for path in several if not path.exists()]:
         raise InputError(f"{missing[0]}: no such file or folder")
     notes: list[str] = []

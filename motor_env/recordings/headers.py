@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from motor_env.arrays import instance
 from motor_env.errors import InputError
 from motor_env.motor.parameters import RAD_S_PER_RPM
 
@@ -106,6 +107,7 @@ class ColumnChoice:
         Raises:
             InputError: not of the form quantity=column:unit*scale+offset, or an unknown quantity or unit.
         """
+        instance("text", text, str)
         quantity, equals, rest = text.partition("=")
         column, _, last = rest.strip().rpartition(":")
         if column and unit_quantity(last) == quantity:  # before a unit such as 1/min is taken for a quotient

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.arrays import instance, numbers
 from motor_env.errors import InputError
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 from motor_env.recordings.columns import recognise
 from motor_env.recordings.headers import SI, ColumnChoice
 from motor_env.recordings.noise import filled
@@ -40,8 +41,8 @@ _CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
 class Recording:
     """One recording, in SI units, on an even time axis.
 
-    NaN is a missing sample. It is filled in a straight line, so that pictures and first guesses have numbers, and is
-    kept as `missing`, so that no fit takes them for readings.
+    NaN, None or a masked value is a missing sample. It is filled in a straight line, so that pictures and first guesses
+    have numbers, and is kept as `missing`, so that no fit takes them for readings.
 
     Attributes:
         path: where it was read from.
@@ -54,6 +55,9 @@ class Recording:
         averaged: number of samples of the file whose mean is one sample here.
         warnings: what contradicts itself in what was said of the columns.
         missing: which samples of voltage (or duty), current and speed are missing, shape (n_samples, 3); None for none.
+
+    Raises:
+        ValueError: columns that are no numbers, not as long as `time_s`, or infinite.
     """
 
     path: Path
@@ -68,9 +72,23 @@ class Recording:
     missing: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
+        instance("path", self.path, (str, Path))
+        object.__setattr__(self, "path", Path(self.path))
+        time = numbers("time_s", self.time_s, ("n_samples",))
+        object.__setattr__(self, "time_s", time)
+        require(len(time) > 0, "time_s must hold a sample, got none")
+        if self.missing is not None:
+            shape, given = (len(time), 3), np.asarray(self.missing)
+            require(
+                given.shape == shape and given.dtype == np.bool_,
+                f"missing must be bools of shape {shape}, got {given.shape}",
+            )
         for name, channel in _CHANNELS.items():
-            values = getattr(self, name)
-            if values is None or not (lost := np.isnan(values)).any():
+            if getattr(self, name) is None and name != "current_a":
+                continue
+            values = numbers(name, getattr(self, name), time.shape, missing=True)
+            object.__setattr__(self, name, values)
+            if not (lost := np.isnan(values)).any():
                 continue
             missing = (
                 np.zeros((len(values), 3), dtype=np.bool_) if self.missing is None else self.missing.copy()
@@ -103,6 +121,7 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
         InputError: the file is missing, empty, binary, lacks a column, or holds a value that is no finite number, or a
             time axis that does not rise.
     """
+    instance("path", path, (str, Path))
     path = Path(path)
     table = read_table(path, [choice.column for choice in choices])
     columns, unused = recognise(path, table, choices)
@@ -116,6 +135,8 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
 
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
     """A recording, or that of a file."""
+    instance("recording", recording, (Recording, str, Path))
+    instance("columns", choices, (tuple, list))
     return recording if isinstance(recording, Recording) else read_recording(recording, choices)
 
 

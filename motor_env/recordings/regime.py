@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.arrays import shown
 from motor_env.errors import InputError
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.defects import UnusableError
@@ -53,8 +54,8 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
     Raises:
         InputError: an unknown regime.
     """
-    if regime not in REGIMES:
-        raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {regime!r}")
+    if not (isinstance(regime, str) and regime in REGIMES):
+        raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {shown(regime)}")
     if regime != "auto" or start is not None:
         return Taken("operation" if regime == "operation" else "start", "as asked")
     work = work_seen(recording)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import instance, whole
 from motor_env.motor.faults import BUILT_IN_KINDS, HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import (
     QUANTITY_FIELDS,
@@ -24,7 +25,7 @@ from motor_env.simulation.nonlinear import Effects
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 from motor_env.simulation.sensor import SensorChain
-from motor_env.simulation.simulate import Scenario
+from motor_env.simulation.simulate import LARGEST_SEED, Scenario, case_numbers
 
 
 class Draw(NamedTuple):
@@ -61,7 +62,8 @@ def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
         seed: the random seed.
         cases: case numbers, shape (n_cases,).
     """
-    numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
+    instance("recipe", recipe, Recipe)
+    seed, numbers = whole("seed", seed, most=LARGEST_SEED), case_numbers(cases)
     motor_id = recipe.motor_id(numbers)
     class_index = _draw_classes(recipe, seed, numbers, motor_id)
     z = normals(seed, Stream.MOTOR, motor_id, len(FACTORS))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import whole
 from motor_env.motor.compiled import njit
 from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import State, discretize, steady_state
@@ -18,7 +19,7 @@ from motor_env.simulation.failed_sensors import VOLTAGE, fail_after_noise, fail_
 from motor_env.simulation.nonlinear import Effects, Sampling, groups_of, integrate, substeps
 from motor_env.simulation.random_streams import Stream, normals, uniforms, whole_blocks
 from motor_env.simulation.sensor import SensorChain, read_sensors
-from motor_env.simulation.simulate import Scenario, scenario_states
+from motor_env.simulation.simulate import LARGEST_SEED, Scenario, scenario_states
 
 
 @njit(cache=True)
@@ -91,7 +92,7 @@ def measure(
         ValueError: the batch is not n_cases long, or effects are asked together with an onset or process noise.
     """
     numbers, timing, sensor = scenario.checked_cases(cases), scenario.timing, scenario.sensor
-    require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
+    seed = whole("seed", seed, most=LARGEST_SEED)
     n_cases = numbers.size
     if out is None:
         n_channels = len(sensor.channels) + (driving is not None)

@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from motor_env.arrays import instance
 from motor_env.errors import InputError
 from motor_env.motor.assumptions import usable_parameters
 from motor_env.motor.data_sheet import load_motor
@@ -43,6 +44,7 @@ def load_recipe(name_or_path: str | Path, **changes: Any) -> Recipe:
     Raises:
         InputError: no such recipe or file, not TOML, an unknown key, a value out of range.
     """
+    instance("name_or_path", name_or_path, (str, Path))
     path = Path(name_or_path)
     if path.suffix != ".toml":
         return named_recipe(str(name_or_path), **changes)

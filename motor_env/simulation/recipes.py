@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field as dataclass_field, fields, replace
+from types import NoneType
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.arrays import instance, whole
 from motor_env.motor.faults import BUILT_IN_KINDS, HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
@@ -46,7 +48,7 @@ class Spread:
 
     def __post_init__(self) -> None:
         for f in fields(self):
-            require_positive(f"spread of {f.name}", getattr(self, f.name), zero_allowed=True)
+            require_positive(f"spread of {f.name}", getattr(self, f.name), zero_allowed=True, one=True)
             require(
                 getattr(self, f.name) <= LARGEST_SPREAD,
                 f"spread of {f.name} must be <= {LARGEST_SPREAD}, got {getattr(self, f.name):g}",
@@ -206,6 +208,7 @@ class Recipe:
     __pydantic_config__: ClassVar = {"extra": "forbid"}  # in files; for the dataclasses in its fields too
 
     def __post_init__(self) -> None:
+        self._require_kinds()
         require_plausible(self)
         require(self.name.isprintable(), f"name must be one line, got {self.name[:40]!r}")
         require(len(self.classes) > 0, f"classes of recipe {self.name} must not be empty")
@@ -220,11 +223,7 @@ class Recipe:
             f"weights of recipe {self.name} must not all be 0",
         )
         require(
-            1 <= self.starts_per_motor <= MOST_STARTS,
-            f"starts_per_motor must be in 1 .. {MOST_STARTS}, got {self.starts_per_motor:g}",
-        )
-        require(
-            0 <= self.healthy_starts <= self.starts_per_motor,
+            self.healthy_starts <= self.starts_per_motor,
             f"healthy_starts must be in 0 .. starts_per_motor ({self.starts_per_motor}), got {self.healthy_starts}",
         )
         require(
@@ -243,6 +242,24 @@ class Recipe:
             self.duty is None or (self.field is not None and self.timing.n_quiet == 0),
             "a duty needs a table field beside it, and quiet_s = 0",
         )
+
+    def _require_kinds(self) -> None:
+        kinds: dict[str, type | tuple[type, ...]] = {
+            "name": str, "motor": MotorParameters, "supply": SupplyParameters, "spread": Spread, "classes": tuple,
+            "sensor": SensorParameters, "timing": Timing, "field": (Field, NoneType), "duty": (Duty, NoneType),
+            "shifts": tuple,
+        }  # fmt: skip
+        for name, kind in kinds.items():
+            instance(name, getattr(self, name), kind)
+        for each in self.classes:
+            instance("each of classes", each, FaultClass)
+        for other in self.shifts:
+            instance("each of shifts", other, Shift)
+        require(
+            np.shape(self.supply.voltage_v) == (), "supply of a recipe must have one voltage_v, got a batch"
+        )
+        whole("starts_per_motor", self.starts_per_motor, 1, MOST_STARTS)
+        whole("healthy_starts", self.healthy_starts, 0, MOST_STARTS)
 
     @property
     def kinds(self) -> tuple[FaultKind, ...]:

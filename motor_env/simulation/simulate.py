@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import instance, number, numbers, spread, whole, wholes
 from motor_env.motor.faults import Fault, NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import N_STATES, Input, discretize, propagate
 from motor_env.motor.parameters import (
@@ -22,6 +23,7 @@ from motor_env.motor.parameters import (
 from motor_env.simulation.failed_sensors import fail_after_noise, fail_before_noise
 from motor_env.simulation.random_streams import Stream, normals, whole_blocks
 
+LARGEST_SEED = 2**64 - 1
 MOST_SAMPLES = 10_000_000
 """Samples of a transient: with all that is computed for one, about a gigabyte of memory."""
 
@@ -41,9 +43,11 @@ class Timing:
     quiet_s: float = 0.0
 
     def __post_init__(self) -> None:
-        require_positive("sampling_rate_hz", self.sampling_rate_hz)
-        require_positive("duration_s", self.duration_s)
-        require_positive("quiet_s", self.quiet_s, zero_allowed=True)
+        for f in fields(self):
+            value = require_positive(
+                f.name, getattr(self, f.name), zero_allowed=f.name == "quiet_s", one=True
+            )
+            object.__setattr__(self, f.name, value)
         samples = self.sampling_rate_hz * (self.duration_s + self.quiet_s)
         require(
             samples <= MOST_SAMPLES,
@@ -90,6 +94,25 @@ class Timing:
         return np.where(np.arange(self.n_samples) >= self.n_quiet, level, 0.0)
 
 
+def case_numbers(cases: ArrayLike) -> NDArray[np.int64]:
+    """Case numbers as an array (n_cases,); `ValueError` unless they are whole and >= 0."""
+    found = np.atleast_1d(wholes("cases", cases))
+    require(found.ndim == 1, f"cases must have shape (n_cases,), got {found.shape}")
+    return found
+
+
+def require_one_batch(*shapes: tuple[int, ...]) -> None:
+    """Raise `ValueError` unless all that differs from motor to motor has one shape."""
+    several = {shape for shape in shapes if shape not in ((), (1,))}
+    require(len(several) <= 1, f"motors, supply and severities must be as many, got shapes {sorted(several)}")
+
+
+def _check_faults(faults: tuple[Fault, ...]) -> None:
+    instance("faults", faults, (tuple, list))
+    for n, fault in enumerate(faults):
+        instance(f"faults[{n}]", fault, Fault)
+
+
 @dataclass(frozen=True, slots=True)
 class Scenario:
     """Everything that decides a transient except the random numbers of its noise; one motor or a batch.
@@ -112,6 +135,21 @@ class Scenario:
     load_torque_n_m: float = 0.0
     process_noise_std: tuple[float, float] = (0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        instance("parameters", self.parameters, MotorParameters)
+        _check_faults(self.faults)
+        instance("supply", self.supply, SupplyParameters)
+        instance("sensor", self.sensor, SensorParameters)
+        instance("timing", self.timing, Timing)
+        object.__setattr__(self, "load_torque_n_m", number("load_torque_n_m", self.load_torque_n_m))
+        std = numbers("process_noise_std", self.process_noise_std, (N_STATES,))
+        require(bool((std >= 0.0).all()), f"process_noise_std must be >= 0, got {std.tolist()}")
+        require_one_batch(
+            self.parameters.batch_shape,
+            np.shape(self.supply.voltage_v),
+            *(np.shape(fault.severity) for fault in self.faults),
+        )
+
     @property
     def batch_shape(self) -> tuple[int, ...]:
         """`()` for one motor, `(n_motors,)` for a batch."""
@@ -120,12 +158,12 @@ class Scenario:
 
     def checked_cases(self, cases: ArrayLike) -> NDArray[np.int64]:
         """Case numbers as an array; `ValueError` unless they number as many as the motors."""
-        numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
+        found = case_numbers(cases)
         require(
-            self.batch_shape in ((), numbers.shape),
-            f"cases must number as many as the scenario's motors {self.batch_shape}, got {numbers.size}",
+            self.batch_shape in ((), found.shape),
+            f"cases must number as many as the scenario's motors {self.batch_shape}, got {found.size}",
         )
-        return numbers
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,41 +212,49 @@ def simulate_states(
         States at the end of each interval, shape (n_samples, 2), or (n_cases, n_samples, 2) for a batch.
 
     Raises:
-        ValueError: the voltage is not finite, or shapes do not fit.
+        ValueError: a number is not finite, shapes do not fit, or the motor leaves the range of numbers.
     """
-    voltage = np.asarray(voltage_v, dtype=np.float64)
+    instance("parameters", parameters, MotorParameters)
+    _check_faults(faults)
+    voltage = numbers("voltage_v", voltage_v, ("...", "n_samples"))
     require(
-        voltage.ndim in (1, 2),
+        voltage.ndim <= 2 and voltage.shape[-1] > 0,
         f"voltage_v must have shape (n_samples,) or (n_cases, n_samples), got {voltage.shape}",
     )
-    require(bool(np.isfinite(voltage).all()), "voltage_v must be finite, got a value that is not")
     n_samples = voltage.shape[-1]
-    batch = np.broadcast_shapes(
-        voltage.shape[:-1],
-        parameters.batch_shape,
-        np.shape(initial_state)[:-1],
-        () if process_noise is None else process_noise.shape[:-2],
-        *(np.shape(fault.severity) for fault in faults),
-    )
+    begin = numbers("initial_state", initial_state, ("...", N_STATES))
+    added = np.zeros((n_samples, N_STATES))
+    if process_noise is not None:
+        added = numbers("process_noise", process_noise, ("...", n_samples, N_STATES))
+    parts = [voltage.shape[:-1], parameters.batch_shape, begin.shape[:-1], added.shape[:-2]]
+    parts += [np.shape(fault.severity) for fault in faults]
+    require_one_batch(*parts)
+    batch = np.broadcast_shapes(*parts)
+    require(len(batch) <= 1, f"motors must be one, or of shape (n_cases,), got {batch}")
     n_cases = int(np.prod(batch))
     inputs = np.empty((int(np.prod(voltage.shape[:-1])), n_samples, len(Input)))
     inputs[..., Input.VOLTAGE] = voltage
-    inputs[..., Input.LOAD_TORQUE] = load_torque_n_m
-    state = np.broadcast_to(np.asarray(initial_state, dtype=np.float64), (n_cases, N_STATES)).copy()
+    inputs[..., Input.LOAD_TORQUE] = spread("load_torque_n_m", load_torque_n_m, voltage.shape)
+    state = np.broadcast_to(begin, (n_cases, N_STATES)).copy()
     noise = np.empty((0, n_samples, N_STATES))
     if process_noise is not None:
-        noise = np.ascontiguousarray(np.broadcast_to(process_noise, (n_cases, n_samples, N_STATES)))
+        noise = np.ascontiguousarray(np.broadcast_to(added, (n_cases, n_samples, N_STATES)))
+    start_s, dt_s = number("start_s", start_s), number("dt_s", dt_s, above=0.0)
     out = np.empty((n_cases, n_samples, N_STATES))
-    for begin, end, active in _segments(faults, start_s + dt_s * np.arange(n_samples, dtype=np.float64)):
+    for first, end, active in _segments(faults, start_s + dt_s * np.arange(n_samples, dtype=np.float64)):
         model = discretize(apply_faults(parameters, active), dt_s)
         propagate(
             model.transition.reshape(-1, N_STATES, N_STATES),
             np.ascontiguousarray(model.gain).reshape(-1, N_STATES, len(Input)),
-            inputs[:, begin:end],
-            noise[:, begin:end],
+            inputs[:, first:end],
+            noise[:, first:end],
             state,
-            out[:, begin:end],
+            out[:, first:end],
         )
+    require(
+        bool(np.isfinite(out[:, -1]).all()),
+        "the current or speed left the range of numbers: a parameter, the voltage or the load is too large",
+    )
     return out.reshape(*batch, n_samples, N_STATES)
 
 
@@ -244,12 +290,14 @@ def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
     Raises:
         ValueError: the batch of the scenario is not n_cases long.
     """
-    numbers, timing, sensor = scenario.checked_cases(cases), scenario.timing, scenario.sensor
-    states = scenario_states(scenario, seed, numbers)
-    level = np.broadcast_to(np.asarray(scenario.supply.voltage_v, dtype=np.float64), numbers.shape)
+    instance("scenario", scenario, Scenario)
+    seed = whole("seed", seed, most=LARGEST_SEED)
+    rows, timing, sensor = scenario.checked_cases(cases), scenario.timing, scenario.sensor
+    states = scenario_states(scenario, seed, rows)
+    level = np.broadcast_to(np.asarray(scenario.supply.voltage_v, dtype=np.float64), rows.shape)
     n_channels = len(sensor.channels)
     stride = whole_blocks(timing.n_samples)  # a channel begins with a block of its own
-    noise = normals(seed, Stream.MEASUREMENT, numbers, n_channels * stride)
+    noise = normals(seed, Stream.MEASUREMENT, rows, n_channels * stride)
     noise = noise.reshape(-1, n_channels, stride)[..., : timing.n_samples] * sensor.noise_std[:, None]
     factor = noise_variance_factor(scenario.faults, NoiseSource.MEASUREMENT, timing.interval_start_s)
     noise *= np.sqrt(factor)[:, None, :]

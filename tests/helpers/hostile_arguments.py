@@ -31,7 +31,7 @@ PACKAGES = ("motor_env", "motor_datasets", "motor_classifiers")
 FOREIGN = (
     "numba", "nopython", "numpy", "np.", "ufunc", "broadcast", "operand", "ndarray", "array(", "setting an array",
     "could not convert", "cannot convert", "cannot reshape", "truth value", "unsupported", "not supported between",
-    "has no attribute", "object is not", "must be real number", "too large to convert", "cannot be interpreted",
+    "has no attribute", "object is not", "must be real number, not", "too large to convert", "cannot be interpreted",
     "math domain", "core dimension", "unhashable", "positional argument", "invalid literal", "singular", "iterable",
     "out of bounds", "inhomogeneous", "subscriptable", "casting", "integer argument", "input should", "pydantic",
 )  # fmt: skip
@@ -100,10 +100,10 @@ class Row:
         at_missing: list[Any] | None = None
         found = []
         for label, value, must in self.cells():
-            if must == MISSING:
-                must = MISSING if "missing" in self.allows else REFUSED
-            elif label in self.allows:
+            if label in self.allows:
                 must = EITHER
+            elif must == MISSING and "missing" not in self.allows:
+                must = REFUSED
             result, refusal = outcome(self.call, value)
             if result is None:
                 wrong = refusal if must != SAME else refusal or "is refused"
@@ -142,7 +142,8 @@ def complaint(error: BaseException) -> str:
     if foreign:
         return f"{kind.__name__} with a word of others ({foreign[0]}): {sentence:.100}"
     last = traceback.extract_tb(error.__traceback__)[-1]
-    if not set(Path(last.filename).parts) & set(PACKAGES) or "raise" not in _statement(last):
+    parts = set(Path(last.filename).parts)
+    if not parts & set(PACKAGES) or "tests" in parts or "raise" not in _statement(last):
         place = f"{Path(last.filename).name}:{last.lineno}"
         return f"{kind.__name__} that is not raised by us but at {place}: {sentence:.100}"
     return ""
@@ -261,18 +262,18 @@ def _arrays(good: np.ndarray[Any, Any]) -> Iterator[Cell]:
 
 
 def _no_numbers() -> Iterator[Cell]:
-    yield "nan", math.nan, REFUSED
+    yield "nan", math.nan, MISSING
     yield "inf", math.inf, REFUSED
     yield "-inf", -math.inf, REFUSED
-    yield "None", None, REFUSED
+    yield "None", None, MISSING
     yield "text", "abc", REFUSED
     yield "digits", "1", REFUSED
     yield "bytes", b"1", REFUSED
     yield "complex", 1 + 2j, REFUSED
     yield "date", np.datetime64(1, "s"), REFUSED
     yield "duration", np.timedelta64(1, "s"), REFUSED
-    yield "masked", np.ma.masked, REFUSED
-    yield "masked 0-d", np.ma.array(1, mask=True), REFUSED
+    yield "masked", np.ma.masked, MISSING
+    yield "masked 0-d", np.ma.array(1, mask=True), MISSING
     yield "empty", np.zeros(0), REFUSED
     yield "empty list", [], REFUSED
     yield "several", np.ones(3), REFUSED
@@ -291,7 +292,7 @@ def _numbers(good: float) -> Iterator[Cell]:
     yield from _no_numbers()
     yield "bool", True, REFUSED
     yield "huge", 1e300, REFUSED
-    for value in (10**30, 1e99, 5e-324, 1e-30, -5e-324, 0.0, -1.0, -1e99, 1.0):
+    for value in (10**30, 1e99, 5e-324, 0.0, -1.0):
         yield f"{value:.3g}", value, EITHER
 
 

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import instance, number, numbers, whole
 from motor_env.detection.rules import calibration
-from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
+from motor_env.detection.rules.thresholds import LONGEST, Request, Statistic, Threshold
 from motor_env.detection.run_length import RunLaw
+from motor_env.filters.stream import MOST_STREAMS
 from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.simulate import LARGEST_SEED
 
-if TYPE_CHECKING:
-    from motor_env.simulation.recipes import Recipe
+_MOST_CHANNELS = 1_000
 
 _RUNS = 2_000
+_SAMPLES = 3e8  # half a minute
+_LARGEST_SHIFT = 1e3
+
+
+def checked_shift(shift: float) -> float:
+    """A mean of whitened innovations; `ValueError` unless it is a number of sensible size."""
+    return number("shift", shift, least=-_LARGEST_SHIFT, most=_LARGEST_SHIFT)
 
 
 class Rule(Statistic):
@@ -34,8 +44,13 @@ class Rule(Statistic):
         """Average samples to the alarm, from the start, for samples of one channel and of mean `shift`.
 
         A shift of 0 gives ARL0. Exact where theory gives it, else the mean of 2,000 simulated runs.
+
+        Raises:
+            ValueError: a number is not finite, or so high a threshold that the runs would take too long.
         """
-        return float(calibration.run_lengths(self, threshold, _RUNS, mean=shift).mean())
+        threshold, shift = number("threshold", threshold), checked_shift(shift)
+        lengths = calibration.run_lengths(self, threshold, _RUNS, mean=shift, most_samples=_SAMPLES)
+        return float(lengths.mean())
 
     def threshold_for(
         self,
@@ -67,7 +82,11 @@ class Rule(Statistic):
             ValueError: both or none is given, a recipe comes with `arl0`, `n_samples` or `n_channels`, the rule has no
                 threshold of that kind, or there are too few runs.
         """
+        seed = whole("seed", seed, most=LARGEST_SEED)
+        n_channels = whole("n_channels", n_channels, 1, _MOST_CHANNELS)
+        runs = None if runs is None else whole("runs", runs, 1)
         if recipe is not None:
+            instance("recipe", recipe, Recipe)
             require(
                 arl0 is None and n_samples is None and n_channels == 1,
                 "recipe goes with false_alarm_probability alone: a start has an end, a length and channels of its own",
@@ -88,7 +107,7 @@ class Rule(Statistic):
             threshold: of the statistic.
         """
         limit = threshold.value if isinstance(threshold, Threshold) else threshold
-        return first_above(self.statistic(whitened), limit)
+        return first_above(self.statistic(whitened), number("threshold", limit))
 
     def stream(self, n_streams: int = 1) -> RuleStream:
         """A running copy of the rule, fed one sample at a time."""
@@ -113,11 +132,12 @@ class ExactRule(Rule):
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm, from the start, for samples of mean `shift`: 0 gives ARL0."""
-        return self.run_law(threshold, shift).average_run_length()
+        return self.run_law(number("threshold", threshold), checked_shift(shift)).average_run_length()
 
     def alarm_probability(self, threshold: float, n_samples: int) -> float:
         """Probability of an alarm within n samples, while healthy."""
-        return self.run_law(threshold).alarm_probability(n_samples)
+        n_samples = whole("n_samples", n_samples, 1, LONGEST)
+        return self.run_law(number("threshold", threshold)).alarm_probability(n_samples)
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
         """Exact threshold."""
@@ -135,17 +155,29 @@ class RuleStream:
     """
 
     def __init__(self, rule: Rule, n_streams: int) -> None:
-        self.rule, self.state = rule, rule.start(n_streams)
+        try:
+            self.rule, self.state = rule, rule.start(whole("n_streams", n_streams, 1, MOST_STREAMS))
+        except MemoryError:
+            raise ValueError(f"n_streams {n_streams} of this rule need more memory than there is") from None
 
     def update(self, whitened: ArrayLike) -> FloatArray:
         """Statistic after one more sample, shape (n_streams,), from shape (n_streams, n_channels)."""
-        values = np.asarray(whitened, dtype=np.float64).reshape(len(self.state), 1, -1)
-        return self.rule.scan(self.state, values)[:, 0]
+        values, n = numbers("whitened", whitened, missing=True), len(self.state)
+        if not values.size or values.size % n:
+            raise ValueError(f"whitened must have shape ({n}, n_channels), got {values.shape}")
+        return self.rule.scan(self.state, values.reshape(n, 1, -1))[:, 0]
 
     def reset(self, streams: NDArray[np.bool_] | None = None) -> None:
         """Begin anew: all streams, or those where the mask is true."""
         fresh = self.rule.start(len(self.state))
-        self.state = fresh if streams is None else np.where(streams[:, None], fresh, self.state)
+        if streams is not None:
+            chosen, shape = np.asarray(streams), (len(fresh),)
+            require(
+                chosen.dtype == np.bool_ and chosen.shape == shape and not np.ma.is_masked(streams),
+                f"streams must be bools of shape {shape}, got shape {chosen.shape}",
+            )
+            fresh = np.where(chosen[:, None], fresh, self.state)
+        self.state = fresh
 
 
 def first_above(statistic: FloatArray, threshold: float) -> NDArray[np.int64]:

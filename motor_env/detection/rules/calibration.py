@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import numbers, whole
 from motor_env.detection.rules.kernels import first_passages
 from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter
@@ -23,6 +24,7 @@ CALIBRATION_SEED = 20_101
 _TRANSIENTS = 100_000
 _MOST_RUNS, _LEAST_RUNS, _SAMPLES = 10_000, 1_000, 3e8
 _MOST_SAMPLES = 1e10  # some twenty minutes of one core
+_PROBE = 3e6  # samples after which it shows how seldom alarms are, if they are some of a rule's memories
 _PILOT = 400
 _LEVELS = 9
 _NARROW = 0.3  # how far from the wanted average run length the pilot's thresholds reach, as a logarithm
@@ -148,6 +150,7 @@ def run_lengths(
     n_channels: int = 1,
     seed: int = CALIBRATION_SEED,
     mean: ArrayLike = 0.0,
+    most_samples: float = np.inf,
 ) -> IntArray:
     """Samples to the alarm of simulated runs, each followed to its alarm, shape (runs, n_levels) (Page 1954).
 
@@ -159,9 +162,13 @@ def run_lengths(
         seed: of the noise; run n depends on (seed, n) alone.
         mean: of the samples, as a fault that is there from the first one makes it: scalar or shape (n,), beyond whose
             end the last value stays; 0 while healthy.
+        most_samples: of all runs together.
+
+    Raises:
+        ValueError: a number is not finite, or the alarms are so seldom that the runs would need more samples.
     """
-    thresholds = np.atleast_1d(np.asarray(levels, dtype=np.float64))
-    profile = np.atleast_1d(np.asarray(mean, dtype=np.float64))
+    thresholds, profile = np.atleast_1d(numbers("levels", levels)), np.atleast_1d(numbers("mean", mean))
+    runs, n_channels = whole("runs", runs, 1), whole("n_channels", n_channels, 1)
     lengths = np.zeros((runs, len(thresholds)), dtype=np.int64)
     batch = max(1, _AT_ONCE // (_BLOCK * n_channels))
     for first in range(0, runs, batch):
@@ -179,6 +186,15 @@ def run_lengths(
                 lengths[cases[~left]] = passages[~left]
                 cases, passed, passages, state = cases[left], passed[left], passages[left], state[left]
             block += 1
+            taken, together = block * _BLOCK, min(batch, runs - first)
+            alarms = together - len(cases)
+            shows = taken * together >= _PROBE and taken >= 4 * state.shape[1]
+            needed = taken * together * (runs / max(alarms, 1) if shows else 1)
+            require(
+                needed <= most_samples,
+                f"threshold {thresholds.max():g} is passed too seldom to simulate {runs} runs to their alarms:"
+                f" {alarms} of {together} in {taken} samples",
+            )
     return lengths
 
 

@@ -10,16 +10,24 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from motor_env.arrays import instance, number, numbers
 from motor_env.detection.rules import kernels
-from motor_env.detection.rules.base import ExactRule, Rule
+from motor_env.detection.rules.base import ExactRule, Rule, checked_shift
 from motor_env.detection.rules.thresholds import Request, Threshold
 from motor_env.detection.run_length import RunLaw, TwoSided, cusum_chain, shiryaev_roberts_chain, sprt_chain
-from motor_env.motor.parameters import FloatArray, require, require_positive
+from motor_env.motor.parameters import FloatArray, require
+
+_SMALLEST_SHIFT, _LARGEST_SHIFT = 1e-6, 1e3  # in standard deviations: others are no question
 
 
 def first_channel(whitened: FloatArray) -> FloatArray:
     """Standard normal samples, shape (n_streams, n_samples); NaN where nothing was measured."""
     return np.ascontiguousarray(whitened[..., 0])
+
+
+def _keep_shift(rule: Rule, shift: float) -> None:
+    found = number("shift", shift, least=_SMALLEST_SHIFT, most=_LARGEST_SHIFT)
+    object.__setattr__(rule, "shift", found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +46,8 @@ class Cusum(ExactRule):
     two_sided: bool = False
 
     def __post_init__(self) -> None:
-        require_positive("shift", self.shift)
+        _keep_shift(self, self.shift)
+        instance("two_sided", self.two_sided, (bool, np.bool_))
 
     def start(self, n_streams: int) -> FloatArray:
         """Sums of 0."""
@@ -71,11 +80,12 @@ class ShiryaevRoberts(ExactRule):
     shift: float
 
     def __post_init__(self) -> None:
-        require_positive("shift", self.shift)
+        _keep_shift(self, self.shift)
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log R, a bank of one model."""
-        return kernels.mixture(first_channel(whitened), np.array([self.shift]), np.ones(1), state)
+        with np.errstate(over="ignore"):  # the odds have a largest value
+            return kernels.mixture(first_channel(whitened), np.array([self.shift]), np.ones(1), state)
 
     @property
     def lowest(self) -> tuple[float, float]:
@@ -107,8 +117,9 @@ class Sprt(ExactRule):
     restart: bool = False
 
     def __post_init__(self) -> None:
-        require_positive("shift", self.shift)
-        require_positive("-lower", -self.lower)
+        _keep_shift(self, self.shift)
+        object.__setattr__(self, "lower", number("lower", self.lower, below=0.0))
+        instance("restart", self.restart, (bool, np.bool_))
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins."""
@@ -122,6 +133,7 @@ class Sprt(ExactRule):
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
         """Average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
+        threshold, shift = number("threshold", threshold), checked_shift(shift)
         return ExactRule.average_run_length(self, threshold, shift) if self.restart else np.inf
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
@@ -149,7 +161,16 @@ class ModelBank(Rule):
     shifts: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        require(len(self.shifts) > 0 and all(self.shifts), f"shifts must be other than 0, got {self.shifts}")
+        shifts = numbers("shifts", self.shifts, ("n_models",))
+        require(
+            len(shifts) > 0 and bool((shifts != 0.0).all()),
+            f"shifts must be other than 0, got {shifts.tolist()}",
+        )
+        require(
+            bool((np.abs(shifts) <= _LARGEST_SHIFT).all()),
+            f"shifts must be at most {_LARGEST_SHIFT:g}, got {shifts.tolist()}",
+        )
+        object.__setattr__(self, "shifts", tuple(shifts.tolist()))
 
     def start(self, n_streams: int) -> FloatArray:
         """Odds over rho of each model; none so far."""
@@ -158,7 +179,8 @@ class ModelBank(Rule):
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Log of the summed odds over rho."""
         weights = np.full(len(self.shifts), 1.0 / len(self.shifts))
-        return kernels.mixture(first_channel(whitened), np.asarray(self.shifts), weights, state)
+        with np.errstate(over="ignore"):
+            return kernels.mixture(first_channel(whitened), np.asarray(self.shifts), weights, state)
 
     def probabilities(self, whitened: FloatArray, hazard: float) -> FloatArray:
         """Posterior of health and of each model after each sample.
@@ -170,8 +192,9 @@ class ModelBank(Rule):
         Returns:
             Shape (..., n_samples, 1 + n_models), health first.
         """
-        require(0.0 < hazard < 1.0, f"hazard must lie between 0 and 1, got {hazard:g}")
-        values = np.asarray(whitened, dtype=np.float64)
+        hazard = number("hazard", hazard, above=0.0, below=1.0)
+        values = numbers("whitened", whitened, ("...", "n_samples", "n_channels"), missing=True)
+        require(values.size > 0, f"whitened must hold a sample, got shape {values.shape}")
         flat = values.reshape(-1, *values.shape[-2:])
         shifts = np.asarray(self.shifts)
         start = np.log(hazard / len(shifts))

@@ -32,7 +32,9 @@ class MOfN(ExactRule):
     method: ClassVar[str] = "exact: chi-square and Markov chain of the last hits"
 
     def __post_init__(self) -> None:
-        HitChain(0.5, self.needed, self.among)  # checks them
+        checked = HitChain(0.5, self.needed, self.among)
+        object.__setattr__(self, "needed", checked.needed)
+        object.__setattr__(self, "among", checked.among)
 
     def start(self, n_streams: int) -> FloatArray:
         """A ring of the last N squares, none so far, and the place of the oldest."""
@@ -51,10 +53,10 @@ class MOfN(ExactRule):
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
         """By the chain of the last hits, for innovations whose mean has the length `shift`."""
         if not shift:
-            return HitChain(float(chdtrc(n_channels, threshold)), self.needed, self.among)
+            return HitChain(float(chdtrc(n_channels, max(threshold, 0.0))), self.needed, self.among)
         from scipy.stats import ncx2  # it takes long to import, and the tail of this law stands nowhere else
 
-        return HitChain(float(ncx2.sf(threshold, n_channels, shift**2)), self.needed, self.among)
+        return HitChain(float(ncx2.sf(max(threshold, 0.0), n_channels, shift**2)), self.needed, self.among)
 
 
 def nis_rule() -> MOfN:

@@ -14,10 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
+from motor_env.arrays import number, numbers, whole
 from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
 
-_MOST = 1e290  # beyond, probabilities underflow
+_MOST = 1e30  # samples: at any rate longer than anything runs
+LONGEST = 10**9
+"""Samples of a transient: a day at 10 kHz."""
 
 
 class Threshold(NamedTuple):
@@ -52,18 +55,12 @@ class Request:
             "give one of arl0 and false_alarm_probability, got " + ("none" if arl0 is None else "both"),
         )
         if arl0 is not None:
-            require(1.0 < arl0 <= _MOST, f"arl0 must be > 1 sample and at most {_MOST:g}, got {arl0:g}")
-            return cls(float(arl0), None, 0)
-        probability = float(false_alarm_probability or 0.0)
+            return cls(number("arl0", arl0, above=1.0, most=_MOST), None, 0)
+        probability = number("false_alarm_probability", false_alarm_probability, least=1.0 / _MOST, below=1.0)
         require(
-            1.0 / _MOST <= probability < 1.0,
-            f"false_alarm_probability must be >= {1.0 / _MOST:g} and < 1, got {probability:g}",
+            n_samples is not None, "false_alarm_probability needs the transient's n_samples >= 1, got None"
         )
-        require(
-            n_samples is not None and n_samples >= 1,
-            f"false_alarm_probability needs the transient's n_samples >= 1, got {n_samples}",
-        )
-        return cls(None, probability, int(n_samples or 0))
+        return cls(None, probability, whole("n_samples", n_samples, 1, LONGEST))
 
     def solve(self, law: Callable[[float], RunLaw], *, low: float, step: float) -> float:
         """Threshold that meets the request.
@@ -125,9 +122,7 @@ class Statistic(ABC):
         Returns:
             Shape (..., n_samples).
         """
-        values = np.asarray(whitened, dtype=np.float64)
-        require(
-            values.ndim >= 2, f"whitened must have shape (..., n_samples, n_channels), got {values.shape}"
-        )
-        flat = np.ascontiguousarray(values.reshape(-1, *values.shape[-2:]))
+        values = numbers("whitened", whitened, ("...", "n_samples", "n_channels"), missing=True)
+        require(values.size > 0, f"whitened must hold a sample, got shape {values.shape}")
+        flat = values.reshape(-1, *values.shape[-2:])
         return self.scan(self.start(len(flat)), flat).reshape(values.shape[:-1])

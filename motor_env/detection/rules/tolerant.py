@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from motor_env.arrays import instance, numbers
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.filters.stream import FilterStream
@@ -38,9 +39,19 @@ class TolerantFilter:
     bias: FloatArray
     whitener: MarginalWhitener
 
+    def __post_init__(self) -> None:
+        instance("belief", self.belief, KalmanFilter)
+        instance("whitener", self.whitener, MarginalWhitener)
+        voltage = numbers("voltage_v", self.voltage_v, ("n_samples",))
+        bias = numbers("bias", self.bias, (len(voltage), len(self.belief.observation)))
+        object.__setattr__(self, "voltage_v", voltage)
+        object.__setattr__(self, "bias", bias)
+
     @classmethod
     def from_recipe(cls, recipe: Recipe) -> Self:
         """From the recipe's motor, supply, tolerances, sensor and timing; its fault classes are not looked at."""
+        instance("recipe", recipe, Recipe)
+        recipe.require_step()
         belief = KalmanFilter.from_parameters(
             recipe.motor, recipe.sensor, recipe.timing.dt_s, process_noise_std=(0.0, 0.0)
         )
@@ -54,7 +65,9 @@ class TolerantFilter:
         Args:
             measurements: whole transients, shape (..., n_channels, n_samples).
         """
-        innovation = run_filter(self.belief, measurements, self.voltage_v).whitened
+        shape = ("...", len(self.belief.observation), len(self.voltage_v))
+        measured = numbers("measurements", measurements, shape, missing=True, single=True)
+        innovation = run_filter(self.belief, measured, self.voltage_v).whitened
         return self.whitener.whiten(innovation - self.bias)
 
     def stream(self, n_streams: int = 1) -> TolerantStream:
@@ -75,9 +88,9 @@ class TolerantStream:
 
     def __init__(self, tolerant: TolerantFilter, n_streams: int) -> None:
         size = tolerant.whitener.slopes.shape[-1]
-        self.tolerant, self.n_streams = tolerant, n_streams
-        self._slopes = tolerant.whitener.slopes.reshape(*tolerant.bias.shape, size)
         self._filter = FilterStream(tolerant.belief, n_streams)
+        self.tolerant, self.n_streams = tolerant, self._filter.n_streams
+        self._slopes = tolerant.whitener.slopes.reshape(*tolerant.bias.shape, size)
         self._mean = np.zeros((n_streams, size))
         self._covariance = np.broadcast_to(np.eye(size), (n_streams, size, size)).copy()
         self._at = 0

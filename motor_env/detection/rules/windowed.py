@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.arrays import instance, numbers, whole
 from motor_env.detection.rules import glr_kernels, kernels
 from motor_env.detection.rules.base import Rule
 from motor_env.detection.rules.cusum import first_channel
 from motor_env.motor.parameters import FloatArray, require
 
+_LONGEST = 1_000_000
 _AGE_RATIO = 1.15
 _LEAST_BUFFER = 512  # samples that the GLR holds beside the longest age, so that it seldom has to move them
 
@@ -30,7 +32,7 @@ class WindowedNis(Rule):
     window: int
 
     def __post_init__(self) -> None:
-        require(self.window >= 1, f"window must be >= 1, got {self.window}")
+        object.__setattr__(self, "window", whole("window", self.window, 1, _LONGEST))
 
     def start(self, n_streams: int) -> FloatArray:
         """A ring of the last w squares, the place of the oldest, and their sum."""
@@ -65,14 +67,17 @@ class Glr(Rule):
     signature: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        for name in ("shortest", "longest"):
+            object.__setattr__(self, name, whole(name, getattr(self, name), -_LONGEST, _LONGEST))
         require(
             1 <= self.shortest <= self.longest,
             f"shortest and longest must satisfy 1 <= shortest <= longest, got {self.shortest} and {self.longest}",
         )
+        instance("two_sided", self.two_sided, (bool, np.bool_))
         if self.signature is not None:
-            require(
-                len(self.signature) > 0 and any(self.signature), "signature must not be empty or all zero"
-            )
+            signature = numbers("signature", self.signature, ("n",))
+            require(bool(np.square(signature).any()), "signature must not be empty or all zero")
+            object.__setattr__(self, "signature", tuple(signature.tolist()))
 
     @property
     def ages(self) -> NDArray[np.int64]:

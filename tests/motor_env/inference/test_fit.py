@@ -222,7 +222,7 @@ def test_physical_features_see_the_faults() -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"measurements": np.zeros((2, 3, 10))}, r"must have shape \(n_cases, 1, n_samples\)"),
+        ({"measurements": np.zeros((2, 3, 10))}, r"must have shape \(..., 1, n_samples\)"),
         ({"measurements": np.full((1, 1, 10), np.nan)}, "measurements must be finite"),
         ({"voltage_v": np.zeros(9)}, "voltage_v must have shape"),
         ({"sensor": SensorParameters(current_noise_a=0.0)}, "noise of each channel must be > 0"),

@@ -82,7 +82,7 @@ def test_quantiles_of_weights_that_are_known() -> None:
     np.testing.assert_allclose(posterior.interval(0.5)[0], [0.15, 0.25], atol=1e-12)
     np.testing.assert_allclose(posterior.mean, [0.2, 0.1 + 0.4 / 3.0], rtol=1e-3)
     np.testing.assert_allclose(posterior.std, [0.2 / np.sqrt(12.0), 0.2 / np.sqrt(18.0)], rtol=2e-3)
-    with pytest.raises(ValueError, match=r"probability must be in \(0, 1\), got 1"):
+    with pytest.raises(ValueError, match="probability must be > 0 and < 1, got 1"):
         posterior.quantile(1.0)
     assert SeverityPrior(FaultKind.BEARING) == SeverityPrior(FaultKind.BEARING, 0.0, 0.3)
 

@@ -86,7 +86,7 @@ def test_sensor_rows_follow_the_channels() -> None:
     [
         ({"channels": ()}, "channels must name at least one of current, speed, got none"),
         ({"channels": ("current", "current")}, "channels must be distinct, got current, current"),
-        ({"channels": ("torque",)}, "'torque' is not a valid Channel"),
+        ({"channels": ("torque",)}, "channels must be of current, speed, got"),
         ({"current_noise_a": -1.0}, "current_noise_a must be finite and >= 0, got -1"),
     ],
 )

@@ -195,12 +195,12 @@ def test_no_factor_can_reach_zero_at_the_largest_spread() -> None:
         (
             {"starts_per_motor": 1},
             {"starts_per_motor": 0},
-            "starts_per_motor must be in 1 .. 1000000000, got 0",
+            "starts_per_motor must be a whole number in 1 .. 1000000000, got 0",
         ),
         (
             {"starts_per_motor": 10**9},
             {"starts_per_motor": 10**9 + 1},
-            "starts_per_motor must be in 1 .. 1000000000",
+            "starts_per_motor must be a whole number in 1 .. 1000000000",
         ),
         (
             {"starts_per_motor": 3, "healthy_starts": 3},

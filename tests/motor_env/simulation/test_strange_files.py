@@ -67,12 +67,15 @@ def test_all_strange_files_give_finite_data_or_one_sentence(tmp_path: Path) -> N
             PARAMETERS.replace("1.07e-6", "1e-300"),
             "motor.inertia_kg_m2 must be in 1e-15 .. 1e+12, got 1e-300",
         ),
-        ("[supply]\nvoltage_v = 1e300", "supply.voltage_v must be in -1e+12 .. 1e+12, got 1e+300"),
+        ("[supply]\nvoltage_v = 1e300", "voltage_v must be finite and at most 1e+100, got 1e+300"),
         ("[sensor]\ncurrent_noise_a = 1e39", "sensor.current_noise_a must be in -1e+12 .. 1e+12"),
         ("[field]\ntemperature_rise_k = [0.0, 1e308]", "field.temperature_rise_k must be in -250 .. 900"),
-        ("starts_per_motor = 1000000000000000000000", "starts_per_motor must be in"),
+        ("starts_per_motor = 1000000000000000000000", "starts_per_motor must be a whole number in"),
         ("[timing]\nduration_s = 1e6", "must hold at most 10000000 samples at 10000 Hz, got 1e+10"),
-        ("[timing]\nduration_s = 1e300\nsampling_rate_hz = 1e300", "must hold at most 10000000 samples"),
+        (
+            "[timing]\nduration_s = 1e300\nsampling_rate_hz = 1e300",
+            "sampling_rate_hz must be finite and > 0 and at most 1e+100, got 1e+300",
+        ),
         ("[field]\nripple_hz = 1e12", "must hold at most 10000 integration steps, got 1.2e+09"),
         (
             "[[classes]]\nkind = 'winding_short'\nseverity = 5.0",
@@ -123,5 +126,5 @@ def test_a_strange_motor_is_one_sentence(tmp_path: Path, old: str, new: str) -> 
 
 
 def test_an_option_is_held_to_the_same_bounds() -> None:
-    with pytest.raises(ValueError, match=r"supply\.voltage_v must be in -1e\+12 \.\. 1e\+12, got 1e\+300"):
+    with pytest.raises(ValueError, match=r"voltage_v must be finite and at most 1e\+100, got 1e\+300"):
         changed_recipe(load_recipe("bench"), voltage_v=1e300)
