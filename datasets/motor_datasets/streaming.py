@@ -11,6 +11,7 @@ import numpy as np
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_datasets.splits import BLOCK, Split, split_of
+from motor_env.arrays import instance, whole
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
 
@@ -37,8 +38,16 @@ def stream(
     Raises:
         ValueError: fewer than one case a batch, or an unknown split.
     """
-    require(batch_size >= 1, f"batch_size must be >= 1, got {batch_size}")
-    require(split in (None, *Split), f"split must be one of {', '.join(Split)}, got {split!r}")
+    instance("recipe", recipe, Recipe)
+    whole("seed", seed, most=2**64 - 1)
+    is_several = not isinstance(batch_size, int) or batch_size >= 1
+    require(is_several, f"batch_size must be >= 1, got {batch_size}")
+    batch_size = whole("batch_size", batch_size, least=1)
+    is_split = split is None or (isinstance(split, str) and split in set(Split))
+    require(is_split, f"split must be one of {', '.join(Split)}, got {split!r:.60}")
+    batches = None if batches is None else whole("batches", batches)
+    require(isinstance(share, tuple) and len(share) == 2, f"share must be two numbers, got {share!r:.60}")
+    share = whole("share[0]", share[0]), whole("share[1]", share[1], least=1)
     numbers = count() if batches is None else range(batches)
     offsets = _case_blocks(recipe, seed, batch_size, split)
     for number, cases in zip(numbers, offsets, strict=False):
