@@ -82,7 +82,7 @@ def generate_dataset(
         _check_space(folder, plan.bytes_uncompressed * len(missing) / len(plan.files))
         _make_files(missing, entries, folder, plan, workers=workers, on_progress=on_progress)
     (folder / UNFINISHED).unlink(missing_ok=True)
-    return Manifest(recipe, seed, cases, tuple(entries[file.path] for file in plan.files))
+    return Manifest(recipe, plan.seed, plan.cases, tuple(entries[file.path] for file in plan.files))
 
 
 def _check_space(folder: Folder, uncompressed: float) -> None:

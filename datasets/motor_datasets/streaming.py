@@ -11,7 +11,7 @@ import numpy as np
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_datasets.splits import BLOCK, Split, split_of
-from motor_env.arrays import instance, whole
+from motor_env.arrays import instance, shown, whole
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
 
@@ -44,9 +44,9 @@ def stream(
     require(is_several, f"batch_size must be >= 1, got {batch_size}")
     batch_size = whole("batch_size", batch_size, least=1)
     is_split = split is None or (isinstance(split, str) and split in set(Split))
-    require(is_split, f"split must be one of {', '.join(Split)}, got {split!r:.60}")
+    require(is_split, f"split must be one of {', '.join(Split)}, got {shown(split)}")
     batches = None if batches is None else whole("batches", batches)
-    require(isinstance(share, tuple) and len(share) == 2, f"share must be two numbers, got {share!r:.60}")
+    require(isinstance(share, tuple) and len(share) == 2, f"share must be two numbers, got {shown(share)}")
     share = whole("share[0]", share[0]), whole("share[1]", share[1], least=1)
     numbers = count() if batches is None else range(batches)
     offsets = _case_blocks(recipe, seed, batch_size, split)

@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from motor_env.arrays import shown
 from motor_env.envs.baselines.posterior_view import PosteriorView
 from motor_env.envs.vector import MotorVectorEnv
 from motor_env.errors import require_extra
@@ -109,4 +110,4 @@ class StableBaselinesVecEnv(VecEnv):
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
         """Refused, unless there are none: a reset has no option that one of many could have alone."""
         if options and (isinstance(options, dict) or any(options)):
-            raise NotImplementedError(f"a compiled vector has no options of a reset, got {options!r:.60}")
+            raise NotImplementedError(f"a compiled vector has no options of a reset, got {shown(options)}")

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 from numpy.typing import NDArray
 
-from motor_env.arrays import numbers, whole, wholes
+from motor_env.arrays import numbers, shown, whole, wholes
 from motor_env.envs import kernel, layout, stepping
 from motor_env.envs.kernel import ROWS
 from motor_env.envs.layout import WordArray, empty_lanes, pack_task
@@ -68,7 +68,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
     ) -> None:
         require(
             render_mode is None or (isinstance(render_mode, str) and render_mode in RENDER_MODES),
-            f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {render_mode!r:.60}",
+            f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {shown(render_mode)}",
         )
         self.render_mode = render_mode
         self._seed: int | None = None
@@ -281,7 +281,12 @@ def whole_actions(actions: Any, num_envs: int, count: int) -> NDArray[np.int64]:
             raise ValueError(f"{wanted}: {error}") from None
     if actions.shape != (num_envs,):
         raise ValueError(f"{wanted}, got shape {actions.shape}")
-    return np.ascontiguousarray(actions, dtype=np.int64)
+    return readable(actions, np.int64)
+
+
+def readable(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """The array as a compiled step reads it; for one that is read-only or lies askew it would be compiled anew."""
+    return array if array.dtype == dtype and array.flags.carray else np.array(array, dtype=dtype, order="C")
 
 
 def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
@@ -298,7 +303,7 @@ def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
             raise ValueError(f"{wanted}: {error}") from None
     if action.shape != shape:
         raise ValueError(f"{wanted}, got shape {action.shape}")
-    given = np.asarray(action, dtype=np.float64, order="C")
+    given: FloatArray = readable(action, np.float64)
     # numpy takes a microsecond for what a single environment's few numbers need
     if not (all(map(math.isfinite, given.tolist())) if given.ndim == 1 else np.isfinite(given).all()):
         raise ValueError(f"{wanted}, got {given[~np.isfinite(given)][0]:g} in it")

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.arrays import whole
+from motor_env.arrays import shown, whole
 from motor_env.envs import kernel
 from motor_env.envs.compiling import record_maker
 from motor_env.motor.compiled import inlined
@@ -147,7 +147,7 @@ def reset_options(options: Any) -> dict[str, Any]:
     """A copy of the options of a reset; `ValueError` where they are no dictionary."""
     require(
         options is None or isinstance(options, Mapping),
-        f"options of reset must be a dict, got {options!r:.60}",
+        f"options of reset must be a dict, got {shown(options)}",
     )
     return dict(options or {})
 

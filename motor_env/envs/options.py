@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
+from motor_env.arrays import shown
 from motor_env.envs.tasks import require_environment, task_recipe, with_motor
 from motor_env.errors import UnknownOptionError
 from motor_env.motor.parameters import (
@@ -52,11 +53,20 @@ class Drive(StrEnum):
     SPEED_LOOP = "speed_loop"
 
 
+def settle_numbers(options: DataclassInstance) -> None:
+    """Check the fields of numbers in frozen options, and make Python's own of NumPy's; else `ValueError`."""
+    require_numbers(options)
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if isinstance(value, np.floating):
+            object.__setattr__(options, field.name, float(value))
+
+
 def settle_choice(options: Any, name: str, choices: type[StrEnum]) -> None:
     """Make an option of frozen options, given by its value, the member of its enumeration; else `ValueError`."""
     value = getattr(options, name)
     known = isinstance(value, str) and value in set(choices)
-    require(known, f"{name} must be one of {', '.join(choices)}, got {value!r:.60}")
+    require(known, f"{name} must be one of {', '.join(choices)}, got {shown(value)}")
     object.__setattr__(options, name, choices(value))
 
 
@@ -140,7 +150,7 @@ class MonitorOptions:
         return 0.0
 
     def __post_init__(self) -> None:
-        require_numbers(self)
+        settle_numbers(self)
         recipe = task_recipe(self.recipe)
         if self.motor is not None:
             recipe = with_motor(recipe, self.motor)
@@ -164,7 +174,7 @@ class MonitorOptions:
             value = getattr(self, name)
             require(
                 isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 1000,
-                f"{name} must be a whole number from 1 to 1000, got {value!r:.60}",
+                f"{name} must be a whole number from 1 to 1000, got {shown(value)}",
             )
         for field in fields(self):
             if field.name.endswith(("_reward", "_cost", "_cost_per_s", "load_torque_n_m")):
@@ -184,7 +194,7 @@ class MonitorOptions:
         )
         names: Any = self.observe
         are_names = isinstance(names, tuple | list) and all(isinstance(name, str) for name in names)
-        require(are_names, f"observe must be names of features, got {names!r:.60}")
+        require(are_names, f"observe must be names of features, got {shown(names)}")
         object.__setattr__(self, "observe", tuple(names))
 
     @property
@@ -251,6 +261,6 @@ def with_changes(options: Options | None, kind: type[Options], changes: dict[str
     known = [field.name for field in fields(options)]
     for name in changes:
         if name not in known:  # the first words are those by which TorchRL knows that it should do without
-            there = f"no option {name!r:.60}; there are {', '.join(known)}"
-            raise UnknownOptionError(f"unexpected keyword argument {name!r:.60}: {there}")
+            there = f"no option {shown(name)}; there are {', '.join(known)}"
+            raise UnknownOptionError(f"unexpected keyword argument {shown(name)}: {there}")
     return replace(options, **changes)

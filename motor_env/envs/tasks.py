@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from motor_env.arrays import shown
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import CATALOGUE, Channel, MotorParameters, SensorParameters, require
 from motor_env.simulation.named_recipes import RECIPES
@@ -77,7 +78,7 @@ def task_recipe(recipe: Any) -> Recipe:
     recipe = described(Recipe, recipe)
     require(
         isinstance(recipe, Recipe | str | Path),
-        f"recipe must be a name, a TOML file or a Recipe, got {recipe!r:.60}",
+        f"recipe must be a name, a TOML file or a Recipe, got {shown(recipe)}",
     )
     if isinstance(recipe, Recipe):
         return recipe
@@ -106,7 +107,7 @@ def with_motor(recipe: Recipe, motor: Any) -> Recipe:
     if isinstance(motor, MotorParameters):
         return replace(recipe, motor=motor)
     require(
-        isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {motor!r:.60}"
+        isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {shown(motor)}"
     )
     from motor_env.motor.data_sheet import load_motor
 

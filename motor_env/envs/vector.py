@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from motor_env.arrays import shown
 from motor_env.envs import layout, stepping
 from motor_env.envs.base import (
     Info,
@@ -122,7 +123,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         known = isinstance(autoreset_mode, AutoresetMode) or (
             isinstance(autoreset_mode, str) and autoreset_mode in AutoresetMode._value2member_map_
         )
-        require(known, f"autoreset_mode must be one of {modes}, got {autoreset_mode!r:.60}")
+        require(known, f"autoreset_mode must be one of {modes}, got {shown(autoreset_mode)}")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         if max_episode_steps is not None:
             max_episode_steps = layout.require_whole("max_episode_steps", max_episode_steps, 32)

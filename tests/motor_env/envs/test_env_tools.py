@@ -262,7 +262,7 @@ def test_a_spec_with_a_path_is_refused_when_it_is_written() -> None:
 
 def test_a_dictionary_that_describes_no_recipe_is_refused_in_one_sentence() -> None:
     for recipe, sentence in (
-        ({}, "recipe must be a name, a TOML file or a Recipe, got {}"),
+        ({}, "recipe must be a name, a TOML file or a Recipe, got a value of type dict"),
         ({"name": 3}, "name must be"),
         ({"nam": "x"}, "unknown key 'nam'"),
     ):
