@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
+from motor_datasets.arrays import at_least_one
 from motor_datasets.card import croissant, data_card
 from motor_datasets.generate import generate_arrays
 from motor_datasets.layout import Plan, PlannedFile, make_plan
 from motor_datasets.manifest import MANIFEST, Entry, Manifest, defect, read_manifest
 from motor_datasets.parquet import to_table, write_table
 from motor_datasets.remote import Folder, folder_of, whole_file
-from motor_env.arrays import whole
 from motor_env.errors import InputError
 from motor_env.files import LARGEST_DATA_BYTES, read_file
 from motor_env.motor.parameters import require
@@ -65,8 +65,7 @@ def generate_dataset(
         ValueError: fewer than one case or worker, or a seed out of range.
         InputError: `out` holds something else or cannot be used, its disk is too small, or a worker was killed.
     """
-    require(not isinstance(workers, int) or workers >= 1, f"workers must be >= 1, got {workers}")
-    workers = whole("workers", workers, least=1)
+    workers = at_least_one("workers", workers)
     plan = make_plan(recipe, cases, seed)
     folder = folder_of(out)
     alone = not isinstance(folder, Path) and folder.protocol == "memory"

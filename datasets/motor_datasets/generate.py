@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset
+from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset, at_least_one
 from motor_datasets.splits import split_of
 from motor_env.arrays import instance, whole, wholes
 from motor_env.motor.parameters import FloatArray, require
@@ -31,8 +31,7 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
     instance("recipe", recipe, Recipe)
     whole("seed", seed, most=2**64 - 1)
     if isinstance(cases, int | float | str | np.generic) or getattr(cases, "ndim", 1) == 0:
-        require(not isinstance(cases, int) or cases >= 1, f"cases must be >= 1, got {cases}")
-        numbers = np.arange(whole("cases", cases, least=1), dtype=np.int64)
+        numbers = np.arange(at_least_one("cases", cases), dtype=np.int64)
     else:
         numbers = wholes("cases", cases)
         require(numbers.ndim == 1, f"cases must be one list of numbers, got shape {numbers.shape}")

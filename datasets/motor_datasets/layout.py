@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from motor_datasets.arrays import parameter_names
 from motor_datasets.splits import BLOCK, Split, split_of
-from motor_env.arrays import instance, shown, whole
+from motor_env.arrays import instance, whole
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
 
@@ -74,9 +74,10 @@ def make_plan(recipe: Recipe, cases: int, seed: int) -> Plan:
     """
     instance("recipe", recipe, Recipe)
     for name, number, least, most in (("cases", cases, 1, SHIFT_CASES - 1), ("seed", seed, 0, 2**64 - 1)):
-        is_inside = not isinstance(number, int) or least <= number <= most
-        require(is_inside, f"{name} must be in {least} .. 2^{most.bit_length()} - 1, got {shown(number)}")
-        whole(name, number, least, most)
+        inside = whole(name, number, -(2**70), 2**70)
+        require(
+            least <= inside <= most, f"{name} must be in {least} .. 2^{most.bit_length()} - 1, got {inside}"
+        )
     cases, seed = int(cases), int(seed)
     per_shard = max(1, _SHARD_BYTES // bytes_of_case(recipe))
     most = per_shard * _MOST_SHARDS

@@ -17,7 +17,7 @@ from motor_datasets.layout import bytes_of_case
 from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, whole_content
 from motor_datasets.remote import Folder
 from motor_datasets.splits import Split
-from motor_env.arrays import shown
+from motor_env.arrays import is_one_of, shown
 from motor_env.errors import InputError, require_extra
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
@@ -89,7 +89,7 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
     Raises:
         InputError: a file is missing or cannot be read, or the split is unknown or empty.
     """
-    if split is not None and not (isinstance(split, str) and split in {*Split, *manifest.splits}):
+    if split is not None and not is_one_of(split, [*Split, *manifest.splits]):
         raise InputError(f"split must be one of {', '.join(manifest.splits)}, got {shown(split)}")
     wanted = set(Split) if split is None else {split}
     entries = [entry for entry in manifest.files if entry.split in wanted]

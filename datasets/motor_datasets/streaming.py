@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from motor_datasets.arrays import Dataset
+from motor_datasets.arrays import Dataset, at_least_one
 from motor_datasets.generate import generate_arrays
 from motor_datasets.splits import BLOCK, Split, split_of
-from motor_env.arrays import instance, shown, whole
+from motor_env.arrays import instance, is_one_of, shown, whole, wholes
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
 
@@ -40,18 +40,16 @@ def stream(
     """
     instance("recipe", recipe, Recipe)
     whole("seed", seed, most=2**64 - 1)
-    is_several = not isinstance(batch_size, int) or batch_size >= 1
-    require(is_several, f"batch_size must be >= 1, got {batch_size}")
-    batch_size = whole("batch_size", batch_size, least=1)
-    is_split = split is None or (isinstance(split, str) and split in set(Split))
+    batch_size = at_least_one("batch_size", batch_size)
+    is_split = split is None or is_one_of(split, Split)
     require(is_split, f"split must be one of {', '.join(Split)}, got {shown(split)}")
     batches = None if batches is None else whole("batches", batches)
-    require(isinstance(share, tuple) and len(share) == 2, f"share must be two numbers, got {shown(share)}")
-    share = whole("share[0]", share[0]), whole("share[1]", share[1], least=1)
+    part, of = wholes("share", share).tolist() if np.shape(share) == (2,) else (0, 0)
+    require(of >= 1, f"share must be two numbers, the second >= 1, got {shown(share)}")
     numbers = count() if batches is None else range(batches)
     offsets = _case_blocks(recipe, seed, batch_size, split)
     for number, cases in zip(numbers, offsets, strict=False):
-        if number % share[1] == share[0]:
+        if number % of == part:
             yield generate_arrays(recipe, seed, cases)
 
 

@@ -71,7 +71,7 @@ class StableBaselinesVecEnv(VecEnv):
         over = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        labels = self.envs.unwrapped.by_class.get("label")
+        labels = getattr(self.envs.unwrapped, "by_class", {}).get("label")
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for n in np.flatnonzero(over):
             last = info["final_info"]

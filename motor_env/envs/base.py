@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 from numpy.typing import NDArray
 
-from motor_env.arrays import numbers, shown, whole, wholes
+from motor_env.arrays import is_one_of, numbers, shown, whole, wholes
 from motor_env.envs import kernel, layout, stepping
 from motor_env.envs.kernel import ROWS
 from motor_env.envs.layout import WordArray, empty_lanes, pack_task
@@ -67,7 +67,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         self, options: Options | None = None, *, render_mode: str | None = None, **changes: Any
     ) -> None:
         require(
-            render_mode is None or (isinstance(render_mode, str) and render_mode in RENDER_MODES),
+            render_mode is None or is_one_of(render_mode, RENDER_MODES),
             f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {shown(render_mode)}",
         )
         self.render_mode = render_mode

@@ -242,7 +242,7 @@ def _stall_torque(motor: MotorParameters, voltage_v: float | FloatArray) -> floa
 Options = TypeVar("Options", bound="DataclassInstance")
 
 
-def with_changes(options: Options | None, kind: type[Options], changes: dict[str, Any]) -> Options:
+def with_changes(options: Any, kind: type[Options], changes: dict[str, Any]) -> Options:
     """The options, by default those of the kind, with some of them changed.
 
     Args:

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from motor_env.arrays import shown
+from motor_env.arrays import is_one_of, shown
 from motor_env.envs import layout, stepping
 from motor_env.envs.base import (
     Info,
@@ -119,11 +119,9 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         require(num_envs >= 1, f"num_envs must be >= 1, got {num_envs}")
         require(render_mode is None, f"render_mode of a vector must be None, got {render_mode!r}")
         self.num_envs = num_envs
-        modes = ", ".join(AutoresetMode._value2member_map_)
-        known = isinstance(autoreset_mode, AutoresetMode) or (
-            isinstance(autoreset_mode, str) and autoreset_mode in AutoresetMode._value2member_map_
-        )
-        require(known, f"autoreset_mode must be one of {modes}, got {shown(autoreset_mode)}")
+        modes = [mode.value for mode in AutoresetMode]
+        known = isinstance(autoreset_mode, AutoresetMode) or is_one_of(autoreset_mode, modes)
+        require(known, f"autoreset_mode must be one of {', '.join(modes)}, got {shown(autoreset_mode)}")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         if max_episode_steps is not None:
             max_episode_steps = layout.require_whole("max_episode_steps", max_episode_steps, 32)
@@ -168,7 +166,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         """A step of every sub-environment: observation, reward, its parts, and how many episodes it ended."""
         raise NotImplementedError
 
-    def _info(self, flags: BoolArray, parts: FloatArray | tuple[()] = ()) -> Info:
+    def _info(self, flags: BoolArray, parts: Any = ()) -> Info:
         """The truth and the parts of the reward, and where they are known."""
         truth, known = self._truth(flags[layout.FAULT_ACTIVE]), flags[layout.KNOWN]
         if self.autoreset_mode is AutoresetMode.SAME_STEP:  # TorchRL reads these, and can read no text
@@ -193,7 +191,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         chosen = layout.reset_options(options)
         mask = self._checked_mask(chosen.pop("reset_mask", None))
         require(not chosen, f"reset knows the option reset_mask, got {', '.join(map(repr, chosen))}")
-        are_several = isinstance(seed, list | tuple) or (isinstance(seed, np.ndarray) and seed.ndim > 0)
+        are_several = isinstance(seed, list | tuple) or getattr(seed, "ndim", 0) > 0
         if seed is not None and not are_several:
             seed = layout.require_whole("seed", seed, 64)
         super().reset(seed=seed if isinstance(seed, int) else None)
@@ -219,7 +217,8 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
             self._seeded or bool(array.all()),
             "reset_mask must not be given before the first reset of all sub-environments",
         )
-        return array
+        checked: BoolArray = array
+        return checked
 
     def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: BoolArray) -> None:
         if seed is None and not self._seeded:
@@ -255,7 +254,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         over = flags[layout.TERMINATED]
         if begun is not None:
             over = over | self._truncated(begun, flags)
-            n_over = np.count_nonzero(over)
+            n_over = int(over.sum())
         info = self._info(flags, parts)
         if n_over > 0 and self.autoreset_mode is AutoresetMode.SAME_STEP:
             final = self._final(observation, info, over)

@@ -24,7 +24,7 @@ from motor_datasets import (
 
 def generated(folder: Path, **changes: Any) -> tuple[int, int]:
     """Cases and bytes of a data set in a folder of its own."""
-    arguments = {"recipe": SHORT, "cases": 4, "seed": 1, "out": folder / "set"} | changes
+    arguments: dict[str, Any] = {"recipe": SHORT, "cases": 4, "seed": 1, "out": folder / "set"} | changes
     place = Path(arguments["out"]) if isinstance(arguments["out"], str) else arguments["out"]
     made = generate_dataset(**arguments)
     for path in sorted(place.rglob("*"), reverse=True):

@@ -126,9 +126,8 @@ def test_the_adapter_tells_how_each_episode_ended_and_forgets_it_at_a_reset() ->
         told = [one["terminal_observation"][time] for one in infos]
         assert told == pytest.approx([(waited + 1) / envs.envs.options.n_steps] * 2)  # type: ignore[union-attr]
         assert [one["episode"]["l"] for one in infos] == [waited + 1] * 2
-        assert [one["label"] for one in infos] == [
-            envs.envs.setup.labels[one["class_index"]] for one in infos
-        ]  # type: ignore[union-attr]
+        vector: Any = envs.envs
+        assert [one["label"] for one in infos] == [vector.setup.labels[one["class_index"]] for one in infos]
         assert [one["episode"]["r"] for one in infos] == pytest.approx((paid + last).tolist())
         envs.step(np.full(2, 1))  # of an episode that the next reset breaks off
 
