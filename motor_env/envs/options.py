@@ -263,4 +263,5 @@ def with_changes(options: Any, kind: type[Options], changes: dict[str, Any]) -> 
         if name not in known:  # the first words are those by which TorchRL knows that it should do without
             there = f"no option {shown(name)}; there are {', '.join(known)}"
             raise UnknownOptionError(f"unexpected keyword argument {shown(name)}: {there}")
-    return replace(options, **changes)
+    changed: Options = replace(options, **changes)
+    return changed
