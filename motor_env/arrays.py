@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import operator
 import reprlib
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -177,6 +178,11 @@ def _array(name: str, values: Any) -> NDArray[Any]:
         RuntimeError,
     ):  # rows of several lengths, a tensor with gradients
         raise ValueError(f"{name} must be numbers, in rows of one length, got {shown(values)}") from None
+
+
+def is_one_of(value: Any, words: Iterable[str]) -> bool:
+    """Whether the value, whatever it is, is one of the words."""
+    return isinstance(value, str) and value in set(words)
 
 
 def shown(value: Any) -> str:

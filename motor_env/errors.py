@@ -27,6 +27,10 @@ class InputError(ValueError):
         super().__init__(line if len(line) <= _LONGEST else f"{line[:_LONGEST]} ...")
 
 
+class UnknownOptionError(TypeError, ValueError):
+    """An option that does not exist: a bad value to its user, an unexpected keyword to libraries that try one."""
+
+
 def require_extra(module: str, extra: str) -> None:
     """Raise `InputError` unless the module of an optional extra is installed."""
     from importlib.util import find_spec

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.arrays import whole
 from motor_env.motor.parameters import Channel, FloatArray
 from motor_env.simulation.failed_sensors import VOLTAGE
 from motor_env.simulation.recipes import Recipe
+
+
+def at_least_one(name: str, value: Any) -> int:
+    """A whole number of 1 or more; else `ValueError`."""
+    if isinstance(value, int) and value < 1:
+        raise ValueError(f"{name} must be >= 1, got {value}")
+    return whole(name, value, least=1)
 
 
 class Column(NamedTuple):

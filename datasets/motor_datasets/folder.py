@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from motor_datasets.arrays import at_least_one
 from motor_datasets.card import croissant, data_card
 from motor_datasets.generate import generate_arrays
 from motor_datasets.layout import Plan, PlannedFile, make_plan
@@ -64,7 +65,7 @@ def generate_dataset(
         ValueError: fewer than one case or worker, or a seed out of range.
         InputError: `out` holds something else or cannot be used, its disk is too small, or a worker was killed.
     """
-    require(workers >= 1, f"workers must be >= 1, got {workers}")
+    workers = at_least_one("workers", workers)
     plan = make_plan(recipe, cases, seed)
     folder = folder_of(out)
     alone = not isinstance(folder, Path) and folder.protocol == "memory"
@@ -80,7 +81,7 @@ def generate_dataset(
         _check_space(folder, plan.bytes_uncompressed * len(missing) / len(plan.files))
         _make_files(missing, entries, folder, plan, workers=workers, on_progress=on_progress)
     (folder / UNFINISHED).unlink(missing_ok=True)
-    return Manifest(recipe, seed, cases, tuple(entries[file.path] for file in plan.files))
+    return Manifest(recipe, plan.seed, plan.cases, tuple(entries[file.path] for file in plan.files))
 
 
 def _check_space(folder: Folder, uncompressed: float) -> None:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset
+from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset, at_least_one
 from motor_datasets.splits import split_of
+from motor_env.arrays import instance, whole, wholes
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.drawing import Draw, draw, measure_draw
 from motor_env.simulation.recipes import Recipe
@@ -25,13 +26,15 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
         cases: how many (cases 0 .. n-1), or the case numbers, shape (n_cases,).
 
     Raises:
-        ValueError: fewer than one case, or a seed out of range.
+        ValueError: fewer than one case, case numbers that are none or no list, or a seed out of range.
     """
-    if isinstance(cases, int):
-        require(cases >= 1, f"cases must be >= 1, got {cases}")
-        numbers = np.arange(cases, dtype=np.int64)
+    instance("recipe", recipe, Recipe)
+    whole("seed", seed, most=2**64 - 1)
+    if isinstance(cases, int | float | str | np.generic) or getattr(cases, "ndim", 1) == 0:
+        numbers = np.arange(at_least_one("cases", cases), dtype=np.int64)
     else:
-        numbers = np.atleast_1d(np.asarray(cases, dtype=np.int64))
+        numbers = wholes("cases", cases)
+        require(numbers.ndim == 1, f"cases must be one list of numbers, got shape {numbers.shape}")
         require(numbers.size >= 1, "cases must name at least one case, got none")
     X = np.empty((len(numbers), len(recipe.channels), recipe.timing.n_samples), dtype=np.float32)
     labels = []

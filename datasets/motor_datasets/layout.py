@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from motor_datasets.arrays import parameter_names
 from motor_datasets.splits import BLOCK, Split, split_of
+from motor_env.arrays import instance, whole
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
 
@@ -71,8 +72,13 @@ def make_plan(recipe: Recipe, cases: int, seed: int) -> Plan:
     Raises:
         ValueError: fewer than one case, too many, or a seed out of range.
     """
-    require(1 <= cases < SHIFT_CASES, f"cases must be in 1 .. 2^40 - 1, got {cases}")
-    require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
+    instance("recipe", recipe, Recipe)
+    for name, number, least, most in (("cases", cases, 1, SHIFT_CASES - 1), ("seed", seed, 0, 2**64 - 1)):
+        inside = whole(name, number, -(2**70), 2**70)
+        require(
+            least <= inside <= most, f"{name} must be in {least} .. 2^{most.bit_length()} - 1, got {inside}"
+        )
+    cases, seed = int(cases), int(seed)
     per_shard = max(1, _SHARD_BYTES // bytes_of_case(recipe))
     most = per_shard * _MOST_SHARDS
     require(

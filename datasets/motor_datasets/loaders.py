@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset
 from motor_datasets.manifest import read_manifest
 from motor_datasets.remote import Folder, folder_of
+from motor_env.arrays import instance
 from motor_env.errors import require_extra
 from motor_env.simulation.recipes import Recipe
 
@@ -32,6 +33,7 @@ def load(folder: str | Folder, split: str | None = None) -> Dataset:
 
 def to_torch(dataset: Dataset) -> Any:
     """The data set as `torch.utils.data.TensorDataset` of (X, class_index, severity)."""
+    instance("dataset", dataset, Dataset)
     require_extra("torch", "classifiers")
     from torch.utils.data import TensorDataset
 
@@ -52,6 +54,7 @@ def to_pandas(dataset: Dataset) -> pd.DataFrame:
     """Labels and parameters, one row a case; samples as arrays in the columns `current_a`, `speed_rad_s`."""
     import pandas as pd
 
+    instance("dataset", dataset, Dataset)
     columns: dict[str, Any] = {name: getattr(dataset, name) for name in LABELS} | dict(dataset.parameters)
     for n, channel in enumerate(dataset.recipe.channels):
         columns[COLUMN_OF_CHANNEL[channel]] = list(dataset.X[:, n])

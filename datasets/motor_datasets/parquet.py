@@ -17,6 +17,7 @@ from motor_datasets.layout import bytes_of_case
 from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, whole_content
 from motor_datasets.remote import Folder
 from motor_datasets.splits import Split
+from motor_env.arrays import is_one_of, shown
 from motor_env.errors import InputError, require_extra
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
@@ -88,8 +89,8 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
     Raises:
         InputError: a file is missing or cannot be read, or the split is unknown or empty.
     """
-    if split is not None and split not in (*Split, *manifest.splits):
-        raise InputError(f"split must be one of {', '.join(manifest.splits)}, got {split!r}")
+    if split is not None and not is_one_of(split, [*Split, *manifest.splits]):
+        raise InputError(f"split must be one of {', '.join(manifest.splits)}, got {shown(split)}")
     wanted = set(Split) if split is None else {split}
     entries = [entry for entry in manifest.files if entry.split in wanted]
     if not entries:
@@ -117,6 +118,7 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
             X[row : row + len(table), n] = column.flatten().to_numpy().reshape(len(table), -1)
         row += len(table)
     values = {name: _column(labels, name) for name in labels.column_names}
+    _require_agreement(folder, recipe, values, X)
     dataset = Dataset(
         X=X,
         parameters={name: values.pop(name) for name in parameter_names(recipe)},
@@ -126,6 +128,32 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
     )
     order = np.argsort(dataset.case_id, kind="stable")
     return dataset if (np.diff(order) == 1).all() else dataset.select(order)
+
+
+def _require_agreement(
+    folder: Folder, recipe: Recipe, values: dict[str, NDArray[Any]], X: NDArray[np.float32]
+) -> None:
+    """Refuse labels that the recipe does not give, and numbers that are none, whatever the digests say."""
+    index, case = values["class_index"], values["case_id"]
+    is_class = (index >= 0) & (index < len(recipe.classes))
+    known = np.where(is_class, index, 0)
+    for name, wanted in (
+        ("class_index", index[:0]),
+        ("class_name", np.array(recipe.class_names)[known]),
+        ("kind", np.array([fault_class.label_kind for fault_class in recipe.classes])[known]),
+    ):
+        bad = ~is_class if name == "class_index" else values[name] != wanted
+        if bad.any():
+            n = int(bad.argmax())
+            place = f"{name} of case {case[n]} is {values[name][n]!s:.80}"
+            raise InputError(f"{folder}: {place}, which is not what its recipe {recipe.name} gives")
+    numbers = {name: values[name] for name in (*parameter_names(recipe), "severity")}
+    for name, bad in (
+        *((name, ~np.isfinite(each)) for name, each in numbers.items()),
+        ("the samples", ~np.isfinite(X).all(axis=(1, 2))),
+    ):
+        if bad.any():
+            raise InputError(f"{folder}: {name} of case {case[int(bad.argmax())]} must be finite numbers")
 
 
 def _column(table: pa.Table, name: str) -> NDArray[Any]:

@@ -8,7 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from motor_env.arrays import shown
 from motor_env.errors import InputError
+from motor_env.motor.parameters import require
 
 if TYPE_CHECKING:
     from upath import UPath
@@ -47,6 +49,7 @@ def folder_of(where: str | Folder) -> Folder:
         InputError: no such protocol, the package for it is not installed, or the storage does not answer.
     """
     if not isinstance(where, str):
+        require(hasattr(where, "iterdir"), f"the folder must be a path or a URL, got {shown(where)}")
         return where
     if "://" not in where:
         return Path(where)

@@ -7,6 +7,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import whole, wholes
 from motor_env.simulation.random_streams import Stream, uniforms
 
 
@@ -32,7 +33,8 @@ def split_of(seed: int, motor_id: ArrayLike) -> NDArray[np.str_]:
     Every block of twenty consecutive motors is shuffled by its own stream and dealt out 14 : 3 : 3, so the shares
     are exact in every whole block.
     """
-    motors = np.asarray(motor_id, dtype=np.int64)
+    whole("seed", seed, most=2**64 - 1)
+    motors = wholes("motor_id", motor_id)
     blocks, which = np.unique(motors // BLOCK, return_inverse=True)
     order = np.argsort(uniforms(seed, Stream.SPLIT, blocks, BLOCK), axis=1, kind="stable")
     rank = np.argsort(order, axis=1, kind="stable")

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from motor_datasets.arrays import Dataset
+from motor_datasets.arrays import Dataset, at_least_one
 from motor_datasets.generate import generate_arrays
 from motor_datasets.splits import BLOCK, Split, split_of
+from motor_env.arrays import instance, is_one_of, shown, whole, wholes
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
 
@@ -37,12 +38,18 @@ def stream(
     Raises:
         ValueError: fewer than one case a batch, or an unknown split.
     """
-    require(batch_size >= 1, f"batch_size must be >= 1, got {batch_size}")
-    require(split in (None, *Split), f"split must be one of {', '.join(Split)}, got {split!r}")
+    instance("recipe", recipe, Recipe)
+    whole("seed", seed, most=2**64 - 1)
+    batch_size = at_least_one("batch_size", batch_size)
+    is_split = split is None or is_one_of(split, Split)
+    require(is_split, f"split must be one of {', '.join(Split)}, got {shown(split)}")
+    batches = None if batches is None else whole("batches", batches)
+    part, of = wholes("share", share).tolist() if np.shape(share) == (2,) else (0, 0)
+    require(of >= 1, f"share must be two numbers, the second >= 1, got {shown(share)}")
     numbers = count() if batches is None else range(batches)
     offsets = _case_blocks(recipe, seed, batch_size, split)
     for number, cases in zip(numbers, offsets, strict=False):
-        if number % share[1] == share[0]:
+        if number % of == part:
             yield generate_arrays(recipe, seed, cases)
 
 

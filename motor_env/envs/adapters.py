@@ -9,13 +9,15 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from motor_env.arrays import shown
 from motor_env.envs.baselines.posterior_view import PosteriorView
 from motor_env.envs.vector import MotorVectorEnv
 from motor_env.errors import require_extra
 from motor_env.motor.parameters import require
 
 require_extra("stable_baselines3", "rl")
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv  # noqa: E402  # the sentence comes first
+from stable_baselines3.common.monitor import Monitor  # noqa: E402  # the sentence comes first
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv  # noqa: E402
 
 
 class StableBaselinesVecEnv(VecEnv):
@@ -65,16 +67,19 @@ class StableBaselinesVecEnv(VecEnv):
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """A step of every sub-environment."""
-        observations, rewards, over, _, info = self.envs.step(self._actions)
+        observations, rewards, terminated, truncated, info = self.envs.step(self._actions)
+        over = terminated | truncated
         self._returns += rewards
         self._lengths += 1
+        labels = getattr(self.envs.unwrapped, "by_class", {}).get("label")
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for n in np.flatnonzero(over):
             last = info["final_info"]
             infos[n] = {
                 "terminal_observation": info["final_obs"][n],
-                "TimeLimit.truncated": False,
+                "TimeLimit.truncated": bool(truncated[n] and not terminated[n]),
                 "episode": {"r": float(self._returns[n]), "l": int(self._lengths[n])},
+                **({} if labels is None else {"label": labels[last["class_index"][n]]}),
                 **{name: value[n] for name, value in last.items() if not name.startswith("_")},
             }
         self._returns[over], self._lengths[over] = 0.0, 0
@@ -99,5 +104,10 @@ class StableBaselinesVecEnv(VecEnv):
         raise NotImplementedError("the sub-environments of a compiled vector have no methods of their own")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """No sub-environment is wrapped."""
-        return [False] * len(list(self._get_indices(indices)))
+        """Whether each is as if wrapped: by Monitor, whose `episode` the infos have, and by nothing else."""
+        return [issubclass(Monitor, wrapper_class)] * len(list(self._get_indices(indices)))
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Refused, unless there are none: a reset has no option that one of many could have alone."""
+        if options and (isinstance(options, dict) or any(options)):
+            raise NotImplementedError(f"a compiled vector has no options of a reset, got {shown(options)}")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any, Generic, cast
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from numpy.ma import MaskedArray
 from numpy.typing import NDArray
 
+from motor_env.arrays import is_one_of, numbers, shown, whole, wholes
 from motor_env.envs import kernel, layout, stepping
 from motor_env.envs.kernel import ROWS
 from motor_env.envs.layout import WordArray, empty_lanes, pack_task
@@ -64,8 +67,8 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         self, options: Options | None = None, *, render_mode: str | None = None, **changes: Any
     ) -> None:
         require(
-            render_mode is None or render_mode in RENDER_MODES,
-            f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {render_mode!r}",
+            render_mode is None or is_one_of(render_mode, RENDER_MODES),
+            f"render_mode must be None or one of {', '.join(RENDER_MODES)}, got {shown(render_mode)}",
         )
         self.render_mode = render_mode
         self._seed: int | None = None
@@ -256,9 +259,34 @@ def whole_action(action: Any, count: int) -> int:
         which = operator.index(action)
     except TypeError:  # 1.9 and "1" are not 1
         which = -1
-    if not 0 <= which < count:
-        raise ValueError(f"action must be a whole number in 0 .. {count - 1}, got {action!r}")
+    if not 0 <= which < count or type(action) in _NO_INDICES:
+        return whole("action", action, most=count - 1)  # has the sentence
     return which
+
+
+_NO_INDICES = (bool, MaskedArray)  # though Python takes them for such
+
+
+def whole_actions(actions: Any, num_envs: int, count: int) -> NDArray[np.int64]:
+    """Actions of a discrete space of `count`, one for each sub-environment, as an array; NumPy's may be beyond it.
+
+    Raises:
+        ValueError: no integers, or of another shape.
+    """
+    wanted = f"actions must be integers of shape ({num_envs},)"
+    if type(actions) is not np.ndarray or actions.dtype.kind not in "iu":
+        try:
+            actions = wholes("actions", actions, most=count - 1)
+        except ValueError as error:
+            raise ValueError(f"{wanted}: {error}") from None
+    if actions.shape != (num_envs,):
+        raise ValueError(f"{wanted}, got shape {actions.shape}")
+    return readable(actions, np.int64)
+
+
+def readable(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """The array as a compiled step reads it; for one that is read-only or lies askew it would be compiled anew."""
+    return array if array.dtype == dtype and array.flags.carray else np.array(array, dtype=dtype, order="C")
 
 
 def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
@@ -267,7 +295,16 @@ def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
     Raises:
         ValueError: it has another shape, or a number that is not finite.
     """
-    given = np.ascontiguousarray(action, dtype=np.float64)
-    if given.shape != shape or not np.isfinite(given).all():
-        raise ValueError(f"action must be finite and have shape {shape}, got {action!r}")
+    wanted = f"action must be finite and have shape {shape}"
+    if type(action) is not np.ndarray or action.dtype.kind not in "iuf":
+        try:
+            action = numbers("action", action)
+        except ValueError as error:
+            raise ValueError(f"{wanted}: {error}") from None
+    if action.shape != shape:
+        raise ValueError(f"{wanted}, got shape {action.shape}")
+    given: FloatArray = readable(action, np.float64)
+    # numpy takes a microsecond for what a single environment's few numbers need
+    if not (all(map(math.isfinite, given.tolist())) if given.ndim == 1 else np.isfinite(given).all()):
+        raise ValueError(f"{wanted}, got {given[~np.isfinite(given)][0]:g} in it")
     return given

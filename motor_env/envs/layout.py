@@ -6,13 +6,13 @@ with few arrays, of which `unpack_task` and `Lanes` make the tuples that the com
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.arrays import shown, whole
 from motor_env.envs import kernel
 from motor_env.envs.compiling import record_maker
 from motor_env.motor.compiled import inlined
@@ -147,19 +147,17 @@ def reset_options(options: Any) -> dict[str, Any]:
     """A copy of the options of a reset; `ValueError` where they are no dictionary."""
     require(
         options is None or isinstance(options, Mapping),
-        f"options of reset must be a dict, got {options!r:.60}",
+        f"options of reset must be a dict, got {shown(options)}",
     )
     return dict(options or {})
 
 
 def require_whole(name: str, number: Any, bits: int) -> int:
     """The number, if it is a whole one of so many bits; else `ValueError`."""
-    is_whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
-    require(
-        is_whole and 0 <= number < 2**bits,
-        f"{name} must be a whole number in 0 .. 2^{bits} - 1, got {reprlib.repr(number)}",
-    )
-    return int(number)
+    try:
+        return whole(name, number, most=2**bits - 1)
+    except ValueError as error:
+        raise ValueError(str(error).replace(f"{2**bits - 1}", f"2^{bits} - 1", 1)) from None
 
 
 def begin_streams(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
+from motor_env.arrays import shown
 from motor_env.envs.tasks import require_environment, task_recipe, with_motor
+from motor_env.errors import UnknownOptionError
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
     FloatArray,
@@ -50,11 +53,20 @@ class Drive(StrEnum):
     SPEED_LOOP = "speed_loop"
 
 
+def settle_numbers(options: DataclassInstance) -> None:
+    """Check the fields of numbers in frozen options, and make Python's own of NumPy's; else `ValueError`."""
+    require_numbers(options)
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if isinstance(value, np.floating):
+            object.__setattr__(options, field.name, float(value))
+
+
 def settle_choice(options: Any, name: str, choices: type[StrEnum]) -> None:
     """Make an option of frozen options, given by its value, the member of its enumeration; else `ValueError`."""
     value = getattr(options, name)
     known = isinstance(value, str) and value in set(choices)
-    require(known, f"{name} must be one of {', '.join(choices)}, got {value!r:.60}")
+    require(known, f"{name} must be one of {', '.join(choices)}, got {shown(value)}")
     object.__setattr__(options, name, choices(value))
 
 
@@ -64,7 +76,8 @@ class MonitorOptions:
 
     Attributes:
         recipe: what is drawn: nominal motor, tolerances, faults and their weights, sensor, sampling rate. The name of
-            a recipe (easy, medium, hard, small, or of `simulation.named_recipes`), a recipe's TOML file, or a `Recipe`.
+            a recipe (easy, medium, hard, small, or of `simulation.named_recipes`), a recipe's TOML file, a `Recipe`, or
+            one as the dictionary that an EnvSpec's JSON makes of it.
         motor: in place of the recipe's nominal motor: a motor's TOML file, which also gives supply, noise and
             tolerances; a name of the catalogue or `MotorParameters`, for which these stay the recipe's; None: the
             recipe's motor.
@@ -137,11 +150,8 @@ class MonitorOptions:
         return 0.0
 
     def __post_init__(self) -> None:
-        require_numbers(self)
-        recipe = task_recipe(self.recipe) if isinstance(self.recipe, str | Path) else self.recipe
-        require(
-            isinstance(recipe, Recipe), f"recipe must be a name, a TOML file or a Recipe, got {recipe!r:.60}"
-        )
+        settle_numbers(self)
+        recipe = task_recipe(self.recipe)
         if self.motor is not None:
             recipe = with_motor(recipe, self.motor)
             object.__setattr__(self, "motor", recipe.motor)
@@ -164,7 +174,7 @@ class MonitorOptions:
             value = getattr(self, name)
             require(
                 isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 1000,
-                f"{name} must be a whole number from 1 to 1000, got {value!r:.60}",
+                f"{name} must be a whole number from 1 to 1000, got {shown(value)}",
             )
         for field in fields(self):
             if field.name.endswith(("_reward", "_cost", "_cost_per_s", "load_torque_n_m")):
@@ -184,7 +194,7 @@ class MonitorOptions:
         )
         names: Any = self.observe
         are_names = isinstance(names, tuple | list) and all(isinstance(name, str) for name in names)
-        require(are_names, f"observe must be names of features, got {names!r:.60}")
+        require(are_names, f"observe must be names of features, got {shown(names)}")
         object.__setattr__(self, "observe", tuple(names))
 
     @property
@@ -232,15 +242,26 @@ def _stall_torque(motor: MotorParameters, voltage_v: float | FloatArray) -> floa
 Options = TypeVar("Options", bound="DataclassInstance")
 
 
-def with_changes(options: Options | None, kind: type[Options], changes: dict[str, Any]) -> Options:
+def with_changes(options: Any, kind: type[Options], changes: dict[str, Any]) -> Options:
     """The options, by default those of the kind, with some of them changed.
 
+    Args:
+        options: the options, or a dictionary of them as an EnvSpec's JSON has it.
+        kind: their class.
+        changes: by name.
+
     Raises:
-        ValueError: an option does not exist, or a value is of another type or out of its range.
+        UnknownOptionError: an option does not exist.
+        ValueError: a value is of another type or out of its range.
     """
+    if isinstance(options, Mapping) and options:
+        return with_changes(None, kind, {**options, **changes})
     options = kind() if options is None else options
     require(isinstance(options, kind), f"options must be {kind.__name__}, got {options!r:.60}")
     known = [field.name for field in fields(options)]
     for name in changes:
-        require(name in known, f"no option {name!r}; there are {', '.join(known)}")
-    return replace(options, **changes)
+        if name not in known:  # the first words are those by which TorchRL knows that it should do without
+            there = f"no option {shown(name)}; there are {', '.join(known)}"
+            raise UnknownOptionError(f"unexpected keyword argument {shown(name)}: {there}")
+    changed: Options = replace(options, **changes)
+    return changed

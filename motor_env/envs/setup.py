@@ -57,7 +57,16 @@ class Setup(NamedTuple):
     right_declarations: NDArray[np.int64]
 
 
-def converged_gain(belief: KalmanFilter) -> tuple[FloatArray, FloatArray]:
+class LinearBelief(NamedTuple):
+    """What a filter of more states than current and speed believes, by the names of `KalmanFilter`."""
+
+    model: DiscreteModel
+    observation: FloatArray
+    process_covariance: FloatArray
+    measurement_covariance: FloatArray
+
+
+def converged_gain(belief: KalmanFilter | LinearBelief) -> tuple[FloatArray, FloatArray]:
     """Gain and innovation covariance to which the filter converges: the solution of its Riccati equation."""
     solution = solve_discrete_are(
         belief.model.transition.T,

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from motor_env.arrays import shown
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import CATALOGUE, Channel, MotorParameters, SensorParameters, require
 from motor_env.simulation.named_recipes import RECIPES
@@ -57,19 +60,35 @@ SMALL = Recipe(
 TASKS = {recipe.name: recipe for recipe in (EASY, MEDIUM, HARD, SMALL)}
 
 
-def task_recipe(name_or_path: str | Path) -> Recipe:
-    """Recipe of an environment: easy, medium, hard, small, a named recipe of the package, or a recipe's TOML file.
+def described(kind: type[Any], value: Any) -> Any:
+    """What a dictionary describes, as an EnvSpec's JSON makes one of a recipe or a motor; anything else as it is."""
+    if not isinstance(value, Mapping) or not value:
+        return value
+    from motor_env.motor.toml_files import from_dict
+
+    return from_dict(kind, value, kind.__name__)
+
+
+def task_recipe(recipe: Any) -> Recipe:
+    """A recipe; easy, medium, hard, small, a named recipe of the package, or a recipe's TOML file or dictionary.
 
     Raises:
-        ValueError: no such recipe or file, or the file is not a recipe.
+        ValueError: no such recipe or file, or it is not a recipe.
     """
-    name = str(name_or_path)
+    recipe = described(Recipe, recipe)
+    require(
+        isinstance(recipe, Recipe | str | Path),
+        f"recipe must be a name, a TOML file or a Recipe, got {shown(recipe)}",
+    )
+    if isinstance(recipe, Recipe):
+        return recipe
+    name = str(recipe)
     if name in TASKS:
         return TASKS[name]
     if name.endswith(".toml"):
         from motor_env.simulation.recipe_files import load_recipe
 
-        return load_recipe(name_or_path)
+        return load_recipe(recipe)
     require(
         name in RECIPES,
         f"recipe must be one of {', '.join([*TASKS, *RECIPES])}, or a TOML file, got {name!r}",
@@ -77,17 +96,18 @@ def task_recipe(name_or_path: str | Path) -> Recipe:
     return RECIPES[name]
 
 
-def with_motor(recipe: Recipe, motor: MotorParameters | str | Path) -> Recipe:
+def with_motor(recipe: Recipe, motor: Any) -> Recipe:
     """The recipe with another nominal motor; a motor's file brings its own supply, noise and tolerances along.
 
     Raises:
         ValueError: no such motor, its file is not one or gives no voltage, or it has more than the linear motor of an
             environment.
     """
+    motor = described(MotorParameters, motor)
     if isinstance(motor, MotorParameters):
         return replace(recipe, motor=motor)
     require(
-        isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {motor!r:.60}"
+        isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {shown(motor)}"
     )
     from motor_env.motor.data_sheet import load_motor
 

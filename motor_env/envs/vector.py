@@ -12,8 +12,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from motor_env.arrays import is_one_of, shown
 from motor_env.envs import layout, stepping
-from motor_env.envs.base import Info, Observation, discrete_actions, observation_space, reward_parts
+from motor_env.envs.base import (
+    Info,
+    Observation,
+    discrete_actions,
+    observation_space,
+    reward_parts,
+    whole_actions,
+)
 from motor_env.envs.kernel import LANES, ROWS
 from motor_env.envs.layout import WordArray, empty_lanes, pack_task
 from motor_env.envs.options import MonitorOptions, Options, with_changes
@@ -24,18 +32,67 @@ BoolArray = NDArray[np.bool_]
 Step = tuple[Observation, FloatArray, BoolArray, BoolArray, Info]
 
 
+class LateInfo(dict[str, Any]):
+    """A dictionary that is filled when it is first looked at: labels and masks take half as long as a step.
+
+    Attributes:
+        fill: a function and its arguments, arrays that no step writes to again; it gives what is in the dictionary.
+    """
+
+    __slots__ = ("fill",)
+    fill: tuple[Any, ...] | None
+
+    def _filled(self) -> dict[str, Any]:
+        if self.fill is not None:
+            (function, *arguments), self.fill = self.fill, None
+            dict.update(self, function(*arguments))
+        return self
+
+    def __reduce__(self) -> Any:
+        return dict, (dict(self),)
+
+
+def _after_filling(method: Any) -> Any:
+    def call(self: LateInfo, *args: Any, **named: Any) -> Any:
+        return method(self._filled(), *args, **named)
+
+    return call
+
+
+_LOOKS_AT_NOTHING = "__class_getitem__ __doc__ __getattribute__ __hash__ __init__ __new__ fromkeys"
+for _name in vars(dict).keys() - set(_LOOKS_AT_NOTHING.split()):
+    setattr(LateInfo, _name, _after_filling(getattr(dict, _name)))
+
+
+def _told(
+    truth: Info,
+    by_class: dict[str, NDArray[Any]],
+    names: Sequence[str],
+    parts: Sequence[Any],
+    known: BoolArray,
+) -> Info:
+    """The truth, what follows from the class, the parts of a reward by name, and the masks that Gymnasium wants."""
+    told = truth | {name: values.take(truth["class_index"]) for name, values in by_class.items()}
+    told |= zip(names, parts, strict=False)  # a reset has none
+    return told | {f"_{name}": known for name in told}
+
+
 class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options]):
     """Sub-environments that each run a stream of episodes of their own.
 
     The trajectory of sub-environment n depends on (options, seed, n) and the actions alone: not on the number of
     sub-environments, nor on what the others do. A single environment reset with that seed and `{"index": n}` runs
     the same. With a list of seeds, sub-environment n runs the stream (seeds[n], 0).
+
+    The info has what that of a single environment has, and masks; under the autoreset mode SameStep no `label`.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's way
     options_type: type[Options]
     _words: WordArray
     _flags: BoolArray
+    by_class: dict[str, NDArray[Any]] = {}  # noqa: RUF012  # never written to
+    """What each class has in the info, by name."""
     part_names: tuple[str, ...]
 
     def __init__(
@@ -45,6 +102,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        max_episode_steps: int | None = None,
         **changes: Any,
     ) -> None:
         """Make the sub-environments.
@@ -54,19 +112,28 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
             options: the task; the defaults of `options_type` unless given.
             autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
             render_mode: None; a vector draws no pictures.
+            max_episode_steps: episodes are truncated after so many steps; None: never.
             changes: single options by name, on top.
         """
         num_envs = layout.require_whole("num_envs", num_envs, 32)
         require(num_envs >= 1, f"num_envs must be >= 1, got {num_envs}")
         require(render_mode is None, f"render_mode of a vector must be None, got {render_mode!r}")
         self.num_envs = num_envs
+        modes = [mode.value for mode in AutoresetMode]
+        known = isinstance(autoreset_mode, AutoresetMode) or is_one_of(autoreset_mode, modes)
+        require(known, f"autoreset_mode must be one of {', '.join(modes)}, got {shown(autoreset_mode)}")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
+        if max_episode_steps is not None:
+            max_episode_steps = layout.require_whole("max_episode_steps", max_episode_steps, 32)
+            require(max_episode_steps >= 1, f"max_episode_steps must be >= 1, got {max_episode_steps}")
+        self._longest, self._elapsed = max_episode_steps or 0, np.zeros(num_envs, dtype=np.int64)
         self._next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._seeded = False
         self.options = with_changes(options, self.options_type, changes)
         self.single_observation_space, self.single_action_space = self._set_up()
         (self._n_observed,) = self.single_observation_space.shape or (0,)
+        self._without_text = {name: each for name, each in self.by_class.items() if each.dtype != object}
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -99,10 +166,14 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         """A step of every sub-environment: observation, reward, its parts, and how many episodes it ended."""
         raise NotImplementedError
 
-    def _info(self, flags: BoolArray, rewards: Info) -> Info:
+    def _info(self, flags: BoolArray, parts: Any = ()) -> Info:
         """The truth and the parts of the reward, and where they are known."""
-        told, known = self._truth(flags[layout.FAULT_ACTIVE]) | rewards, flags[layout.KNOWN]
-        return told | {f"_{name}": known for name in told}
+        truth, known = self._truth(flags[layout.FAULT_ACTIVE]), flags[layout.KNOWN]
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:  # TorchRL reads these, and can read no text
+            return _told(truth, self._without_text, self.part_names, parts, known)
+        info = LateInfo()
+        info.fill = (_told, truth, self.by_class, self.part_names, parts, known)
+        return info
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -120,29 +191,34 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         chosen = layout.reset_options(options)
         mask = self._checked_mask(chosen.pop("reset_mask", None))
         require(not chosen, f"reset knows the option reset_mask, got {', '.join(map(repr, chosen))}")
-        if seed is not None and not isinstance(seed, list | tuple | np.ndarray):
+        are_several = isinstance(seed, list | tuple) or getattr(seed, "ndim", 0) > 0
+        if seed is not None and not are_several:
             seed = layout.require_whole("seed", seed, 64)
         super().reset(seed=seed if isinstance(seed, int) else None)
         self._take_seeds(seed, mask)
+        self._elapsed[mask] = 0
         self._begin(mask)
         flags = self._flags[:, : self.num_envs].copy()
         flags[layout.KNOWN] = mask
-        return self._observe(), self._info(flags, {})
+        return self._observe(), self._info(flags)
 
     def _checked_mask(self, mask: Any) -> BoolArray:
         if mask is None:
             return np.ones(self.num_envs, dtype=np.bool_)
-        array = np.asarray(mask)
+        is_list = isinstance(mask, list | tuple) and all(isinstance(flag, bool | np.bool_) for flag in mask)
+        array: Any = np.array(mask) if is_list else mask
+        is_array = type(array) is np.ndarray
         require(
-            array.shape == (self.num_envs,) and array.dtype == np.bool_ and bool(array.any()),
+            is_array and array.shape == (self.num_envs,) and array.dtype == np.bool_ and bool(array.any()),
             f"reset_mask must be a boolean array of shape ({self.num_envs},) with a True in it, "
-            f"got {array.dtype} {array.shape}",
+            f"got {f'{array.dtype} {array.shape}' if is_array else type(mask).__name__}",
         )
         require(
             self._seeded or bool(array.all()),
             "reset_mask must not be given before the first reset of all sub-environments",
         )
-        return array
+        checked: BoolArray = array
+        return checked
 
     def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: BoolArray) -> None:
         if seed is None and not self._seeded:
@@ -172,16 +248,32 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
             raise gym.error.ResetNeeded("call reset() before step()")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._flags[layout.TERMINATED].any():
             raise gym.error.ResetNeeded("autoreset is disabled: reset the sub-environments that are over")
+        begun = self._flags[layout.TERMINATED, : self.num_envs].copy() if self._longest else None
         observation, reward, parts, n_over = self._step(actions)
         flags = self._flags[:, : self.num_envs].copy()
-        over, rewards = flags[layout.TERMINATED], {name: parts[m] for m, name in enumerate(self.part_names)}
-        info = self._info(flags, rewards)
+        over = flags[layout.TERMINATED]
+        if begun is not None:
+            over = over | self._truncated(begun, flags)
+            n_over = int(over.sum())
+        info = self._info(flags, parts)
         if n_over > 0 and self.autoreset_mode is AutoresetMode.SAME_STEP:
             final = self._final(observation, info, over)
+            self._elapsed[over] = 0
             self._begin(over)
             observation = self._observe()
-            info = self._info(self._flags[:, : self.num_envs].copy(), rewards) | final
-        return observation, reward, over, flags[layout.TRUNCATED], info
+            info = self._info(self._flags[:, : self.num_envs].copy(), parts) | final
+        return observation, reward, flags[layout.TERMINATED], flags[layout.TRUNCATED], info
+
+    def _truncated(self, begun: BoolArray, flags: BoolArray) -> BoolArray:
+        """Count the steps, and set what is truncated in the flags. Where `begun`, an episode has begun in this step."""
+        self._elapsed += 1
+        self._elapsed[begun] = 0
+        truncated: BoolArray = self._elapsed >= self._longest
+        flags[layout.TRUNCATED] = truncated
+        self._flags[layout.TERMINATED, : self.num_envs] |= (
+            truncated  # so that a compiled step begins the next one
+        )
+        return truncated
 
     def _final(self, last: Observation, last_info: Info, over: BoolArray) -> Info:
         """The last observations and infos of the episodes that are over, in gymnasium's form."""
@@ -206,6 +298,11 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         blocks = -(-self.num_envs // LANES)
         lanes = empty_lanes(blocks, blocks * LANES, self.options.precision)
         self._words, self._marks, self._flags = lanes.words, lanes.marks, lanes.flags
+        self._drawn, classes = lanes.drawn, self.options.task.classes
+        self.by_class = {"label": np.array(self.setup.labels, dtype=object)}
+        self._is_drawn = any(c.severity_to is not None for c in classes)
+        if not self._is_drawn:
+            self.by_class["severity"] = np.array([c.severity for c in classes], dtype=np.float64)
         self._arrays = (*pack_task(self.setup.numbers, self.options.precision), *lanes)
         self.part_names = reward_parts(self.options)
         self._n_offsets = len(self.setup.offsets_v) - len(self.setup.kinds)
@@ -225,7 +322,10 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
 
     def _truth(self, active: BoolArray) -> Info:
         marks = self._marks[: layout.RUNNING_ONSET + 1, : self.num_envs].copy()
-        return {"class_index": marks[0], "onset_sample": marks[1], "fault_active": active}
+        truth = {"class_index": marks[0], "onset_sample": marks[1], "fault_active": active}
+        if self._is_drawn:
+            truth["severity"] = self._drawn[: self.num_envs, 0].copy()
+        return truth
 
     def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
         observation = self._empty()
@@ -236,7 +336,7 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
         return observation.T[:n], reward[:n], parts[:, :n], n_over
 
     def _step_lanes(self, actions: Any, *outputs: NDArray[Any]) -> int:
-        array = whole_actions(actions, self.num_envs)
+        array = whole_actions(actions, self.num_envs, len(self.setup.offsets_v))
         n_over: int = stepping.step_discrete(
             array, self.setup.offsets_v, self._n_offsets, *self._timing, *outputs, *self._arrays
         )
@@ -244,15 +344,3 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
             highest = len(self.setup.offsets_v) - 1
             raise ValueError(f"actions must be in 0 .. {highest}, got {array.min()} .. {array.max()}")
         return n_over
-
-
-def whole_actions(actions: Any, num_envs: int) -> NDArray[np.int64]:
-    """Actions of a discrete space as an array.
-
-    Raises:
-        ValueError: no integers, or of another shape.
-    """
-    array = np.asarray(actions)
-    if array.shape != (num_envs,) or array.dtype.kind not in "iu":
-        raise ValueError(f"actions must be integers of shape ({num_envs},), got {array.dtype} {array.shape}")
-    return np.ascontiguousarray(array, dtype=np.int64)

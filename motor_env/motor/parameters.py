@@ -114,12 +114,14 @@ def require_numbers(options: DataclassInstance) -> None:
         value, kind = getattr(options, f.name), str(f.type)
         several = kind.startswith("tuple[float")
         if several:
-            require(isinstance(value, tuple | list), f"{f.name} must be numbers, got {value!r:.60}")
+            require(isinstance(value, tuple | list), f"{f.name} must be numbers, got {shown(value)}")
         elif kind not in ("int", "float") and (kind != "float | None" or value is None):
             continue
         for entry in value if several else (value,):
-            is_number = isinstance(entry, Real) and not isinstance(entry, bool)
-            whole = f"{f.name} must be {'a whole number' if kind == 'int' else 'a number'}, got {reprlib.repr(entry)}"
+            is_number = isinstance(entry, Real) and not isinstance(entry, bool | np.timedelta64)
+            whole = (
+                f"{f.name} must be {'a whole number' if kind == 'int' else 'a number'}, got {shown(entry)}"
+            )
             require(is_number and not (isinstance(entry, int) and abs(entry) >= 2**63), whole)
 
 

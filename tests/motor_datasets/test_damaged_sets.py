@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
@@ -119,6 +120,46 @@ def test_samples_of_another_length_are_not_broadcast(folder: Path) -> None:
     pq.write_table(table.set_column(column, "current_a", short), path)
     told(folder, lambda manifest: certified(path, manifest))
     assert "other rows or columns" in refused(lambda: load(folder), path)
+
+
+def relabelled(table: pa.Table, name: str, value: Any) -> pa.Table:
+    """The table with another value in the third row of a column."""
+    place = table.schema.get_field_index(name)
+    values = table.column(name).to_pylist()
+    values[2] = [value, *values[2][1:]] if isinstance(values[2], list) else value
+    field = table.schema.field(place)
+    kind = field.type
+    column = (
+        pa.array(values).dictionary_encode().cast(kind)
+        if pa.types.is_dictionary(kind)
+        else pa.array(values, kind)
+    )
+    return table.set_column(place, field, column)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("class_index", 99, "is 99, which is not what its recipe bench gives"),
+        ("class_index", -1, "is -1, which is not what"),
+        ("class_index", 4, "class_name of case"),
+        ("class_name", "healthy2", "class_name of case"),
+        ("kind", "magnet", "kind of case"),
+        ("severity", math.nan, "severity of case"),
+        ("resistance_ohm", math.inf, "resistance_ohm of case"),
+        ("current_a", math.nan, "the samples of case"),
+    ],
+)
+def test_labels_that_the_recipe_does_not_give_are_refused(
+    name: str, value: Any, sentence: str, folder: Path
+) -> None:
+    """Though the digests are those of the files."""
+    path = first_file(folder)
+    table = pq.read_table(path)
+    assert table.column("class_index").to_pylist()[2] != 4
+    pq.write_table(relabelled(table, name, value), path)
+    told(folder, lambda manifest: certified(path, manifest))
+    assert sentence in refused(lambda: load(folder), folder)
 
 
 def many_rows(table: pa.Table) -> pa.Table:

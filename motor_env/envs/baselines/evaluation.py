@@ -76,9 +76,9 @@ def _steps(
     alive = np.ones(envs.num_envs, dtype=np.bool_)
     while alive.any():
         actions = policy.act(observations)
-        observations, rewards, over, _, info = envs.step(actions)
+        observations, rewards, terminated, truncated, info = envs.step(actions)
         yield alive, actions, rewards, info
-        alive = alive & ~over
+        alive = alive & ~(terminated | truncated)
 
 
 def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:

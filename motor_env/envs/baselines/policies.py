@@ -28,13 +28,12 @@ Observations = NDArray[np.float32]
 
 def baseline_features(recipe: Recipe | str) -> tuple[str, ...]:
     """Features that the baselines read: measurement, innovation, evidence for each kind of the recipe, time."""
-    recipe = task_recipe(recipe) if isinstance(recipe, str) else recipe
     return (
         "measured_current",
         "innovation_current",
         "voltage",
         "time",
-        *(f"evidence_{kind}" for kind in bank_kinds(recipe)),
+        *(f"evidence_{kind}" for kind in bank_kinds(task_recipe(recipe))),
     )
 
 

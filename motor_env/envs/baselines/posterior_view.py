@@ -47,18 +47,22 @@ class PosteriorView(VectorWrapper[Any, Any, Any]):
         return self.belief.summary(), info
 
     def step(self, actions: Actions) -> Step:
-        """Learn from what followed. What an episode ends with is not looked at: none is truncated."""
+        """Learn from what followed."""
         declares = self.belief.setup.declarations[actions] > 0
         said = self.belief.expected_reward(actions)
         waited = self.belief.expected_reward(np.where(declares, 0, actions))
-        observations, _, over, truncated, info = self.env.step(actions)
+        observations, _, terminated, truncated, info = self.env.step(actions)
+        over = terminated | truncated
+        if over.any():
+            observations = observations.copy()
+            observations[over] = np.stack(info["final_obs"][over])
         self.belief.update(observations)
+        last = self.belief.summary()
         self.belief.restart(over)
-        summary = self.belief.summary()
-        if "final_obs" in info:
-            for n in np.flatnonzero(over):
-                info["final_obs"][n] = summary[n]
-        return summary, np.where(over & declares, said, waited), over, truncated, info
+        for n in np.flatnonzero(over):
+            info["final_obs"][n] = last[n]
+        summary = self.belief.summary() if over.any() else last
+        return summary, np.where(terminated & declares, said, waited), terminated, truncated, info
 
 
 class Summarised(Policy):

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from motor_env.envs.base import finite_action, whole_action
+from motor_env.envs.base import finite_action, whole_action, whole_actions
 from motor_env.envs.drive.options import Control
-from motor_env.envs.vector import whole_actions
 from motor_env.motor.parameters import FloatArray
 
 RUN, LIMP, STOP = -1.0, 0.25, 1.0
@@ -35,11 +33,7 @@ def command(control: Control, action: Any) -> FloatArray:
     """
     if control is Control.DECISION:
         return _decided(np.array([whole_action(action, len(DECISIONS))]))
-    given = np.array(action, dtype=np.float64)
-    width = _WIDTH[control]
-    if given.shape != (width,) or not all(map(math.isfinite, given.tolist())):
-        raise ValueError(f"action must be finite and have shape {(width,)}, got {action!r}")
-    return _from_numbers(given.reshape(1, width))
+    return _from_numbers(finite_action(action, (_WIDTH[control],))[None])
 
 
 def commands(control: Control, actions: Any, count: int) -> FloatArray:
@@ -49,7 +43,7 @@ def commands(control: Control, actions: Any, count: int) -> FloatArray:
         ValueError: there are no such actions.
     """
     if control is Control.DECISION:
-        whole = whole_actions(actions, count)
+        whole = whole_actions(actions, count, len(DECISIONS))
         if ((whole < 0) | (whole >= len(DECISIONS))).any():
             raise ValueError(
                 f"actions must be in 0 .. {len(DECISIONS) - 1}, got {whole.min()} .. {whole.max()}"

@@ -8,14 +8,15 @@ from enum import StrEnum
 
 import numpy as np
 
-from motor_env.envs.options import settle_choice
+from motor_env.arrays import shown
+from motor_env.envs.options import settle_choice, settle_numbers
+from motor_env.envs.tasks import described
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import load_torque
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
     MotorParameters,
     require,
-    require_numbers,
     require_positive,
 )
 
@@ -128,9 +129,10 @@ class DriveOptions:
     steps_per_decision: int = 1
 
     def __post_init__(self) -> None:
-        require_numbers(self)
+        settle_numbers(self)
+        object.__setattr__(self, "motor", described(MotorParameters, self.motor))
         require(
-            isinstance(self.motor, MotorParameters), f"motor must be MotorParameters, got {self.motor!r:.60}"
+            isinstance(self.motor, MotorParameters), f"motor must be MotorParameters, got {shown(self.motor)}"
         )
         for field in fields(self):
             values = getattr(self, field.name)
@@ -169,7 +171,7 @@ class DriveOptions:
         repeats: object = self.steps_per_decision
         require(
             isinstance(repeats, int) and not isinstance(repeats, bool) and repeats >= 1,
-            f"steps_per_decision must be a whole number >= 1, got {repeats!r:.60}",
+            f"steps_per_decision must be a whole number >= 1, got {shown(repeats)}",
         )
         require(
             self.n_steps % self.steps_per_decision == 0,

@@ -11,8 +11,8 @@ from scipy.linalg import solve_discrete_are
 
 from motor_env.envs.drive.lanes import Task
 from motor_env.envs.drive.options import Control, DriveOptions
-from motor_env.envs.setup import converged_gain
-from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
+from motor_env.envs.setup import LinearBelief, converged_gain
+from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD
 from motor_env.motor.faults import Fault, apply_fault
 from motor_env.motor.model import DiscreteModel, Input, discretize
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -40,7 +40,7 @@ class DriveSetup(NamedTuple):
     observed: tuple[str, ...]
 
 
-def drive_filter(options: DriveOptions, motor: MotorParameters) -> KalmanFilter:
+def drive_filter(options: DriveOptions, motor: MotorParameters) -> LinearBelief:
     """Filter that believes in a driven motor: current, speed, and the unknown load as a third state.
 
     The fan's torque is linear in it, at the middle of the profile's speeds; what runs the filter takes it as it is.
@@ -53,13 +53,11 @@ def drive_filter(options: DriveOptions, motor: MotorParameters) -> KalmanFilter:
     transition[:2, 1] += 2.0 * options.fan_n_m_s2 * middle * by_load
     transition[:2, 2], transition[2, 2] = by_load, options.load_memory
     stir = options.load_std_n_m * math.sqrt(1.0 - options.load_memory**2)
-    return KalmanFilter(
+    return LinearBelief(
         model=DiscreteModel(transition, model.gain, options.period_s),
         observation=np.eye(2, 3),
         process_covariance=np.diag(np.square([*DEFAULT_PROCESS_NOISE_STD, stir])),
         measurement_covariance=np.diag(np.square([options.current_noise_a, options.speed_noise_rad_s])),
-        initial_state=np.zeros(3),
-        initial_covariance=np.zeros((3, 3)),
     )
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv, whole_action
+from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv, whole_action, whole_actions
 from motor_env.envs.layout import BoolArray, aligned_zeros, empty_streams
 from motor_env.envs.maintain import kernel
 from motor_env.envs.maintain.belief import AT_ONCE
 from motor_env.envs.maintain.kernel import FEATURES, PARTS
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
 from motor_env.envs.maintain.picture import Logbook
-from motor_env.envs.vector import StreamVectorEnv, whole_actions
+from motor_env.envs.vector import StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
 IMPOSSIBLE = 1e-100
@@ -190,7 +190,7 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
         }
 
     def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
-        array = whole_actions(actions, self.num_envs)
+        array = whole_actions(actions, self.num_envs, _ACTIONS)
         observation, parts = self._empty(), np.empty((len(PARTS), self.num_envs))
         n_over = kernel.step(array, self._next_step, parts, observation, *self._arrays)
         if n_over < 0:

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from motor_env.motor.parameters import FloatArray, require, require_numbers
+from motor_env.envs.options import settle_numbers
+from motor_env.motor.parameters import FloatArray, require
 
 LEVELS = 50
 """Wear is counted in fiftieths of the limit."""
@@ -52,7 +53,7 @@ class MaintainOptions:
     inspection_cost: float = 0.1
 
     def __post_init__(self) -> None:
-        require_numbers(self)
+        settle_numbers(self)
         for field in fields(self):
             value = getattr(self, field.name)
             require(bool(0.0 <= value < 1e6), f"{field.name} must be in 0 .. 1e6, got {value:g}")

@@ -1,6 +1,7 @@
 """Everyone's tools accept the environments: wrappers, Stable-Baselines3, TorchRL, a video writer, a window."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,15 @@ from gymnasium.wrappers import RecordVideo
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordVectorStatistics
 
 import motor_env  # noqa: F401  # registers the environments
-from motor_env import PAPER_MOTOR
-from motor_env.envs import MonitorVectorEnv, ProbeEnv, ProbeVectorEnv
+from motor_env import PAPER_MOTOR, load_recipe
+from motor_env.envs import (
+    MaintainOptions,
+    MonitorOptions,
+    MonitorVectorEnv,
+    ProbeEnv,
+    ProbeOptions,
+    ProbeVectorEnv,
+)
 
 KINDS = ("Monitor", "Probe", "ProbeContinuous", "Maintain", "Drive", "DriveDecide", "DriveBounded")
 IDS = tuple(f"motor_env/{name}-v0" for name in KINDS)
@@ -118,6 +126,8 @@ def test_the_adapter_tells_how_each_episode_ended_and_forgets_it_at_a_reset() ->
         told = [one["terminal_observation"][time] for one in infos]
         assert told == pytest.approx([(waited + 1) / envs.envs.options.n_steps] * 2)  # type: ignore[union-attr]
         assert [one["episode"]["l"] for one in infos] == [waited + 1] * 2
+        vector: Any = envs.envs
+        assert [one["label"] for one in infos] == [vector.setup.labels[one["class_index"]] for one in infos]
         assert [one["episode"]["r"] for one in infos] == pytest.approx((paid + last).tolist())
         envs.step(np.full(2, 1))  # of an episode that the next reset breaks off
 
@@ -183,3 +193,127 @@ def test_the_screen_says_how_an_episode_ended() -> None:
     innovation = seen[env.observed.index("innovation_current")]  # a mean over the root of 20 samples
     assert env._screen._columns[4, env._screen._filled - 1] == pytest.approx(innovation, rel=1e-5)
     assert env._screen._columns[3, env._screen._filled - 1] == pytest.approx(11.0)
+
+
+ALL_IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
+
+
+@pytest.mark.parametrize("name", ALL_IDS)
+def test_torchrl_makes_every_id_by_itself(name: str) -> None:
+    """It tries a keyword of its own first, and does without after a TypeError."""
+    envs = pytest.importorskip("torchrl.envs", reason="TorchRL is not installed")
+    env = envs.GymEnv(name)
+    env.set_seed(3)
+    steps, *shape = env.rollout(3)["observation"].shape  # random actions may end the episode sooner
+    assert 1 <= steps <= 3
+    assert tuple(shape) == gym.make(name).observation_space.shape
+
+
+def test_torchrl_runs_several_in_one_process() -> None:
+    envs = pytest.importorskip("torchrl.envs", reason="TorchRL is not installed")
+    both = envs.SerialEnv(2, lambda: envs.GymEnv(ALL_IDS[0]))
+    assert tuple(both.rollout(1)["observation"].shape[:2]) == (2, 1)
+    both.close()
+
+
+@pytest.mark.long
+def test_torchrl_runs_several_in_processes_of_their_own() -> None:
+    envs = pytest.importorskip("torchrl.envs", reason="TorchRL is not installed")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # torch's own, about how it begins processes
+        both = envs.ParallelEnv(2, envs.EnvCreator(lambda: envs.GymEnv(f"motor_env:{ALL_IDS[0]}")))
+        assert tuple(both.rollout(3)["observation"].shape[:2]) == (2, 3)
+        both.close()
+
+
+MOTOR = PAPER_MOTOR.scaled(resistance_ohm=1.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("motor_env/Monitor-v0", {"recipe": replace(load_recipe("bench"), name="own"), "horizon_s": 0.02}),
+        ("motor_env/Monitor-v0", {"motor": MOTOR}),
+        ("motor_env/Monitor-v0", {"options": MonitorOptions(motor=MOTOR, observe=("time", "excess"))}),
+        ("motor_env/Probe-v0", {"options": ProbeOptions(offsets_v=(0.0, 2.0)), "horizon_s": 0.2}),
+        ("motor_env/Drive-v0", {"motor": MOTOR, "ramp_s": (0.25, 0.5)}),
+        ("motor_env/Maintain-v0", {"options": MaintainOptions(days=7)}),
+    ],
+)
+def test_a_spec_comes_back_from_json(name: str, given: dict[str, Any]) -> None:
+    env = gym.make(name, **given)
+    assert env.spec is not None
+    back = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert back.unwrapped.options == env.unwrapped.options  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(back.reset(seed=1)[0], env.reset(seed=1)[0])
+    envs = gym.make_vec(name, num_envs=2, **given)
+    assert envs.spec is not None
+    again = gym.make_vec(gym.envs.registration.EnvSpec.from_json(envs.spec.to_json()))
+    np.testing.assert_array_equal(again.reset(seed=1)[0], envs.reset(seed=1)[0])
+
+
+def test_a_spec_with_a_path_is_refused_when_it_is_written() -> None:
+    env = gym.make(IDS[0], motor=Path("examples/motor.toml"))
+    assert env.spec is not None
+    with pytest.raises(TypeError, match="Path is not JSON serializable"):
+        env.spec.to_json()
+
+
+def test_a_dictionary_that_describes_no_recipe_is_refused_in_one_sentence() -> None:
+    for recipe, sentence in (
+        ({}, "recipe must be a name, a TOML file or a Recipe, got a value of type dict"),
+        ({"name": 3}, "name must be"),
+        ({"nam": "x"}, "unknown key 'nam'"),
+    ):
+        with pytest.raises(ValueError, match=sentence):
+            gym.make(IDS[0], recipe=recipe)
+    with pytest.raises(ValueError, match="resistance_ohm is missing"):
+        gym.make("motor_env/Drive-v0", motor={"resistance": 3.0})
+
+
+def test_an_evaluation_through_the_adapter_reports_true_rewards_and_cut_episodes() -> None:
+    """Under VecNormalize, which changes the rewards, an evaluation reads those of Monitor."""
+    stable = pytest.importorskip("stable_baselines3", reason="extra rl")
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+    from motor_env.envs import StableBaselinesVecEnv
+
+    def vector() -> Any:
+        made = ProbeVectorEnv(
+            4, autoreset_mode="SameStep", max_episode_steps=30, samples_per_step=5, horizon_s=0.02
+        )
+        return StableBaselinesVecEnv(made)
+
+    assert vector().env_is_wrapped(Monitor) == [True] * 4
+    assert vector().env_is_wrapped(VecMonitor, indices=[0, 2]) == [False] * 2
+    model = stable.PPO("MlpPolicy", vector(), n_steps=8, batch_size=32, seed=0, device="cpu")
+    normal: Any = VecNormalize(vector(), training=False, norm_obs=False)
+    normal.ret_rms.var = np.array(100.0)  # its rewards are a tenth of the true ones
+    found = []
+    for envs in (normal, vector()):
+        envs.seed(5)
+        found.append(evaluate_policy(model, envs, n_eval_episodes=8, return_episode_rewards=True))
+    assert found[0] == found[1]
+    assert min(found[0][0]) < -0.1
+    assert max(found[0][1]) <= 30
+    envs = vector()
+    envs.seed(2)
+    envs.reset()
+    seen = [envs.step(np.zeros(4, dtype=np.int64)) for _ in range(30)][-1]
+    assert seen[2].all()
+    assert [info["TimeLimit.truncated"] for info in seen[3]] == [True] * 4
+
+
+def test_the_adapter_refuses_options_of_a_reset() -> None:
+    pytest.importorskip("stable_baselines3", reason="extra rl")
+    from motor_env.envs import StableBaselinesVecEnv
+
+    envs = StableBaselinesVecEnv(ProbeVectorEnv(2, autoreset_mode="SameStep"))
+    nothings: tuple[Any, ...] = (None, {}, [{}, {}])
+    for nothing in nothings:
+        envs.set_options(nothing)
+    for options in ({"index": 3}, [{}, {"index": 3}]):
+        with pytest.raises(NotImplementedError, match="has no options of a reset, got"):
+            envs.set_options(options)

@@ -1,5 +1,7 @@
 """The vector twins: each sub-environment is the single environment, whatever stands beside it."""
 
+import copy
+import pickle
 import warnings
 from dataclasses import replace
 from importlib.util import find_spec
@@ -24,7 +26,7 @@ from motor_env.envs import (
     kernel,
 )
 from motor_env.envs.tasks import TASKS
-from motor_env.motor.faults import BUILT_IN_KINDS, apply_faults
+from motor_env.motor.faults import BUILT_IN_KINDS, FaultKind, apply_faults
 from motor_env.simulation.recipes import FaultClass
 
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
@@ -249,3 +251,100 @@ def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, 
         np.testing.assert_array_equal(own[:4], moved.T)
         gain = model.gain[..., 0] * drawn.factors[:, :1] - belief.gain[:, 0]
         np.testing.assert_array_equal(own[4:], gain.T.astype(precision))
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("name", IDS)
+def test_vector_infos_carry_what_single_infos_carry(name: str, mode: str) -> None:
+    envs, env = gym.make_vec(name, num_envs=3, autoreset_mode=mode), gym.make(name).unwrapped
+    singles = [env.reset(seed=4, options={"index": n})[1] for n in range(3)]
+    waits = np.zeros_like(envs.action_space.sample())
+    told = envs.reset(seed=4)[1]
+    later = envs.step(waits)[4]
+    for info, wanted in ((told, singles), (later, None)):
+        assert set(info) == {*info, *(f"_{key}" for key in info if key[0] != "_")}
+        for key, values in info.items():
+            assert isinstance(values, np.ndarray)
+            assert values.shape == (3,)
+            assert key[0] != "_" or values.all()
+            if wanted is not None and key[0] != "_":
+                assert values.tolist() == [single[key] for single in wanted]
+    text = {"label"} if mode == "SameStep" else set()  # which TorchRL cannot read
+    assert {key for key in told if key[0] != "_"} == set(singles[0]) - text
+    assert {key for key in later if key[0] != "_"} == set(env.step(waits[0])[4]) - text
+
+
+def test_a_severity_that_is_drawn_is_told_too() -> None:
+    ranges = replace(TASKS["hard"], classes=(FaultClass(FaultKind.BEARING, 0.05, severity_to=0.3),))
+    told = MonitorVectorEnv(5, recipe=ranges).reset(seed=1)[1]["severity"]
+    alone = [MonitorEnv(recipe=ranges).reset(seed=1, options={"index": n})[1]["severity"] for n in range(5)]
+    assert told.tolist() == alone
+    assert len(set(alone)) == 5
+
+
+def test_an_info_tells_of_its_own_step_whenever_and_however_it_is_read() -> None:
+    envs, twins = (MonitorVectorEnv(4, **SHORT) for _ in range(2))
+    for each in (envs, twins):
+        each.reset(seed=1)
+    late, early = [], []
+    for action in ([0, 1, 2, 0], [1, 0, 0, 0], [1, 1, 1, 1]):
+        late.append(envs.step(np.array(action))[4])
+        early.append(copy.deepcopy(twins.step(np.array(action))[4]))
+    reads: list[Any] = [dict, lambda info: {**info}, lambda info: pickle.loads(pickle.dumps(info))]  # noqa: S301
+    for info, wanted, read in zip(late, early, reads, strict=True):
+        found = read(info)
+        assert type(found) is dict
+        np.testing.assert_equal(found, wanted)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_step_limit_truncates_a_vector_as_it_truncates_a_single_environment(name: str) -> None:
+    """In lanes of their own streams: the next episode begins in the next step, and its steps count anew."""
+    envs, env = gym.make_vec(name, num_envs=2, max_episode_steps=3), gym.make(name, max_episode_steps=3)
+    waits = np.zeros_like(envs.action_space.sample())
+    seen, wanted = [envs.reset(seed=6)[0][0]], [env.reset(seed=6)[0]]
+    cut: list[tuple[bool, bool]] = []
+    cut_alone: list[tuple[bool, bool]] = []
+    for _ in range(10):
+        observation, _, terminated, truncated, _ = envs.step(waits)
+        seen.append(observation[0])
+        cut.append((bool(terminated[0]), bool(truncated[0])))
+        if cut_alone and any(cut_alone[-1]):
+            wanted.append(env.reset()[0])
+            cut_alone.append((False, False))
+            continue
+        observation, _, over, stopped, _ = env.step(waits[0])
+        wanted.append(observation)
+        cut_alone.append((over, stopped))
+    np.testing.assert_array_equal(seen, wanted)
+    assert cut == cut_alone
+    assert [step for step, (_, stopped) in enumerate(cut) if stopped] == [2, 6]
+
+
+def test_a_step_limit_under_the_other_autoreset_modes() -> None:
+    for count in (0, 1.5, True, "5", 2**40):
+        with pytest.raises(ValueError, match="max_episode_steps must be"):
+            MonitorVectorEnv(2, max_episode_steps=count)  # type: ignore[arg-type]  # what is refused
+    waits = np.zeros(3, dtype=np.int64)
+    envs = MonitorVectorEnv(3, autoreset_mode="SameStep", max_episode_steps=2)
+    first = envs.reset(seed=1)[0]
+    envs.step(waits)
+    observation, _, terminated, truncated, info = envs.step(np.array([0, 1, 0]))
+    assert terminated.tolist() == [False, True, False]
+    assert truncated.tolist() == [
+        True,
+        True,
+        True,
+    ]  # as gymnasium's TimeLimit says of an episode that ends by itself
+    assert info["_final_obs"].all()
+    assert (observation[:, -1] == 0.0).all()  # time
+    assert not np.array_equal(observation, first)
+    assert not envs.step(waits)[3].any()
+    envs = MonitorVectorEnv(3, autoreset_mode="Disabled", max_episode_steps=2)
+    envs.reset(seed=1)
+    envs.step(waits)
+    assert envs.step(waits)[3].all()
+    with pytest.raises(gym.error.ResetNeeded):
+        envs.step(waits)
+    envs.reset(options={"reset_mask": np.ones(3, dtype=bool)})
+    assert not envs.step(waits)[3].any()
