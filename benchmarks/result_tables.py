@@ -14,14 +14,14 @@ from typing import Any
 import pandas as pd
 import reference_scores
 from tables import KEPT, kept_tables, marked, table
+from trust_tables import trust_tables
 
-from motor_classifiers.report.trust_tables import trust_tables
 from motor_env.diagnosis.running.counting import fewest_in_a_row
 from motor_env.diagnosis.running.scales import AXES
 from motor_env.diagnosis.running.vigil import YEAR_S
 
 FOLDER = Path(__file__).resolve().parent
-DIGESTS = FOLDER.parent / "classifiers" / "motor_classifiers" / "contest" / "motor_bench.json"
+DIGESTS = FOLDER.parent / "classifiers" / "motor_classifiers" / "scoring" / "motor_bench.json"
 README, DOCS = FOLDER.parent / "README.md", FOLDER.parent / "docs"
 COUNTED_S = 20.0  # windows of the table of promises
 Row = dict[str, Any]

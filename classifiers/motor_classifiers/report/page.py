@@ -14,11 +14,10 @@ from motor_classifiers.estimators.own_methods import find_method
 from motor_classifiers.report.charts import interval_chart, reliability_chart
 from motor_classifiers.report.names import readable, short
 from motor_classifiers.report.sweep_page import sweep_section
-from motor_classifiers.report.trust_page import trust_section
 from motor_classifiers.scoring.metrics import Score
 from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.plan import Plan
-from motor_classifiers.scoring.results import as_csv, family, result_rows, trust_document
+from motor_classifiers.scoring.results import as_csv, family, result_rows
 from motor_classifiers.scoring.score import SIGNIFICANCE, ClassResult, Results
 from motor_env.files import write_text
 from motor_env.pages.html import render
@@ -63,7 +62,6 @@ def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
         sub_charts=_sub_charts(result, ranked),
         confusions=[_confusion(one) for one in (result.limit, *ranked)],
         reliability=_reliability((result.limit, *ranked)),
-        trust=trust_section(result),
         sweep=sweep_section(plan, results) if len(results) > 1 else None,
         against=[
             (method.name, result.difference(method, ours[0])) for method in ranked if method is not ours[0]
@@ -128,7 +126,7 @@ def _reliability(shown: Sequence[ClassResult]) -> list[dict[str, Any]]:
 
 
 def write_results(plan: Plan, results: Sequence[Results], folder: Path) -> Path:
-    """Write results.json, results.csv, trust.json, recipes.json and report.html, each whole or not at all.
+    """Write results.json, results.csv, recipes.json and report.html, each whole or not at all.
 
     Returns:
         The page's path.
@@ -137,7 +135,6 @@ def write_results(plan: Plan, results: Sequence[Results], folder: Path) -> Path:
     recipes = {task.recipe.name: recipe_to_dict(task.recipe) for task in reversed(plan.tasks)}
     write_text(folder / "results.json", json.dumps(rows, indent=1) + "\n")
     write_text(folder / "results.csv", as_csv(rows))
-    write_text(folder / "trust.json", json.dumps(trust_document(results), indent=1, allow_nan=False) + "\n")
     write_text(folder / "recipes.json", json.dumps(recipes, indent=1) + "\n")
     page = folder / "report.html"
     machine = f"{platform.machine()}, Python {platform.python_version()}"

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from motor_classifiers.scoring.judging import LIMIT, Answer, judge_apart, posterior
 from motor_classifiers.scoring.peers import read_peers
-from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, limit_of, trust_unit, unit_of, units
+from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, limit_of, unit_of, units
 from motor_classifiers.scoring.score import Results, score_classes
 from motor_classifiers.scoring.task import ClassTask
-from motor_classifiers.scoring.trust import TRUST, Figures, set_figures, trust_figures
 from motor_env.errors import InputError
 
 
@@ -27,41 +25,41 @@ def run_plan(
         on_unit: called before each unit, with whether its answer is already there.
 
     Raises:
-        InputError: some answer could not be had; all others were tried, and stand in the store.
+        InputError: the peers' answers are to no starts of the plan; or some answer could not be had: all others were
+            tried, and stand in the store.
     """
     kept = AnswerStore() if store is None else store
-    todo, failures = units(plan), []
+    peers, todo, failures = _peers(plan), units(plan), []
     for unit in todo:
         known = kept.find(unit) is not None
         on_unit(unit, known)
         if not known:
             try:
-                kept.put(unit, _answer(plan, unit))
+                kept.put(unit, _answer(unit))
             except InputError as error:
                 failures.append(str(error))
     if failures:
         raise InputError(f"{len(failures)} of {len(todo)} answers failed, the first: {failures[0]}")
-    results = [_scored(plan, task, kept) for task in plan.tasks]
-    reference = results[plan.reference]
-    figures = {"sets": _sets(reference), **kept.find(trust_unit(plan))}
-    results[plan.reference] = replace(reference, trust=figures)
-    return tuple(results)
+    return tuple(_scored(plan, task, kept, beside) for task, beside in zip(plan.tasks, peers, strict=True))
 
 
-def _answer(plan: Plan, unit: Unit) -> Answer | Figures:
-    if unit.name == TRUST:
-        return trust_figures(unit.task, with_network=plan.with_network)
+def _peers(plan: Plan) -> list[dict[str, Answer]]:
+    """Kept answers of peers to the starts of each setting."""
+    if plan.peers is None:
+        return [{} for _ in plan.tasks]
+    found = [read_peers(plan.peers, task) for task in plan.tasks]
+    if not any(found):
+        raise InputError(
+            f"{plan.peers}: holds answers to other starts than those of this benchmark; leave --peers out"
+        )
+    return found
+
+
+def _answer(unit: Unit) -> Answer:
     return posterior(unit.task) if unit.name == LIMIT else judge_apart(unit.name, unit.task)
 
 
-def _sets(result: Results) -> Figures:
-    """Conformal sets of the limit and of every method that grades, from the answers that are there."""
-    graded = [result.limit, *(method for method in result.ranked() if method.calibration is not None)]
-    return set_figures({one.name: one.answer.probabilities for one in graded}, result.task.starts())
-
-
-def _scored(plan: Plan, task: ClassTask, store: AnswerStore) -> Results:
-    answers: dict[str, Answer] = {name: store.find(unit_of(task, name)) for name in plan.methods}
-    peers = {} if plan.peers is None else read_peers(plan.peers, task)
-    limit: Answer = store.find(unit_of(task, limit_of(task)))
+def _scored(plan: Plan, task: ClassTask, store: AnswerStore, peers: dict[str, Answer]) -> Results:
+    answers = {name: store.answer(unit_of(task, name)) for name in plan.methods}
+    limit = store.answer(unit_of(task, limit_of(task)))
     return score_classes(task, answers | peers, limit, plan.n_comparisons)

@@ -12,7 +12,6 @@ import numpy as np
 
 from motor_classifiers.estimators.methods import ESTIMATE, METHODS
 from motor_classifiers.estimators.own_methods import find_method
-from motor_classifiers.scoring import trust
 from motor_classifiers.scoring.judging import LIMIT, Answer, answer_key, load_answer, save_answer
 from motor_classifiers.scoring.task import ClassTask, class_task
 from motor_env.motor.parameters import require
@@ -35,7 +34,7 @@ class Plan:
     Attributes:
         tasks: one a setting.
         methods: names of `METHODS`, of entry points, or `FILE.py:NAME` (`find_method`).
-        peers: file with answers of peers; they join where its starts are those of a setting.
+        peers: file with kept answers of peers; they join where its starts are those of a setting.
     """
 
     tasks: tuple[ClassTask, ...]
@@ -51,11 +50,6 @@ class Plan:
     def n_comparisons(self) -> int:
         """Comparisons with the limit."""
         return len(self.tasks) * len(self.methods)
-
-    @property
-    def with_network(self) -> bool:
-        """Whether the posterior network is among the methods: only then its trust is looked at, too."""
-        return ESTIMATE in self.methods
 
     @property
     def reference(self) -> int:
@@ -100,7 +94,7 @@ class Unit(NamedTuple):
 
     Attributes:
         task: setting.
-        name: method, `LIMIT`, or `TRUST` for the figures on trust of the reference setting.
+        name: method, or `LIMIT`.
         key: of its answer.
         seconds: about how long it takes.
     """
@@ -118,7 +112,7 @@ def units(plan: Plan) -> tuple[Unit, ...]:
         for name in (limit_of(task), *plan.methods):
             unit = unit_of(task, name)
             needed.setdefault(unit.key, unit)
-    return (*needed.values(), trust_unit(plan))
+    return tuple(needed.values())
 
 
 def limit_of(task: ClassTask) -> str:
@@ -129,13 +123,6 @@ def limit_of(task: ClassTask) -> str:
 def unit_of(task: ClassTask, name: str) -> Unit:
     """A method's answer, or the limit's, in a setting."""
     return Unit(task, name, answer_key(name, task), _expected_seconds(name, task))
-
-
-def trust_unit(plan: Plan) -> Unit:
-    """The figures on trust of the reference setting."""
-    task = plan.tasks[plan.reference]
-    key = trust.trust_key(task, with_network=plan.with_network)
-    return Unit(task, trust.TRUST, key, trust.expected_seconds(task, with_network=plan.with_network))
 
 
 def _expected_seconds(name: str, task: ClassTask) -> float:
@@ -160,25 +147,27 @@ class AnswerStore:
     def __init__(self, folder: Path | None = None, *, fresh: bool = False) -> None:
         self._folder = folder
         self._fresh = fresh
-        self._answers: dict[str, Any] = {}
+        self._answers: dict[str, Answer | None] = {}
 
-    def find(self, unit: Unit) -> Any:
-        """The `Answer`, or the figures on trust; None where there are none."""
+    def find(self, unit: Unit) -> Answer | None:
+        """The answer; None where there is none."""
         if unit.key not in self._answers and self._folder is not None and not self._fresh:
-            path = self._folder / unit.key
-            self._answers[unit.key] = (
-                trust.load_figures(path.with_suffix(".json"))
-                if unit.name == trust.TRUST
-                else load_answer(path.with_suffix(".npz"), unit.task)
-            )
+            self._answers[unit.key] = load_answer(self._folder / f"{unit.key}.npz", unit.task)
         return self._answers.get(unit.key)
 
-    def put(self, unit: Unit, answer: Answer | trust.Figures) -> None:
+    def answer(self, unit: Unit) -> Answer:
+        """The answer that is there.
+
+        Raises:
+            KeyError: there is none.
+        """
+        found = self.find(unit)
+        if found is None:
+            raise KeyError(unit.key)
+        return found
+
+    def put(self, unit: Unit, answer: Answer) -> None:
         """Keep an answer."""
         self._answers[unit.key] = answer
-        if self._folder is None:
-            return
-        if isinstance(answer, Answer):
+        if self._folder is not None:
             save_answer(answer, self._folder / f"{unit.key}.npz")
-        else:
-            trust.save_figures(answer, self._folder / f"{unit.key}.json")

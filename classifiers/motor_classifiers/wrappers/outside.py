@@ -1,10 +1,9 @@
 """Whether a start is of the world that a recipe knows, and if not, what is off.
 
 Along the few directions in which starts can differ, the recipe's own starts are one normal cloud a class (plus the
-noise), and outside these directions they are noise alone. Of motors at work the same is true around the fit of each
-record (`work_world`). The distance is the log likelihood ratio of any motor, in any surroundings and of any noise above
-the known one, to the recipe (Neyman & Pearson 1933). Its threshold is the quantile of fresh starts of the recipe. What
-is off is the one departure that, added to the recipe, explains the start best.
+noise), and outside these directions they are noise alone. The distance is the log likelihood ratio of any motor, in any
+surroundings and of any noise above the known one, to the recipe (Neyman & Pearson 1933). Its threshold is the quantile
+of fresh starts of the recipe. What is off is the one departure that, added to the recipe, explains the start best.
 """
 
 from __future__ import annotations
@@ -18,10 +17,12 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, OutlierMixin
 
 from motor_classifiers.estimators.cases import fitting_recipe, flat_cases, measured_cases, values_of_start
-from motor_classifiers.wrappers.work_world import WorkWorld
 from motor_classifiers.wrappers.world import Levels, World
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
+
+OUTSIDE = "outside what I know"
+"""The verdict on a start that is not of the recipe's world."""
 
 ADVICE = {
     "noise": "the sensor is noisier than in training: train for its noise",
@@ -114,7 +115,7 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         return low**2, high**2
 
     @property
-    def _world(self) -> World | WorkWorld:
+    def _world(self) -> World:
         return _world(fitting_recipe(self.recipe, self.n_features_in_))
 
     def _at(self, X: Any) -> Any:
@@ -123,5 +124,5 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
 
 
 @lru_cache(maxsize=4)
-def _world(recipe: Recipe) -> World | WorkWorld:
-    return World.from_recipe(recipe) if recipe.duty is None else WorkWorld.from_recipe(recipe)
+def _world(recipe: Recipe) -> World:
+    return World.from_recipe(recipe)

@@ -104,7 +104,7 @@ class World:
         """The clouds of so many simulated starts.
 
         Raises:
-            ValueError: a recipe of motors at work (`work_world`), or of failed sensors.
+            ValueError: a recipe of motors at work, or of failed sensors.
         """
         recipe.require_motor_faults()
         recipe.require_step()

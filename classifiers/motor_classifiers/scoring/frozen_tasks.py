@@ -1,8 +1,15 @@
-"""What frozen tasks ask beside the class: severities, strangeness, the time of an alarm; with their cases and costs."""
+"""The frozen tasks of motor-bench: what they ask beside the class, their cases and costs, the digests of their data.
+
+Each task has a seed of its own, and its test cases are of distinct motors: the cases of one say nothing of another's.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -22,10 +29,23 @@ from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_sta
 from motor_datasets.arrays import Dataset
 from motor_env.errors import InputError
 from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.drawing import draw
+from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.random_streams import Stream, uniforms
-from motor_env.simulation.simulate import simulate
+from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.recipes import FaultClass
+from motor_env.simulation.simulate import Timing, simulate
+
+VERSION = "2.0"
+"""Version of the frozen tasks: one with another recipe, seed or count belongs to another."""
+
+SEED = 20_261
+"""The seed of every task is a digest of this number, its name and the version."""
+
+SMALL = 24
+"""Cases of the small counts that are checked quickly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +61,7 @@ class ReferenceTask(ClassTask):
     def starts(self) -> Dataset:
         """Starts of other motors, with their references."""
         motors = np.arange(self.n_test) + TEST_FIRST_CASE // 10
-        return referenced_starts(self.recipe, self.test_seed, motors, self.n_references)
+        return referenced_starts(self.recipe, self.seed, motors, self.n_references)
 
     def best(self, X: NDArray[np.float32]) -> FloatArray:
         """The exact posterior given the references."""
@@ -59,7 +79,7 @@ class SeverityTask(DrawnTask):
 
     def test(self) -> Cases:
         """Starts of other motors, severities uniform."""
-        starts = judged_starts(self.recipe, self.test_seed, TEST_FIRST_CASE, self.n_test)
+        starts = judged_starts(self.recipe, self.seed, TEST_FIRST_CASE, self.n_test)
         return Cases(starts.X, starts.severity)
 
     def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
@@ -96,10 +116,13 @@ class StrangerTask(DrawnTask):
     def test(self) -> Cases:
         """Equally many starts of the known classes and of each unknown fault, shuffled by the seed."""
         per_kind = self.n_test // (1 + len(UNKNOWN_FAULTS))
-        numbers = np.arange(per_kind) + TEST_FIRST_CASE
-        known = judged_starts(self.recipe, self.test_seed, TEST_FIRST_CASE, per_kind).X
-        foreign = [foreign_starts(self.recipe, fault, self.test_seed, numbers) for fault in UNKNOWN_FAULTS]
-        order = np.random.default_rng(self.test_seed).permutation(per_kind * (1 + len(foreign)))
+        numbers = np.arange((1 + len(UNKNOWN_FAULTS)) * per_kind).reshape(-1, per_kind) + TEST_FIRST_CASE
+        known = judged_starts(self.recipe, self.seed, TEST_FIRST_CASE, per_kind).X
+        foreign = [
+            foreign_starts(self.recipe, fault, self.seed, own)
+            for fault, own in zip(UNKNOWN_FAULTS, numbers[1:], strict=True)
+        ]
+        order = np.random.default_rng(self.seed).permutation(per_kind * (1 + len(foreign)))
         kinds = np.repeat(np.arange(1 + len(foreign)), per_kind)
         return Cases(np.concatenate([known, *foreign])[order], kinds[order])
 
@@ -143,7 +166,7 @@ class StreamTask(DrawnTask):
 
     def test(self) -> Cases:
         """Starts that go on; where the class is a fault, it sets in at one of the onsets."""
-        return self._drawn(self.test_seed, TEST_FIRST_CASE, self.n_test)
+        return self._drawn(self.seed, TEST_FIRST_CASE, self.n_test)
 
     def train_streams(self) -> Cases:
         """Starts of other motors that go on, to choose thresholds on."""
@@ -151,7 +174,7 @@ class StreamTask(DrawnTask):
 
     def learned(self) -> dict[str, NDArray[Any]]:
         """Streams, and when their faults set in."""
-        X, onset_s, _ = self.train_streams()
+        X, onset_s = self.train_streams()
         return {"X": X, "onset_s": onset_s}
 
     def _drawn(self, seed: int, first: int, count: int) -> Cases:
@@ -185,3 +208,90 @@ class StreamTask(DrawnTask):
         delay = np.clip(late / self.longest_delay_s, 0.0, 1.0)
         wrong = (alarm < onset) | (np.isinf(alarm) & np.isfinite(onset))
         return np.where(wrong, 1.0, np.where(np.isinf(onset), 0.0, delay))
+
+
+def task_seed(name: str) -> int:
+    """Seed of a task: 64 bits of a digest of `SEED`, name and version."""
+    return int.from_bytes(hashlib.sha256(f"motor-bench {VERSION} {name} {SEED}".encode()).digest()[:8])
+
+
+def _tasks() -> dict[str, DrawnTask]:
+    bench = named_recipe("bench")
+    severities = replace(bench, classes=(FaultClass(FaultKind.BEARING, 0.0, severity_to=0.30),))
+    # A winding that ages under a motor without load hardly changes its current: bearings alone.
+    bearings = [FaultClass(FaultKind.BEARING, severity) for severity in (0.25, 0.5, 1.0)]
+    half = (FaultClass(weight=float(len(bearings))), *bearings)
+    stream = replace(bench, classes=half, timing=Timing(1_000.0, 0.7))
+    slow = replace(bench, timing=Timing(1_000.0, 0.1))
+    full, field, operation = map(named_recipe, ("bench-full", "field", "operation"))
+    friction = "Which class in the field: friction, ramps, sensor errors"
+    at_work = "Which class at work: another voltage, which is a channel, and load in each case"
+    late = "When did a bearing fault set in: delay against false alarms"
+    area = "100 (1 - area under the ROC curve)"
+    every: tuple[DrawnTask, ...] = (
+        ClassTask("bench", "Which of five classes: tolerances, current alone, 10 kHz", recipe=bench),
+        ClassTask("bench-full", "Which of nine classes: all kinds of faults", recipe=full),
+        ClassTask("field", friction, bracket=(16.29, 16.97), recipe=field, judged_per_motor=1),
+        ClassTask("operation", at_work, bracket=(18.68, 20.16), recipe=operation),
+        ReferenceTask(
+            "reference", "Which class, with one healthy start of the same motor", 2000, recipe=bench
+        ),
+        SeverityTask(
+            "severity", "How large a bearing fault, 0 to 30 %", 2000, "RMSE, points", recipe=severities
+        ),
+        StrangerTask("unknown", "How strange: faults never trained on, 1 kHz", 4000, area, recipe=slow),
+        StreamTask("stream", late, 2000, "100 x mean cost", recipe=stream),
+    )
+    return {task.name: replace(task, seed=task_seed(task.name)) for task in every}
+
+
+TASKS = _tasks()
+"""Every task by name."""
+
+
+def load_task(name: str) -> DrawnTask:
+    """A frozen task of motor-bench: recipe, training starts, test cases.
+
+    Raises:
+        InputError: there is none of this name.
+    """
+    if name not in TASKS:
+        raise InputError(f"task must be one of {', '.join(TASKS)}, got {name!r}")
+    return TASKS[name]
+
+
+def task_facts(task: DrawnTask) -> dict[str, Any]:
+    """What a stranger needs to know of a task, for JSON."""
+    return {
+        "task": task.name,
+        "version": VERSION,
+        "title": task.title,
+        "metric": task.metric,
+        "columns": ["case", *task.columns],
+        "n_train": task.n_train,
+        "n_test": task.n_test,
+        "recipe": recipe_to_dict(task.recipe),
+    }
+
+
+def task_digests(task: DrawnTask) -> dict[str, str]:
+    """SHA-256 of the measurements and the truth of both splits."""
+    numbers, test = [values for values in task.learned().values() if values.dtype.kind != "U"], task.test()
+    return {"train": _digest(numbers), "test": _digest((test.X, test.truth))}
+
+
+def _digest(arrays: Iterable[NDArray[Any]]) -> str:
+    return hashlib.sha256(b"".join(np.ascontiguousarray(values).tobytes() for values in arrays)).hexdigest()
+
+
+def current_digests(*, whole: bool) -> dict[str, dict[str, str]]:
+    """Digests of all tasks as this code draws them, of so many cases as they have, or of `SMALL`."""
+    tasks = TASKS if whole else {n: replace(t, n_train=SMALL, n_test=SMALL) for n, t in TASKS.items()}
+    return {name: task_digests(task) for name, task in tasks.items()}
+
+
+def frozen_digests() -> dict[str, Any]:
+    """What they must be: of `small` counts and `whole`, written by `python benchmarks/leaderboard.py freeze`."""
+    text = (files("motor_classifiers.scoring") / "motor_bench.json").read_text(encoding="utf-8")
+    digests: dict[str, Any] = json.loads(text)
+    return digests
