@@ -188,22 +188,23 @@ def test_a_side_on_which_no_fault_is_has_no_threshold() -> None:
 
 
 def test_windows_need_not_cover_the_start() -> None:
-    """Of ten samples a fault lowers the first, and another one raises the last eight, which healthy cases lower."""
+    """One fault lowers the first of ten samples, one raises the last eight; tolerances go the other way."""
     rng = np.random.default_rng(0)
     labels = np.repeat([0, 1, 2], 300)
     white = rng.normal(size=(3, 900, 10, 1))
-    white[0, labels == 0, :, 0] += np.outer(rng.exponential(10.0, 300), np.r_[1.0, 0.0, -np.ones(8)])
-    white[0, labels == 1, 0, 0] -= 8.0
-    white[0, labels == 2, 2:, 0] += 2.0
+    tolerance = rng.exponential(10.0, (900, 2))
+    white[0, :, 0, 0] += np.where(labels == 1, -8.0, tolerance[:, 0])
+    white[0, :, 2:, 0] += np.where(labels == 2, 2.0, -tolerance[:, 1])[:, None]
     white[1, labels == 2] += 9.0
     white[2, labels == 1] += 9.0  # the bank is always right
     got = ThresholdRule.tune(white, labels, 0)
-    assert got.windows.tolist() == [[0, 1], [2, 10]]
+    (first, end), (late, last) = got.windows.tolist()
+    assert (first, end) == (0, 1)
+    assert late > 0
     assert (got.upper[0, 0], got.lower[1, 0]) == (UNLIMITED, -UNLIMITED)
     decided = got.decide(white)
-    assert (decided.class_index == labels).mean() > 0.99
-    assert set(decided.alarm_index[labels == 1]) <= {-1, 0, 9}
-    assert set(decided.alarm_index[labels == 2]) <= {-1, 0, 9}
+    assert (decided.class_index == labels).mean() > 0.97
+    assert set(decided.alarm_index.tolist()) == {-1, 0, last - 1}
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(0.25, 8.0), (0.2, 8.0), (0.5, 5.0), (0.1, 9.0), (0.3, 7.0)])
