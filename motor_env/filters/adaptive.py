@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.filters.kalman import KalmanFilter, checked_series, measurement_update, score
+from motor_env.arrays import instance, number
+from motor_env.filters.kalman import KalmanFilter, checked_series, measurement_update, sample_named, score
 from motor_env.motor.model import N_STATES, Input
 from motor_env.motor.parameters import FloatArray, require
 
@@ -57,6 +58,7 @@ def adapted_noise(
         memory: samples that the estimate rests on; a new one weighs 2 / (memory + 1).
     """
     sample: FloatArray = residual[:, :, None] * residual[:, None, :] + explained
+    sample = np.where(np.isnan(sample), noise, sample)  # what is missing tells nothing
     return noise + 2.0 / (memory + 1.0) * (sample - noise)
 
 
@@ -76,31 +78,33 @@ def adaptive_filter(
         memory: samples that an estimate rests on; a new one weighs 2 / (memory + 1).
 
     Raises:
-        ValueError: shapes do not fit, a sample is not finite, or a memory below 1.
+        ValueError: shapes do not fit, a sample is not finite or takes the estimate out of the range of numbers, or a
+            memory below 1.
     """
+    instance("kalman", kalman, KalmanFilter)
     a, c = kalman.model.transition, kalman.observation
     require(a.ndim == 2, "adaptive_filter needs the belief of one motor, got a batch")
     measured, voltage = checked_series(measurements, voltage_v, len(c))
-    require(bool(np.isfinite(measured).all()), "measurements must be finite, got a value that is not")
-    require(memory >= 1.0, f"memory must be >= 1 sample, got {memory:g}")
+    memory = number("memory", memory, least=1.0)
     n_cases, _, n_samples = measured.shape
     state, covariance = np.tile(kalman.initial_state, (n_cases, 1)), kalman.initial_covariance
     noise = np.tile(kalman.measurement_covariance, (n_cases, 1, 1))
     process = np.tile(np.diag(kalman.process_covariance), (n_cases, 1))
     samples = []
     for k in range(n_samples):
-        carried = a @ covariance @ a.T
-        step = measurement_update(
-            state @ a.T + kalman.model.gain[:, Input.VOLTAGE] * voltage[k],
-            carried + process[:, :, None] * np.eye(N_STATES),
-            measured[:, :, k],
-            observation=c,
-            noise=noise,
-        )
-        state, covariance = step.state, step.covariance
-        noise = adapted_noise(noise, measured[:, :, k] - state @ c.T, c @ covariance @ c.T, memory)
-        moved = np.square(step.correction) + np.diagonal(covariance - carried, axis1=1, axis2=2)
-        process = np.maximum(process + 2.0 / (memory + 1.0) * (moved - process), 0.0)
+        with sample_named(k, measured, voltage):
+            carried = a @ covariance @ a.T
+            step = measurement_update(
+                state @ a.T + kalman.model.gain[:, Input.VOLTAGE] * voltage[k],
+                carried + process[:, :, None] * np.eye(N_STATES),
+                measured[:, :, k],
+                observation=c,
+                noise=noise,
+            )
+            state, covariance = step.state, step.covariance
+            noise = adapted_noise(noise, measured[:, :, k] - state @ c.T, c @ covariance @ c.T, memory)
+            moved = np.square(step.correction) + np.diagonal(covariance - carried, axis1=1, axis2=2)
+            process = np.maximum(process + 2.0 / (memory + 1.0) * (moved - process), 0.0)
         samples.append((step.innovation, step.innovation_covariance, state, noise, process))
     innovation, spread, *rest = (np.stack(each, axis=1) for each in zip(*samples, strict=True))
     return AdaptiveResult(innovation, *score(innovation, spread), *rest)

@@ -10,10 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from motor_env.arrays import instance, numbers, real, require_finite_entries, spread
 from motor_env.filters import kernels
 from motor_env.filters.kalman import KalmanFilter, schedule, schedules, score
 from motor_env.motor.model import N_STATES, Input, propagate
 from motor_env.motor.parameters import FloatArray, require
+
+_TOO_LARGE = (
+    "the filter's state left the range of numbers: measurements, voltage_v or the belief are too large"
+)
 
 
 class FilterResult(NamedTuple):
@@ -63,24 +68,20 @@ def _series(
     kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
 ) -> tuple[kernels.AnyFloat, tuple[int, ...], FloatArray]:
     """Checked measurements, shape (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
-    samples = np.asarray(measurements)
-    measured = samples if samples.dtype == np.float32 else samples.astype(np.float64, copy=False)
     n_channels = len(kalman.observation)
+    measured = real("measurements", measurements, ("...", n_channels, "n_samples"), single=True)
     require(
-        measured.ndim in (2, 3) and measured.shape[-2] == n_channels,
+        measured.ndim <= 3 and measured.size > 0,
         f"measurements must have shape (..., {n_channels}, n_samples), got {measured.shape}",
     )
     n_samples = measured.shape[-1]
-    voltage = np.asarray(voltage_v, dtype=np.float64)
-    require(
-        voltage.ndim in (1, 2) and voltage.shape[-1] == n_samples,
-        f"voltage_v must have shape (..., {n_samples}), got {voltage.shape}",
-    )
+    voltage = numbers("voltage_v", voltage_v, ("...", n_samples))
+    require(voltage.ndim <= 2, f"voltage_v must have shape (..., {n_samples}), got {voltage.shape}")
     batch = measured.shape[:-2]
-    flat = np.ascontiguousarray(measured).reshape(-1, n_channels, n_samples)
+    flat = measured.reshape(-1, n_channels, n_samples)
     inputs = np.empty((*voltage.shape, len(Input)))
     inputs[..., Input.VOLTAGE] = voltage
-    inputs[..., Input.LOAD_TORQUE] = load_torque_n_m
+    inputs[..., Input.LOAD_TORQUE] = spread("load_torque_n_m", load_torque_n_m, voltage.shape)
     inputs = inputs.reshape(-1, n_samples, len(Input))
     require(len(inputs) in (1, len(flat)), f"voltage_v must have 1 or {len(flat)} rows, got {len(inputs)}")
     transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
@@ -89,7 +90,7 @@ def _series(
         f"the belief must be of 1 or {len(flat)} motors, got {len(transition)}",
     )
     nominal = np.empty((max(len(inputs), len(transition)), n_samples, N_STATES))
-    gain = np.ascontiguousarray(kalman.model.gain.reshape(-1, N_STATES, len(Input)))
+    gain = kalman.model.gain.reshape(-1, N_STATES, len(Input))
     begin = np.tile(kalman.initial_state, (len(nominal), 1))
     propagate(transition, gain, inputs, np.empty((0, n_samples, N_STATES)), begin, nominal)
     return flat, batch, nominal
@@ -131,9 +132,13 @@ def filter_residuals(
     Raises:
         ValueError: shapes do not fit, a sample is not finite (`run_filter` takes missing samples), or another dtype.
     """
-    require(dtype in {np.float32, np.float64}, f"dtype must be float32 or float64, got {np.dtype(dtype)}")
-    plan = schedule(kalman, np.shape(measurements)[-1])
+    require(
+        dtype is np.float32 or dtype is np.float64,
+        f"dtype must be float32 or float64, got {getattr(dtype, '__name__', dtype)!s:.60}",
+    )
+    instance("kalman", kalman, KalmanFilter)
     measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
+    plan = schedule(kalman, measured.shape[-1])
     n_cases, n_channels, n_samples = measured.shape
     # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
     # be zeroed anew in the next one, which took longer than to filter.
@@ -166,8 +171,9 @@ def filter_residuals(
             nis,
         )
     # A sample that is not finite makes all later innovations of its case not finite.
-    finite = bool(np.isfinite(innovation[:, -1]).all())
-    require(finite, "measurements must be finite, got a value that is not")
+    if not np.isfinite(innovation[:, -1]).all():
+        require_finite_entries("measurements", measured.reshape(*batch, *measured.shape[1:]), measurements)
+        raise ValueError(_TOO_LARGE)
     return Residuals(
         innovation.reshape(*batch, n_samples, n_channels),
         plan.innovation_covariance,
@@ -185,7 +191,7 @@ def innovations_and_states(
     n_cases, n_channels, n_samples = measured.shape
     innovation = np.empty((n_cases, n_samples, n_channels))
     state = np.empty((n_cases, n_samples, N_STATES))
-    transition = np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES)
+    transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
     kernels.filter_states(transition, kalman.observation, gain, nominal, measured, innovation, state)
     return innovation, state
 
@@ -205,12 +211,15 @@ def run_filter(
     Raises:
         ValueError: shapes do not fit, or a measurement is infinite.
     """
+    instance("kalman", kalman, KalmanFilter)
     measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
-    require(not bool(np.isinf(measured).any()), "measurements must be finite, got an infinite value")
+    whole = measured.reshape(*batch, *measured.shape[1:])
+    require_finite_entries("measurements", whole, measurements, missing=True)
     missing = np.isnan(measured).swapaxes(1, 2)
     own_covariance = kalman.model.transition.ndim > 2 or bool(missing.any())
     rows = schedules(kalman, missing if own_covariance else np.zeros((1, *missing.shape[1:]), np.bool_))
     innovation, state = innovations_and_states(kalman, measured, nominal, rows.gain)
+    require(bool(np.isfinite(state[:, -1]).all()), _TOO_LARGE)
     whitened, nis, log_likelihood = score(innovation, rows.innovation_covariance)
     lead = batch if own_covariance else ()
     _, n_samples, n_channels = innovation.shape

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
+from motor_env.arrays import numbers
 from motor_env.motor.parameters import require
 
 _LAGS = 20  # of the whiteness test
@@ -69,9 +70,9 @@ def check_consistency(whitened: ArrayLike) -> Consistency:
     Raises:
         ValueError: not more samples than lags, or none measured.
     """
-    values = np.asarray(whitened, dtype=np.float64)
+    values = numbers("whitened", whitened, ("...", "n_samples", "n_channels"), missing=True)
     require(
-        values.ndim >= 2 and values.shape[-2] > _LAGS,
+        values.shape[-2] > _LAGS,
         f"whitened must have shape (..., n_samples > {_LAGS}, n_channels), got {values.shape}",
     )
     measured = ~np.isnan(values)

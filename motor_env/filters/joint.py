@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
+from motor_env.arrays import instance, number, numbers, whole
 from motor_env.filters.adaptive import adapted_noise
-from motor_env.filters.kalman import checked_series, measurement_update, score
+from motor_env.filters.kalman import checked_series, measurement_update, require_noise, sample_named, score
 from motor_env.motor.model import N_STATES, discretize
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters, SensorParameters, require
 
@@ -147,7 +148,7 @@ def joint_filter(
         motor: believed motor, where theta is 0.
         sensor: channels and noise.
         dt_s: sampling interval.
-        measurements: shape (n_cases, n_channels, n_samples).
+        measurements: shape (n_cases, n_channels, n_samples); NaN is missing and updates nothing.
         voltage_v: shape (n_samples,).
         names: what to estimate, of `FREE`.
         prior_std: of each theta before the first sample.
@@ -156,38 +157,54 @@ def joint_filter(
         memory: samples over which it adapts the measurement noise (Sage & Husa 1969); None keeps the sensor's.
 
     Raises:
-        ValueError: unknown names, shapes that do not fit, or a memory below 1.
+        ValueError: unknown names or kind, shapes that do not fit, a number out of its range, or a sample that takes the
+            estimate out of the range of numbers.
     """
-    unknown = [name for name in names if name not in FREE]
+    instance("motor", motor, MotorParameters)
+    require(motor.batch_shape == (), "joint_filter needs one motor, got a batch")
+    require_noise(sensor)
+    instance("names", names, (tuple, list))
+    unknown = [str(name) for name in names if not isinstance(name, str) or name not in FREE]
     require(
-        len(names) > 0 and not unknown,
-        f"names must be of {', '.join(FREE)}, got {', '.join(unknown) or 'none'}",
+        len(names) > 0 and not unknown and len(set(names)) == len(names),
+        f"names must be of {', '.join(FREE)}, each once, got {', '.join(unknown or names) or 'none'}",
     )
+    require(
+        isinstance(kind, str) and kind in list(JointKind),
+        f"kind must be one of {', '.join(JointKind)}, got {kind!r:.60}",
+    )
+    prior_std = number("prior_std", prior_std, above=0.0)
+    process_std = numbers("process_noise_std", process_noise_std, (N_STATES,))
+    require(bool((process_std >= 0.0).all()), f"process_noise_std must be >= 0, got {process_std.tolist()}")
+    memory = None if memory is None else number("memory", memory, least=1.0)
     c = np.concatenate([sensor.observation, np.zeros((len(sensor.channels), len(names)))], axis=1)
-    measured, voltage = checked_series(measurements, voltage_v, len(c))
+    measured, voltage = checked_series(measurements, voltage_v, len(c), missing=True)
     n_cases, _, n_samples = measured.shape
     size = N_STATES + len(names)
     # The unscented filter needs a covariance with a root: a start that is known to a microampere will do.
     start = np.square(np.array([1e-6, 1e-4, *[prior_std] * len(names)]))
     mean, covariance = np.zeros((n_cases, size)), np.tile(np.diag(start), (n_cases, 1, 1))
-    process: FloatArray = np.diag(np.square(np.array([*process_noise_std, *[0.0] * len(names)])))
-    require(memory is None or memory >= 1.0, f"memory must be >= 1 sample, got {memory}")
+    process: FloatArray = np.diag(np.square(np.array([*process_std, *[0.0] * len(names)])))
     noise: FloatArray = np.tile(np.diag(np.square(sensor.noise_std)), (n_cases, 1, 1))
-    motion = _Motion(motor, names, dt_s, coulomb_unit_n_m(motor, voltage))
-    ahead = _extended if kind is JointKind.EXTENDED else _unscented
+    motion = _Motion(motor, tuple(names), dt_s, coulomb_unit_n_m(motor, voltage))
+    ahead = _extended if kind == JointKind.EXTENDED else _unscented
     samples = []
+    discretize(motor, dt_s)  # what is wrong with these two is said of them, and not of a sample
     for k in range(n_samples):
-        mean, covariance = ahead(motion, mean, covariance, float(voltage[k]))
-        step = measurement_update(mean, covariance + process, measured[:, :, k], observation=c, noise=noise)
-        mean, covariance = step.state, step.covariance
-        if memory is not None:
-            noise = adapted_noise(noise, measured[:, :, k] - mean @ c.T, c @ covariance @ c.T, memory)
+        with sample_named(k, measured, voltage):
+            mean, covariance = ahead(motion, mean, covariance, float(voltage[k]))
+            step = measurement_update(
+                mean, covariance + process, measured[:, :, k], observation=c, noise=noise
+            )
+            mean, covariance = step.state, step.covariance
+            if memory is not None:
+                noise = adapted_noise(noise, measured[:, :, k] - mean @ c.T, c @ covariance @ c.T, memory)
         theta = mean[:, N_STATES:], covariance[:, N_STATES:, N_STATES:]
         samples.append((*theta, step.innovation, step.innovation_covariance))
     thetas, covariances, innovations, spreads = (
         np.stack(each, axis=1) for each in zip(*samples, strict=True)
     )
-    return JointResult(names, thetas, covariances, innovations, score(innovations, spreads).nis)
+    return JointResult(tuple(names), thetas, covariances, innovations, score(innovations, spreads).nis)
 
 
 def parameter_test_threshold(n_parameters: int, false_alarm_probability: float) -> float:
@@ -195,4 +212,9 @@ def parameter_test_threshold(n_parameters: int, false_alarm_probability: float) 
 
     Exact for normal estimates whose prior is wide; watching it all along alarms more often.
     """
-    return float(chdtri(n_parameters, false_alarm_probability))
+    return float(
+        chdtri(
+            whole("n_parameters", n_parameters, 1),
+            number("false_alarm_probability", false_alarm_probability, above=0.0, below=1.0),
+        )
+    )

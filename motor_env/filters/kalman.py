@@ -8,15 +8,18 @@ the two. What the paper calls R is `measurement_covariance`, its Q `process_cova
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motor_env.arrays import Shape, instance, number, numbers
 from motor_env.filters.kernels import fill_schedules, score_innovations
-from motor_env.motor.model import N_STATES, DiscreteModel, discretize
-from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
+from motor_env.motor.model import N_STATES, DiscreteModel, Input, discretize
+from motor_env.motor.parameters import SMALLEST, FloatArray, MotorParameters, SensorParameters, require
 
 DEFAULT_PROCESS_NOISE_STD = (1e-5, 1e-3)
 """Process noise of the belief in [A, rad/s] an interval. The paper prints none. It is small on purpose: process noise
@@ -34,6 +37,10 @@ class KalmanFilter:
         measurement_covariance: covariance of the measurement noise (the paper's R), shape (n_channels, n_channels).
         initial_state: state before the first interval, shape (2,).
         initial_covariance: its covariance, shape (2, 2).
+
+    Raises:
+        ValueError: a shape that does not fit, a number that is not finite, a covariance that is not symmetric or not
+            positive semi-definite, or measurement noise that is not positive definite.
     """
 
     model: DiscreteModel
@@ -42,6 +49,32 @@ class KalmanFilter:
     measurement_covariance: FloatArray
     initial_state: FloatArray
     initial_covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        instance("model", self.model, DiscreteModel)
+        square: Shape = (N_STATES, N_STATES)
+        transition = numbers("transition of the model", self.model.transition, ("...", *square))
+        gain = numbers("gain of the model", self.model.gain, ("...", N_STATES, len(Input)))
+        require(
+            transition.ndim <= 3 and transition.size > 0 and gain.shape[:-2] == transition.shape[:-2],
+            f"transition and gain of the model must be of as many motors, got {transition.shape} and {gain.shape}",
+        )
+        dt_s = number("dt_s of the model", self.model.dt_s, above=0.0)
+        observation = numbers("observation", self.observation, ("n_channels", N_STATES))
+        channels = len(observation)
+        require(channels in (1, 2), f"observation must have 1 or 2 rows, one a channel, got {channels}")
+        checked = {
+            "model": DiscreteModel(transition, gain, dt_s),
+            "observation": observation,
+            "initial_state": numbers("initial_state", self.initial_state, (N_STATES,)),
+            "measurement_covariance": _covariance(
+                "measurement_covariance", self.measurement_covariance, channels, least=SMALLEST**2
+            ),
+        }
+        for name in ("process_covariance", "initial_covariance"):
+            checked[name] = _covariance(name, getattr(self, name), N_STATES)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_parameters(
@@ -59,19 +92,48 @@ class KalmanFilter:
         A batch of motors gives a filter with a model for each case: some ten times slower than a common one.
 
         Raises:
-            ValueError: a sensor without noise (a filter needs a measurement variance > 0).
+            ValueError: a sensor without noise (a filter needs a measurement variance > 0), or what `KalmanFilter`
+                refuses.
         """
-        require(
-            bool((sensor.noise_std > 0.0).all()), f"noise of each channel must be > 0, got {sensor.noise_std}"
-        )
+        require_noise(sensor)
         return cls(
             model=discretize(parameters, dt_s),
             observation=sensor.observation,
-            process_covariance=np.diag(np.square(process_noise_std)),
+            process_covariance=_variances("process_noise_std", process_noise_std),
             measurement_covariance=np.diag(np.square(sensor.noise_std)),
-            initial_state=np.asarray(initial_state, dtype=np.float64),
-            initial_covariance=np.diag(np.square(initial_std)),
+            initial_state=numbers("initial_state", initial_state, (N_STATES,)),
+            initial_covariance=_variances("initial_std", initial_std),
         )
+
+
+def require_noise(sensor: SensorParameters) -> None:
+    """Raise `ValueError` unless each channel has noise: a filter needs a measurement variance > 0."""
+    instance("sensor", sensor, SensorParameters)
+    noise = sensor.noise_std.tolist()
+    require(min(noise) >= SMALLEST, f"noise of each channel must be > 0 (>= {SMALLEST:g}), got {noise}")
+
+
+def _variances(name: str, std: ArrayLike) -> FloatArray:
+    deviations = numbers(name, std, (N_STATES,))
+    require(bool((deviations >= 0.0).all()), f"{name} must be >= 0, got {deviations.tolist()}")
+    return np.diag(np.square(deviations))
+
+
+def _covariance(name: str, given: ArrayLike, size: int, least: float = 0.0) -> FloatArray:
+    """A symmetric matrix of 1 or 2 rows, with variances of at least `least` and correlations within 1."""
+    matrix = numbers(name, given, (size, size))
+    variances, between = np.diag(matrix), float(matrix[0, -1] if size > 1 else 0.0)
+    product = float(variances[0] * variances[-1])
+    require(
+        bool((variances >= least).all())
+        and (between**2 <= product * (1.0 + 1e-9) if not least else between**2 < product),
+        f"{name} must be positive {'definite' if least else 'semi-definite'}, got {matrix.tolist()}",
+    )
+    scale = 1e-9 * float(np.sqrt(product))
+    require(
+        size == 1 or abs(between - matrix[1, 0]) <= scale, f"{name} must be symmetric, got {matrix.tolist()}"
+    )
+    return matrix
 
 
 class Updated(NamedTuple):
@@ -195,31 +257,47 @@ def schedules(
     gain = block[: count * N_STATES * m].reshape(n_rows, n_samples, N_STATES, m)
     innovation_covariance = block[gain.size : gain.size + count * m * m].reshape(n_rows, n_samples, m, m)
     covariance = block[-count * N_STATES * N_STATES :].reshape(n_rows, n_samples, N_STATES, N_STATES)
-    held_from = fill_schedules(
-        np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES),
-        kalman.process_covariance,
-        observation,
-        noise,
-        kalman.initial_covariance[None] if initial is None else initial,
-        np.ascontiguousarray(missing),
-        gain,
-        innovation_covariance,
-        covariance,
-    )
+    try:
+        held_from = fill_schedules(
+            kalman.model.transition.reshape(-1, N_STATES, N_STATES),
+            kalman.process_covariance,
+            observation,
+            noise,
+            kalman.initial_covariance[None] if initial is None else initial,
+            np.ascontiguousarray(missing),
+            gain,
+            innovation_covariance,
+            covariance,
+        )
+    except ZeroDivisionError:
+        raise ValueError(
+            "measurement_covariance is too small beside process_covariance and initial_covariance: their sum cannot be"
+            " inverted"
+        ) from None
     return Schedule(gain, innovation_covariance, covariance, held_from)
 
 
 def checked_series(
-    measurements: ArrayLike, voltage_v: ArrayLike, n_channels: int
+    measurements: ArrayLike, voltage_v: ArrayLike, n_channels: int, *, missing: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Measurements (n_cases, n_channels, n_samples) and the voltage (n_samples,) that all of them share."""
-    measured, voltage = np.asarray(measurements, dtype=np.float64), np.asarray(voltage_v, dtype=np.float64)
-    require(
-        measured.ndim == 3 and measured.shape[1] == n_channels and voltage.shape == measured.shape[2:],
-        f"measurements must have shape (n_cases, {n_channels}, n_samples) with a voltage for each sample, "
-        f"got {measured.shape} and {voltage.shape}",
-    )
-    return measured, voltage
+    """Measurements (n_cases, n_channels, n_samples), NaN where `missing`, and the voltage (n_samples,) of all."""
+    measured = numbers("measurements", measurements, ("n_cases", n_channels, "n_samples"), missing=missing)
+    require(measured.size > 0, f"measurements must hold a case and a sample, got shape {measured.shape}")
+    return measured, numbers("voltage_v", voltage_v, measured.shape[2:])
+
+
+@contextmanager
+def sample_named(k: int, measured: FloatArray, voltage_v: FloatArray) -> Iterator[None]:
+    """`ValueError` naming sample `k` and what was given there, where the estimate leaves the range of numbers."""
+    try:
+        with np.errstate(over="raise", invalid="raise", divide="raise"):
+            yield
+    except (FloatingPointError, np.linalg.LinAlgError, OverflowError, ValueError):
+        case = int(np.argmax(np.abs(np.nan_to_num(measured[:, :, k])).max(axis=1)))
+        raise ValueError(
+            f"the estimate left the range of numbers at sample {k}: the largest measurements there are"
+            f" {measured[case, :, k].tolist()} (case {case}), the voltage is {voltage_v[k]:g}"
+        ) from None
 
 
 class Scores(NamedTuple):

@@ -16,11 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from motor_env.arrays import instance, numbers
 from motor_env.filters.batch import FilterResult
 from motor_env.filters.kalman import KalmanFilter, masked_sensor
 from motor_env.motor.compiled import compiled, inlined, njit
 from motor_env.motor.model import N_STATES
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 
 
 class Smoothed(NamedTuple):
@@ -116,21 +117,51 @@ def _smoothed_states(
             l0, l1 = a[0, 0] * t0 + a[1, 0] * t1, a[0, 1] * t0 + a[1, 1] * t1
 
 
+def _checked(result: FilterResult, n_channels: int, motors: tuple[int, ...]) -> FilterResult:
+    """The result with the shapes that the compiled loops rely on."""
+    innovation = numbers(
+        "result.innovation", result.innovation, ("...", "n_samples", n_channels), missing=True
+    )
+    batch, n_samples = innovation.shape[:-2], innovation.shape[-2]
+    lead = np.shape(result.covariance)[:-3]
+    require(
+        lead in ((), batch) and motors in ((), (1,), batch),
+        f"result must be of the belief's motors {motors}, got innovations of shape {innovation.shape} and covariances"
+        f" of {np.shape(result.covariance)}",
+    )
+    shapes = {
+        "innovation_covariance": (*lead, n_samples, n_channels, n_channels),
+        "state": (*batch, n_samples, N_STATES),
+        "covariance": (*lead, n_samples, N_STATES, N_STATES),
+        "gain": (*lead, n_samples, N_STATES, n_channels),
+    }
+    checked = {
+        name: numbers(f"result.{name}", getattr(result, name), shape) for name, shape in shapes.items()
+    }
+    return result._replace(innovation=innovation, **checked)
+
+
 def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
     """Smoothed states and covariances (Rauch, Tung & Striebel 1965; Bierman 1973; Fraser & Potter 1969).
 
     Args:
         kalman: the belief that the filter ran with.
         result: of `run_filter`; missing samples, a motor for each case and a held gain are as they were there.
+
+    Raises:
+        ValueError: the result is of another belief: its shapes do not fit, or it holds what `run_filter` does not give.
     """
+    instance("kalman", kalman, KalmanFilter)
+    instance("result", result, FilterResult)
+    result = _checked(result, len(kalman.observation), kalman.model.transition.shape[:-2])
     n_samples, n_channels = result.innovation.shape[-2:]
     known = np.nan_to_num(result.innovation)
     weighted = np.linalg.solve(result.innovation_covariance, known[..., None])[..., 0]
     weighted = np.ascontiguousarray(weighted).reshape(-1, n_samples, n_channels)
-    state = np.ascontiguousarray(result.state).reshape(-1, n_samples, N_STATES)
-    covariance = np.ascontiguousarray(result.covariance).reshape(-1, n_samples, N_STATES, N_STATES)
-    gain = np.ascontiguousarray(result.gain).reshape(-1, n_samples, N_STATES, n_channels)
-    transition = np.ascontiguousarray(kalman.model.transition).reshape(-1, N_STATES, N_STATES)
+    state = result.state.reshape(-1, n_samples, N_STATES)
+    covariance = result.covariance.reshape(-1, n_samples, N_STATES, N_STATES)
+    gain = result.gain.reshape(-1, n_samples, N_STATES, n_channels)
+    transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
     q, c = kalman.process_covariance, kalman.observation
     missing = np.isnan(result.innovation).reshape(weighted.shape)[: len(covariance)]
     # The information of a sample depends only on which channels are missing: one table of all cases, (2, ..., 2, 2).

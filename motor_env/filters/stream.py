@@ -7,10 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from motor_env.arrays import instance, numbers, spread, whole
 from motor_env.filters.batch import innovations_and_states
 from motor_env.filters.kalman import KalmanFilter, schedules, score
 from motor_env.motor.model import N_STATES, Input, propagate
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
+
+MOST_STREAMS = 10_000_000
+"""Motors side by side: some gigabytes of memory."""
 
 
 class StreamSample(NamedTuple):
@@ -38,10 +42,16 @@ class FilterStream:
     """
 
     def __init__(self, kalman: KalmanFilter, n_streams: int = 1) -> None:
+        instance("kalman", kalman, KalmanFilter)
+        n_streams = whole("n_streams", n_streams, 1, MOST_STREAMS)
         self.kalman = kalman
         self.n_streams = n_streams
         self._transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
-        self._gain = np.ascontiguousarray(kalman.model.gain).reshape(-1, N_STATES, len(Input))
+        motors = len(self._transition)
+        require(
+            motors in (1, n_streams), f"n_streams must be {motors} as the belief's motors, got {n_streams}"
+        )
+        self._gain = kalman.model.gain.reshape(-1, N_STATES, len(Input))
         self._state = np.tile(kalman.initial_state, (n_streams, 1))
         self._covariance = kalman.initial_covariance[None]
 
@@ -54,9 +64,20 @@ class FilterStream:
             measurement: shape (n_streams, n_channels), or anything that reshapes to it; NaN is missing.
             voltage_v: voltage held in the interval that the sample ends, scalar or shape (n_streams,).
             load_torque_n_m: load torque in that interval.
+
+        Raises:
+            ValueError: shapes do not fit, a measurement is infinite, or voltage or load are not finite; the stream
+                stands where it stood.
         """
-        shape = (self.n_streams, len(self.kalman.observation), 1)
-        measured = np.asarray(measurement, dtype=np.float64).reshape(shape)
+        n, n_channels = self.n_streams, len(self.kalman.observation)
+        measured = numbers("measurement", measurement, missing=True)
+        require(
+            measured.size == n * n_channels,
+            f"measurement must have shape ({n}, {n_channels}), got {measured.shape}",
+        )
+        measured = measured.reshape(n, n_channels, 1)
+        voltage_v = spread("voltage_v", voltage_v, (n,))
+        load_torque_n_m = spread("load_torque_n_m", load_torque_n_m, (n,))
         inputs, nominal = np.empty((self.n_streams, 1, len(Input))), np.empty((self.n_streams, 1, N_STATES))
         inputs[:, 0, Input.VOLTAGE] = voltage_v
         inputs[:, 0, Input.LOAD_TORQUE] = load_torque_n_m

@@ -11,13 +11,16 @@ read at the end of that interval, of x[k+1].
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
+from motor_env.arrays import instance
 from motor_env.motor.compiled import inlined, njit
-from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require_positive
+from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require, require_positive
 
 
 class State(IntEnum):
@@ -167,14 +170,23 @@ def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
     Raises:
         ValueError: `dt_s` is not positive.
     """
-    require_positive("dt_s", dt_s)
-    model = continuous_model(parameters)
-    flat = np.ascontiguousarray(model.transition.reshape(-1, N_STATES, N_STATES))
-    exponential, phi = np.empty_like(flat), np.empty_like(flat)
-    _all_exponentials(flat, float(dt_s), exponential, phi)
-    shape = model.transition.shape
-    gain = dt_s * (phi.reshape(shape) @ model.gain)
-    return DiscreteModel(exponential.reshape(shape), gain, float(dt_s))
+    instance("parameters", parameters, MotorParameters)
+    dt_s = float(require_positive("dt_s", dt_s, one=True))
+    with np.errstate(all="ignore"):
+        model = continuous_model(parameters)
+        flat = np.ascontiguousarray(model.transition.reshape(-1, N_STATES, N_STATES))
+        exponential, phi = np.empty_like(flat), np.empty_like(flat)
+        with suppress(ZeroDivisionError):  # said below
+            exponential[-1:] = np.nan
+            _all_exponentials(flat, dt_s, exponential, phi)
+        shape = model.transition.shape
+        gain = dt_s * (phi.reshape(shape) @ model.gain)
+        found = DiscreteModel(exponential.reshape(shape), gain, dt_s)
+    require(
+        math.isfinite(float(np.vdot(exponential, exponential) + np.vdot(gain, gain))),
+        f"a motor of such parameters cannot be computed at dt_s = {dt_s:g}: one is too large or too small",
+    )
+    return found
 
 
 @njit(cache=True)

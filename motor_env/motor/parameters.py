@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.arrays import LARGEST_NUMBER, instance, numbers, real
+
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
@@ -61,21 +63,31 @@ def require(condition: bool, sentence: str) -> None:
         raise ValueError(sentence)
 
 
-def require_finite(name: str, value: Floats) -> None:
-    """Raise `ValueError` naming the field and the value, unless every entry is finite."""
-    array = np.asarray(value, dtype=np.float64)
-    good = np.isfinite(array)
-    if not good.all():
-        raise ValueError(f"{name} must be finite, got {array[~good].flat[0]:g}")
+def require_finite(name: str, value: Floats) -> Floats:
+    """The value; `ValueError` naming the field and the value, unless every entry is finite."""
+    return _plain(value, numbers(name, value))
 
 
-def require_positive(name: str, value: Floats, *, zero_allowed: bool = False) -> None:
-    """Raise `ValueError` naming the field, the bound and the value, unless every entry is finite and positive."""
-    array = np.asarray(value, dtype=np.float64)
-    good = np.isfinite(array) & ((array >= 0.0) if zero_allowed else (array > 0.0))
+def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, one: bool = False) -> Floats:
+    """The value; `ValueError` naming the field, the bound and the value, unless every entry is finite and positive.
+
+    With `one` it must be a single number.
+    """
+    if type(value) is float and 0.0 < value <= LARGEST_NUMBER:
+        return value
+    array = real(name, value, () if one else None)
+    good = (array <= LARGEST_NUMBER) & ((array >= 0.0) if zero_allowed else (array > 0.0))
     if not good.all():
         bad = array[~good].flat[0]
         raise ValueError(f"{name} must be finite and {'>=' if zero_allowed else '>'} 0, got {bad:g}")
+    return _plain(value, array)
+
+
+def _plain(given: Floats, array: FloatArray) -> Floats:
+    """A number as it was given, if arithmetic keeps it exact; else what was made of it: a float, or an array."""
+    if isinstance(given, float) or (isinstance(given, int) and abs(given) < 2**53):
+        return given
+    return array if array.ndim else float(array)
 
 
 def require_plausible(value: object, place: str = "") -> None:
@@ -146,7 +158,10 @@ class MotorParameters:
     def __post_init__(self) -> None:
         for field in fields(self):
             zero_allowed = field.name == "viscous_friction_n_m_s_per_rad"
-            require_positive(field.name, getattr(self, field.name), zero_allowed=zero_allowed)
+            value = require_positive(field.name, getattr(self, field.name), zero_allowed=zero_allowed)
+            object.__setattr__(self, field.name, value)
+        lengths = {np.shape(getattr(self, field.name)) for field in fields(self)} - {(), (1,)}
+        require(len(lengths) <= 1, f"all fields of a batch must have one shape, got {sorted(lengths)}")
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
@@ -155,6 +170,9 @@ class MotorParameters:
 
     def scaled(self, **factors: Floats) -> Self:
         """Parameters with the named fields multiplied by the given factors."""
+        known = [field.name for field in fields(self)]
+        for name in factors.keys() - set(known):
+            raise ValueError(f"factors must be of {', '.join(known)}, got {name:.60}")
         return replace(self, **{name: getattr(self, name) * factor for name, factor in factors.items()})
 
     def motor(self, index: int) -> Self:
@@ -191,14 +209,21 @@ class SensorParameters:
     speed_noise_rad_s: float = 1.0
 
     def __post_init__(self) -> None:
+        known = [channel.value for channel in Channel]
+        instance("channels", self.channels, (tuple, list))
+        strange = [
+            channel for channel in self.channels if not isinstance(channel, str) or channel not in known
+        ]
+        require(not strange, f"channels must be of {', '.join(known)}, got {strange!r:.80}")
         object.__setattr__(self, "channels", tuple(Channel(channel) for channel in self.channels))
         require(len(self.channels) > 0, "channels must name at least one of current, speed, got none")
         require(
             len(set(self.channels)) == len(self.channels),
             f"channels must be distinct, got {', '.join(self.channels)}",
         )
-        require_positive("current_noise_a", self.current_noise_a, zero_allowed=True)
-        require_positive("speed_noise_rad_s", self.speed_noise_rad_s, zero_allowed=True)
+        for name in ("current_noise_a", "speed_noise_rad_s"):
+            value = require_positive(name, getattr(self, name), zero_allowed=True, one=True)
+            object.__setattr__(self, name, value)
 
     @property
     def noise_std(self) -> FloatArray:
@@ -229,7 +254,7 @@ class SupplyParameters:
     voltage_v: Floats = 12.0
 
     def __post_init__(self) -> None:
-        require_finite("voltage_v", self.voltage_v)
+        object.__setattr__(self, "voltage_v", require_finite("voltage_v", self.voltage_v))
 
 
 PAPER_MOTOR = MotorParameters(

@@ -84,7 +84,7 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(ValueError, match="measurements must be finite"):
         adaptive_filter(belief, np.full((1, 1, 5), np.nan), np.zeros(5))
     adaptive_filter(belief, np.zeros((1, 1, 5)), np.zeros(5), memory=1.0)
-    with pytest.raises(ValueError, match=r"memory must be >= 1 sample, got 0\.5"):
+    with pytest.raises(ValueError, match=r"memory must be >= 1, got 0\.5"):
         adaptive_filter(belief, np.zeros((1, 1, 5)), np.zeros(5), memory=0.5)
     batch = KalmanFilter.from_parameters(
         PAPER_MOTOR.scaled(inertia_kg_m2=np.ones(3)), SensorParameters(), 1e-4

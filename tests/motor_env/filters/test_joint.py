@@ -115,5 +115,5 @@ def test_bad_input_is_refused() -> None:
         joint_filter(PAPER_MOTOR, SensorParameters(), 1e-4, np.zeros((1, 1, 5)), np.zeros(5), names=("mass",))
     with pytest.raises(ValueError, match="measurements must have shape"):
         joint_filter(PAPER_MOTOR, SensorParameters(), 1e-4, np.zeros((1, 5)), np.zeros(5))
-    with pytest.raises(ValueError, match="memory must be >= 1 sample, got 0"):
+    with pytest.raises(ValueError, match="memory must be >= 1, got 0"):
         joint_filter(PAPER_MOTOR, SensorParameters(), 1e-4, np.zeros((1, 1, 5)), np.zeros(5), memory=0.0)
