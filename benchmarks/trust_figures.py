@@ -70,7 +70,7 @@ class Counts:
 
     known: int = 3000
     foreign: int = 500
-    severity: int = 800
+    severity: int = 5000
     early: int = 2000
     healthy: int = 4000
     steps: int = 1000
@@ -220,7 +220,7 @@ def severities(task: ClassTask, network: PosteriorNetwork) -> Figures:
         | severity_figures(network, task.recipe, prior, task.seed, COUNTS.severity)
         for prior in network.severity_priors_
     ]
-    return {"network_is_shipped": shipped_network(task.recipe) is not None, "kinds": kinds}
+    return {"n_cases": COUNTS.severity, "kinds": kinds}
 
 
 def severity_figures(

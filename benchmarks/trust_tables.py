@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from trust_figures import DISTANCE, FALSE_ALARM_RATES, Figures
 
 from motor_classifiers.estimators.methods import ESTIMATE
@@ -41,13 +42,18 @@ def _sets(figures: Figures) -> dict[str, Table]:
     return {"sets": (["method", "coverage", "by class", "mean size", "empty"], rows)}
 
 
+def _with_error(share: float, n_cases: int) -> str:
+    """A share of so many cases and its standard error, in per cent."""
+    return f"{100.0 * share:.1f} ± {100.0 * np.sqrt(share * (1.0 - share) / n_cases):.1f} %"
+
+
 def _severity(figures: Figures) -> dict[str, Table]:
     who = ("limit", "network")
     rows = [
         [
             one["kind"],
             *(f"{100.0 * one[each]['rmse']:.2f}" for each in who),
-            *(percent(one[each]["coverage"]) for each in who),
+            *(_with_error(one[each]["coverage"], figures["n_cases"]) for each in who),
         ]
         for one in figures["kinds"]
     ]
