@@ -21,9 +21,9 @@ from verdict_times import (
 from motor_classifiers.estimators.methods import ESTIMATE
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
+from motor_classifiers.scoring.frozen_tasks import UNKNOWN_FAULTS, foreign_starts
 from motor_classifiers.scoring.metrics import IntArray
 from motor_classifiers.scoring.task import TEST_FIRST_CASE, ClassTask, judged_cases, judged_starts
-from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_starts
 from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measured_coverage
 from motor_classifiers.wrappers.outside import OutsideDetector
 from motor_datasets.arrays import Dataset

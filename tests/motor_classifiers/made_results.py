@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 
 # Reaches in: results are made up as the benchmark keeps them: to run it takes minutes.
-from motor_classifiers.scoring.benchmark import run_plan
+from motor_classifiers.scoring.benchmark import AnswerStore, Plan, run_plan, units
 from motor_classifiers.scoring.judging import LIMIT, Answer
 from motor_classifiers.scoring.metrics import IntArray
-from motor_classifiers.scoring.plan import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
 from motor_classifiers.scoring.score import Results
 from motor_classifiers.scoring.task import class_task

@@ -278,7 +278,7 @@ def benchmark(
     from motor_classifiers.cli.sweep import FULL_SWEEP, plan_lines, run_with_progress, table_lines
     from motor_classifiers.estimators.methods import AT_WORK, METHODS
     from motor_classifiers.report.page import write_results
-    from motor_classifiers.scoring.plan import AnswerStore, Plan, make_tasks
+    from motor_classifiers.scoring.benchmark import AnswerStore, Plan, make_tasks
     from motor_classifiers.scoring.results import result_rows
     from motor_env.simulation.named_recipes import changed_recipe, named_recipe
 

@@ -7,8 +7,7 @@ from collections import Counter
 
 from rich.console import Console
 
-from motor_classifiers.scoring.benchmark import run_plan
-from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, units
+from motor_classifiers.scoring.benchmark import AnswerStore, Plan, Unit, run_plan, units
 from motor_classifiers.scoring.score import Results
 from motor_env.console import progress_bar
 

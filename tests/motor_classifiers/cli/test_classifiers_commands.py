@@ -14,7 +14,7 @@ from motor_classifiers.cli.options import numbers, require_writable, whole_numbe
 from motor_classifiers.cli.sweep import plan_lines, table_lines
 from motor_classifiers.cli.training import noise_factors
 from motor_classifiers.estimators.methods import AT_WORK
-from motor_classifiers.scoring.plan import AnswerStore, Plan, units
+from motor_classifiers.scoring.benchmark import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
 
 # Reaches in: made-up answers and costs fill a plan at once; defaults are the rooms' own.

@@ -9,7 +9,7 @@ import pytest
 from made_results import RECIPE, TASK, answer, decisions, made_results
 
 # Reaches in: the page is drawn from results made by hand, in the types that the other rooms give it.
-from motor_classifiers.report import page, sweep_page
+from motor_classifiers.report import page
 from motor_classifiers.report.charts import (
     Line,
     interval_chart,
@@ -17,7 +17,7 @@ from motor_classifiers.report.charts import (
     reliability_chart,
     share_axis,
 )
-from motor_classifiers.report.names import readable, short
+from motor_classifiers.report.page import readable, short
 from motor_classifiers.scoring.calibration import Reliability
 from motor_classifiers.scoring.metrics import Score
 from motor_classifiers.scoring.score import Results
@@ -234,14 +234,14 @@ def noted_lines(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[tuple[Any,
 def test_a_sweep_is_drawn_by_size_and_by_noise(
     made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn = noted_lines(monkeypatch, sweep_page)
+    drawn = noted_lines(monkeypatch, page)
     plan, result = made
 
     def at(noise_a: float, n_train: int) -> Results:
         recipe = replace(RECIPE, sensor=replace(RECIPE.sensor, current_noise_a=noise_a))
         return replace(result, task=class_task(recipe, n_train, 60))
 
-    told = sweep_page.sweep_section(plan, [at(0.02, 200), at(0.1, 200), at(0.02, 100), at(0.005, 200)])
+    told = page.sweep_section(plan, [at(0.02, 200), at(0.1, 200), at(0.02, 100), at(0.005, 200)])
     assert told["learning"] == told["noise"] == [{"title": "bench, 1 kHz", "chart": "chart"}]
     by_size, by_noise = drawn
     assert by_size[1]._replace(number=str) == Axis(
@@ -255,6 +255,6 @@ def test_a_sweep_is_drawn_by_size_and_by_noise(
     assert lines["threshold"].y == pytest.approx([44 / 60] * 2)
     assert lines["Bayes limit"].y == pytest.approx([50 / 60] * 2)
     assert (by_size[2].low, by_size[2].high) == pytest.approx((44 / 60 - 0.01, 50 / 60 + 0.01))
-    alone = sweep_page.sweep_section(plan, [at(0.02, 200)])
+    alone = page.sweep_section(plan, [at(0.02, 200)])
     assert alone["learning"] == alone["noise"] == []
     assert len(alone["settings"]) == 1

@@ -10,9 +10,8 @@ import pytest
 from hostile import Poison, refused
 
 from motor_classifiers.cli.sweep import table_lines
-from motor_classifiers.scoring.benchmark import run_plan
+from motor_classifiers.scoring.benchmark import Plan, run_plan
 from motor_classifiers.scoring.peers import PEERS, read_peers
-from motor_classifiers.scoring.plan import Plan
 from motor_classifiers.scoring.progress import Cost
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.task import class_task

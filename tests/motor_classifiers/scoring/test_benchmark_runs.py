@@ -20,7 +20,7 @@ from motor_classifiers.cli.main import main
 # Reaches in: a run ends with its page, which has to take the results as they come.
 from motor_classifiers.report.page import write_results
 from motor_classifiers.scoring import benchmark as benchmark_module
-from motor_classifiers.scoring.benchmark import run_plan
+from motor_classifiers.scoring.benchmark import AnswerStore, Plan, Unit, make_tasks, run_plan, units
 from motor_classifiers.scoring.judging import (
     LIMIT,
     Answer,
@@ -31,7 +31,6 @@ from motor_classifiers.scoring.judging import (
     posterior,
     save_answer,
 )
-from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_tasks, units
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.task import ClassTask, class_task
 from motor_env import InputError, Timing, load_recipe

@@ -17,8 +17,10 @@ from trust_figures import scored_severities, set_figures
 from verdict_times import STATED_ERRORS, accuracy_by_moment, moments
 
 from motor_classifiers.scoring import progress
+from motor_classifiers.scoring.benchmark import Plan, make_tasks, unit_of, units
 from motor_classifiers.scoring.calibration import BIN_EDGES, calibration_scores, reliability
 from motor_classifiers.scoring.evaluation import evaluation_lines
+from motor_classifiers.scoring.frozen_tasks import UNKNOWN_FAULTS, foreign_starts
 from motor_classifiers.scoring.judging import LIMIT, expected_severity, in_recipe_order
 from motor_classifiers.scoring.metrics import (
     compare,
@@ -28,11 +30,9 @@ from motor_classifiers.scoring.metrics import (
     root_mean_square,
     scores,
 )
-from motor_classifiers.scoring.plan import Plan, make_tasks, unit_of, units
 from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_classifiers.scoring.results import as_csv, result_rows
 from motor_classifiers.scoring.task import class_task, judged_cases
-from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_starts
 
 # Reaches in: stand-ins for models answer in the types of real ones; a score is compared with the posterior below it.
 from motor_env import FaultKind, Timing, load_recipe

@@ -11,8 +11,8 @@ from shifts import shift_scores, textbook_shifts
 from trust_figures import Counts, halves_coverage, shipped_network
 
 from motor_classifiers import ConformalSets, OutsideDetector
+from motor_classifiers.scoring.frozen_tasks import UNKNOWN_FAULTS, foreign_starts
 from motor_classifiers.scoring.task import class_task
-from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_starts
 from motor_datasets import generate_arrays
 from motor_env import Recipe, Timing, class_probabilities, load_recipe
 
