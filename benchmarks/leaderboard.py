@@ -224,6 +224,11 @@ def _cells(row: Row) -> list[str]:
     ]
 
 
+def whole_page() -> str:
+    """The page docs/leaderboard.md with its tables made anew."""
+    return marked(PAGE.read_text(encoding="utf-8"), {"leaderboard": board(kept_scores())})
+
+
 def main(what: Literal["enter", "page", "freeze"], /, *entry: str) -> None:
     """Enter TASK/METHOD, all but aeon's by default; write the page; or freeze the digests."""
     if what == "enter":
@@ -237,8 +242,7 @@ def main(what: Literal["enter", "page", "freeze"], /, *entry: str) -> None:
         }
         write_text(DIGESTS, json.dumps({"version": VERSION, **digests}, indent=1) + "\n")
     else:
-        text = PAGE.read_text(encoding="utf-8")
-        write_text(PAGE, marked(text, {"leaderboard": board(kept_scores())}))
+        write_text(PAGE, whole_page())
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The benchmark: what it runs, where answers are kept, and every method judged beside the posterior on the same motors."""
+"""The benchmark: what it runs, where answers are kept, every method judged beside the posterior on the same motors."""
 
 from __future__ import annotations
 
