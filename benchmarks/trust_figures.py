@@ -70,7 +70,7 @@ class Counts:
 
     known: int = 3000
     foreign: int = 500
-    severity: int = 5000
+    severity: int = 800
     early: int = 2000
     healthy: int = 4000
     steps: int = 1000

@@ -9,8 +9,6 @@ import pytest
 import torch
 from scipy.stats import ks_2samp, kstest, truncnorm
 from sklearn.base import clone
-
-# Reaches in: severities are scored as in the benchmark, beside those of the exact posterior.
 from trust_figures import severity_figures
 
 from motor_classifiers import PosteriorNetwork, evaluate_model

@@ -26,8 +26,6 @@ from motor_classifiers import (
     save_model,
 )
 from motor_classifiers.cli.main import main
-
-# Reaches in: a step that stands in files without a public name, and starts that no recipe draws.
 from motor_classifiers.model_files.persistence import FORMAT
 from motor_datasets import generate_arrays, generate_dataset
 

@@ -9,6 +9,7 @@ import peers as aeon
 import pytest
 from hostile import Poison, refused
 
+# Reaches in: the table that a run prints names where kept answers come from.
 from motor_classifiers.cli.sweep import table_lines
 from motor_classifiers.scoring.benchmark import Plan, run_plan
 from motor_classifiers.scoring.peers import PEERS, read_peers
