@@ -139,7 +139,7 @@ def test_what_is_told_of_a_task() -> None:
     assert (told["task"], told["n_train"], told["n_test"], told["version"]) == ("stream", 2000, 2000, "2.0")
 
 
-def written(folder: Path, name: str, answers: np.ndarray) -> Path:  # type: ignore[type-arg]
+def written(folder: Path, name: str, answers: np.ndarray) -> Path:
     """A file of answers to a task."""
     table = pd.DataFrame(answers, columns=list(load_task(name).columns))
     table.insert(0, "case", np.arange(len(table)))
