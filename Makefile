@@ -84,11 +84,11 @@ test-long: test ## the same and the tests marked long
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m long $(PYTEST_ARGS)
 
 benchmark: $(READY) ## compare the classifiers; the report goes to out/benchmark
-	$(BIN)/python -m motor_classifiers benchmark --out out/benchmark
+	$(BIN)/python -m motor_classifiers benchmark --peers benchmarks/results/peers.npz --out out/benchmark
 
 peers: $(AEON_READY) ## make .venv-aeon, the environment of the generic classifiers
 
-peers-anew: $(READY) $(AEON_READY) ## let them judge the benchmark's starts again; their answers are part of the package
+peers-anew: $(READY) $(AEON_READY) ## let them judge the benchmark's starts again; their answers are kept in benchmarks/results
 	$(BIN)/python benchmarks/peers.py
 
 bench: $(BENCH_READY) $(READY) $(AEON_READY) ## speed against peers, in an environment of its own; writes out/bench.json

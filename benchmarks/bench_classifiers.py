@@ -13,14 +13,13 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from peers import command, environment
+from peers import command, environment, export_starts
 from result import Result
 from scipy.optimize import least_squares
 from timing import best_rate
 
 from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.scoring.peers import export_starts
 from motor_classifiers.scoring.task import class_task
 from motor_datasets.arrays import Dataset
 from motor_env.inference.fit import Prior, fit

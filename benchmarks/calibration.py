@@ -23,11 +23,11 @@ from networks import network_of
 from ranks import class_ranks, confidence_ranks, rank_check, severity_ranks, severity_shares
 from tables import keep_table
 
-from motor_classifiers.contest.tasks import load_task
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.severity_density import severity_recipe
 from motor_classifiers.estimators.reference_starts import referenced_starts
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
+from motor_classifiers.scoring.frozen_tasks import load_task
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays

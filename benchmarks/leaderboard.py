@@ -1,53 +1,48 @@
 """The leaderboard of motor-bench: `python benchmarks/leaderboard.py enter [TASK/METHOD ...]`, `page` or `freeze`.
 
-`enter` trains, answers, and scores as anybody's submission is scored; scores stay in benchmarks/leaderboard/. Without
-names it makes every entry but those of aeon, which need `make peers`. `page` writes docs/leaderboard.md. `freeze`
-writes the digests of the tasks, which must never change within a version.
+`enter` trains, answers and scores; scores stay in benchmarks/results/leaderboard.json. Without names it makes every
+entry but those of aeon, which need `make peers`. `page` writes docs/leaderboard.md. `freeze` writes the digests of the
+tasks, which must never change within a version.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import sklearn_methods
 from cyclopts import run
 from networks import network_of
 from peers import peer_answers
-from scaling import board_rows
 from stream_delays import alarm_times
-from tables import marked
+from tables import marked, table
 
-from motor_classifiers.cli.main import main as motor_classifiers
-from motor_classifiers.contest import tasks
-from motor_classifiers.contest.leaderboard import page, read_scores
-from motor_classifiers.contest.questions import StreamTask
-from motor_classifiers.contest.submissions import write_submission
-from motor_classifiers.contest.tasks import load_task
-from motor_classifiers.estimators.methods import METHODS
+from motor_classifiers import OutsideDetector
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.estimators.own_methods import fed
+from motor_classifiers.estimators.own_methods import fed, find_method
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring.judging import in_recipe_order
+from motor_classifiers.scoring import frozen_tasks
+from motor_classifiers.scoring.answer_files import score_answers
+from motor_classifiers.scoring.frozen_tasks import TASKS, VERSION, StreamTask, load_task
+from motor_classifiers.scoring.judging import in_recipe_order, judge
 from motor_classifiers.scoring.peers import PEERS
-from motor_classifiers.scoring.task import VERSION, ClassTask, DrawnTask
-from motor_classifiers.wrappers.fault_family import family_fit
+from motor_classifiers.scoring.task import ClassTask, DrawnTask
 from motor_env import Cusum, Glr, TolerantFilter
 from motor_env.detection.rules.base import Rule
 from motor_env.files import write_text
 from motor_env.motor.parameters import FloatArray
 
 FOLDER = Path(__file__).resolve().parent
-SCORES = FOLDER / "leaderboard"
+SCORES = FOLDER / "results" / "leaderboard.json"
 PAGE = FOLDER.parent / "docs" / "leaderboard.md"
-DIGESTS = Path(tasks.__file__).parent / "motor_bench.json"
+DIGESTS = Path(frozen_tasks.__file__).parent / "motor_bench.json"
 
+Row = dict[str, Any]
 US, SKLEARN = "motor-env", "scikit-learn"
 Answer = Callable[[DrawnTask], FloatArray]
 
@@ -87,8 +82,8 @@ def least_squares(task: DrawnTask) -> FloatArray:
 
 
 def distance(task: DrawnTask) -> FloatArray:
-    """Distance from all faults of the known kinds."""
-    return family_fit(task.recipe, task.test().X).distance
+    """Distance from the recipe's starts, as `predict` judges it."""
+    return -OutsideDetector(task.recipe).fit().score_samples(task.test().X)
 
 
 def isolation(task: DrawnTask) -> FloatArray:
@@ -133,7 +128,12 @@ OWN_ANSWERS: dict[str, tuple[Answer, str, str, str]] = {
         str(sklearn_methods.least_squares.__doc__),
         "2,000 starts",
     ),
-    "unknown/distance": (distance, US, "Distance from the family of known faults", "the recipe"),
+    "unknown/distance": (
+        distance,
+        US,
+        "Distance from the recipe's starts, as `predict` judges it",
+        "the recipe",
+    ),
     "unknown/isolation": (isolation, SKLEARN, str(sklearn_methods.isolation.__doc__), "2,000 starts"),
     "stream/cusum": (
         partial(alarms, Cusum(0.2)),
@@ -158,47 +158,75 @@ def entries() -> list[str]:
     return [*(f"{task}/{name}" for task, name in pairs), *OWN_ANSWERS]
 
 
-def enter(entry: str) -> None:
-    """Make one entry: a submission, and its score."""
+def enter(entry: str) -> Row:
+    """Make one entry: answers, and their score."""
     name, method = entry.split("/")
-    with tempfile.TemporaryDirectory() as folder:
-        if entry in OWN_ANSWERS:
-            answer, authors, about, seen = OWN_ANSWERS[entry]
-            task = load_task(name)
-            card = {"method": method, "authors": authors, "about": about, "learned_from": seen}
-            write_submission(folder, task, answer(task), card)
-        elif method in PEERS:
-            _enter_peer(name, method, folder)
-        else:
-            ours = method in METHODS
-            full = method if ours else f"{FOLDER / 'sklearn_methods.py'}:{method}"
-            options = ["--method", full, "--authors", US if ours else SKLEARN, "--out", folder]
-            _run("submit", name, *options)
-        _run("score", folder, "--keep", str(SCORES))
-
-
-def _run(*arguments: str) -> None:
-    if motor_classifiers(arguments):
-        raise SystemExit(f"motor-classifiers {' '.join(arguments)} failed")
-
-
-def _enter_peer(name: str, method: str, folder: str) -> None:
-    """Let one of aeon's classifiers answer, in its own environment."""
     task = load_task(name)
-    assert isinstance(task, ClassTask)
+    if entry in OWN_ANSWERS:
+        answer, authors, about, seen = OWN_ANSWERS[entry]
+        answers = np.asarray(answer(task)).reshape(task.n_test, -1)
+    else:
+        assert isinstance(task, ClassTask)
+        seen = f"{task.n_train:,} starts"
+        answers, authors, about = _peer(task, method) if method in PEERS else _trained(task, method)
+    said = {"method": method, "authors": authors, "about": about, "learned_from": seen}
+    return {**said, **score_answers(task, answers)}
+
+
+def _trained(task: ClassTask, method: str) -> tuple[FloatArray, str, str]:
+    """Answers of a method of the benchmark, or of scikit-learn alone; who made it, and what it is."""
+    ours = method in _OURS.get(task.name, ())
+    full = method if ours else f"{FOLDER / 'sklearn_methods.py'}:{method}"
+    return judge(full, task, 0).probabilities, US if ours else SKLEARN, find_method(full).title
+
+
+def _peer(task: ClassTask, method: str) -> tuple[FloatArray, str, str]:
+    """Answers of one of aeon's classifiers, in its own environment."""
     shares = peer_answers(task.train(), task.starts(), method)[method]
-    seen = f"{task.n_train:,} starts"
-    card = {"method": method, "authors": "aeon", "about": PEERS[method], "learned_from": seen}
-    write_submission(folder, task, shares / shares.sum(axis=1, keepdims=True), card)
+    return shares / shares.sum(axis=1, keepdims=True), "aeon", PEERS[method]
+
+
+def kept_scores() -> dict[str, Row]:
+    """Kept scores by TASK/METHOD."""
+    rows: dict[str, Row] = json.loads(SCORES.read_bytes()) if SCORES.is_file() else {}
+    return rows
+
+
+def board(scores: dict[str, Row]) -> str:
+    """The tables in Markdown, one a task, the best first."""
+    parts = []
+    for name, task in TASKS.items():
+        rows = sorted((row for row in scores.values() if row["task"] == name), key=lambda row: row["value"])
+        if not rows:
+            continue
+        known, best = "limit" in rows[0], ""
+        if known:
+            best = f" The best possible on the same cases: {rows[0]['limit']:.2f}."
+        elif task.bracket is not None:
+            best = " The best possible on average: between {:.2f} and {:.2f}.".format(*task.bracket)
+        above = ["above the best possible"] * known
+        head = ["method", "by", task.metric, *above, "learned from", "what it is"]
+        parts.append(f"## {name}\n\n{task.title}. {task.n_test} cases, motor-bench {VERSION}.{best}\n")
+        parts.append(table(head, (_cells(row) for row in rows)).replace("-0.00", "0.00") + "\n")
+    return "\n".join(parts)
+
+
+def _cells(row: Row) -> list[str]:
+    names = ("", "_low", "_high")
+    above = [row[f"above_limit{end}"] for end in names] if "limit" in row else []
+    return [
+        row["method"],
+        row["authors"],
+        f"{row['value']:.2f} ({row['low']:.2f} to {row['high']:.2f})",
+        *(["{:.2f} ({:.2f} to {:.2f})".format(*above)] if above else []),
+        row["learned_from"],
+        row["about"],
+    ]
 
 
 def whole_page() -> str:
     """The page docs/leaderboard.md with its tables made anew."""
-    scores = read_scores(SCORES)
-    for task, more in board_rows().items():
-        there = {one["method"] for one in scores[task]}
-        scores[task] += [one for one in more if one["method"] not in there]
-    return marked(PAGE.read_text(encoding="utf-8"), {"leaderboard": page(scores)})
+    return marked(PAGE.read_text(encoding="utf-8"), {"leaderboard": board(kept_scores())})
 
 
 def main(what: Literal["enter", "page", "freeze"], /, *entry: str) -> None:
@@ -206,9 +234,12 @@ def main(what: Literal["enter", "page", "freeze"], /, *entry: str) -> None:
     if what == "enter":
         for each in entry or entries():
             print(each, file=sys.stderr, flush=True)
-            enter(each)
+            row = enter(each)
+            write_text(SCORES, json.dumps(kept_scores() | {each: row}, indent=1) + "\n")
     elif what == "freeze":
-        digests = {"small": tasks.current_digests(whole=False), "whole": tasks.current_digests(whole=True)}
+        digests = {
+            whole: frozen_tasks.current_digests(whole=whole == "whole") for whole in ("small", "whole")
+        }
         write_text(DIGESTS, json.dumps({"version": VERSION, **digests}, indent=1) + "\n")
     else:
         write_text(PAGE, whole_page())

@@ -71,6 +71,11 @@ def early(n_cases: int) -> Iterable[Iterable[str]]:
         yield f"{ms} ms", f"{limit:.4f} ± {error:.4f}"
 
 
+def with_error(share: float, n_cases: int) -> str:
+    """A share of so many cases and its standard error."""
+    return f"{share:.3f} ± {np.sqrt(share * (1.0 - share) / n_cases):.3f}"
+
+
 def severity(n_cases: int) -> Iterable[Iterable[str]]:
     """Errors of the severities."""
     for kind in (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT):
@@ -78,7 +83,13 @@ def severity(n_cases: int) -> Iterable[Iterable[str]]:
             for noise_a in NOISES_A:
                 got = severity_limit(bench(rate_hz, noise_a), SeverityPrior(kind), SEED, n_cases)
                 points = (f"{100.0 * value:.2f}" for value in (got.expected_rmse, got.rmse))
-                yield str(kind), f"{rate_hz:g} Hz", f"{1e3 * noise_a:g} mA", *points, f"{got.coverage:.3f}"
+                yield (
+                    str(kind),
+                    f"{rate_hz:g} Hz",
+                    f"{1e3 * noise_a:g} mA",
+                    *points,
+                    with_error(got.coverage, n_cases),
+                )
 
 
 def power(n_cases: int) -> Iterable[Iterable[str]]:

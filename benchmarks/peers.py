@@ -1,4 +1,4 @@
-"""Answers of aeon's classifiers to the benchmark's starts: `make peers-anew` writes those that the package ships.
+"""Answers of aeon's classifiers to the benchmark's starts: `make peers-anew` writes those that are kept.
 
 `python benchmarks/peers.py --out out/peers.npz --n-test 20000 --only quant`, then
 `motor-classifiers benchmark --n-test 20000 --peers out/peers.npz`. Needs `make peers`.
@@ -10,17 +10,20 @@ import os
 import subprocess
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import cyclopts
 import numpy as np
 from numpy.typing import NDArray
 from run import FOLDER, ONE_THREAD
 
-from motor_classifiers.scoring.peers import PEERS, export_starts, shipped_peers
+from motor_classifiers.scoring.peers import PEERS, identity
 from motor_classifiers.scoring.task import class_task
 from motor_datasets.arrays import Dataset
+from motor_env.files import replacing
 from motor_env.simulation.named_recipes import named_recipe
 
+KEPT = FOLDER / "results" / "peers.npz"
 PYTHON = FOLDER.parent / ".venv-aeon" / "bin" / "python"
 
 
@@ -38,6 +41,14 @@ def command(*arguments: object) -> list[str]:
 def environment() -> dict[str, str]:
     """Environment variables: one thread for everything."""
     return {**os.environ, **ONE_THREAD}
+
+
+def export_starts(train: Dataset, test: Dataset, path: Path, **more: NDArray[Any]) -> None:
+    """Write starts to learn from and starts to be judged, as plain arrays, and what else a peer learns from."""
+    with replacing(path) as temporary:
+        facts = {"n_classes": len(test.class_names), "recipe": test.recipe.name, "seed": test.seed}
+        arrays = {name: np.array(value) for name, value in facts.items()} | identity(train, test) | more
+        np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
 
 
 def peer_answers(train: Dataset, test: Dataset, *names: str) -> dict[str, NDArray[np.float64]]:
@@ -59,12 +70,12 @@ def main(
     seed: int = 0,
     only: list[str] | None = None,
 ) -> int:
-    """Export the starts, let the peers judge them, keep the answers; by default of all and where they are shipped."""
+    """Export the starts, let the peers judge them, keep the answers; by default of all, and where they are kept."""
     task = class_task(named_recipe(recipe), n_train, n_test, seed)
     with tempfile.TemporaryDirectory() as folder:
         cases = Path(folder) / "cases.npz"
         export_starts(task.train(), task.starts(), cases)
-        target = (out or shipped_peers()).resolve()
+        target = (out or KEPT).resolve()
         target.parent.mkdir(parents=True, exist_ok=True)
         done = subprocess.run(command(cases, target, *(only or PEERS)), env=environment(), check=False)
     return done.returncode

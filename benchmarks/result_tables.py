@@ -14,11 +14,10 @@ from typing import Any
 import pandas as pd
 import reference_scores
 from tables import KEPT, kept_tables, marked, table
-
-from motor_classifiers.report.trust_tables import trust_tables
+from trust_tables import trust_tables
 
 FOLDER = Path(__file__).resolve().parent
-DIGESTS = FOLDER.parent / "classifiers" / "motor_classifiers" / "contest" / "motor_bench.json"
+DIGESTS = FOLDER.parent / "classifiers" / "motor_classifiers" / "scoring" / "motor_bench.json"
 README, DOCS = FOLDER.parent / "README.md", FOLDER.parent / "docs"
 Row = dict[str, Any]
 

@@ -1,9 +1,9 @@
 """Error against the number of starts learned from, peers with an hour each among them: `python benchmarks/scaling.py`.
 
-`enter [TASK/METHOD/N ...]` trains, answers and scores, as anybody's submission is scored; what is kept in
-benchmarks/results/scaling is not done again. Networks and MiniRocket need `make .venv-bench/.ready peers`. `page` draws
-the picture and writes the table. N counts the first training starts of the task, however many there are; the largest
-N of a peer takes an hour of CPU time or what memory holds.
+`enter [TASK/METHOD/N ...]` trains, answers and scores on frozen tasks; what is kept in benchmarks/results/scaling is
+not done again. Networks and MiniRocket need `make .venv-bench/.ready peers`. `page` draws the picture and writes the
+table. N counts the first training starts of the task, however many there are; the largest N of a peer takes an hour of
+CPU time or what memory holds.
 """
 
 from __future__ import annotations
@@ -19,16 +19,15 @@ from typing import Any, Literal
 import numpy as np
 from cyclopts import run
 from matplotlib.figure import Figure
-from peers import command, environment
+from peers import command, environment, export_starts
 from tables import keep_table
 
-from motor_classifiers.contest.submissions import score_submission, write_submission
-from motor_classifiers.contest.tasks import load_task
+from motor_classifiers.scoring.answer_files import score_answers
+from motor_classifiers.scoring.frozen_tasks import load_task
 from motor_classifiers.scoring.judging import judge
-from motor_classifiers.scoring.peers import PEERS, export_starts
 from motor_classifiers.scoring.task import ClassTask
 from motor_datasets.arrays import Dataset
-from motor_env.files import replacing, write_text
+from motor_env.files import write_text
 from motor_env.motor.parameters import FloatArray
 from motor_env.plotting import drawing, save
 
@@ -38,16 +37,7 @@ TASKS = ("bench", "field", "operation")
 SIZES = (500, 2_000, 8_000, 32_000)
 CPU_S = dict(zip(SIZES, (40, 120, 240, 600), strict=True))
 HOUR_S = 3600
-ABOUT = {
-    "npe": (
-        "sbi",
-        "Mixed neural posterior estimation of sbi, its embedding network chosen on starts held back",
-    ),
-    "convolution": ("torch", "Residual convolutional network in torch, chosen on starts held back"),
-    "minirocket": ("aeon", PEERS["minirocket"]),
-    "support_vectors": ("scikit-learn", "20 principal components, support vector machine."),
-    "physical-logistic": ("motor-env", "Fitted motor parameters and residual, logistic regression"),
-}
+METHODS = ("npe", "convolution", "minirocket", "support_vectors", "physical-logistic")
 PICTURE = FOLDER.parent / "docs" / "images" / "scaling.svg"
 TICKS = (5, 10, 20, 40, 80)
 Scored = dict[str, Any]
@@ -58,7 +48,7 @@ MOST = {"npe": 1_000_000, "convolution": 1_000_000, "minirocket": 32_000}
 def entries() -> list[str]:
     """Every entry as TASK/METHOD/N, the largest ones first."""
     large = [f"{task}/{method}/{MOST[method]}" for task in reversed(TASKS) for method in MOST]
-    small = [f"{task}/{method}/{n}" for n in SIZES for task in TASKS for method in ABOUT]
+    small = [f"{task}/{method}/{n}" for n in SIZES for task in TASKS for method in METHODS]
     return list(dict.fromkeys([*large, *small]))
 
 
@@ -103,19 +93,8 @@ def enter(entry: str) -> None:
         full = method if method == "physical-logistic" else f"{FOLDER / 'sklearn_methods.py'}:{method}"
         answer = judge(full, task, 0)
         shares, facts = answer.probabilities, {"cpu_s": round(answer.train.seconds)}
-    authors, about = ABOUT[method]
-    shares = shares / shares.sum(axis=1, keepdims=True)
-    card = {"method": method, "authors": authors, "about": about, "learned_from": f"{int(n):,} starts"}
-    if int(n) > whole.n_train:
-        card["method"] += f", {int(n):,} starts"
-    with tempfile.TemporaryDirectory() as folder:
-        write_submission(folder, whole, shares, card)
-        scored = score_submission(folder) | {"n_train": int(n), "training": facts}
-    if int(n) == MOST.get(method):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path.with_suffix(".npz")) as temporary:
-            np.savez_compressed(temporary, probabilities=shares.astype(np.float16))
-    write_text(path, json.dumps(scored, indent=1) + "\n")
+    scored = score_answers(whole, shares / shares.sum(axis=1, keepdims=True))
+    write_text(path, json.dumps(scored | {"n_train": int(n), "training": facts}, indent=1) + "\n")
     print(f"{entry}: {scored['value']:.2f}", file=sys.stderr, flush=True)
 
 
@@ -129,25 +108,10 @@ def kept() -> dict[str, dict[str, dict[int, Scored]]]:
     return found
 
 
-def board_rows() -> dict[str, list[Scored]]:
-    """What belongs on the leaderboard, by task: the training starts of the task, and the most of each peer."""
-    frozen = {name: load_task(name) for name in TASKS}
-    return {
-        name: [
-            scored
-            for method, by_size in methods.items()
-            for n, scored in by_size.items()
-            if method in MOST and n in (frozen[name].n_train, MOST[method])
-        ]
-        for name, methods in kept().items()
-    }
-
-
 def best_possible(name: str) -> tuple[float, float]:
     """Between which errors the best possible lies, %; on `bench` it is known."""
-    task = load_task(name)
-    known = json.loads((FOLDER / "leaderboard" / "bench" / "posterior-network.json").read_bytes())
-    return task.bracket or (known["limit"], known["limit"])
+    known = kept()[name]["physical-logistic"][SIZES[0]]
+    return tuple(known["bracket"]) if "bracket" in known else (known["limit"], known["limit"])
 
 
 def draw(path: Path) -> None:
@@ -157,7 +121,7 @@ def draw(path: Path) -> None:
         figure = Figure(figsize=(12.0, 4.6), layout="constrained")
         panels = figure.subplots(1, len(every), squeeze=False)[0]
         for panel, (name, methods) in zip(panels, every.items(), strict=True):
-            for method in ABOUT:
+            for method in METHODS:
                 sizes = sorted(methods.get(method, {}))
                 rows = [methods[method][n] for n in sizes]
                 values = [row["value"] for row in rows]

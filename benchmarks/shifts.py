@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.neural_network import MLPClassifier
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from motor_classifiers.scoring.calibration import calibration_scores
 from motor_classifiers.wrappers.conformal import ConformalSets
-from motor_classifiers.wrappers.outside import OutsideDetector
-from motor_classifiers.wrappers.world import Coordinates, World, clouds, single_starts
+from motor_classifiers.wrappers.outside import Coordinates, OutsideDetector, World, clouds, single_starts
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities
-from motor_env.inference.work_features import work_features
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe, Spread
@@ -157,20 +151,12 @@ def _limit(
     return _kind_scores(probabilities, np.array([kind_of[name] for name in names]), truth)[0]
 
 
-def work_shifts(recipe: Recipe) -> dict[str, Recipe]:
-    """Other conditions for motors at work: their recipe's own, and those of textbook motors but for the heat."""
-    own = {shift.name: recipe.shifted(shift.name) for shift in recipe.shifts}
-    return own | {name: moved for name, moved in textbook_shifts(recipe).items() if name != "20 K hotter"}
-
-
 def trained_power(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.int64]) -> float:
     """Power of a test for this very change at 1 % of false alarms: of two trained for it, the better one.
 
     One is the likelihood ratio of the normal clouds of both recipes, the other a perceptron; both see the directions of
-    the detector and the level of the noise. For motors at work boosted trees and a perceptron see what is fitted.
+    the detector and the level of the noise.
     """
-    if recipe.duty is not None:
-        return _power_at_work(recipe, changed, seed, cases)
     world = World.from_recipe(recipe)
     at = [
         [_located(world, one, seed, cases + first) for first in (0, 1_000_000)] for one in (recipe, changed)
@@ -198,28 +184,6 @@ def trained_power(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.
         threshold = np.quantile(test(at[0][1]), 0.99)
         powers.append(float((test(at[1][1]) > threshold).mean()))
     return max(powers)
-
-
-def _power_at_work(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.int64]) -> float:
-    (own, own_test), (theirs, test) = (
-        [_work_features(recipe, one, seed, int(cases[0]) + first, len(cases)) for first in (0, 1_000_000)]
-        for one in (recipe, changed)
-    )
-    powers = []
-    for model in (
-        make_pipeline(StandardScaler(), MLPClassifier((48, 48), early_stopping=True, random_state=0)),
-        HistGradientBoostingClassifier(max_iter=150, learning_rate=0.05, random_state=0),
-    ):
-        model.fit(np.concatenate([own, theirs]), np.repeat([0, 1], [len(own), len(theirs)]))
-        threshold = np.quantile(model.predict_proba(own_test)[:, 1], 0.99)
-        powers.append(float((model.predict_proba(test)[:, 1] > threshold).mean()))
-    return max(powers)
-
-
-@cache
-def _work_features(recipe: Recipe, drawn: Recipe, seed: int, first: int, count: int) -> FloatArray:
-    X = generate_arrays(drawn, seed, np.arange(first, first + count)).X.astype(np.float64)
-    return np.clip(work_features(recipe, X), -30.0, 30.0)
 
 
 def _located(world: World, recipe: Recipe, seed: int, cases: NDArray[np.int64]) -> Coordinates:

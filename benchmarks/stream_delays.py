@@ -15,8 +15,7 @@ from cyclopts import run
 from matplotlib.figure import Figure
 from tables import keep_table
 
-from motor_classifiers.contest.questions import StreamTask
-from motor_classifiers.contest.tasks import load_task
+from motor_classifiers.scoring.frozen_tasks import StreamTask, load_task
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_classifiers.scoring.score import score
 from motor_env import Cusum, Glr, TolerantFilter

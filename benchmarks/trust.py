@@ -1,9 +1,13 @@
-"""Tables and charts of docs/trust.md that the benchmark does not make: `python benchmarks/trust.py [PART...]`."""
+"""Figures, tables and charts of docs/trust.md: `python benchmarks/trust.py [PART...]`.
+
+`sets` and `figures` are kept in benchmarks/results/trust.json, `shifts` and `powers` among the tables; `charts` draws
+what is kept.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -11,26 +15,23 @@ from typing import Any, Literal
 
 import numpy as np
 from cyclopts import run
-from shifts import shift_scores, textbook_shifts, trained_power, work_shifts
+from shifts import shift_scores, textbook_shifts, trained_power
 from sklearn.base import BaseEstimator
 from tables import keep_table
+from trust_figures import network_for, set_figures, trust_figures
+from trust_tables import Legend, curves_of_race, curves_of_unknown, percent
 
 from motor_classifiers.estimators.methods import METHODS, make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.report.trust_page import with_charts
-from motor_classifiers.report.trust_tables import percent
-from motor_classifiers.scoring.judging import in_recipe_order
-from motor_classifiers.scoring.trust import network_for
+from motor_classifiers.scoring.judging import in_recipe_order, judge
+from motor_classifiers.scoring.task import class_task
 from motor_classifiers.wrappers.conformal import ConformalSets
-from motor_classifiers.wrappers.fault_family import family_fit
-from motor_classifiers.wrappers.open_set import OpenSetClassifier
 from motor_classifiers.wrappers.outside import OutsideDetector
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import Timing
 
 SEED = 0
@@ -42,9 +43,6 @@ KEPT = Path(__file__).parent / "results" / "trust.json"
 def bench(rate_hz: float) -> Recipe:
     """The recipe `bench` at a rate."""
     return named_recipe("bench", timing=Timing(rate_hz, 0.1))
-
-
-SETTINGS = {f"{khz} kHz, 20 mA": bench(1e3 * khz) for khz in (10, 1)}
 
 
 def cases(recipe: Recipe, first: int, count: int) -> Dataset:
@@ -70,44 +68,12 @@ def ordered(model: Any, X: Any, recipe: Recipe) -> FloatArray:
     return in_recipe_order(model, model.predict_proba(X), recipe)
 
 
-def out_of_range(n_cases: int) -> Iterable[Iterable[str]]:
-    """Severities beyond the trained ones, through the wrapper around the discriminant analysis."""
-    for setting, recipe in SETTINGS.items():
-        count = n_cases // 8
-        train = cases(recipe, TRAIN, count)
-        method = make_method("residual-qda", recipe, SEED)
-        model = OpenSetClassifier(method, recipe).fit(train.X, train.class_name)
-        for kind, severity in (
-            (FaultKind.BEARING, 0.25),
-            (FaultKind.BEARING, 0.40),
-            (FaultKind.BEARING, 0.60),
-            (FaultKind.WINDING_CONTACT, 0.25),
-            (FaultKind.WINDING_CONTACT, 0.40),
-        ):
-            changed = replace(recipe, classes=(FaultClass(kind, severity),))
-            X = cases(changed, TEST, count // 2).X
-            said = model.verdicts(X)
-            is_kind = np.char.startswith(said.label.astype(str), str(kind))
-            nearest = family_fit(recipe, X).severity
-            yield (
-                setting, f"{kind} +{100.0 * severity:g} %",
-                *(percent(told.mean()) for told in (is_kind, said.out_of_range, said.is_outside)),
-                f"{100.0 * nearest.mean():.1f} ± {100.0 * nearest.std():.1f}",
-            )  # fmt: skip
-
-
 def _moved() -> Iterable[tuple[Recipe, dict[str, Recipe]]]:
     """The recipes of the tables of shifts, and what they are moved to."""
     field = replace(named_recipe("field"), starts_per_motor=1, healthy_starts=0)
     alone = replace(field, timing=replace(field.timing, sampling_rate_hz=1_000.0))
     yield bench(1_000.0), textbook_shifts(bench(1_000.0))
     yield alone, {shift.name: alone.shifted(shift.name) for shift in alone.shifts}
-    work = replace(named_recipe("operation"), starts_per_motor=1, healthy_starts=0)
-    yield work, work_shifts(work)
-
-
-_FIRST = {"field": ("network",), "operation": ("physical-logistic",)}
-"""Methods of the table of shifts, on recipes without a network of their own."""
 
 
 def shifts(n_cases: int) -> Iterable[Iterable[str]]:
@@ -115,14 +81,15 @@ def shifts(n_cases: int) -> Iterable[Iterable[str]]:
     for recipe, conditions in _moved():
         known = cases(recipe, CALIBRATE, n_cases)
         detector = OutsideDetector(recipe).fit()
-        at_work, quick = recipe.duty is not None, {}
-        if not at_work:
-            quick = {name: trained(name, recipe, 8000) for name in ("residual-qda", "physical-lda")}
-        first = {name: trained(name, recipe, 8000) for name in _FIRST.get(recipe.name, ())}
-        if not first:
-            first = {"posterior network": network(recipe)}
+        quick = {name: trained(name, recipe, 8000) for name in ("residual-qda", "physical-lda")}
+        textbook = recipe.field is None
+        first = (
+            {"posterior network": network(recipe)}
+            if textbook
+            else {"network": trained("network", recipe, 8000)}
+        )
         # The best of our quick methods stands for the limit where there is none in closed form.
-        best = partial(trained, "physical-logistic" if at_work else "physical-lda", count=5000)
+        best = partial(trained, "physical-lda", count=5000)
         for name, model in (first | quick).items():
             columns = np.searchsorted(model.classes_, known.class_name)
             sets = ConformalSets.calibrate(model.predict_proba(known.X), columns)
@@ -149,10 +116,9 @@ def powers(n_cases: int) -> Iterable[Iterable[str]]:
     """What the detector refuses under each shift, beside a test trained for it, and what it takes to be off."""
     for recipe, conditions in _moved():
         detector = OutsideDetector(recipe).fit()
-        n_judged = n_cases if recipe.duty is None else n_cases // 5  # each is a fit
         for name, changed in {"as in training": recipe, **conditions}.items():
-            off = detector.what_is_off(cases(changed, TEST, n_judged).X)
-            trained = trained_power(recipe, changed, SEED, np.arange(n_judged) + CALIBRATE)
+            off = detector.what_is_off(cases(changed, TEST, n_cases).X)
+            trained = trained_power(recipe, changed, SEED, np.arange(n_cases) + CALIBRATE)
             names, counts = np.unique(off[off != ""].astype(str), return_counts=True)
             most = sorted(zip(counts, names, strict=True), reverse=True)[:3]
             yield (
@@ -168,7 +134,7 @@ STYLE = """svg { background: #fff; font: 12px system-ui, sans-serif; } text { fi
 circle { fill: var(--own); } .dashed polyline, .dashed .key { stroke-dasharray: 5 4; }"""
 
 
-def stand_alone(chart: str, legend: Sequence[tuple[str, str]]) -> str:
+def stand_alone(chart: str, legend: Legend) -> str:
     """A chart of the benchmark's page as a file of its own, its keys below it."""
     height = 408 + 18 * len(legend)
     keys = "".join(
@@ -183,20 +149,25 @@ def stand_alone(chart: str, legend: Sequence[tuple[str, str]]) -> str:
 
 
 def kept_charts() -> Iterable[tuple[str, str]]:
-    """File name and markup of each chart of the figures that the benchmark has kept."""
+    """File name and markup of each chart of the kept figures."""
     kept = json.loads(KEPT.read_bytes())
-    figures = with_charts(kept, kept)
-    solid = [(style, f"{name}, distance") for style, name in figures["unknown"]["legend"]]
-    dashed = [
-        (f"{style} dashed", f"{name}, the limit's confidence") for style, name in figures["unknown"]["legend"]
-    ]
-    for name, section, legend in (
-        ("other-roc", "unknown", [*solid, *dashed]), ("early-verdicts", "race", figures["race"]["legend"]),
-    ):  # fmt: skip
-        yield f"{name}.svg", stand_alone(figures[section]["chart"], legend)
+    yield "other-roc.svg", stand_alone(*curves_of_unknown(kept["unknown"]))
+    yield "early-verdicts.svg", stand_alone(*curves_of_race(kept["race"], kept["duration_s"]))
 
 
-OF_RANGE = ("setting", "fault", "kind right", "out of range", "refused", "severity")
+def keep_figures(*, with_sets: bool) -> None:
+    """Measure the sets of all methods anew, or all other figures, and keep them."""
+    task = class_task(bench(10_000.0))
+    kept = json.loads(KEPT.read_bytes())
+    if with_sets:
+        answers = {name: judge(name, task) for name in METHODS}
+        graded = {name: one.probabilities for name, one in answers.items() if one.is_graded}
+        kept["sets"] = set_figures({"limit": task.best(task.test().X), **graded}, task.starts())
+    else:
+        kept |= task.setting() | trust_figures(task)
+    KEPT.write_text(json.dumps(kept, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
 OF_SHIFTS = (
     "recipe", "method", "conditions", "accuracy", "limit", "ECE", "coverage", "set size", "accuracy of the answered",
     "their ECE",
@@ -204,15 +175,17 @@ OF_SHIFTS = (
 OF_POWERS = ("recipe", "conditions", "refused", "by a test trained for it", "said to be off")
 
 
-def main(*part: Literal["range", "shifts", "powers", "kept"], cases: int = 20_000) -> None:
+def main(*part: Literal["sets", "figures", "shifts", "powers", "charts"], cases: int = 20_000) -> None:
     """Make the parts asked for; all by default. The largest tables rest on so many cases."""
-    if "range" in part or not part:
-        keep_table("trust", "range", OF_RANGE, out_of_range(cases))
+    if "sets" in part or not part:
+        keep_figures(with_sets=True)
+    if "figures" in part or not part:
+        keep_figures(with_sets=False)
     if "shifts" in part or not part:
         keep_table("trust", "shifts", OF_SHIFTS, shifts(cases // 10))
     if "powers" in part or not part:
         keep_table("trust", "powers", OF_POWERS, powers(cases))
-    if "kept" in part or not part:
+    if "charts" in part or not part:
         for name, markup in kept_charts():
             (IMAGES / name).write_text(markup, encoding="utf-8")
 

@@ -1,4 +1,4 @@
-"""A method of one's own: its row beside all others, a submission to motor-bench, and its score.
+"""A method of one's own: its row beside all others, and its score on a frozen task.
 
 `python examples/own_method.py out/own` writes all of it below that folder, in less than a minute.
 """
@@ -12,7 +12,7 @@ from sklearn.neural_network import MLPClassifier
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from motor_classifiers import load_task, score_submission, write_submission
+from motor_classifiers import load_task, score_answers
 from motor_env import Recipe
 
 
@@ -35,6 +35,5 @@ if __name__ == "__main__":
     train, X = task.train(), task.test().X
     model = small_network(task.recipe, 0).fit(train.X[:, 0], train.class_name)
     answers = model.predict_proba(X[:, 0])[:, [list(model.classes_).index(name) for name in task.columns]]
-    write_submission(out / "submission", task, answers, {"method": "small-network", "authors": "A Stranger"})
-    scored = score_submission(out / "submission")
+    scored = score_answers(task, answers)
     print(f"{scored['value']:.2f} % wrong, {scored['above_limit']:.2f} points more than the best possible")  # noqa: T201

@@ -23,7 +23,7 @@ from recording_bytes import bytes_of
 from recording_csv import csv_text
 from strange_toml import ABSURD, MOTORS, strange
 
-from motor_classifiers import load_task, write_submission
+from motor_classifiers import load_task
 from motor_env import (
     PAPER_MOTOR,
     Scenario,
@@ -209,36 +209,10 @@ def watched(file: str) -> Prepare:
     return prepare
 
 
-def submission(file: str) -> Prepare:
-    """A card or a table of answers."""
-
-    def prepare(folder: Path) -> tuple[bytes, Make]:
-        task = load_task("severity")
-        write_submission(folder, task, np.full((task.n_test, 1), 0.1), {"method": "m", "authors": "a"})
-        whole = (folder / file).read_bytes()
-        if file == "card.toml":
-            return changed(tomllib.loads(whole.decode()), toml_of, absurd=ABSURD)
-        footer = range(len(whole) - 8 - int.from_bytes(whole[-8:-4], "little"), len(whole) - 8)
-        return whole, lambda rng: (damaged(whole, rng, most=3, focus=footer), False)
-
-    return prepare
-
-
-def verdicts(file: str) -> Prepare:
-    """Truth and verdicts of `score-recordings`."""
-    said = [
-        {"file": f"{n}.csv", "verdict": "healthy", "model_based": {"verdict": "bearing"}} for n in range(9)
-    ]
-    truth = "file,motor,verdict\n" + "".join(f"{n}.csv,m{n // 3},healthy\n" for n in range(9))
-
-    def prepare(folder: Path) -> tuple[bytes, Make]:
-        (folder / "truth.csv").write_text(truth)
-        (folder / "said.json").write_text(json.dumps(said))
-        if file == "said.json":
-            return changed(said, json_of)
-        return truth.encode(), lambda rng: (damaged(truth.encode(), rng, most=2), False)
-
-    return prepare
+def answers(folder: Path) -> tuple[bytes, Make]:
+    """A table of answers to a frozen task."""
+    whole = ("case,severity\n" + "".join(f"{n},0.1\n" for n in range(load_task("severity").n_test))).encode()
+    return whole, lambda rng: (damaged(whole, rng, most=3), False)
 
 
 KINDS = {
@@ -298,21 +272,7 @@ KINDS = {
         "set/unfinished.json",
         unfinished,
     ),
-    "card": Kind(
-        60, "motor-classifiers score FOLDER --keep FOLDER/out", "card.toml", submission("card.toml")
-    ),
-    "answers": Kind(
-        100,
-        "motor-classifiers score FOLDER --keep FOLDER/out",
-        "answers.parquet",
-        submission("answers.parquet"),
-    ),
-    **{
-        f"score {file}": Kind(
-            90, "motor-classifiers score-recordings FOLDER/truth.csv FOLDER/said.json", file, verdicts(file)
-        )
-        for file in ("truth.csv", "said.json")
-    },
+    "answers": Kind(160, "motor-classifiers score severity FOLDER/answers.csv", "answers.csv", answers),
 }
 
 

@@ -89,7 +89,7 @@ def test_the_errors_by_number_of_starts_are_those_kept(tmp_path: Path) -> None:
 
 
 def test_the_charts_of_the_trust_page_are_those_of_the_kept_figures() -> None:
-    """`python benchmarks/trust.py kept` writes them."""
+    """`python benchmarks/trust.py charts` writes them."""
     charts = dict(trust.kept_charts())
     assert len(charts) == 2
     assert {name: (IMAGES / name).read_text(encoding="utf-8") for name in charts} == charts

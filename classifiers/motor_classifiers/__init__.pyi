@@ -1,10 +1,3 @@
-from .contest.submissions import (
-    score_submission as score_submission,
-    write_submission as write_submission,
-)
-from .contest.tasks import (
-    load_task as load_task,
-)
 from .estimators.confirmation import (
     ThresholdConfirmationClassifier as ThresholdConfirmationClassifier,
 )
@@ -42,8 +35,14 @@ from .prediction.opinions import (
     predict as predict,
     predict_recording as predict_recording,
 )
+from .scoring.answer_files import (
+    score_answers as score_answers,
+)
 from .scoring.evaluation import (
     evaluate_model as evaluate_model,
+)
+from .scoring.frozen_tasks import (
+    load_task as load_task,
 )
 from .wrappers.conformal import (
     ConformalClassifier as ConformalClassifier,
@@ -51,9 +50,6 @@ from .wrappers.conformal import (
 )
 from .wrappers.early import (
     EarlyClassifier as EarlyClassifier,
-)
-from .wrappers.open_set import (
-    OpenSetClassifier as OpenSetClassifier,
 )
 from .wrappers.outside import (
     OutsideDetector as OutsideDetector,

@@ -7,15 +7,15 @@ from .folder import (
 from .generate import (
     generate_arrays as generate_arrays,
 )
+from .layout import (
+    Split as Split,
+    split_of as split_of,
+)
 from .loaders import (
     load as load,
     to_pandas as to_pandas,
     to_torch as to_torch,
     to_torch_iterable as to_torch_iterable,
-)
-from .splits import (
-    Split as Split,
-    split_of as split_of,
 )
 from .streaming import (
     stream as stream,

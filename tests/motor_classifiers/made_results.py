@@ -5,14 +5,12 @@ from typing import Any
 import numpy as np
 
 # Reaches in: results are made up as the benchmark keeps them: to run it takes minutes.
-from motor_classifiers.scoring.benchmark import run_plan
+from motor_classifiers.scoring.benchmark import AnswerStore, Plan, run_plan, units
 from motor_classifiers.scoring.judging import LIMIT, Answer
 from motor_classifiers.scoring.metrics import IntArray
-from motor_classifiers.scoring.plan import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
 from motor_classifiers.scoring.score import Results
 from motor_classifiers.scoring.task import class_task
-from motor_classifiers.scoring.trust import SECTIONS, TRUST
 from motor_env import Timing, load_recipe
 
 RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
@@ -39,7 +37,6 @@ def made_results(limit: Answer, **methods: Answer) -> tuple[Plan, Results]:
     by_name: dict[str, Any] = {name.replace("_", "-"): one for name, one in methods.items()}
     plan, store = Plan((TASK,), tuple(by_name)), AnswerStore()
     for unit in units(plan):
-        left_out = {"counts": {}, **{name: {"reason": "made"} for name in SECTIONS}}
-        store.put(unit, (by_name | {LIMIT: limit, TRUST: left_out})[unit.name])
+        store.put(unit, (by_name | {LIMIT: limit})[unit.name])
     (result,) = run_plan(plan, store)
     return plan, result

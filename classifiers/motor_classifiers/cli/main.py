@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
-from motor_classifiers.cli import contest
+from motor_classifiers.cli.tasks import score, task
 from motor_env import __version__, console
 from motor_env.errors import InputError, require_extra
 
@@ -254,7 +254,7 @@ def benchmark(
     Exit status: 0 done, 1 a method scored significantly above the Bayes limit (then something leaks), 2 wrong use.
 
     Args:
-        out: Folder for report.html, results.json and .csv, trust.json, recipes.json; answers of a sweep stay below it.
+        out: Folder for report.html, results.json and .csv, recipes.json; answers of a sweep stay below it.
         full: Sweep over all recipes, 1 and 10 kHz, 5, 20 and 100 mA, 200 to 8000 training starts: hours.
         recipe: What motors are drawn from: bench, bench-full, paper, field or operation; several with commas.
             Default bench.
@@ -268,7 +268,7 @@ def benchmark(
         seed: Random seed.
         duration_s: Time recorded after the step of the supply.
         channels: Measured channels: current, or current,speed.
-        peers: Answers of other packages' classifiers (make peers-anew); those of the default setting are shipped.
+        peers: File of kept answers of other packages' classifiers; refused where they are to other starts.
         fresh: Have all answers of a sweep again.
         dry_run: Only tell what would be run, and about how long it takes.
         json_: Print what stands in results.json.
@@ -278,8 +278,7 @@ def benchmark(
     from motor_classifiers.cli.sweep import FULL_SWEEP, plan_lines, run_with_progress, table_lines
     from motor_classifiers.estimators.methods import AT_WORK, METHODS
     from motor_classifiers.report.page import write_results
-    from motor_classifiers.scoring.peers import shipped_peers
-    from motor_classifiers.scoring.plan import AnswerStore, Plan, make_tasks
+    from motor_classifiers.scoring.benchmark import AnswerStore, Plan, make_tasks
     from motor_classifiers.scoring.results import result_rows
     from motor_env.simulation.named_recipes import changed_recipe, named_recipe
 
@@ -296,9 +295,7 @@ def benchmark(
     )
     at_work = any(task.recipe.duty is not None for task in tasks)
     usual_methods = AT_WORK if at_work else tuple(METHODS)
-    plan = Plan(
-        tasks, (*(methods.split(",") if methods else usual_methods), *with_), peers or shipped_peers()
-    )
+    plan = Plan(tasks, (*(methods.split(",") if methods else usual_methods), *with_), peers)
     folder = out / "answers" if len(tasks) > 1 else None
     if peers is not None and not peers.is_file():
         raise InputError(f"{peers}: no such file of answers of peers")
@@ -314,16 +311,16 @@ def benchmark(
         print("\n".join(table_lines(results[plan.reference])))
         print(f"report: {page}")
     leaks = [(name, result.task) for result in results for name in result.leaks]
-    for name, task in leaks:
+    for name, setting in leaks:
         print(
-            f"motor-classifiers: check failed: {name} scored above the Bayes limit on {task.title}",
+            f"motor-classifiers: check failed: {name} scored above the Bayes limit on {setting.title}",
             file=sys.stderr,
         )
     return 1 if leaks else 0
 
 
-for command in (contest.task, contest.submit, contest.score, contest.score_recordings):
-    app.command(command)
+app.command(task)
+app.command(score)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

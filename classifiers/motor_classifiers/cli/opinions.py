@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from motor_classifiers.prediction.opinions import Opinion, opinions, predict_recording, second_opinion
-from motor_classifiers.wrappers.open_set import OUTSIDE
+from motor_classifiers.wrappers.outside import OUTSIDE
 from motor_datasets.loaders import load
 from motor_env.console import ExitStatus
 from motor_env.errors import InputError
@@ -60,10 +60,9 @@ def opinion_lines(path: Path, opinions_given: list[Opinion], second: dict[str, A
 
 def _beside(opinion: Opinion) -> str:
     """What only a wrapped model tells."""
-    words = ", larger than any the model was trained on" if opinion.out_of_range else ""
     if opinion.candidates is None:
-        return words
-    return f"{words}, could be {' or '.join(opinion.candidates) or 'none of its classes'}"
+        return ""
+    return f", could be {' or '.join(opinion.candidates) or 'none of its classes'}"
 
 
 def _size(severity: float, interval: Sequence[float | None] | None) -> str:

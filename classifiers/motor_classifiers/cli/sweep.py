@@ -7,8 +7,7 @@ from collections import Counter
 
 from rich.console import Console
 
-from motor_classifiers.scoring.benchmark import run_plan
-from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, units
+from motor_classifiers.scoring.benchmark import AnswerStore, Plan, Unit, run_plan, units
 from motor_classifiers.scoring.score import Results
 from motor_env.console import progress_bar
 
@@ -72,4 +71,7 @@ def table_lines(result: Results) -> list[str]:
             f"{below:13.4f}{scores.winding.value:9.4f}{scores.bearing.value:9.4f}{scores.level.value:8.4f}"
             f"{own.answer.microseconds_per_transient:9.1f}{'' if memory is None else f'{memory:7.0f}'}"
         )
-    return lines
+    kept = sorted(
+        {f"{own.name}: kept answers, {own.answer.origin}" for own in result.methods if own.answer.origin}
+    )
+    return [*lines, *kept]

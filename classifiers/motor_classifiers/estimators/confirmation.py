@@ -1,6 +1,6 @@
 """Confirmation by thresholds (paper, Figure 1) as an estimator.
 
-The residual of the healthy motor's filter is compared with a threshold; then a bank of filters, one for each class of
+The residual of the healthy motor's filter is compared with thresholds; then a bank of filters, one for each class of
 the recipe, names the fault.
 """
 
@@ -23,7 +23,9 @@ from motor_env.motor.faults import HEALTHY, apply_faults
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import FaultClass, Recipe
 
-_RULE_ARRAYS = ("healthy_scale", "own_scale", "prior")
+_RULE_ARRAYS = (
+    "windows", "bank_windows", "healthy_center", "healthy_scale", "lower", "upper", "own_scale", "prior",
+)  # fmt: skip
 
 
 @dataclass(eq=False, repr=False)
@@ -33,8 +35,8 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
     Args:
         recipe: whose filters compare. Without one, the mean training case of each class stands in for its filter's
             prediction, and the class `healthy`, or else the first one, is the one to be left.
-        false_alarm_rate: share of healthy cases that may alarm; by default the threshold with most correct
-            decisions on the training cases.
+        false_alarm_rate: share of healthy cases that may alarm, all thresholds together (`ThresholdRule.tune`); by
+            default the thresholds with most correct decisions on the training cases.
 
     Attributes:
         classes_: labels.
@@ -48,7 +50,7 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
     false_alarm_rate: float | None = None
 
     def fit(self, X: Any, y: Any) -> Self:
-        """Tune windows, M, N, threshold and weights.
+        """Tune windows, thresholds, M, N and weights.
 
         Raises:
             ValueError: labels that the recipe does not know, no healthy case, or shapes that do not fit.
@@ -121,22 +123,11 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
             ValueError, KeyError, TypeError: values of another type or range than they must have.
         """
         values = state.values
-        rule: dict[str, Any] = {
-            **values["rule"],
-            "edges": tuple(int(edge) for edge in values["rule"]["edges"]),
-        }
+        rule: dict[str, Any] = {**values["rule"], **{name: state.arrays[name] for name in _RULE_ARRAYS}}
         _check_rule(rule, recipe)
         rate = values["false_alarm_rate"]
         require(rate is None or isinstance(rate, float), f"false_alarm_rate must be a number, got {rate!r}")
         model = cls(recipe, rate)
-        n_channels = len(recipe.sensor.channels)
-        windows = (len(rule["edges"]) - 1, n_channels * (1 + rule["with_spread"]))
-        for name, shape in zip(_RULE_ARRAYS, (windows, windows, (len(recipe.classes),)), strict=True):
-            rule[name] = state.arrays[name]
-            require(rule[name].shape == shape, f"{name} must be of shape {shape}, got {rule[name].shape}")
-            # A share may be 0; a scale may not.
-            least = 0.0 if name == "prior" else np.finfo(np.float64).tiny
-            require(bool((rule[name] >= least).all()), f"{name} must be > 0")
         model.rule_ = ThresholdRule(**rule)
         model.filters_ = tuple(class_filter(recipe, c) for c in recipe.classes)
         model.templates_ = None
@@ -166,11 +157,23 @@ def _check_rule(rule: dict[str, Any], recipe: Recipe) -> None:
     Raises:
         ValueError, KeyError, TypeError: values of another type or range than they must have.
     """
-    edges, n_windows = np.array(rule["edges"]), len(rule["edges"]) - 1
-    require(
-        edges[0] == 0 and bool((np.diff(edges) > 0).all()) and edges[-1] == recipe.timing.n_samples,
-        "its windows do not fill its recipe's time axis",
-    )
+    for name in ("windows", "bank_windows"):
+        windows = rule[name]
+        require(
+            windows.ndim == 2
+            and windows.shape[1:] == (2,)
+            and windows.dtype == np.int64
+            and windows.size > 0,
+            f"{name} must be pairs of integers, got shape {windows.shape}",
+        )
+        least = 1 + bool(rule["with_spread"])
+        require(
+            bool((windows >= 0).all() and (np.diff(windows) >= least).all())
+            and windows.max() <= recipe.timing.n_samples,
+            f"{name} must lie on its recipe's time axis",
+        )
+    n_windows = len(rule["windows"])
+    require(bool((np.diff(rule["windows"][:, 1]) >= 0).all()), "windows must be in the order of their ends")
     counts = (rule["needed"], rule["among"], rule["healthy_index"])
     require(all(type(count) is int for count in counts), f"M, N and class must be integers, got {counts!r}")
     require(
@@ -179,7 +182,22 @@ def _check_rule(rule: dict[str, Any], recipe: Recipe) -> None:
     require(0 <= counts[2] < len(recipe.classes), f"healthy_index must be a class, got {counts[2]}")
     spread = rule["with_spread"]
     require(type(spread) is bool, f"with_spread must be true or false, got {spread!r}")
-    for name in ("threshold", "temperature", "slope", "intercept"):
+    n_features = len(recipe.sensor.channels) * (1 + spread)
+    shapes: dict[str, tuple[int, ...]] = {
+        "prior": (len(recipe.classes),),
+        "own_scale": (len(rule["bank_windows"]), n_features),
+    }
+    for name in ("healthy_center", "healthy_scale", "lower", "upper"):
+        shapes[name] = (n_windows, n_features)
+    for name, shape in shapes.items():
+        require(rule[name].shape == shape, f"{name} must be of shape {shape}, got {rule[name].shape}")
+    tiny = np.finfo(np.float64).tiny
+    for name in ("healthy_scale", "upper", "own_scale"):
+        require(bool((rule[name] >= tiny).all()), f"{name} must be > 0")
+    require(bool((rule["lower"] <= -tiny).all()), "lower must be < 0")
+    # A share may be 0; a scale may not.
+    require(bool((rule["prior"] >= 0.0).all()), "prior must be >= 0")
+    for name in ("temperature", "slope", "intercept"):
         require(
             isinstance(rule[name], float) and np.isfinite(rule[name]),
             f"{name} must be a number, got {rule[name]!r}",

@@ -1,16 +1,16 @@
 """The rule of confirmation by thresholds: the paper's Figure 1, tuned on training cases and on nothing else.
 
-A filter that believes in the healthy nominal motor gives a residual. Its means over windows are compared with a
-threshold; M of the last N windows beyond it confirm a fault. Then the residuals of a bank of filters, one for each
-fault the recipe knows, are compared, and the fault whose filter fits best is the diagnosis (paper, Figure 1; multiple
-models: Magill 1965). With tolerances the residual of a healthy motor is neither white nor small, so the thresholds
-and the weights of the windows come from training cases: the rule stays one of thresholds, it learns no directions.
+A filter that believes in the healthy nominal motor gives a residual. Its means over windows are compared with a lower
+and an upper threshold each; M of the last N windows beyond theirs confirm a fault. Then the residuals of a bank of
+filters, one for each fault the recipe knows, are compared: the fault whose filter fits best is the diagnosis (paper,
+Figure 1; multiple models: Magill 1965). With tolerances the residual of a healthy motor is neither white nor small, so
+windows, thresholds and weights come from training cases: the rule stays one of thresholds, it learns no directions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from operator import itemgetter
 from typing import NamedTuple, Self
 
@@ -31,7 +31,21 @@ DOUBLING_WINDOWS = (4, 5, 6, 7, 8)
 """Numbers of windows that double in length that `tune` tries: a start is quick at first and slow later."""
 
 CONFIRMATIONS = ((1, 1), (2, 2), (2, 3), (3, 3), (3, 5), (5, 5))
-"""Pairs (M, N) that `tune` tries."""
+"""Pairs (M, N) that `tune` tries with windows that share one threshold."""
+
+MOST_WINDOWS = 3
+"""Windows with thresholds of their own."""
+
+LEAST_GAIN = 0.004
+"""Share of the training cases that one more threshold must put right: less is luck of the draw."""
+
+UNLIMITED = 1e9
+"""Threshold of a side that has none, in standard deviations of healthy cases: files hold no infinite numbers."""
+
+LEAST_STATISTIC = 0.3
+"""Cases further inside the thresholds than this are graded alike: with one-sided thresholds many are at 0."""
+
+_TINY = 1e-12
 
 
 class ConfirmationResult(NamedTuple):
@@ -42,7 +56,9 @@ class ConfirmationResult(NamedTuple):
         class_index: decided class, shape (n,): the healthy class without an alarm, the best fitting fault with one.
         probabilities: of the classes, calibrated on the training cases, shape (n, n_classes). They are graded where
             `class_index` is the rule's hard decision: near the threshold the two may disagree.
-        statistic: largest statistic of each case over its threshold, shape (n,): an alarm is a value above 1.
+        statistic: how far each case goes, shape (n,): a window's height is its distance from what healthy cases show
+            over the threshold on that side, and the statistic the largest M-th of N heights. An alarm is a value
+            above 1, whatever the number of thresholds.
     """
 
     alarm_index: IntArray
@@ -58,163 +74,239 @@ class ThresholdRule:
     Attributes:
         healthy_index: position of the healthy class.
         with_spread: whether the windows' variance is a feature beside their mean (a recipe with noise faults).
-        edges: first sample of each window, and the end of the last one.
-        needed: M, the windows that must lie beyond the threshold.
+        windows: first sample and end of each window, shape (n_windows, 2), ordered by their ends. They may overlap,
+            and need not cover the start.
+        bank_windows: those on which the faults' filters are compared, shape (n_bank_windows, 2).
+        needed: M, the windows that must lie beyond a threshold of theirs.
         among: N, the windows among which they are counted.
-        threshold: on the standardised window features.
-        healthy_scale: root mean square of each feature on healthy training cases, shape (n_windows, n_features).
-        own_scale: the same under the filter of the case's own class, all classes together.
+        healthy_center: median of each feature on healthy training cases, shape (n_windows, n_features).
+        healthy_scale: root mean square distance from it.
+        lower: thresholds below the center, in units of the scale, < 0; -`UNLIMITED` where that side has none.
+        upper: thresholds above it, > 0.
+        own_scale: root mean square of each feature of the bank under the filter of the case's own class, all classes
+            together, shape (n_bank_windows, n_features).
         prior: share of each class in training, shape (n_classes,).
         temperature: divides the bank's log-likelihoods, whose windows are not independent.
-        slope: how the log odds of a fault grow with log(statistic / threshold).
-        intercept: the log odds at the threshold.
+        slope: how the log odds of a fault grow with log(statistic).
+        intercept: the log odds at the thresholds.
     """
 
     healthy_index: int
     with_spread: bool
-    edges: tuple[int, ...]
+    windows: IntArray
+    bank_windows: IntArray
     needed: int
     among: int
-    threshold: float
+    healthy_center: FloatArray
     healthy_scale: FloatArray
+    lower: FloatArray
+    upper: FloatArray
     own_scale: FloatArray
     prior: FloatArray
     temperature: float = 1.0
     slope: float = 1.0
     intercept: float = 0.0
 
-    @classmethod
+    @staticmethod
     def tune(
-        cls,
         whitened: FloatArray,
         labels: IntArray,
         healthy: int,
         *,
         with_spread: bool = False,
         false_alarm_rate: float | None = None,
-    ) -> Self:
-        """Choose window, M, N, threshold and weights on the residuals of training cases.
+    ) -> ThresholdRule:
+        """Choose windows, thresholds, M, N and weights on the residuals of training cases.
+
+        Candidates are windows that fill the start and share one threshold, with M of N; and up to `MOST_WINDOWS`
+        windows of a grid with thresholds of their own, any of which confirms. The one with most correct decisions on
+        the training cases is taken.
 
         Args:
             whitened: residual of each case under each class, shape (n_classes, n_cases, n_samples, n_channels).
             labels: class of each case, shape (n_cases,).
             healthy: position of the healthy class.
             with_spread: whether the windows' variance is a feature beside their mean.
-            false_alarm_rate: share of healthy cases that may alarm. By default the threshold with most correct
-                decisions on the training cases is taken.
+            false_alarm_rate: share of healthy cases that may alarm, however many thresholds there are. Only the first
+                half of the healthy cases then chooses. One factor on all thresholds is the order statistic of the
+                other half: a new healthy case alarms with at most this probability (Vovk et al. 2005, ch. 2).
 
         Raises:
             ValueError: no healthy case, or too few of them to tell the wanted false-alarm rate.
         """
-        _check_rate(false_alarm_rate, int((labels == healthy).sum()))
+        at_healthy = np.flatnonzero(labels == healthy)
+        _check_rate(false_alarm_rate, len(at_healthy))
+        if false_alarm_rate is None:
+            chosen = _chosen(whitened, labels, healthy, with_spread, 1.0)
+        else:
+            held = at_healthy[len(at_healthy) // 2 :]
+            others = np.delete(np.arange(len(labels)), held)
+            chosen = _chosen(whitened[:, others], labels[others], healthy, with_spread, false_alarm_rate)
+            ordered = np.sort(chosen.largest(whitened[healthy, held]))
+            at = int(np.ceil((len(ordered) + 1) * (1.0 - false_alarm_rate) - 1e-9)) - 1
+            chosen = chosen.scaled(max(float(ordered[at]), _TINY))
         prior = np.bincount(labels, minlength=len(whitened)) / len(labels)
-        candidates: list[tuple[float, Self]] = []
-        for edges, pairs in _choices(whitened.shape[2], with_spread):
-            features = np.stack([window_features(w, edges, with_spread) for w in whitened])
-            base = cls(
-                healthy, with_spread, edges, 1, 1, 1.0,
-                healthy_scale=_rms(features[healthy, labels == healthy]),
-                own_scale=_rms(features[labels, np.arange(len(labels))]),
-                prior=prior,
-            )  # fmt: skip
-            fits = base._best_fault(features) == labels
-            for needed, among in pairs:
-                candidate = replace(base, needed=needed, among=among)
-                largest = candidate.statistic(features[healthy]).max(axis=1)
-                threshold, score = _choose_threshold(largest, labels == healthy, fits, false_alarm_rate)
-                candidates.append((score, replace(candidate, threshold=threshold)))
-        return max(candidates, key=itemgetter(0))[1].calibrated(whitened, labels)
+        return replace(chosen, prior=prior).calibrated(whitened, labels)
 
     def decide(self, whitened: FloatArray) -> ConfirmationResult:
         """Decide on residuals under each class, shape (n_classes, n_cases, n_samples, n_channels)."""
-        features = self._features(whitened)
-        statistic = self.statistic(features[self.healthy_index])
-        crossed = statistic > self.threshold
+        statistic = self.statistic(
+            window_features(whitened[self.healthy_index], self.windows, self.with_spread)
+        )
+        crossed = statistic > 1.0
         alarm = crossed.any(axis=1)
         # The statistic of position p is complete with window p + N - 1.
-        end = np.array(self.edges)[crossed.argmax(axis=1) + self.among] - 1
-        largest = statistic.max(axis=1) / self.threshold
-        fault = self._best_fault(features)
+        end = self.windows[crossed.argmax(axis=1) + self.among - 1, 1] - 1
+        largest = statistic.max(axis=1)
+        bank = self._bank_features(whitened)
+        fault = _bank_scores(bank, self.own_scale, self.healthy_index).argmax(axis=1)
         return ConfirmationResult(
             alarm_index=np.where(alarm, end, -1).astype(np.int64),
             class_index=np.where(alarm, fault, self.healthy_index).astype(np.int64),
-            probabilities=self._probabilities(features, largest),
+            probabilities=self._probabilities(bank, largest),
             statistic=largest,
         )
 
-    def _features(self, whitened: FloatArray) -> FloatArray:
-        return np.stack([window_features(w, self.edges, self.with_spread) for w in whitened])
+    def scaled(self, factor: float) -> Self:
+        """The rule with all thresholds times a factor."""
+        return replace(self, lower=self.lower * factor, upper=self.upper * factor)
 
     def statistic(self, features: FloatArray) -> FloatArray:
-        """M-th largest of the last N windows' standardised features, shape (n, n_windows - N + 1)."""
-        height = np.abs(features / self.healthy_scale).max(axis=-1)
+        """M-th largest height of the last N windows, shape (n, n_windows - N + 1)."""
+        z = (features - self.healthy_center) / self.healthy_scale
+        height = np.maximum(z / self.upper, z / self.lower).max(axis=-1)
         last = sliding_window_view(height, self.among, axis=1)
         statistic: FloatArray = np.sort(last, axis=-1)[..., self.among - self.needed]
         return statistic
 
-    def _log_likelihood(self, features: FloatArray) -> FloatArray:
-        """Log-likelihood of each class for each case, shape (n, n_classes), the windows taken as independent."""
-        log_likelihood: FloatArray = -0.5 * np.square(features / self.own_scale).sum(axis=(-2, -1)).T
-        return log_likelihood
+    def largest(self, residual: FloatArray) -> FloatArray:
+        """Largest statistic of each case from its residual under the healthy class, shape (n,)."""
+        features = window_features(residual, self.windows, self.with_spread)
+        largest: FloatArray = self.statistic(features).max(axis=1)
+        return largest
 
-    def _best_fault(self, features: FloatArray) -> IntArray:
-        score = self._log_likelihood(features)
-        score[:, self.healthy_index] = -np.inf
-        best: IntArray = score.argmax(axis=1).astype(np.int64)
-        return best
+    def _bank_features(self, whitened: FloatArray) -> FloatArray:
+        return np.stack([window_features(w, self.bank_windows, self.with_spread) for w in whitened])
 
     def fault_shares(self, features: FloatArray) -> FloatArray:
-        """Probability of each fault class given that there is one, shape (n, n_classes)."""
-        score = self._log_likelihood(features) / self.temperature + np.log(np.maximum(self.prior, 1e-12))
-        score[:, self.healthy_index] = -np.inf
-        share: FloatArray = softmax(score, axis=1)
+        """Probability of each fault class given that there is one, from features of the bank, shape (n, n_classes)."""
+        score = _bank_scores(features, self.own_scale, self.healthy_index) / self.temperature
+        share: FloatArray = softmax(score + np.log(np.maximum(self.prior, _TINY)), axis=1)
         return share
 
-    def _probabilities(self, features: FloatArray, statistic: FloatArray) -> FloatArray:
-        faulty = expit(self.intercept + self.slope * np.log(np.maximum(statistic, 1e-12)))
+    def _probabilities(self, features: FloatArray, largest: FloatArray) -> FloatArray:
+        faulty = expit(self.intercept + self.slope * _evidence(largest))
         probabilities = self.fault_shares(features) * faulty[:, None]
         probabilities[:, self.healthy_index] = 1.0 - faulty
         return probabilities
 
     def calibrated(self, whitened: FloatArray, labels: IntArray) -> Self:
         """The rule with its probabilities fitted to training cases (Platt 1999; temperature: Guo et al. 2017)."""
-        features = self._features(whitened)
         faulty = labels != self.healthy_index
         if not faulty.any():
             return self
-        largest = self.statistic(features[self.healthy_index]).max(axis=1) / self.threshold
+        evidence = _evidence(self.largest(whitened[self.healthy_index]))
         # With a weak prior on both weights, which keeps them finite.
-        design = np.column_stack([np.ones(len(largest)), np.log(np.maximum(largest, 1e-12))])
+        design = np.column_stack([np.ones(len(evidence)), evidence])
         platt = LogisticRegression(C=100.0, fit_intercept=False, solver="newton-cholesky", tol=1e-10)
         intercept, slope = platt.fit(design, faulty).coef_[0].tolist()
+        features = self._bank_features(whitened[:, faulty])
 
         def loss(temperature: float) -> float:
-            share = replace(self, temperature=temperature).fault_shares(features[:, faulty])
-            return float(-np.log(np.maximum(share[np.arange(faulty.sum()), labels[faulty]], 1e-12)).mean())
+            share = replace(self, temperature=temperature).fault_shares(features)
+            return float(-np.log(np.maximum(share[np.arange(faulty.sum()), labels[faulty]], _TINY)).mean())
 
         temperature = min(np.geomspace(0.5, 200.0, 40).tolist(), key=loss)
         return replace(self, intercept=intercept, slope=slope, temperature=temperature)
 
 
-def window_features(whitened: FloatArray, edges: tuple[int, ...], with_spread: bool) -> FloatArray:
+def window_features(whitened: FloatArray, windows: IntArray, with_spread: bool) -> FloatArray:
     """Mean, and if wanted the variance, of white noise in windows, scaled to standard normal (Mehra & Peschon 1971).
 
     Args:
         whitened: shape (n, n_samples, n_channels).
-        edges: first sample of each window, and the end of the last one.
+        windows: first sample and end of each window, shape (n_windows, 2).
         with_spread: whether to add the variance.
 
     Returns:
         Shape (n, n_windows, n_channels) or (n, n_windows, 2 n_channels).
     """
-    length = np.diff(edges)[:, None]
-    total = np.add.reduceat(whitened, edges[:-1], axis=1)
-    mean = total / np.sqrt(length)
+    edges, places = np.unique(windows, return_inverse=True)
+    begin, end = places.reshape(windows.shape).T
+
+    def total(values: FloatArray) -> FloatArray:
+        pieces = np.add.reduceat(values[:, : edges[-1]], edges[:-1], axis=1)
+        before = np.concatenate([np.zeros_like(pieces[:, :1]), np.cumsum(pieces, axis=1)], axis=1)
+        totals: FloatArray = before[:, end] - before[:, begin]
+        return totals
+
+    length = np.diff(windows)
+    mean = total(whitened) / np.sqrt(length)
     if not with_spread:
         return mean
-    squares = np.add.reduceat(np.square(whitened), edges[:-1], axis=1) - np.square(mean)
+    squares = total(np.square(whitened)) - np.square(mean)
     spread = (squares - (length - 1)) / np.sqrt(2.0 * (length - 1))
     return np.concatenate([mean, spread], axis=-1)
+
+
+def _chosen(
+    whitened: FloatArray, labels: IntArray, healthy: int, with_spread: bool, rate: float
+) -> ThresholdRule:
+    """The candidate with most correct decisions, at most this share of healthy cases alarming."""
+    layouts = _layouts(whitened.shape[2], with_spread)
+    features = np.stack([window_features(w, np.concatenate(layouts), with_spread) for w in whitened])
+    parts = np.split(features, np.cumsum([len(windows) for windows in layouts])[:-1], axis=2)
+    scales = [_rms(part[labels, np.arange(len(labels))]) for part in parts]
+    named = [
+        _bank_scores(part, scale, healthy).argmax(axis=1) == labels
+        for part, scale in zip(parts, scales, strict=True)
+    ]
+    bank = int(np.argmax([right.sum() for right in named]))
+    at_healthy = labels == healthy
+    gain = np.where(at_healthy, -1, named[bank].astype(np.int64))
+    spare = int(rate * at_healthy.sum())
+
+    def based(windows: IntArray, features: FloatArray) -> ThresholdRule:
+        center = np.median(features[at_healthy], axis=0)
+        scale = _rms(features[at_healthy] - center)
+        return ThresholdRule(
+            healthy, with_spread, windows, layouts[bank], 1, 1, center, scale, -np.ones_like(scale),
+            np.ones_like(scale), scales[bank], prior=np.ones(len(whitened)),
+        )  # fmt: skip
+
+    candidates: list[tuple[int, ThresholdRule]] = []
+    for windows, part in zip(layouts, parts, strict=True):
+        base = based(windows, part[healthy])
+        for needed, among in CONFIRMATIONS:
+            if among <= len(windows):
+                rule = replace(base, needed=needed, among=among)
+                height = rule.statistic(part[healthy]).max(axis=1)[:, None]
+                won, _, threshold = _best_threshold(height, _descending(height), gain, spare)
+                candidates.append((won, rule.scaled(threshold)))
+    grid = _grid(whitened.shape[2], with_spread)
+    on_grid = window_features(whitened[healthy], grid, with_spread)
+    candidates.append(_with_own_thresholds(based(grid, on_grid), on_grid, gain, spare))
+    return max(candidates, key=itemgetter(0))[1]
+
+
+def _with_own_thresholds(
+    rule: ThresholdRule, features: FloatArray, gain: IntArray, spare: int
+) -> tuple[int, ThresholdRule]:
+    """From a rule on all windows of the grid, one on the few whose thresholds decide best; first what it wins."""
+    z = ((features - rule.healthy_center) / rule.healthy_scale).reshape(len(features), -1)
+    n_windows, n_features = rule.healthy_scale.shape
+    window_of = np.tile(np.repeat(np.arange(n_windows), n_features), 2)
+    won, limits = _few_thresholds(np.concatenate([z, -z], axis=1), window_of, gain, spare)
+    bounds = np.full(len(window_of), UNLIMITED)
+    for side, threshold in limits:
+        bounds[side] = min(bounds[side], threshold)
+    upper, lower = bounds.reshape(2, n_windows, n_features)
+    used = np.unique(window_of[[side for side, _ in limits]]) if limits else np.array([0])
+    used = used[np.argsort(rule.windows[used, 1], kind="stable")]
+    return won, replace(
+        rule, windows=rule.windows[used], healthy_center=rule.healthy_center[used],
+        healthy_scale=rule.healthy_scale[used], lower=-lower[used], upper=upper[used],
+    )  # fmt: skip
 
 
 def _check_rate(rate: float | None, n_healthy: int) -> None:
@@ -222,22 +314,26 @@ def _check_rate(rate: float | None, n_healthy: int) -> None:
     if rate is None:
         return
     require(0.0 < rate < 1.0, f"false_alarm_rate must lie between 0 and 1, got {rate:g}")
-    least = int(np.ceil(1.0 / rate - 1.0 - 1e-9))
+    least = 2 * int(np.ceil(1.0 / rate - 1.0 - 1e-9))
     require(
         n_healthy >= least,
         f"false_alarm_rate {rate:g} needs at least {least} healthy training cases, got {n_healthy}",
     )
 
 
-def _choices(n_samples: int, with_spread: bool) -> Iterator[tuple[tuple[int, ...], list[tuple[int, int]]]]:
-    """Edges of windows, and the pairs (M, N) that fit their number."""
-    shortest = 2 if with_spread else 1
+def _layouts(n_samples: int, with_spread: bool) -> list[IntArray]:
+    """Windows that fill the start, shape (n_windows, 2) each."""
     layouts = [np.linspace(0, n_samples, count + 1) for count in EQUAL_WINDOWS]
     layouts += [n_samples * np.append(0.0, 2.0 ** np.arange(1 - count, 1)) for count in DOUBLING_WINDOWS]
-    for layout in layouts:
-        edges = tuple(int(edge) for edge in np.round(layout))
-        if min(np.diff(edges)) >= shortest:
-            yield edges, [(m, n) for m, n in CONFIRMATIONS if n < len(edges)]
+    windows = [np.array(list(pairwise(np.round(edges).astype(np.int64)))) for edges in layouts]
+    return [w for w in windows if np.diff(w).min() >= 1 + with_spread]
+
+
+def _grid(n_samples: int, with_spread: bool) -> IntArray:
+    """Windows between any two of the edges: tenths of the start, and doublings; shape (n_windows, 2)."""
+    shares = np.concatenate([np.arange(11) / 10.0, 2.0 ** -np.arange(1, 7)])
+    edges = np.unique(np.round(n_samples * shares).astype(np.int64))
+    return np.array([(begin, end) for begin in edges for end in edges if end > begin + with_spread])
 
 
 def _rms(features: FloatArray) -> FloatArray:
@@ -245,20 +341,82 @@ def _rms(features: FloatArray) -> FloatArray:
     return np.maximum(scale, 1e-6)
 
 
-def _choose_threshold(
-    largest: FloatArray, healthy: NDArray[np.bool_], fits: NDArray[np.bool_], rate: float | None
-) -> tuple[float, float]:
-    """Threshold on the cases' largest statistics, and the share of correct decisions with it."""
-    if rate is not None:
-        # The order statistic that a new healthy case exceeds with probability <= rate (Vovk et al. 2005, ch. 2).
-        ordered = np.sort(largest[healthy])
-        threshold = float(ordered[int(np.ceil((len(ordered) + 1) * (1.0 - rate) - 1e-9)) - 1])
-        return threshold, float(np.where(healthy, largest <= threshold, fits & (largest > threshold)).mean())
-    order = np.argsort(largest, kind="stable")
-    right_below = np.cumsum(healthy[order])
-    right_above = (fits & ~healthy)[order][::-1].cumsum()[::-1]
-    # After position p of the sorted cases: those up to p are called healthy, the others faulty.
-    correct = right_below[:-1] + right_above[1:]
-    at = int(np.argmax(correct))
-    threshold = 0.5 * float(largest[order[at]] + largest[order[at + 1]])
-    return threshold, float(correct[at]) / len(largest)
+def _bank_scores(features: FloatArray, own_scale: FloatArray, healthy: int) -> FloatArray:
+    """Log-likelihood of each fault for each case, shape (n, n_classes), its windows taken as independent."""
+    score: FloatArray = -0.5 * np.square(features / own_scale).sum(axis=(-2, -1)).T
+    score[:, healthy] = -np.inf
+    return score
+
+
+def _evidence(largest: FloatArray) -> FloatArray:
+    evidence: FloatArray = np.log(np.maximum(largest, LEAST_STATISTIC))
+    return evidence
+
+
+def _descending(heights: FloatArray) -> IntArray:
+    return np.argsort(-heights, axis=0, kind="stable")
+
+
+def _best_threshold(
+    heights: FloatArray, order: IntArray, gain: IntArray, spare: int
+) -> tuple[int, int, float]:
+    """What the best single threshold wins, on which column it stands, and the threshold, halfway between two cases.
+
+    Args:
+        heights: of each case on each column, shape (n_cases, n_columns).
+        order: each column's cases from the highest to the lowest.
+        gain: what an alarm wins, shape (n_cases,): 1 where the bank names the fault, -1 in a healthy case, else 0.
+        spare: how many healthy cases may alarm.
+    """
+    ordered = np.take_along_axis(heights, order, axis=0)
+    gains = gain[order]
+    # After row r the cases up to r alarm, the others do not.
+    won = gains.cumsum(axis=0)[:-1]
+    cut = (ordered[:-1] > 0.0) & (ordered[:-1] > ordered[1:]) & ((gains < 0).cumsum(axis=0)[:-1] <= spare)
+    if not cut.any():
+        return 0, 0, max(float(ordered[0, 0]), _TINY)
+    row, column = np.unravel_index(np.where(cut, won, -len(gain) - 1).argmax(), won.shape)
+    threshold = 0.5 * (ordered[row, column] + max(ordered[row + 1, column], 0.0))
+    return int(won[row, column]), int(column), float(threshold)
+
+
+def _few_thresholds(
+    heights: FloatArray, window_of: IntArray, gain: IntArray, spare: int
+) -> tuple[int, list[tuple[int, float]]]:
+    """Thresholds on few windows: the best one more each time, then each in turn chosen anew while that wins.
+
+    Returns:
+        What they win, and (column, threshold) of each.
+    """
+    order = _descending(heights)
+    limits: list[tuple[int, float]] = []
+    won = 0
+
+    def one_more(others: list[tuple[int, float]]) -> tuple[int, list[tuple[int, float]]]:
+        alarms = np.zeros(len(heights), dtype=np.bool_)
+        for column, threshold in others:
+            alarms |= heights[:, column] > threshold
+        used = {window_of[column] for column, _ in others}
+        free = (
+            np.isin(window_of, list(used)) if len(used) == MOST_WINDOWS else np.ones_like(window_of, np.bool_)
+        )
+        columns = np.flatnonzero(free)
+        left = spare - int((gain[alarms] < 0).sum())
+        more, column, threshold = _best_threshold(
+            heights[:, columns], order[:, columns], np.where(alarms, 0, gain), left
+        )
+        return int(gain[alarms].sum()) + more, [*others, (int(columns[column]), threshold)]
+
+    while len(limits) < 2 * MOST_WINDOWS:
+        total, more = one_more(limits)
+        swapped = True
+        while swapped:
+            swapped = False
+            for out in range(len(more)):
+                again, other = one_more(more[:out] + more[out + 1 :])
+                if again > total:
+                    total, more, swapped = again, other, True
+        if total <= won + LEAST_GAIN * len(gain):
+            break
+        won, limits = total, more
+    return won, limits

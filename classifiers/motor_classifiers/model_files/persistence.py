@@ -2,7 +2,7 @@
 
 A scikit-learn pipeline is a skops archive with our own `motor.json` beside its schema. The confirmation and the
 networks are safetensors with the same JSON in the header, and a digest of both. A classifier around one of these
-(open-set, conformal) is an archive of its own values as JSON and the file of the model inside. A file that holds
+(conformal) is an archive of its own values as JSON and the file of the model inside. A file that holds
 anything else is refused.
 """
 
@@ -33,7 +33,6 @@ from motor_classifiers.model_files import containers
 from motor_classifiers.model_files.pipelines import check_pipeline, load_pipeline, pipeline_members
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
-from motor_classifiers.wrappers.open_set import OpenSetClassifier
 from motor_env.errors import InputError
 from motor_env.files import LARGEST_DATA_BYTES, read_file, replacing
 from motor_env.motor.parameters import require
@@ -53,7 +52,7 @@ _KINDS: dict[str, Any] = {
     "posterior-network": PosteriorNetwork,
     "residual-network": ResNetClassifier,
 }
-_WRAPPERS: dict[str, Any] = {"open-set": OpenSetClassifier, "conformal": ConformalClassifier}
+_WRAPPERS: dict[str, Any] = {"conformal": ConformalClassifier}
 _NAMES: dict[type, str] = {made: kind for kind, made in {**_KINDS, **_WRAPPERS}.items()}
 _MEMBER = "motor.json"
 _WRAPPER, _INNER = "wrapper.json", "model"
@@ -68,7 +67,7 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path | s
 
     Args:
         model: a method of `METHODS`, an estimator or pipeline of scikit-learn's steps that are safe to load, or a
-            `ConformalClassifier` or `OpenSetClassifier` around one.
+            `ConformalClassifier` around one.
         recipe: that it was trained for.
         method: name of the method.
         path: of the file.
@@ -114,8 +113,6 @@ def _content(model: BaseEstimator, recipe: Recipe, method: str) -> bytes:
     head: dict[str, Any] = {"format": FORMAT, "version": VERSION}
     kind = _NAMES.get(type(model))
     if kind in _WRAPPERS:
-        own = getattr(model, "recipe", recipe) == recipe
-        require(own, "an open-set classifier must be saved with its own recipe")
         head |= {"kind": kind, **model.to_state().values}
         inner = _content(model.wrapped_model, recipe, method)
         return containers.packed({_WRAPPER: json.dumps(head).encode(), _INNER: inner})

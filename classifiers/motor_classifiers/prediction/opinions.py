@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +19,7 @@ from motor_classifiers.prediction.alignment import aligned_case
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
-from motor_classifiers.wrappers.open_set import OUTSIDE, OpenSetClassifier
-from motor_classifiers.wrappers.outside import ADVICE
+from motor_classifiers.wrappers.outside import ADVICE, OUTSIDE, OutsideDetector
 from motor_env.console import ExitStatus
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.report.formats import as_json
@@ -41,13 +41,12 @@ class Opinion(NamedTuple):
     Attributes:
         verdict: healthy, bearing, winding, noise, `outside what I know`, or unusable.
         class_name: most probable class; empty where unusable.
-        probability: of the verdict; for a fault out of range: 1 minus the false-alarm rate, not a class probability.
+        probability: of the verdict.
         severity: its mean, for the most probable kind of the verdict; 0 for healthy.
         probabilities: of each class by name.
         reason: why there is no opinion, and what to do; else empty.
         severity_interval: bounds that hold the severity in 90 of 100 cases, from a model that tells them.
         candidates: classes in the conformal set, from a model that has one; the set may be empty.
-        out_of_range: whether the fault is larger than any that the model was trained on, from a model that tells it.
     """
 
     verdict: str
@@ -58,7 +57,6 @@ class Opinion(NamedTuple):
     reason: str = ""
     severity_interval: tuple[float, float] | None = None
     candidates: tuple[str, ...] | None = None
-    out_of_range: bool | None = None
 
     @property
     def status(self) -> ExitStatus:
@@ -77,7 +75,6 @@ class Opinion(NamedTuple):
             "severity_interval": None if self.severity_interval is None else list(self.severity_interval),
             "probabilities": self.probabilities,
             "candidates": None if self.candidates is None else list(self.candidates),
-            "out_of_range": self.out_of_range,
             "undecided": self.status is ExitStatus.UNDECIDED,
             "reason": self.reason or None,
         }
@@ -90,8 +87,10 @@ def verdict_of(label_kind: str) -> str:
 
 def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
     """Opinion on each case, X of shape (n_cases, n_channels, n_timepoints)."""
-    if isinstance(model, ConformalClassifier | OpenSetClassifier):
-        return _around(model, opinions(model.wrapped_model, recipe, X), X)
+    if isinstance(model, ConformalClassifier):
+        sets = (tuple(model.classes_[chosen].tolist()) for chosen in model.predict_set(X))
+        inside = opinions(model.wrapped_model, recipe, X)
+        return [opinion._replace(candidates=names) for opinion, names in zip(inside, sets, strict=True)]
     probabilities = in_recipe_order(model, answered(model, X), recipe)
     verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
     best = probabilities.argmax(axis=1)
@@ -115,27 +114,6 @@ def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
             best, share, probabilities, severities, strict=True
         )
     ]
-
-
-def _around(model: ConformalClassifier | OpenSetClassifier, inside: list[Opinion], X: Any) -> list[Opinion]:
-    """What a wrapper adds to the opinions of the model inside."""
-    if isinstance(model, ConformalClassifier):
-        sets = (tuple(model.classes_[chosen].tolist()) for chosen in model.predict_set(X))
-        return [opinion._replace(candidates=names) for opinion, names in zip(inside, sets, strict=True)]
-    verdicts, sure = model.verdicts(X), 1.0 - model.false_alarm_rate
-    opened = []
-    for n, opinion in enumerate(inside):
-        if verdicts.is_outside[n]:
-            off = str(verdicts.off[n])
-            reason = f"most likely {off}: {ADVICE[off]}"
-            foreign = Opinion(OUTSIDE, probabilities=opinion.probabilities, reason=reason, out_of_range=False)
-            opened.append(foreign)
-        elif verdicts.out_of_range[n]:
-            kind, severity = verdict_of(str(verdicts.label[n])), float(verdicts.severity[n])
-            opened.append(Opinion(kind, "", sure, severity, opinion.probabilities, out_of_range=True))
-        else:
-            opened.append(opinion._replace(out_of_range=False))
-    return opened
 
 
 def _network_severities(
@@ -182,17 +160,19 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
         case = aligned_case(recording, recipe, _noise_range(model))
     except UnusableError as error:
         return Opinion(UNDECIDED, reason=str(error))
-    return opinions(abstaining(model, recipe), recipe, case)[0]
+    (opinion,) = opinions(model, recipe, case)
+    if any(kind.is_sensor for kind in recipe.kinds):  # such starts have no detector
+        return opinion
+    off = str(_detector(recipe, _noise_range(model)).what_is_off(case)[0])
+    if not off:
+        return opinion
+    reason = f"most likely {off}: {ADVICE[off]}"
+    return Opinion(OUTSIDE, probabilities=opinion.probabilities, reason=reason)
 
 
-def abstaining(model: BaseEstimator, recipe: Recipe) -> BaseEstimator:
-    """The model in a wrapper that refuses starts of another world, where it is in none and the recipe allows it."""
-    layer = model
-    while isinstance(layer, ConformalClassifier):
-        layer = layer.wrapped_model
-    if isinstance(layer, OpenSetClassifier) or any(kind.is_sensor for kind in recipe.kinds):
-        return model
-    return OpenSetClassifier.around(model, recipe, _noise_range(model))
+@lru_cache(maxsize=4)
+def _detector(recipe: Recipe, noise_range: tuple[float, float] | None) -> OutsideDetector:
+    return OutsideDetector(recipe, noise_range=noise_range).fit()
 
 
 def _noise_range(model: BaseEstimator) -> tuple[float, float] | None:

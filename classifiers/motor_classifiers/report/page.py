@@ -4,25 +4,41 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from motor_classifiers.estimators.own_methods import find_method
-from motor_classifiers.report.charts import interval_chart, reliability_chart
-from motor_classifiers.report.names import readable, short
-from motor_classifiers.report.sweep_page import sweep_section
-from motor_classifiers.report.trust_page import trust_section
+from motor_classifiers.report.charts import Line, interval_chart, line_chart, reliability_chart, share_axis
+from motor_classifiers.scoring.benchmark import Plan
 from motor_classifiers.scoring.metrics import Score
 from motor_classifiers.scoring.peers import PEERS
-from motor_classifiers.scoring.plan import Plan
-from motor_classifiers.scoring.results import as_csv, family, result_rows, trust_document
+from motor_classifiers.scoring.results import as_csv, family, result_rows
 from motor_classifiers.scoring.score import SIGNIFICANCE, ClassResult, Results
 from motor_env.files import write_text
+from motor_env.motor.faults import HEALTHY
 from motor_env.pages.html import render
+from motor_env.pages.svg import Axis
 from motor_env.simulation.recipe_files import recipe_to_dict
+
+
+def readable(name: str) -> str:
+    """A class name in words: bearing_10 becomes bearing 10 %."""
+    stem, _, level = name.rpartition("_")
+    return (
+        f"{stem.replace('_', ' ')} {level} %" if level.replace(".", "").isdigit() else name.replace("_", " ")
+    )
+
+
+def short(name: str) -> str:
+    """A class name for narrow columns: B 10, WC 25."""
+    stem, _, level = name.rpartition("_")
+    if not level.replace(".", "").isdigit():
+        return "ok" if name == HEALTHY else name[:3]
+    return f"{''.join(word[0].upper() for word in stem.split('_'))} {level}"
 
 
 def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
@@ -63,7 +79,6 @@ def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
         sub_charts=_sub_charts(result, ranked),
         confusions=[_confusion(one) for one in (result.limit, *ranked)],
         reliability=_reliability((result.limit, *ranked)),
-        trust=trust_section(result),
         sweep=sweep_section(plan, results) if len(results) > 1 else None,
         against=[
             (method.name, result.difference(method, ours[0])) for method in ranked if method is not ours[0]
@@ -128,7 +143,7 @@ def _reliability(shown: Sequence[ClassResult]) -> list[dict[str, Any]]:
 
 
 def write_results(plan: Plan, results: Sequence[Results], folder: Path) -> Path:
-    """Write results.json, results.csv, trust.json, recipes.json and report.html, each whole or not at all.
+    """Write results.json, results.csv, recipes.json and report.html, each whole or not at all.
 
     Returns:
         The page's path.
@@ -137,9 +152,67 @@ def write_results(plan: Plan, results: Sequence[Results], folder: Path) -> Path:
     recipes = {task.recipe.name: recipe_to_dict(task.recipe) for task in reversed(plan.tasks)}
     write_text(folder / "results.json", json.dumps(rows, indent=1) + "\n")
     write_text(folder / "results.csv", as_csv(rows))
-    write_text(folder / "trust.json", json.dumps(trust_document(results), indent=1, allow_nan=False) + "\n")
     write_text(folder / "recipes.json", json.dumps(recipes, indent=1) + "\n")
     page = folder / "report.html"
     machine = f"{platform.machine()}, Python {platform.python_version()}"
     write_text(page, render_report(plan, results, machine))
     return page
+
+
+_LINES = 10  # styles of lines, s0 to s9; more methods are drawn in a quiet colour
+
+
+def sweep_section(plan: Plan, results: Sequence[Results]) -> dict[str, Any]:
+    """Charts of a sweep, learning curves by recipe and rate and accuracies by noise; and a table of all settings."""
+    style = {name: f"s{n}" if n < _LINES else "rest" for n, name in enumerate(plan.methods)}
+    recipes = dict.fromkeys(result.task.recipe.name for result in results)
+    rates = sorted({result.task.recipe.timing.sampling_rate_hz for result in results}, reverse=True)
+    learning, noise = [], []
+    for at in product(recipes, rates):
+        here = [r for r in results if (r.task.recipe.name, r.task.recipe.timing.sampling_rate_hz) == at]
+        by_size = _same_noise(here)
+        if len(by_size) > 1:
+            learning.append(_panel(by_size, style, _n_train, "training starts"))
+        by_noise = sorted((r for r in here if r.task.n_train == here[0].task.n_train), key=_noise_ma)
+        if len(by_noise) > 1:
+            noise.append(_panel(by_noise, style, _noise_ma, "noise, mA"))
+    return {
+        "learning": learning,
+        "noise": noise,
+        "methods": plan.methods,
+        "settings": [(result.task, result, {m.name: m for m in result.methods}) for result in results],
+    }
+
+
+def _same_noise(results: Sequence[Results]) -> list[Results]:
+    """Those at the noise at which most training sizes were tried, by size."""
+    noises = list(map(_noise_ma, results))
+    usual = max(noises, key=noises.count, default=None)
+    return sorted((result for result in results if _noise_ma(result) == usual), key=_n_train)
+
+
+def _noise_ma(result: Results) -> float:
+    return 1e3 * result.task.recipe.sensor.current_noise_a
+
+
+def _n_train(result: Results) -> float:
+    return float(result.task.n_train)
+
+
+def _panel(
+    results: Sequence[Results],
+    style: dict[str, str],
+    position: Callable[[Results], float],
+    x_title: str,
+) -> dict[str, str]:
+    xs = [position(result) for result in results]
+    accuracies = [{m.name: m.scores.accuracy.value for m in result.methods} for result in results]
+    lines = [Line(name, style[name], xs, [one[name] for one in accuracies]) for name in style]
+    limit_name = "estimate" if results[0].limit_is_estimate else "Bayes limit"
+    lines.append(Line(limit_name, "limit", xs, [r.limit.scores.accuracy.value for r in results]))
+    task = results[0].task
+    x_axis = Axis(x_title, xs[0], xs[-1], xs, is_log=True)
+    return {
+        "title": f"{task.recipe.name}, {task.recipe.timing.sampling_rate_hz / 1e3:g} kHz",
+        "chart": line_chart(lines, x_axis, share_axis([value for line in lines for value in line.y])),
+    }

@@ -1,17 +1,187 @@
-"""The benchmark: every method trained and judged on the same motors, beside the Bayes-optimal posterior."""
+"""The benchmark: what it runs, where answers are kept, every method judged beside the posterior on the same motors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from motor_classifiers.scoring.judging import LIMIT, Answer, judge_apart, posterior
+import numpy as np
+
+from motor_classifiers.estimators.methods import ESTIMATE, METHODS
+from motor_classifiers.estimators.own_methods import find_method
+from motor_classifiers.scoring.judging import (
+    LIMIT,
+    Answer,
+    answer_key,
+    judge_apart,
+    load_answer,
+    posterior,
+    save_answer,
+)
 from motor_classifiers.scoring.peers import read_peers
-from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, limit_of, trust_unit, unit_of, units
 from motor_classifiers.scoring.score import Results, score_classes
-from motor_classifiers.scoring.task import ClassTask
-from motor_classifiers.scoring.trust import TRUST, Figures, set_figures, trust_figures
+from motor_classifiers.scoring.task import ClassTask, class_task
 from motor_env.errors import InputError
+from motor_env.motor.parameters import require
+from motor_env.simulation.named_recipes import changed_recipe
+from motor_env.simulation.recipes import Recipe
+
+REFERENCE: dict[str, Any] = {
+    "recipe": "bench",
+    "sampling_rate_hz": 10_000.0,
+    "noise_a": 0.02,
+    "n_train": 2000,
+}
+"""The setting that the page shows in full where there are several."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is run: each method on each task.
+
+    Attributes:
+        tasks: one a setting.
+        methods: names of `METHODS`, of entry points, or `FILE.py:NAME` (`find_method`).
+        peers: file with kept answers of peers; they join where its starts are those of a setting.
+    """
+
+    tasks: tuple[ClassTask, ...]
+    methods: tuple[str, ...] = tuple(METHODS)
+    peers: Path | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.methods:
+            find_method(name)
+        require(len(set(self.methods)) == len(self.methods), "methods must differ")
+
+    @property
+    def n_comparisons(self) -> int:
+        """Comparisons with the limit."""
+        return len(self.tasks) * len(self.methods)
+
+    @property
+    def reference(self) -> int:
+        """Index of the setting that the page shows in full: the one nearest to `REFERENCE`."""
+        settings = [task.setting() for task in self.tasks]
+        return int(np.argmax([sum(one[name] == REFERENCE[name] for name in REFERENCE) for one in settings]))
+
+
+def make_tasks(
+    recipes: Sequence[Recipe],
+    *,
+    rates_hz: Sequence[float],
+    noises_a: Sequence[float],
+    train_sizes: Sequence[int],
+    n_test: int,
+    seed: int,
+) -> tuple[ClassTask, ...]:
+    """Tasks of a sweep: recipes, rates and noises crossed, and training sizes at the usual noise.
+
+    Args:
+        recipes: what motors are drawn from.
+        rates_hz: of each recipe; its own where empty.
+        noises_a: of each recipe; its own where empty.
+        train_sizes: the first is that of the sweep over rates and noises.
+        n_test: starts to be judged on.
+        seed: of everything.
+    """
+    tasks: dict[ClassTask, None] = {}
+    for recipe in recipes:
+        rates = rates_hz or (recipe.timing.sampling_rate_hz,)
+        noises = noises_a or (recipe.sensor.current_noise_a,)
+        usual = REFERENCE["noise_a"] if REFERENCE["noise_a"] in noises else noises[0]
+        for rate, noise, n_train in product(rates, noises, train_sizes):
+            if n_train == train_sizes[0] or noise == usual:
+                own = changed_recipe(recipe, sampling_rate_hz=rate, current_noise_a=noise)
+                tasks[class_task(own, n_train, n_test, seed)] = None
+    return tuple(tasks)
+
+
+class Unit(NamedTuple):
+    """One answer to be had.
+
+    Attributes:
+        task: setting.
+        name: method, or `LIMIT`.
+        key: of its answer.
+        seconds: about how long it takes.
+    """
+
+    task: ClassTask
+    name: str
+    key: str
+    seconds: float
+
+
+def units(plan: Plan) -> tuple[Unit, ...]:
+    """All answers that a plan needs, each once: the limit does not depend on the training starts."""
+    needed: dict[str, Unit] = {}
+    for task in plan.tasks:
+        for name in (limit_of(task), *plan.methods):
+            unit = unit_of(task, name)
+            needed.setdefault(unit.key, unit)
+    return tuple(needed.values())
+
+
+def limit_of(task: ClassTask) -> str:
+    """What stands for the limit: the exact posterior, its estimate at work, or the method that estimates it."""
+    return LIMIT if task.recipe.field is None or task.recipe.duty is not None else ESTIMATE
+
+
+def unit_of(task: ClassTask, name: str) -> Unit:
+    """A method's answer, or the limit's, in a setting."""
+    return Unit(task, name, answer_key(name, task), _expected_seconds(name, task))
+
+
+def _expected_seconds(name: str, task: ClassTask) -> float:
+    samples = task.recipe.timing.n_samples / 1000.0
+    if name == LIMIT:
+        return 0.5 + 1e-3 * task.n_test * samples * len(task.recipe.classes) / 5.0
+    method = find_method(name)
+    if method.from_stream and task.recipe.field is not None:
+        return 20.0 * method.seconds  # whatever the rate: the motor's equations take small steps
+    size = 0.5 if method.from_stream else 0.5 * (task.n_train + task.n_test) / 2000.0
+    return 1.0 + method.seconds * size * (0.2 + 0.8 * samples)
+
+
+class AnswerStore:
+    """Answers by key: in memory, and, given a folder, as files that a later run finds again.
+
+    Args:
+        folder: where files are kept; None for none.
+        fresh: whether files of earlier runs are overwritten instead of read.
+    """
+
+    def __init__(self, folder: Path | None = None, *, fresh: bool = False) -> None:
+        self._folder = folder
+        self._fresh = fresh
+        self._answers: dict[str, Answer | None] = {}
+
+    def find(self, unit: Unit) -> Answer | None:
+        """The answer; None where there is none."""
+        if unit.key not in self._answers and self._folder is not None and not self._fresh:
+            self._answers[unit.key] = load_answer(self._folder / f"{unit.key}.npz", unit.task)
+        return self._answers.get(unit.key)
+
+    def answer(self, unit: Unit) -> Answer:
+        """The answer that is there.
+
+        Raises:
+            KeyError: there is none.
+        """
+        found = self.find(unit)
+        if found is None:
+            raise KeyError(unit.key)
+        return found
+
+    def put(self, unit: Unit, answer: Answer) -> None:
+        """Keep an answer."""
+        self._answers[unit.key] = answer
+        if self._folder is not None:
+            save_answer(answer, self._folder / f"{unit.key}.npz")
 
 
 def run_plan(
@@ -27,41 +197,41 @@ def run_plan(
         on_unit: called before each unit, with whether its answer is already there.
 
     Raises:
-        InputError: some answer could not be had; all others were tried, and stand in the store.
+        InputError: the peers' answers are to no starts of the plan; or some answer could not be had: all others were
+            tried, and stand in the store.
     """
     kept = AnswerStore() if store is None else store
-    todo, failures = units(plan), []
+    peers, todo, failures = _peers(plan), units(plan), []
     for unit in todo:
         known = kept.find(unit) is not None
         on_unit(unit, known)
         if not known:
             try:
-                kept.put(unit, _answer(plan, unit))
+                kept.put(unit, _answer(unit))
             except InputError as error:
                 failures.append(str(error))
     if failures:
         raise InputError(f"{len(failures)} of {len(todo)} answers failed, the first: {failures[0]}")
-    results = [_scored(plan, task, kept) for task in plan.tasks]
-    reference = results[plan.reference]
-    figures = {"sets": _sets(reference), **kept.find(trust_unit(plan))}
-    results[plan.reference] = replace(reference, trust=figures)
-    return tuple(results)
+    return tuple(_scored(plan, task, kept, beside) for task, beside in zip(plan.tasks, peers, strict=True))
 
 
-def _answer(plan: Plan, unit: Unit) -> Answer | Figures:
-    if unit.name == TRUST:
-        return trust_figures(unit.task, with_network=plan.with_network)
+def _peers(plan: Plan) -> list[dict[str, Answer]]:
+    """Kept answers of peers to the starts of each setting."""
+    if plan.peers is None:
+        return [{} for _ in plan.tasks]
+    found = [read_peers(plan.peers, task) for task in plan.tasks]
+    if not any(found):
+        raise InputError(
+            f"{plan.peers}: holds answers to other starts than those of this benchmark; leave --peers out"
+        )
+    return found
+
+
+def _answer(unit: Unit) -> Answer:
     return posterior(unit.task) if unit.name == LIMIT else judge_apart(unit.name, unit.task)
 
 
-def _sets(result: Results) -> Figures:
-    """Conformal sets of the limit and of every method that grades, from the answers that are there."""
-    graded = [result.limit, *(method for method in result.ranked() if method.calibration is not None)]
-    return set_figures({one.name: one.answer.probabilities for one in graded}, result.task.starts())
-
-
-def _scored(plan: Plan, task: ClassTask, store: AnswerStore) -> Results:
-    answers: dict[str, Answer] = {name: store.find(unit_of(task, name)) for name in plan.methods}
-    peers = {} if plan.peers is None else read_peers(plan.peers, task)
-    limit: Answer = store.find(unit_of(task, limit_of(task)))
+def _scored(plan: Plan, task: ClassTask, store: AnswerStore, peers: dict[str, Answer]) -> Results:
+    answers = {name: store.answer(unit_of(task, name)) for name in plan.methods}
+    limit = store.answer(unit_of(task, limit_of(task)))
     return score_classes(task, answers | peers, limit, plan.n_comparisons)

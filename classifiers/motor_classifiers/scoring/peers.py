@@ -1,13 +1,8 @@
-"""Generic classifiers of other packages in the benchmark's table: their answers come from an environment of their own.
-
-`export_starts` writes the benchmark's starts as plain arrays, benchmarks/aeon_peers.py judges them where aeon lives,
-and `read_peers` brings the answers back. Answers for the shipped setting are part of the package.
-"""
+"""Generic classifiers of other packages in the benchmark's table: kept answers that benchmarks/peers.py had made."""
 
 from __future__ import annotations
 
 import json
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +15,6 @@ from motor_classifiers.scoring.progress import Cost
 from motor_classifiers.scoring.task import ClassTask
 from motor_datasets.arrays import Dataset
 from motor_env.errors import InputError
-from motor_env.files import replacing
 from motor_env.motor.parameters import FloatArray
 
 PEERS = {
@@ -33,17 +27,12 @@ PEERS = {
 _SAME_MEAN_A = 1e-6  # between machines the last bits of a simulated start may differ, and no more
 
 
-def shipped_peers() -> Path:
-    """Answers for the default setting: made by `make peers-anew`."""
-    return Path(str(files("motor_classifiers.scoring"))) / "peers.npz"
-
-
 def _means(X: NDArray[np.float32]) -> NDArray[np.float32]:
     means: NDArray[np.float32] = X.mean(axis=(1, 2), dtype=np.float64).astype(np.float32)
     return means
 
 
-def _identity(train: Dataset, test: Dataset) -> dict[str, NDArray[Any]]:
+def identity(train: Dataset, test: Dataset) -> dict[str, NDArray[Any]]:
     """What tells these starts from all others: level and class of each."""
     return {
         "train_mean": _means(train.X),
@@ -51,14 +40,6 @@ def _identity(train: Dataset, test: Dataset) -> dict[str, NDArray[Any]]:
         "test_mean": _means(test.X),
         "test_class_index": test.class_index.astype(np.int8),
     }
-
-
-def export_starts(train: Dataset, test: Dataset, path: Path, **more: NDArray[Any]) -> None:
-    """Write starts to learn from and starts to be judged, as plain arrays, and what else a peer learns from."""
-    with replacing(path) as temporary:
-        facts = {"n_classes": len(test.class_names), "recipe": test.recipe.name, "seed": test.seed}
-        arrays = {name: np.array(value) for name, value in facts.items()} | _identity(train, test) | more
-        np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
 
 
 def read_peers(path: Path, task: ClassTask) -> dict[str, Answer]:
@@ -90,7 +71,7 @@ def _same_starts(arrays: dict[str, NDArray[Any]], task: ClassTask) -> bool:
     """Whether a file speaks of the starts of this setting; the file may hold more test starts."""
     if len(arrays["test_mean"]) < task.n_test or len(arrays["train_mean"]) != task.n_train:
         return False
-    ours = _identity(task.train(), task.starts())
+    ours = identity(task.train(), task.starts())
     return all(
         np.allclose(arrays[name][: len(values)], values, rtol=0.0, atol=_SAME_MEAN_A)
         for name, values in ours.items()

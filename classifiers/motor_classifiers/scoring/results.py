@@ -101,12 +101,6 @@ def _own_fields(recipe: Recipe, method: ClassResult) -> dict[str, Any]:
     }
 
 
-def trust_document(every: Sequence[Results]) -> dict[str, Any]:
-    """The figures on trust of the one setting that has them, and that setting."""
-    reference = next(results for results in every if results.trust is not None)
-    return {**reference.task.setting(), **(reference.trust or {})}
-
-
 def family(method: ClassResult) -> str:
     """Family of a method: threshold, scikit-learn, torch, own or peer."""
     return "peer" if method.answer.origin else find_method(method.name).family

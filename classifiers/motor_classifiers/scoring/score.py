@@ -74,7 +74,6 @@ class Results:
         methods: in the order given.
         weights: of the bootstrap, shape (1 + n_resamples, n_test).
         n_comparisons: comparisons with the limit that share `SIGNIFICANCE`.
-        trust: figures on trust, in the reference setting alone.
     """
 
     task: ClassTask
@@ -82,7 +81,6 @@ class Results:
     methods: tuple[ClassResult, ...]
     weights: FloatArray
     n_comparisons: int = 1
-    trust: dict[str, Any] | None = None
 
     @property
     def limit_is_estimate(self) -> bool:

@@ -6,9 +6,7 @@ numbers tell nothing of the truth.
 
 from __future__ import annotations
 
-import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, NamedTuple
 
@@ -21,14 +19,7 @@ from motor_env.errors import InputError
 from motor_env.inference.posterior import class_probabilities
 from motor_env.inference.work_features import work_probabilities
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
-
-VERSION = "1.0"
-"""Version of the frozen tasks: one with another recipe, seed or count belongs to another."""
-
-SEED = 20_261
-"""Seed of the public splits of frozen tasks; a sealed split has a secret one."""
 
 TRAIN_FIRST_CASE = 0
 TEST_FIRST_CASE = 1_000_000_000
@@ -44,12 +35,10 @@ class Cases(NamedTuple):
         X: measurements, float32, shape (n_cases, n_channels, n_samples).
         truth: what the task's costs compare answers with, shape (n_cases,): class index, severity, unknown fault
             (0: none) or time of the onset in seconds (nan: no fault).
-        motor: of each case, shape (n_cases,), where several are of one motor: intervals then draw motors.
     """
 
     X: NDArray[np.float32]
     truth: NDArray[Any]
-    motor: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +54,6 @@ class DrawnTask(ABC):
         recipe: what motors are drawn from.
         n_train: starts to learn from; no motor of theirs is judged.
         seed: of motors and noise.
-        sealed: secret seed of the test split; None for the public one.
     """
 
     name: str
@@ -76,8 +64,7 @@ class DrawnTask(ABC):
     _: KW_ONLY
     recipe: Recipe = field(repr=False)
     n_train: int = 2000
-    seed: int = SEED
-    sealed: int | None = field(default=None, repr=False)
+    seed: int = 0
 
     @property
     @abstractmethod
@@ -95,11 +82,6 @@ class DrawnTask(ABC):
     def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
         """The metric, once for each row of weights, shape (n_rows,), from costs of shape (n_test,)."""
         return mean_figures(costs, weights)
-
-    @property
-    def test_seed(self) -> int:
-        """Seed of the cases to be judged."""
-        return self.seed if self.sealed is None else self.sealed
 
     def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
         """Answers of the exact posterior, shape (n_test, n_columns); None where the best possible is not known."""
@@ -127,30 +109,6 @@ class DrawnTask(ABC):
         train = self.train()
         return {name: getattr(train, name) for name in ("X", "severity", "class_index", "class_name")}
 
-    @property
-    def draw_id(self) -> str:
-        """Name of the test split: a digest of task, version and seed, from which the seed cannot be told."""
-        return hashlib.sha256(f"motor-bench {VERSION} {self.name} {self.test_seed}".encode()).hexdigest()[:16]
-
-    def digests(self) -> dict[str, str]:
-        """SHA-256 of the measurements and the truth of both splits."""
-        numbers = [values for values in self.learned().values() if values.dtype.kind != "U"]
-        return {"train": _digest(numbers), "test": _digest(self.test()[:2])}
-
-    def as_json(self) -> dict[str, Any]:
-        """What a stranger needs to know of it."""
-        return {
-            "task": self.name,
-            "version": VERSION,
-            "draw": self.draw_id,
-            "title": self.title,
-            "metric": self.metric,
-            "columns": ["case", *self.columns],
-            "n_train": self.n_train,
-            "n_test": self.n_test,
-            "recipe": recipe_to_dict(self.recipe),
-        }
-
 
 def mean_figures(costs: FloatArray, weights: FloatArray) -> FloatArray:
     """Mean costs in per cent, once for each row of weights, shape (n_rows,), from costs of shape (n_cases,)."""
@@ -158,13 +116,15 @@ def mean_figures(costs: FloatArray, weights: FloatArray) -> FloatArray:
     return means
 
 
-def _digest(arrays: Iterable[NDArray[Any]]) -> str:
-    return hashlib.sha256(b"".join(np.ascontiguousarray(values).tobytes() for values in arrays)).hexdigest()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassTask(DrawnTask):
-    """Name the class; the answer is a probability of each, the decision the largest."""
+    """Name the class; the answer is a probability of each, the decision the largest.
+
+    Attributes:
+        judged_per_motor: starts of each motor that are judged; None for all but the commissioning starts.
+    """
+
+    judged_per_motor: int | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -173,12 +133,13 @@ class ClassTask(DrawnTask):
 
     def starts(self) -> Dataset:
         """What is judged, with all labels: starts of other motors than those of the training."""
-        return judged_starts(self.recipe, self.test_seed, TEST_FIRST_CASE, self.n_test)
+        cases = judged_cases(self.recipe, TEST_FIRST_CASE, self.n_test, self.judged_per_motor)
+        return generate_arrays(self.recipe, self.seed, cases)
 
     def test(self) -> Cases:
         """What is judged, with the index of the class."""
         starts = self.starts()
-        return Cases(starts.X, starts.class_index, starts.motor_id)
+        return Cases(starts.X, starts.class_index)
 
     def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
         """1 for a wrong decision."""
@@ -256,14 +217,21 @@ class GivenTask(ClassTask):
         return self.given
 
 
-def judged_cases(recipe: Recipe, first: int, count: int) -> NDArray[np.int64]:
-    """Numbers of the first cases that are no commissioning starts: those are healthy, and known to be."""
+def judged_cases(recipe: Recipe, first: int, count: int, per_motor: int | None = None) -> NDArray[np.int64]:
+    """Numbers of the first cases that are no commissioning starts: those are healthy, and known to be.
+
+    Args:
+        recipe: says how many starts a motor has.
+        first: no case is before it.
+        count: of cases.
+        per_motor: cases of each motor; all by default.
+    """
     starts, healthy = recipe.starts_per_motor, recipe.healthy_starts
     if healthy == starts:
         raise InputError(f"all starts of recipe {recipe.name} are healthy ones: nothing to tell")
-    per_motor = starts - healthy
-    motors = np.arange(-(-count // per_motor))[:, None] + -(-first // starts)
-    return (motors * starts + np.arange(healthy, starts)).ravel()[:count]
+    judged = np.arange(healthy, starts)[:per_motor]
+    motors = np.arange(-(-count // len(judged)))[:, None] + -(-first // starts)
+    return (motors * starts + judged).ravel()[:count]
 
 
 def judged_starts(recipe: Recipe, seed: int, first: int, count: int) -> Dataset:

@@ -1,27 +1,255 @@
 """Whether a start is of the world that a recipe knows, and if not, what is off.
 
 Along the few directions in which starts can differ, the recipe's own starts are one normal cloud a class (plus the
-noise), and outside these directions they are noise alone. Of motors at work the same is true around the fit of each
-record (`work_world`). The distance is the log likelihood ratio of any motor, in any surroundings and of any noise above
-the known one, to the recipe (Neyman & Pearson 1933). Its threshold is the quantile of fresh starts of the recipe. What
-is off is the one departure that, added to the recipe, explains the start best.
+noise), and outside these directions they are noise alone. The distance is the log likelihood ratio of any motor, in any
+surroundings and of any noise above the known one, to the recipe (Neyman & Pearson 1933). Its threshold is the quantile
+of fresh starts of the recipe. What is off is the one departure that, added to the recipe, explains the start best.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 from sklearn.base import BaseEstimator, OutlierMixin
 
 from motor_classifiers.estimators.cases import fitting_recipe, flat_cases, measured_cases, values_of_start
-from motor_classifiers.wrappers.work_world import WorkWorld
-from motor_classifiers.wrappers.world import Levels, World
+from motor_classifiers.estimators.networks.signal_space import SignalSpace
+from motor_datasets.generate import generate_arrays
+from motor_env.inference.class_model import ClassModel
+from motor_env.inference.posterior import variance_factor
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.disturbances import PRIORS, Field
+from motor_env.simulation.drawing import apply_factors
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe, Spread
+
+SEED = 0xFA318  # of the clouds and of the threshold; no data set is drawn with it
+CLOUD = 6_000  # starts behind the clouds
+_CALIBRATION = 10_000
+ANYWHERE = 0.1  # variance of any surroundings, relative to that of the departures that are named
+WIDER = 4.0  # variance of any motor, relative to that of all the recipe's starts
+SIZES = {"offset": 0.005, "gain": 0.02, "warmth": 20.0, "load": 0.5, "severity": 0.10, "another motor": 0.10}
+_RAMP = 5.0  # electrical time constants
+_HEALTHY = FaultClass()
+
+
+Levels = tuple[float, float]
+"""Smallest and largest factor on the variance of the noise."""
+
+
+class Coordinates(NamedTuple):
+    """Starts in units of the noise.
+
+    Attributes:
+        along: coefficients along the directions, shape (n, n_directions).
+        energy: squares left outside them, shape (n,).
+    """
+
+    along: FloatArray
+    energy: FloatArray
+
+
+class Cloud(NamedTuple):
+    """Normal clouds of starts along the directions, one a class, in units of the noise.
+
+    Attributes:
+        log_weight: shape (n_clouds,).
+        mean: shape (n_clouds, n_directions).
+        covariance: without the noise, shape (n_clouds, n_directions, n_directions).
+        noise: variance of the noise, relative to the recipe's, shape (n_clouds,).
+    """
+
+    log_weight: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    noise: FloatArray
+
+    def log_density(self, at: Coordinates, freedom: int, levels: Levels) -> FloatArray:
+        """Up to one constant, shape (n,); within the levels the noise is read off what is left outside."""
+        logs = []
+        for weight, mean, covariance, noise in zip(*self, strict=True):
+            level = noise * np.clip(at.energy / (freedom * noise), *levels)
+            values, axes = np.linalg.eigh(covariance)
+            variance = np.maximum(values, 0.0) + level[:, None]
+            squares = np.square((at.along - mean) @ axes) / variance
+            outside = at.energy / level + freedom * np.log(level)
+            logs.append(weight - 0.5 * ((squares + np.log(variance)).sum(axis=1) + outside))
+        density: FloatArray = logsumexp(logs, axis=0)
+        return density
+
+
+_NO_CLOUD = Cloud(*(np.zeros(0),) * 4)
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """What a recipe's starts look like, and what starts look like where something is off.
+
+    Attributes:
+        recipe: what motors are drawn from, one start each.
+        nominal: start of the nominal motor, shape (n_values,).
+        noise: standard deviation of each value's noise, shape (n_values,).
+        directions: orthonormal in units of the noise, shape (n_directions, n_values).
+        own: the recipe's starts.
+        anything: any motor in any surroundings.
+        departures: the recipe's starts with one departure, by its name.
+    """
+
+    recipe: Recipe
+    nominal: FloatArray
+    noise: FloatArray
+    directions: FloatArray
+    own: Cloud
+    anything: Cloud
+    departures: Mapping[str, Cloud]
+
+    @classmethod
+    def from_recipe(cls, recipe: Recipe) -> World:
+        """The clouds of so many simulated starts.
+
+        Raises:
+            ValueError: a recipe of motors at work, or of failed sensors.
+        """
+        recipe.require_motor_faults()
+        recipe.require_step()
+        single = single_starts(recipe)
+        space = SignalSpace.from_recipe(single, None, sees_noise=True)
+        nominal, noise, directions = (
+            np.asarray(part) for part in (space.nominal, space.noise, space.directions)
+        )
+        signatures = {name: rows / noise for name, rows in _signatures(single).items()}
+        for row in np.concatenate([*signatures.values()]):
+            left = row - directions.T @ (directions @ row)
+            if len(directions) < len(noise) - 1 and np.linalg.norm(left) > 1e-6 * np.linalg.norm(row):
+                directions = np.vstack([directions, left / np.linalg.norm(left)])
+        first = cls(single, nominal, noise, directions, *(_NO_CLOUD,) * 2, {})
+        (at, _), family = first.silent(single, 0, CLOUD)
+        own = clouds(single, at, family)
+        spread = {name: (rows @ directions.T).T @ (rows @ directions.T) for name, rows in signatures.items()}
+        wide = WIDER * np.atleast_2d(np.cov(at.T)) + ANYWHERE * sum(spread.values())
+        one = np.zeros(1)
+        anything = Cloud(one, at.mean(axis=0)[None], wide[None], own.noise.min() + one)
+        departures = {name: own._replace(covariance=own.covariance + extra) for name, extra in spread.items()}
+        return replace(first, own=own, anything=anything, departures=departures)
+
+    def silent(self, recipe: Recipe, begin: int, count: int) -> tuple[Coordinates, NDArray[np.int64]]:
+        """Starts of the recipe without noise, and their classes."""
+        family = generate_arrays(_silent(recipe), SEED, np.arange(begin, begin + count))
+        return self.coordinates(family.X.reshape(count, -1).astype(np.float64)), family.class_index
+
+    def coordinates(self, flat: FloatArray) -> Coordinates:
+        """Coordinates of cases, `flat` of shape (n, n_values)."""
+        deviation = (flat - self.nominal) / self.noise
+        along = deviation @ self.directions.T
+        return Coordinates(along, np.square(deviation - along @ self.directions).sum(axis=1))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of what is left outside."""
+        return len(self.noise) - len(self.directions)
+
+    def distance(self, at: Coordinates, levels: Levels) -> FloatArray:
+        """Log likelihood ratio of anything to the recipe, shape (n,); `levels` are those that the recipe allows."""
+        anything = self.anything.log_density(at, self.freedom, (levels[0], np.inf))
+        return anything - self.own.log_density(at, self.freedom, levels)
+
+    def off(self, at: Coordinates, levels: Levels) -> NDArray[Any]:
+        """What is off in starts that are not of the recipe: a key of `outside.ADVICE`, shape (n,)."""
+        logs = [self.own.log_density(at, self.freedom, (levels[0], np.inf))]
+        logs += [cloud.log_density(at, self.freedom, levels) for cloud in self.departures.values()]
+        names = np.array(["noise", *self.departures], dtype=object)
+        found: NDArray[Any] = names[np.argmax(logs, axis=0)]
+        return found
+
+    def fresh(self, level: float) -> Coordinates:
+        """Starts of the recipe, other ones than those of the clouds, at so many times the noise's variance.
+
+        White noise is white along the directions; outside them only its squares matter.
+        """
+        silent, class_index = self.silent(self.recipe, CLOUD, _CALIBRATION)
+        noise = level * noise_variances(self.recipe)[class_index]
+        generator = np.random.default_rng(SEED)
+        std = np.sqrt(noise)
+        along = silent.along + std[:, None] * generator.standard_normal(silent.along.shape)
+        first = np.sqrt(silent.energy) + std * generator.standard_normal(len(std))
+        rest = noise * generator.chisquare(self.freedom - 1, len(std)) if self.freedom > 1 else 0.0
+        return Coordinates(along, np.square(first) + rest)
+
+
+def single_starts(recipe: Recipe) -> Recipe:
+    """The recipe with one start of each motor."""
+    return replace(recipe, starts_per_motor=1, healthy_starts=0, shifts=())
+
+
+def _silent(recipe: Recipe) -> Recipe:
+    """The recipe without noise and converter."""
+    field = None if recipe.field is None else replace(recipe.field, adc_bits=0)
+    return replace(recipe, sensor=recipe.sensor.with_noise(0.0), field=field)
+
+
+def noise_variances(recipe: Recipe) -> FloatArray:
+    """Variance of each class's noise, the converter's with it, relative to the recipe's, shape (n_classes,)."""
+    steps = ClassModel(recipe, recipe.classes[0]).steps
+    converter = np.square(steps).mean() / 12.0 / np.square(recipe.sensor.noise_std).mean()
+    variances: FloatArray = np.array([variance_factor(each) for each in recipe.classes]) + converter
+    return variances
+
+
+def clouds(recipe: Recipe, at: FloatArray, class_index: NDArray[np.int64]) -> Cloud:
+    """One cloud for each class that is drawn."""
+    drawn = [n for n in range(len(recipe.classes)) if (class_index == n).sum() > 1]
+    own = [at[class_index == n] for n in drawn]
+    return Cloud(
+        np.log([len(each) / len(at) for each in own]),
+        np.array([each.mean(axis=0) for each in own]),
+        np.array([np.atleast_2d(np.cov(each.T)) for each in own]),
+        noise_variances(recipe)[drawn],
+    )
+
+
+def _signatures(recipe: Recipe) -> dict[str, FloatArray]:
+    """What departures add to the nominal start, each of shape (n, n_values)."""
+    field = Field() if recipe.field is None else recipe.field
+    middle = {name: 0.5 * sum(getattr(field, name)) for name in PRIORS}
+    calm = replace(field, adc_bits=0, sensor_range_a=0.0, missing_fraction=0.0)
+    volts = np.asarray(recipe.supply.voltage_v)
+
+    def start(factors: FloatArray | float = 1.0, fault: FaultClass = _HEALTHY, **more: float) -> FloatArray:
+        factors = np.broadcast_to(factors, len(FACTORS))
+        values = {name: (value + more.get(name, 0.0),) * 2 for name, value in middle.items()}
+        other = replace(
+            _silent(recipe),
+            motor=apply_factors(recipe.motor, factors),
+            supply=replace(recipe.supply, voltage_v=float(volts * factors[FACTORS.index("supply")])),
+            spread=Spread(),
+            classes=(fault,),
+            field=replace(calm, **values),  # type: ignore[arg-type]  # names of ranges
+        )
+        return generate_arrays(other, SEED, 1).X.reshape(1, -1).astype(np.float64)
+
+    usual = start()
+    faults = [FaultClass(kind, SIZES["severity"]) for kind in recipe.kinds if kind.motor_powers]
+    signatures = {
+        "offset": start(sensor_offset_a=SIZES["offset"] * float(np.abs(usual).max())),
+        "gain": start(sensor_gain=SIZES["gain"]),
+        "ramp": start(ramp_s=_RAMP * float(recipe.motor.inductance_h / recipe.motor.resistance_ohm)),
+        "warmth": start(temperature_rise_k=SIZES["warmth"]),
+        "load": start(load_ratio=SIZES["load"]),
+        "severity": np.concatenate([usual, *(start(fault=fault) for fault in faults)])[1:],
+        "another motor": np.concatenate(
+            [start(1.0 + SIZES["another motor"] * row) for row in np.eye(len(FACTORS))]
+        ),
+    }
+    return {name: rows - usual for name, rows in signatures.items()}
+
+
+OUTSIDE = "outside what I know"
+"""The verdict on a start that is not of the recipe's world."""
 
 ADVICE = {
     "noise": "the sensor is noisier than in training: train for its noise",
@@ -114,7 +342,7 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         return low**2, high**2
 
     @property
-    def _world(self) -> World | WorkWorld:
+    def _world(self) -> World:
         return _world(fitting_recipe(self.recipe, self.n_features_in_))
 
     def _at(self, X: Any) -> Any:
@@ -123,5 +351,5 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
 
 
 @lru_cache(maxsize=4)
-def _world(recipe: Recipe) -> World | WorkWorld:
-    return World.from_recipe(recipe) if recipe.duty is None else WorkWorld.from_recipe(recipe)
+def _world(recipe: Recipe) -> World:
+    return World.from_recipe(recipe)

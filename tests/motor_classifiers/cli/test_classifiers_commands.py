@@ -1,7 +1,6 @@
 """What the commands print and pass on: signs, percentages, exit statuses, and which methods are run."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from motor_classifiers.cli.options import numbers, require_writable, whole_numbe
 from motor_classifiers.cli.sweep import plan_lines, table_lines
 from motor_classifiers.cli.training import noise_factors
 from motor_classifiers.estimators.methods import AT_WORK
-from motor_classifiers.scoring.plan import AnswerStore, Plan, units
+from motor_classifiers.scoring.benchmark import AnswerStore, Plan, units
 from motor_classifiers.scoring.progress import Cost
 
 # Reaches in: made-up answers and costs fill a plan at once; defaults are the rooms' own.
@@ -40,7 +39,7 @@ def test_the_methods_that_are_named_are_run(
     assert main(["benchmark", "--dry-run", "--json", "--out", str(tmp_path / "o"), *options]) == 0
     rows = json.loads(capsys.readouterr().out)
     named = list(dict.fromkeys(row["method"] for row in rows))
-    assert [name for name in named if name not in ("limit", "trust")] == methods
+    assert [name for name in named if name != "limit"] == methods
 
 
 def test_the_table_tells_how_far_below_the_limit() -> None:
@@ -77,13 +76,13 @@ def test_a_plan_tells_what_is_there_and_the_minutes_left() -> None:
     left = sum(unit.seconds for unit in todo) - todo[1].seconds
     lines = plan_lines(plan, store, as_json=False)
     assert [line.split()[-5:] for line in lines[:2]] == [
-        ["1", "of", "4", "answers", "there"],  # the limit, two methods, trust
+        ["1", "of", "3", "answers", "there"],  # the limit, two methods
         ["0", "of", "2", "answers", "there"],
     ]
-    assert lines[2] == f"2 settings, 6 answers, about {left / 60:.0f} minutes of one core to go"
+    assert lines[2] == f"2 settings, 5 answers, about {left / 60:.0f} minutes of one core to go"
     slow = class_task(load_recipe("field"), 100, 60)
     (*_, last) = plan_lines(Plan((slow,), ("posterior-network",)), AnswerStore(), as_json=False)
-    assert last == "1 settings, 2 answers, about 10 minutes of one core to go"
+    assert last == "1 settings, 1 answers, about 10 minutes of one core to go"
 
 
 SECOND = {
@@ -100,10 +99,6 @@ SECOND = {
         ),
         (Opinion("winding", "w", 0.4, 0.25), "winding (undecided), probability 0.40, severity near 25 %"),
         (Opinion("healthy", "healthy", 0.93, 0.02), "healthy, probability 0.93"),
-        (
-            Opinion("bearing", "", 0.99, 0.6, out_of_range=True),
-            "bearing, probability 0.99, severity near 60 %, larger than any the model was trained on",
-        ),
         (
             Opinion("healthy", "", 0.9, candidates=()),
             "healthy, probability 0.90, could be none of its classes",
@@ -141,26 +136,9 @@ def test_opinions_on_a_data_set_are_counted() -> None:
 
 
 SCORED = {
-    "method": "mine", "task": "bench", "version": "1.0", "n_test": 80, "metric": "error rate, %", "value": 12.345,
-    "low": 10.0, "high": 15.0,
+    "task": "bench", "version": "2.0", "n_test": 80, "metric": "error rate, %", "value": 12.345, "low": 10.0,
+    "high": 15.0,
 }  # fmt: skip
-
-
-@pytest.fixture
-def scored(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int | None]]:
-    """Have `score` find what a test says; the list holds the seeds that it asked with."""
-
-    def find(**more: Any) -> list[int | None]:
-        seeds: list[int | None] = []
-
-        def found(folder: Path, *, sealed: int | None) -> dict[str, Any]:
-            seeds.append(sealed)
-            return SCORED | more
-
-        monkeypatch.setattr("motor_classifiers.contest.submissions.score_submission", found)
-        return seeds
-
-    return find
 
 
 @pytest.mark.parametrize(
@@ -173,56 +151,25 @@ def scored(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int | None]]:
                 "  above it by 7.34 (-1.25 to 9.50, paired)",
             ],
         ),
-        ({"bracket": (16.29, 16.97)}, ["  the best possible on average: between 16.29 and 16.97"]),
+        ({"bracket": [16.29, 16.97]}, ["  the best possible on average: between 16.29 and 16.97"]),
         ({}, ["  the best possible is not known"]),
     ],
 )
 def test_a_score_in_words(
     more: dict[str, Any],
     lines: list[str],
-    scored: Callable[..., list[int | None]],
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert scored(**more) == []
-    assert main(["score", "folder"]) == 0
-    head = ["mine on bench 1.0, 80 cases", "  error rate, %: 12.35 (10.00 to 15.00)"]
-    assert capsys.readouterr().out.splitlines() == [
-        head[0],
-        head[1].replace("12.35", f"{12.345:.2f}"),
-        *lines,
-    ]
-    assert main(["score", "folder", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(SCORED | more))
-
-
-@pytest.mark.parametrize(
-    ("text", "status"),
-    [
-        (str(2**48), 0),
-        (str(2**64 - 1), 0),
-        (str(2**48 - 1), 2),
-        (str(2**64), 2),
-        ("-1", 2),
-        ("many", 2),
-    ],
-)
-def test_a_sealed_seed_has_64_bits(
-    text: str,
-    status: int,
-    tmp_path: Path,
-    scored: Callable[..., list[int | None]],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    seeds = scored()
-    (tmp_path / "seed").write_text(text)
-    assert main(["score", "folder", "--sealed", str(tmp_path / "seed")]) == status
-    assert seeds == ([int(text)] if status == 0 else [])
-    wrong = "must hold one whole number from 2^48 to 2^64 - 1" in capsys.readouterr().err
-    assert wrong is (status == 2)
-    assert main(["score", "folder", "--sealed", str(tmp_path / "none")]) == 2
-    assert "no such file" in capsys.readouterr().err
-    assert main(["score", "folder"]) == 0
-    assert seeds[-1] is None
+    monkeypatch.setattr("motor_classifiers.scoring.answer_files.read_answers", lambda path, task: None)
+    monkeypatch.setattr(
+        "motor_classifiers.scoring.answer_files.score_answers", lambda task, said: SCORED | more
+    )
+    assert main(["score", "bench", "answers.csv"]) == 0
+    head = ["task bench 2.0, 80 cases", f"  error rate, %: {12.345:.2f} (10.00 to 15.00)"]
+    assert capsys.readouterr().out.splitlines() == [*head, *lines]
+    assert main(["score", "bench", "answers.csv", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == SCORED | more
 
 
 def test_options_with_several_numbers(tmp_path: Path) -> None:

@@ -36,8 +36,9 @@ def test_healthy_cases_alarm_at_the_wanted_rate_in_spite_of_tolerances(tuned: Tu
     recipe, rule = tuned
     measurements, _ = cases(replace(recipe, classes=(FaultClass(),)), 2, 2000)
     alarms = int((rule.decide(measurements).alarm_index >= 0).sum())
-    # The threshold is an order statistic of about 200 healthy cases: the rate itself is spread by 0.016.
-    assert binom.ppf(1e-3, 2000, 0.01) <= alarms <= binom.ppf(1 - 1e-3, 2000, 0.11)
+    # One factor on the thresholds is an order statistic of about 100 healthy cases: the rate is spread by 0.022.
+    assert len(rule.rule_.windows) > 1
+    assert binom.ppf(1e-3, 2000, 0.01) <= alarms <= binom.ppf(1 - 1e-3, 2000, 0.12)
 
 
 def test_windings_are_told_and_alarms_carry_a_time(tuned: Tuned) -> None:
@@ -66,7 +67,7 @@ def test_bad_training_cases_are_refused_in_one_sentence() -> None:
     recipe = load_recipe("bench")
     measurements, labels = cases(recipe, 1, 60)
     classes = names(recipe, labels)
-    with pytest.raises(ValueError, match=r"false_alarm_rate 0\.01 needs at least 99 healthy training cases"):
+    with pytest.raises(ValueError, match=r"false_alarm_rate 0\.01 needs at least 198 healthy training cases"):
         ThresholdConfirmationClassifier(recipe, false_alarm_rate=0.01).fit(measurements, classes)
     with pytest.raises(ValueError, match="class must be one of healthy"):
         ThresholdConfirmationClassifier(recipe).fit(measurements, np.where(labels > 0, "odd", "healthy"))

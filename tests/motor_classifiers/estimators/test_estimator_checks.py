@@ -14,7 +14,6 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 from motor_classifiers import (
     ConformalClassifier,
     EarlyClassifier,
-    OpenSetClassifier,
     OutsideDetector,
     PerceptronClassifier,
     PhysicalFeatures,
@@ -31,7 +30,6 @@ ESTIMATORS = [
     ThresholdConfirmationClassifier(),
     ConformalClassifier(),
     EarlyClassifier(),
-    OpenSetClassifier(),
     OutsideDetector(),
     PerceptronClassifier(epochs=10),
     ResNetClassifier(epochs=6, stem=4, width=8),

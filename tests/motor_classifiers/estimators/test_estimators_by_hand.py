@@ -29,7 +29,12 @@ from motor_classifiers.estimators.networks.posterior import Posterior, growing, 
 from motor_classifiers.estimators.networks.severity_density import severity_priors, severity_recipe
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases, with_more_noise
 from motor_classifiers.estimators.reference_starts import referenced_starts, split_starts
-from motor_classifiers.estimators.threshold_rule import ThresholdRule, window_features
+from motor_classifiers.estimators.threshold_rule import (
+    LEAST_STATISTIC,
+    UNLIMITED,
+    ThresholdRule,
+    window_features,
+)
 
 # Reaches in: only a command names the network that is shipped; its layers are run by hand.
 from motor_classifiers.model_files.persistence import PRETRAINED
@@ -41,11 +46,15 @@ from motor_env.simulation.recipes import FaultClass
 RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 
 
+WINDOWS = np.array([[0, 1], [1, 2], [2, 4]])
+
+
 def rule(**changes: Any) -> ThresholdRule:
     """Three classes, the healthy one in the middle; windows of one and two samples."""
     plain: dict[str, Any] = {
-        "healthy_index": 1, "with_spread": False, "edges": (0, 1, 2, 4), "needed": 1, "among": 1, "threshold": 2.0,
-        "healthy_scale": np.array([[1.0], [2.0], [4.0]]), "own_scale": np.array([[1.0], [2.0], [2.0]]),
+        "healthy_index": 1, "with_spread": False, "windows": WINDOWS, "bank_windows": WINDOWS,
+        "needed": 1, "among": 1, "healthy_center": np.zeros((3, 1)), "healthy_scale": np.array([[1.0], [2.0], [4.0]]),
+        "lower": np.full((3, 1), -2.0), "upper": np.full((3, 1), 2.0), "own_scale": np.array([[1.0], [2.0], [2.0]]),
         "prior": np.array([0.25, 0.5, 0.25]), "temperature": 2.0, "slope": 3.0, "intercept": -0.5,
     }  # fmt: skip
     return ThresholdRule(**plain | changes)
@@ -58,14 +67,15 @@ def residuals(*of_class: list[float]) -> FloatArray:
 
 def test_windows_are_sums_over_roots() -> None:
     white = np.array([[1.0, 2.0, 3.0, 5.0, 1.0, 1.0]])[..., None]
-    got = window_features(white, (0, 2, 6), True)
+    got = window_features(white, np.array([[0, 2], [2, 6]]), True)
     mean = np.array([3.0, 10.0]) / np.sqrt([2.0, 4.0])
     spread = [
         (np.square(part - part.mean()).sum() - (len(part) - 1)) / np.sqrt(2.0 * (len(part) - 1))
         for part in (white[0, :2, 0], white[0, 2:, 0])
     ]
     np.testing.assert_allclose(got[0], np.column_stack([mean, spread]))
-    np.testing.assert_allclose(window_features(white, (0, 2, 6), False)[0, :, 0], mean)
+    overlapping = window_features(white, np.array([[3, 5], [2, 4], [0, 2]]), False)[0, :, 0]
+    np.testing.assert_allclose(overlapping, np.array([6.0, 8.0, 3.0]) / np.sqrt(2.0))
 
 
 @pytest.mark.parametrize(
@@ -81,10 +91,11 @@ def test_windows_are_sums_over_roots() -> None:
 def test_m_of_n_windows_beyond_the_threshold_confirm(
     needed: int, among: int, statistic: list[float], alarm: int
 ) -> None:
-    """Heights of the windows are 1, 3 and 2.5; that of the threshold is 2."""
+    """Distances in the windows are 1, 3 and 2.5; the thresholds are 2."""
     white = residuals([0.0] * 4, [-1.0, 6.0, 10.0 / np.sqrt(2.0), 10.0 / np.sqrt(2.0)], [0.0] * 4)
     own = rule(needed=needed, among=among)
-    np.testing.assert_allclose(own.statistic(window_features(white[1], own.edges, False))[0], statistic)
+    height = np.array(statistic) / 2.0
+    np.testing.assert_allclose(own.statistic(window_features(white[1], own.windows, False))[0], height)
     got = own.decide(white)
     assert got.alarm_index.tolist() == [alarm]
     assert got.statistic == pytest.approx([max(statistic) / 2.0])
@@ -95,12 +106,12 @@ def test_probabilities_are_platts_times_the_shares_of_the_bank() -> None:
     """Likelihoods are those of standard normal windows, divided by the temperature, times the priors."""
     white = residuals([2.0, 0.0, 0.0, 0.0], [0.0, 3.0, 0.0, 0.0], [0.0, 4.0, 2.0, 2.0])
     own = rule(prior=np.array([0.125, 0.5, 0.375]))
-    features = np.stack([window_features(one, own.edges, False) for one in white])
+    features = np.stack([window_features(one, own.windows, False) for one in white])
     log_likelihood = np.array([-0.5 * 4.0, -0.5 * (4.0 + 8.0 / 4.0)])
     weights = np.exp(log_likelihood / 2.0) * [0.125, 0.375]
     share = weights / weights.sum()
     np.testing.assert_allclose(own.fault_shares(features)[0], [share[0], 0.0, share[1]])
-    faulty = expit(-0.5 + 3.0 * np.log(1.5 / 2.0))
+    faulty = expit(-0.5 + 3.0 * np.log(1.5 / 2.0))  # what goes furthest is 3 of 4
     np.testing.assert_allclose(
         own.decide(white).probabilities[0], [share[0] * faulty, 1.0 - faulty, share[1] * faulty]
     )
@@ -113,7 +124,7 @@ def test_the_temperature_is_the_best_of_its_grid_and_platt_is_logistic_regressio
     white = rng.normal(size=(3, 200, 4, 1)) + 1.5 * (np.arange(3)[:, None] != labels)[..., None, None]
     own = rule(temperature=1.0)
     got = own.calibrated(white, labels)
-    features = np.stack([window_features(one, own.edges, False) for one in white])
+    features = np.stack([window_features(one, own.windows, False) for one in white])
     faulty = labels != 1
     log_likelihood = -0.5 * np.square(features / own.own_scale).sum(axis=(2, 3)).T[faulty][:, [0, 2]]
     columns = np.where(labels[faulty] == 0, 0, 1)
@@ -125,7 +136,7 @@ def test_the_temperature_is_the_best_of_its_grid_and_platt_is_logistic_regressio
     grid = np.geomspace(0.5, 200.0, 40)
     assert got.temperature == grid[np.argmin([loss(t) for t in grid])]
     assert 0.6 < got.temperature < 100.0
-    heights = np.abs(features[1] / own.healthy_scale).max(axis=(1, 2)) / 2.0
+    heights = np.maximum(np.abs(features[1] / own.healthy_scale).max(axis=(1, 2)) / 2.0, LEAST_STATISTIC)
     design = np.column_stack([np.ones(200), np.log(heights)])
     fitted = (
         LogisticRegression(C=100.0, fit_intercept=False, tol=1e-8, max_iter=1000).fit(design, faulty).coef_[0]
@@ -133,35 +144,93 @@ def test_the_temperature_is_the_best_of_its_grid_and_platt_is_logistic_regressio
     assert (got.intercept, got.slope) == pytest.approx(tuple(fitted), abs=1e-3)
 
 
+def test_each_side_of_each_window_has_its_own_threshold() -> None:
+    """Below the center the first window has 1, above it 4; the second has none below, 0.5 above."""
+    own = rule(
+        windows=WINDOWS[:2], healthy_center=np.array([[1.0], [0.0]]), healthy_scale=np.ones((2, 1)),
+        lower=np.array([[-1.0], [-UNLIMITED]]), upper=np.array([[4.0], [0.5]]),
+    )  # fmt: skip
+    features = np.array([[-0.5, -90.0], [4.0, 0.4], [1.0, 0.51], [5.5, 0.0]])[..., None]
+    height = [[1.5, 90.0 / UNLIMITED], [0.75, 0.8], [0.0, 1.02], [1.125, 0.0]]
+    np.testing.assert_allclose(own.statistic(features), height)
+    assert (own.statistic(features) > 1.0).any(axis=1).tolist() == [True, False, True, True]
+
+
 def _tuned(height: list[float], healthy: list[bool], rate: float | None = None) -> ThresholdRule:
-    """Two classes, one sample a case: its height is the statistic, but for the healthy cases' root mean square."""
-    labels = np.where(healthy, 0, 1)
+    """Two classes, one sample a case, which is the statistic but for the healthy cases' center and scale."""
     white = np.zeros((2, len(height), 1, 1))
     white[0, :, 0, 0] = height
-    return ThresholdRule.tune(white, labels, 0, false_alarm_rate=rate)
+    return ThresholdRule.tune(white, np.where(healthy, 0, 1), 0, false_alarm_rate=rate)
 
 
 def test_the_threshold_is_between_the_cases_that_it_parts() -> None:
     """Most right decisions: below 5 four of four are healthy, above it three of four are not."""
-    height = [1.0, 2.0, 3.0, 4.0, 6.0, 7.0, 8.0, 9.0]
-    healthy = [True, True, True, True, False, False, True, False]
-    scale = np.sqrt(np.square([1.0, 2.0, 3.0, 4.0, 8.0]).mean())
+    height = [-4.0, -3.0, -2.0, -1.0, 6.0, 7.0, 8.0, 9.0, 0.0]
+    healthy = [True, True, True, True, False, False, True, False, True]
     got = _tuned(height, healthy)
+    center = -1.5
+    scale = np.sqrt(np.square(np.array([-4.0, -3.0, -2.0, -1.0, 8.0, 0.0]) - center).mean())
+    assert got.healthy_center.tolist() == [[center]]
     assert got.healthy_scale.tolist() == [[pytest.approx(scale)]]
-    assert got.threshold == pytest.approx(5.0 / scale)
-    assert got.prior.tolist() == [0.625, 0.375]
-    assert (got.needed, got.among, got.edges) == (1, 1, (0, 1))
+    # One threshold for both sides: 2.5 below is healthy, 7.5 above is not.
+    assert got.upper[0, 0] == pytest.approx(0.5 * (2.5 + 7.5) / scale)
+    assert got.lower[0, 0] == -got.upper[0, 0]
+    assert got.prior.tolist() == pytest.approx([6.0 / 9.0, 3.0 / 9.0])
+    assert (got.needed, got.among, got.windows.tolist()) == (1, 1, [[0, 1]])
+
+
+def test_a_side_on_which_no_fault_is_has_no_threshold() -> None:
+    """Healthy ones reach -9; a fault lies above 1.5: one threshold for both sides errs in three of nine cases."""
+    height = [-9.0, -8.0, -7.0, 0.0, 1.0, 1.0, 1.0, 2.0, 3.0, 4.0]
+    got = _tuned(height, [True] * 7 + [False] * 3)
+    assert got.lower.tolist() == [[-UNLIMITED]]
+    assert got.upper[0, 0] * got.healthy_scale[0, 0] + got.healthy_center[0, 0] == pytest.approx(1.5)
+
+
+def test_windows_need_not_cover_the_start() -> None:
+    """One fault lowers the first of ten samples, one raises the last eight; tolerances go the other way."""
+    rng = np.random.default_rng(0)
+    labels = np.repeat([0, 1, 2], 300)
+    white = rng.normal(size=(3, 900, 10, 1))
+    tolerance = rng.exponential(10.0, (900, 2))
+    white[0, :, 0, 0] += np.where(labels == 1, -8.0, tolerance[:, 0])
+    white[0, :, 2:, 0] += np.where(labels == 2, 2.0, -tolerance[:, 1])[:, None]
+    white[1, labels == 2] += 9.0
+    white[2, labels == 1] += 9.0  # the bank is always right
+    got = ThresholdRule.tune(white, labels, 0)
+    (first, end), (late, last) = got.windows.tolist()
+    assert (first, end) == (0, 1)
+    assert late > 0
+    assert (got.upper[0, 0], got.lower[1, 0]) == (UNLIMITED, -UNLIMITED)
+    decided = got.decide(white)
+    assert (decided.class_index == labels).mean() > 0.97
+    assert set(decided.alarm_index.tolist()) == {-1, 0, last - 1}
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(0.25, 8.0), (0.2, 8.0), (0.5, 5.0), (0.1, 9.0), (0.3, 7.0)])
-def test_the_threshold_of_a_rate_is_an_order_statistic(rate: float, expected: float) -> None:
-    """Of nine healthy cases 1 .. 9 the ceil(10 (1 - rate))-th: a tenth one exceeds it with at most that chance."""
-    height = [*np.arange(1.0, 10.0).tolist(), 20.0]
-    got = _tuned(height, [True] * 9 + [False], rate)
-    scale = np.sqrt(np.square(np.arange(1.0, 10.0)).mean())
-    assert got.threshold * scale == pytest.approx(expected)
-    with pytest.raises(ValueError, match=r"needs at least 10 healthy training cases, got 9"):
-        _tuned(height, [True] * 9 + [False], 0.091)
+def test_the_factor_of_a_rate_is_an_order_statistic_of_cases_not_seen(rate: float, expected: float) -> None:
+    """Of nine held cases 1 .. 9 the ceil(10 (1 - rate))-th: a tenth one exceeds it with at most that chance."""
+    height = [*np.linspace(-5.0, 5.0, 9).tolist(), *np.arange(1.0, 10.0).tolist(), 20.0]
+    got = _tuned(height, [True] * 18 + [False], rate)
+    assert got.healthy_center.tolist() == [[0.0]]
+    assert got.upper[0, 0] * got.healthy_scale[0, 0] == pytest.approx(expected)
+    with pytest.raises(ValueError, match=r"needs at least 20 healthy training cases, got 18"):
+        _tuned(height, [True] * 18 + [False], 0.091)
+
+
+def test_several_thresholds_keep_the_rate_of_false_alarms() -> None:
+    """Over 300 tunings of 60 healthy cases a new one alarms in at most a tenth, and hardly less often."""
+    rng = np.random.default_rng(1)
+    labels = np.r_[np.zeros(60, dtype=np.int64), np.ones(60, dtype=np.int64)]
+    alarms = []
+    for _ in range(300):
+        white = rng.normal(size=(2, 120, 20, 1))
+        white[0, 60:, :4, 0] -= 1.0
+        white[0, 60:, 12:, 0] += 1.0
+        tuned = ThresholdRule.tune(white, labels, 0, false_alarm_rate=0.1)
+        alarms.append((tuned.largest(rng.normal(size=(200, 20, 1))) > 1.0).mean())
+    error = np.std(alarms) / np.sqrt(len(alarms))
+    assert 0.1 - 1.0 / 31.0 - 3.0 * error < np.mean(alarms) < 0.1 + 3.0 * error
 
 
 def test_scales_are_root_mean_squares_under_the_own_class() -> None:
@@ -169,7 +238,7 @@ def test_scales_are_root_mean_squares_under_the_own_class() -> None:
     white[0, :, 0, 0] = [1.0, 3.0, 50.0, 60.0]
     white[1, :, 0, 0] = [7.0, 9.0, 2.0, 4.0]
     got = ThresholdRule.tune(white, np.array([0, 0, 1, 1]), 0)
-    assert got.healthy_scale[0, 0] == pytest.approx(np.sqrt((1.0 + 9.0) / 2))
+    assert (got.healthy_center[0, 0], got.healthy_scale[0, 0]) == (2.0, 1.0)
     assert got.own_scale[0, 0] == pytest.approx(np.sqrt((1.0 + 9.0 + 4.0 + 16.0) / 4))
 
 

@@ -100,7 +100,7 @@ def test_the_benchmark_takes_it_beside_others(own: Path, capsys: pytest.CaptureF
     ]
     assert main([*plan, "--json"]) == 0
     names = [unit["method"] for unit in json.loads(capsys.readouterr().out)]
-    assert names == ["limit", "rules", f"{own}:trees", f"{own}:broken", "trust"]
+    assert names == ["limit", "rules", f"{own}:trees", f"{own}:broken"]
     assert main([*plan, "--with", f"{own}:trees"]) == 2
     assert "methods must differ" in capsys.readouterr().err
 

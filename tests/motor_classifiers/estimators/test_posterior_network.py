@@ -9,13 +9,11 @@ import pytest
 import torch
 from scipy.stats import ks_2samp, kstest, truncnorm
 from sklearn.base import clone
+from trust_figures import severity_figures
 
 from motor_classifiers import PosteriorNetwork, evaluate_model
 from motor_classifiers.estimators.networks import severity_density
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, with_more_noise
-
-# Reaches in: severities are scored as in the benchmark, beside those of the exact posterior.
-from motor_classifiers.scoring.trust import severity_figures
 from motor_datasets import generate_arrays
 from motor_env import Channel, FaultKind, Recipe, SensorParameters, Timing, load_recipe, severity_posterior
 from motor_env.simulation.recipes import FaultClass

@@ -28,10 +28,17 @@ def cases(n_classes: int) -> tuple[Any, Any]:
     return np.random.default_rng(0).normal(size=(len(labels), 10)) + labels[:, None], NAMES[labels]
 
 
-RULE = {
-    "edges": [0, 2, 5, 10], "needed": 1, "among": 1, "healthy_index": 0, "with_spread": False, "threshold": 1.0,
-    "temperature": 1.0, "slope": 1.0, "intercept": 0.0,
+RULE: dict[str, Any] = {
+    "windows": np.array([[0, 2], [1, 5], [6, 10]]), "bank_windows": np.array([[0, 5], [5, 10]]),
+    "needed": 1, "among": 1, "healthy_index": 0, "with_spread": False, "healthy_center": np.zeros((3, 1)),
+    "healthy_scale": np.ones((3, 1)), "lower": -np.ones((3, 1)), "upper": np.ones((3, 1)),
+    "own_scale": np.ones((2, 1)), "prior": np.full(5, 0.2), "temperature": 1.0, "slope": 1.0, "intercept": 0.0,
 }  # fmt: skip
+
+
+def pairs(*windows: tuple[int, int]) -> Any:
+    """Windows as arrays have them."""
+    return np.array(windows, dtype=np.int64)
 
 
 @pytest.mark.parametrize(
@@ -45,21 +52,39 @@ RULE = {
         ({"healthy_index": 4}, True),
         ({"healthy_index": 5}, False),
         ({"healthy_index": -1}, False),
-        ({"edges": [0, 10]}, True),
-        ({"edges": [1, 10]}, False),
-        ({"edges": [0, 9]}, False),
-        ({"edges": [0, 5, 5, 10]}, False),
-        ({"edges": [0, 6, 5, 10]}, False),
-        ({"threshold": float("inf")}, False),
+        ({"windows": pairs((3, 4), (3, 4), (3, 4))}, True),
+        ({"windows": pairs((-1, 2), (1, 5), (6, 10))}, False),
+        ({"windows": pairs((0, 2), (1, 5), (6, 11))}, False),
+        ({"windows": pairs((0, 2), (5, 5), (6, 10))}, False),
+        ({"windows": pairs((0, 2), (6, 10), (1, 5))}, False),
+        ({"windows": pairs((0, 2), (1, 5))}, False),
+        ({"windows": np.array([[0.0, 2.0], [1.0, 5.0], [6.0, 10.0]])}, False),
+        ({"windows": np.zeros((0, 2), dtype=np.int64)}, False),
+        ({"windows": pairs((0, 2), (1, 5), (6, 10)).T}, False),
+        ({"bank_windows": pairs((0, 5), (6, 7))}, True),
+        ({"bank_windows": pairs((0, 5), (6, 11))}, False),
+        ({"bank_windows": pairs((0, 5))}, False),
+        ({"with_spread": True}, False),
+        ({"with_spread": 1}, False),
+        ({"healthy_center": np.full((3, 1), -7.0)}, True),
+        ({"healthy_center": np.zeros(3)}, False),
+        ({"healthy_scale": np.zeros((3, 1))}, False),
+        ({"lower": np.zeros((3, 1))}, False),
+        ({"upper": np.zeros((3, 1))}, False),
+        ({"upper": np.ones((3, 2))}, False),
+        ({"own_scale": np.zeros((2, 1))}, False),
+        ({"prior": np.array([0.0, 0.0, 0.0, 0.5, 0.5])}, True),
+        ({"prior": np.array([-0.1, 0.1, 0.0, 0.5, 0.5])}, False),
+        ({"temperature": float("inf")}, False),
         ({"slope": 1}, False),
     ],
-    ids=str,
+    ids=lambda value: str(value).replace("\n", ""),
 )
 def test_a_rule_fits_its_windows(changes: dict[str, Any], fits: bool) -> None:
     if fits:
         _check_rule(RULE | changes, RECIPE)
     else:
-        with pytest.raises(ValueError, match=r"must|do not fill"):
+        with pytest.raises(ValueError, match=r"must"):
             _check_rule(RULE | changes, RECIPE)
 
 

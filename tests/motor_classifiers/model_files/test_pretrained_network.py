@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trust_figures import severity_figures
 
 from motor_classifiers import PosteriorNetwork, evaluate_model, load_model
 from motor_classifiers.cli.main import main
@@ -12,7 +13,6 @@ from motor_classifiers.cli.main import main
 # Reaches in: pins the recipe that `train --motor` makes of a data sheet; training on it takes minutes.
 from motor_classifiers.cli.training import network_recipe
 from motor_classifiers.model_files.persistence import PRETRAINED
-from motor_classifiers.scoring.trust import severity_figures
 from motor_datasets import generate_arrays
 from motor_env import load_motor, load_recipe
 

@@ -13,7 +13,6 @@ from sklearn.base import BaseEstimator
 from motor_classifiers import (
     ConformalClassifier,
     ConformalSets,
-    OpenSetClassifier,
     Opinion,
     PosteriorNetwork,
     opinions,
@@ -25,10 +24,11 @@ from motor_classifiers.estimators.networks.posterior_network import SeverityEsti
 from motor_classifiers.prediction import alignment, opinions as opinions_module
 from motor_classifiers.prediction.alignment import aligned_case
 from motor_classifiers.prediction.opinions import UNDECIDED, second_opinion
-from motor_classifiers.wrappers.open_set import OUTSIDE, Verdicts
+from motor_classifiers.wrappers.outside import OUTSIDE
 from motor_env import Channel, FaultKind, Recipe, Recording, Timing, load_recipe, simulate_states
 from motor_env.console import ExitStatus
 from motor_env.inference.features import FEATURE_NAMES
+from motor_env.motor.faults import SENSOR_KINDS
 from motor_env.motor.parameters import FloatArray
 from motor_env.recordings.recording import UnusableError
 from motor_env.simulation.recipes import FaultClass
@@ -254,31 +254,31 @@ def test_an_opinion_adds_up_the_classes_of_its_verdict() -> None:
     assert Opinion("bearing", severity_interval=(0.1, 0.2)).as_json()["severity_interval"] == [0.1, 0.2]
 
 
-class Open(OpenSetClassifier):
-    """Around `Told`: foreign, out of range, ordinary, ordinary."""
+@pytest.mark.parametrize(("off", "words"), [("", ""), ("warmth", "most likely warmth: winding and magnets")])
+def test_a_start_of_another_world_has_no_verdict(
+    off: str, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
 
-    def verdicts(self, X: Any) -> Verdicts:
-        label = np.array([OUTSIDE, "winding_contact", "healthy", "healthy"], dtype=object)
-        off = np.array(["warmth", "", "", ""], dtype=object)
-        beyond = np.arange(4) == 1
-        return Verdicts(label, np.arange(4) == 0, beyond, np.where(beyond, 0.75, np.nan), off)
+    def detector(recipe: Recipe, noise_range: Any) -> Any:
+        asked.append((recipe, noise_range))
+        return SimpleNamespace(what_is_off=lambda case: np.array([off] * len(case), dtype=object))
 
-
-def test_an_open_set_is_as_sure_as_its_false_alarms_are_rare() -> None:
-    model = Open(Told(), RECIPE, false_alarm_rate=0.03125)
-    model.estimator_ = model.estimator
-    other, beyond, plain, _ = opinions(model, RECIPE, GIVEN)
-    assert (other.verdict, other.class_name, other.probability) == ("outside what I know", "", 0.0)
-    assert other.reason.startswith("most likely warmth: ")
-    assert other.status is ExitStatus.UNDECIDED
-    assert (beyond.verdict, beyond.class_name, beyond.probability) == ("winding", "", 0.96875)
-    assert (beyond.severity, beyond.out_of_range) == (0.75, True)
-    inside = opinions(Told(), RECIPE, GIVEN)[2]
-    assert plain == inside._replace(out_of_range=False)
-    assert (other.out_of_range, other.probabilities) == (
-        False,
-        opinions(Told(), RECIPE, GIVEN)[0].probabilities,
-    )
+    monkeypatch.setattr(opinions_module, "aligned_case", lambda *_: GIVEN[:1])
+    monkeypatch.setattr(opinions_module, "_detector", detector)
+    got = predict_recording(Told(), RECIPE, recording(10_000.0, 20))
+    inside = opinions(Told(), RECIPE, GIVEN[:1])[0]
+    if off:
+        assert (got.verdict, got.class_name, got.probability) == (OUTSIDE, "", 0.0)
+        assert got.reason.startswith(words)
+        assert (got.probabilities, got.status) == (inside.probabilities, ExitStatus.UNDECIDED)
+    else:
+        assert got == inside
+    assert asked == [(RECIPE, None)]
+    # A fault of the sensor itself has no detector: the opinion stands.
+    stuck = replace(RECIPE, classes=(*RECIPE.classes, FaultClass(min(SENSOR_KINDS), 0.2)))
+    assert predict_recording(Told(), stuck, recording(10_000.0, 20)).verdict == inside.verdict
+    assert len(asked) == 1
 
 
 def test_a_conformal_model_names_its_candidates() -> None:

@@ -9,7 +9,7 @@ import pytest
 from made_results import RECIPE, TASK, answer, decisions, made_results
 
 # Reaches in: the page is drawn from results made by hand, in the types that the other rooms give it.
-from motor_classifiers.report import page, sweep_page, trust_page
+from motor_classifiers.report import page
 from motor_classifiers.report.charts import (
     Line,
     interval_chart,
@@ -17,12 +17,11 @@ from motor_classifiers.report.charts import (
     reliability_chart,
     share_axis,
 )
-from motor_classifiers.report.names import readable, short
+from motor_classifiers.report.page import readable, short
 from motor_classifiers.scoring.calibration import Reliability
 from motor_classifiers.scoring.metrics import Score
 from motor_classifiers.scoring.score import Results
 from motor_classifiers.scoring.task import class_task
-from motor_classifiers.scoring.unknown_faults import FALSE_ALARM_RATES
 from motor_env.pages.svg import Axis
 
 
@@ -235,14 +234,14 @@ def noted_lines(monkeypatch: pytest.MonkeyPatch, module: Any) -> list[tuple[Any,
 def test_a_sweep_is_drawn_by_size_and_by_noise(
     made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn = noted_lines(monkeypatch, sweep_page)
+    drawn = noted_lines(monkeypatch, page)
     plan, result = made
 
     def at(noise_a: float, n_train: int) -> Results:
         recipe = replace(RECIPE, sensor=replace(RECIPE.sensor, current_noise_a=noise_a))
         return replace(result, task=class_task(recipe, n_train, 60))
 
-    told = sweep_page.sweep_section(plan, [at(0.02, 200), at(0.1, 200), at(0.02, 100), at(0.005, 200)])
+    told = page.sweep_section(plan, [at(0.02, 200), at(0.1, 200), at(0.02, 100), at(0.005, 200)])
     assert told["learning"] == told["noise"] == [{"title": "bench, 1 kHz", "chart": "chart"}]
     by_size, by_noise = drawn
     assert by_size[1]._replace(number=str) == Axis(
@@ -256,61 +255,6 @@ def test_a_sweep_is_drawn_by_size_and_by_noise(
     assert lines["threshold"].y == pytest.approx([44 / 60] * 2)
     assert lines["Bayes limit"].y == pytest.approx([50 / 60] * 2)
     assert (by_size[2].low, by_size[2].high) == pytest.approx((44 / 60 - 0.01, 50 / 60 + 0.01))
-    alone = sweep_page.sweep_section(plan, [at(0.02, 200)])
+    alone = page.sweep_section(plan, [at(0.02, 200)])
     assert alone["learning"] == alone["noise"] == []
     assert len(alone["settings"]) == 1
-
-
-def test_trust_is_drawn_from_its_figures(made: tuple[Any, Results], monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn = noted_lines(monkeypatch, trust_page)
-    fault = {
-        "fault": "weak",
-        "roc": {"distance": [0.5], "limit": [0.25]},
-        "auroc": {"distance": 0.9, "limit": 0.5},
-        "called_other": 0.75,
-    }
-    settings = [
-        {"sampling_rate_hz": 1e4, "faults": [], "false_alarms": 0.01},
-        {"sampling_rate_hz": 2500.0, "faults": [fault], "false_alarms": 0.0125},
-    ]
-    curves: dict[str, list[Any]] = {name: [] for name in ("rule", "b", "c", "d", "e")}
-    curves["rule"] = [{"time_s": 0.02, "wrong": 0.25}, {"time_s": 0.03, "wrong": 0.0}]
-    accuracy = {"limit": [0.5, 0.6, 0.7], "own": [0.4, 0.5, 0.6]}
-    never: dict[str, Any] = {
-        "stated": 0.05,
-        "probabilities_of": "own",
-        "stopped": 0.0,
-        "mean_time_s": 0.1,
-        "accuracy": 0.6,
-    }
-    never |= dict.fromkeys(("error", "error_low", "error_high"))
-    figures = {
-        "sets": {"reason": "few"}, "severity": {"reason": "none"}, "unknown": {"settings": settings},
-        "early": {"time_s": [0.01, 0.05, 0.1], "accuracy": accuracy, "stopping": [never]}, "race": {"curves": curves},
-    }  # fmt: skip
-    told = trust_page.trust_section(replace(made[1], trust=figures))
-    assert told is not None
-    (unknown, *unknown_axes, _), (early, early_x, early_y, _), (race, race_x, race_y, _) = drawn
-    assert [(line.label, line.style, line.y) for line in unknown] == [
-        ("weak, distance", "s1", [0.5]), ("weak, confidence", "s1 dashed", [0.25]),
-    ]  # fmt: skip
-    assert unknown[0].x == FALSE_ALARM_RATES.tolist()
-    assert [axis.title for axis in unknown_axes] == [
-        "known motors refused",
-        "foreign faults refused",
-    ]
-    assert (told["unknown"]["chart_rate_khz"], told["unknown"]["has_network"]) == (2.5, False)
-    assert [line.x for line in early] == [pytest.approx([10.0, 50.0, 100.0])] * 2
-    assert early_x.ticks == pytest.approx([0.0, 20.0, 40.0, 60.0, 80.0, 100.0])
-    assert (early_y.low, early_y.high) == pytest.approx((0.39, 0.71))
-    assert told["early"]["n_train"] == 100
-    assert [(line.label, line.x, line.y) for line in race] == [("rule", [pytest.approx(20.0)], [0.25])]
-    assert (race_x.high, race_y.low, race_y.high) == pytest.approx((100.0, 0.0005, 0.6))
-    assert race_x.ticks == pytest.approx([0.0, 20.0, 40.0, 60.0, 80.0, 100.0])
-    assert race_y.ticks == (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
-    tables = told["tables"]
-    assert list(tables) == ["other", "seen", "stopping", "race"]
-    head = ["rate", "fault", "AUROC of distance", "of the limit's confidence", "refused", "false alarms"]
-    assert tables["other"] == (head, [["2.5 kHz", "weak", "0.9000", "0.5000", "75.0 %", "1.25 %"]])
-    assert tables["stopping"][1] == [["5 %", "own", "–", "0.0 %", "100.0 ms", "0.6000"]]
-    assert trust_page.trust_section(replace(made[1], trust=None)) is None

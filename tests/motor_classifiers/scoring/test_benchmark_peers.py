@@ -5,18 +5,18 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import peers as aeon
 import pytest
 from hostile import Poison, refused
 
-from motor_classifiers.scoring import trust as trust_module
-from motor_classifiers.scoring.benchmark import run_plan
-from motor_classifiers.scoring.peers import PEERS, export_starts, read_peers, shipped_peers
-from motor_classifiers.scoring.plan import Plan
+# Reaches in: the table that a run prints names where kept answers come from.
+from motor_classifiers.cli.sweep import table_lines
+from motor_classifiers.scoring.benchmark import Plan, run_plan
+from motor_classifiers.scoring.peers import PEERS, read_peers
 from motor_classifiers.scoring.progress import Cost
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.task import class_task
-from motor_classifiers.scoring.trust import Counts
-from motor_env import Timing, load_recipe
+from motor_env import InputError, Timing, load_recipe
 
 TASK = class_task(load_recipe("bench", timing=Timing(1_000.0, 0.1)), 100, 60)
 
@@ -26,7 +26,7 @@ def _answers(folder: Path, off: float = 0.0) -> Path:
 
     The mean levels of its test starts are off by so much.
     """
-    export_starts(TASK.train(), TASK.starts(), folder / "cases.npz")
+    aeon.export_starts(TASK.train(), TASK.starts(), folder / "cases.npz")
     with np.load(folder / "cases.npz") as held:
         arrays = {name: held[name] for name in held.files}
     n_classes = int(arrays["n_classes"])
@@ -61,7 +61,7 @@ def peers(tmp_path: Path) -> Path:
 
 
 def test_exported_starts_are_those_of_the_benchmark(tmp_path: Path) -> None:
-    export_starts(TASK.train(), TASK.starts(), tmp_path / "cases.npz")
+    aeon.export_starts(TASK.train(), TASK.starts(), tmp_path / "cases.npz")
     with np.load(tmp_path / "cases.npz") as held:
         np.testing.assert_array_equal(held["train_X"], TASK.train().X)
         np.testing.assert_array_equal(held["test_class_index"], TASK.starts().class_index)
@@ -80,18 +80,23 @@ def test_levels_may_differ_in_their_last_bits(off: float, found: bool, tmp_path:
     assert bool(read_peers(_answers(tmp_path, off), TASK)) is found
 
 
-def test_peers_stand_in_the_table_and_are_no_leak(peers: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = Counts(threshold=100, known=60, foreign=20, early=40, healthy=60)
-    monkeypatch.setattr(trust_module, "COUNTS", few)
+def test_peers_stand_in_the_table_and_are_no_leak(peers: Path) -> None:
     (result,) = run_plan(Plan((TASK,), (), peers))
     (quant,) = result.methods
     assert quant.name == "quant"
     expected = np.where(np.arange(60) % 2 == 0, 0, 1)
     np.testing.assert_array_equal(quant.answer.decided, expected)
+    assert table_lines(result)[-1] == "quant: kept answers, 2026-11-21, one, aeon 1.6.0, test"
     row = result_rows([result])[1]
     assert row["family"] == "peer"
     assert row["train_memory_mb"] is None
     assert row["accuracy"] == pytest.approx((expected == TASK.starts().class_index).mean())
+
+
+def test_a_run_on_other_starts_alone_refuses_the_answers(peers: Path) -> None:
+    other = class_task(TASK.recipe, 100, 60, seed=1)
+    with pytest.raises(InputError, match="holds answers to other starts than those of this benchmark"):
+        run_plan(Plan((other,), (), peers))
 
 
 def test_answers_to_other_starts_are_left_out(peers: Path) -> None:
@@ -117,8 +122,8 @@ def test_poisoned_and_damaged_files_are_refused(peers: Path, tmp_path: Path) -> 
         refused(partial(read_peers, path, TASK), path)
 
 
-def test_shipped_answers_are_those_of_the_default_setting() -> None:
-    found = read_peers(shipped_peers(), class_task(load_recipe("bench")))
+def test_kept_answers_are_those_of_the_default_setting() -> None:
+    found = read_peers(aeon.KEPT, class_task(load_recipe("bench")))
     assert set(found) == set(PEERS)
     truth = class_task(load_recipe("bench")).starts().class_index
     accuracy = {name: (answer.decided == truth).mean() for name, answer in found.items()}

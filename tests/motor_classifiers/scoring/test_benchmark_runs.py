@@ -19,8 +19,8 @@ from motor_classifiers.cli.main import main
 
 # Reaches in: a run ends with its page, which has to take the results as they come.
 from motor_classifiers.report.page import write_results
-from motor_classifiers.scoring import benchmark as benchmark_module, trust as trust_module
-from motor_classifiers.scoring.benchmark import run_plan
+from motor_classifiers.scoring import benchmark as benchmark_module
+from motor_classifiers.scoring.benchmark import AnswerStore, Plan, Unit, make_tasks, run_plan, units
 from motor_classifiers.scoring.judging import (
     LIMIT,
     Answer,
@@ -31,22 +31,13 @@ from motor_classifiers.scoring.judging import (
     posterior,
     save_answer,
 )
-from motor_classifiers.scoring.plan import AnswerStore, Plan, Unit, make_tasks, units
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.task import ClassTask, class_task
-from motor_classifiers.scoring.trust import TRUST, Counts
 from motor_env import InputError, Timing, load_recipe
 
 SLOW = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 TASK = class_task(SLOW, 300, 200)
 FAST = ["benchmark", "--sampling-rate-hz", "1000", "--n-train", "300", "--n-test", "200"]
-
-
-@pytest.fixture(autouse=True)
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures on trust from few starts: what they say is tested elsewhere."""
-    few = Counts(threshold=100, known=60, foreign=20, severity=20, early=40, healthy=60, steps=5)
-    monkeypatch.setattr(trust_module, "COUNTS", few)
 
 
 @pytest.fixture
@@ -72,14 +63,8 @@ def test_benchmark_writes_a_page_that_needs_nothing_else(tmp_path: Path) -> None
     assert [float(row["accuracy"]) for row in flat] == [row["accuracy"] for row in rows]
     page = (tmp_path / "report.html").read_text()
     assert not re.search(r"src\s*=|href\s*=\s*\"?[^#\"]|@import|url\(|https?://", page)
-    # accuracy, three sub-scores, four curves of confidence, and three of trust
-    assert page.count("<svg") == 1 + 3 + 4 + 3
+    assert page.count("<svg") == 1 + 3 + 4  # accuracy, three sub-scores, four curves of confidence
     assert not (tmp_path / "answers").exists()
-    trust = json.loads((tmp_path / "trust.json").read_text())
-    assert [row["method"] for row in trust["sets"]["methods"]] == [
-        "limit", *sorted(methods, key=lambda name: -next(r["accuracy"] for r in rows if r["method"] == name))
-    ]  # fmt: skip
-    assert "posterior-network, which tells severities, is not among the methods" in page
     # Two accuracies side by side cannot be compared: the tiles tell the paired difference, with its interval.
     best = max(rows[1:], key=lambda row: row["accuracy"])
     points = f"{-100.0 * best['below_bayes']:.2f}".replace("-", "−")
@@ -148,9 +133,9 @@ def test_a_method_that_fails_is_named_and_costs_no_other_answer(
     monkeypatch.setattr(benchmark_module, "judge_apart", judged)
     store = AnswerStore(tmp_path)
     plan = Plan((class_task(SLOW, 50, 50),), ("residual-qda", "raw-logistic"))
-    with pytest.raises(InputError, match=r"1 of 4 answers failed, the first: residual-qda on bench.*class"):
+    with pytest.raises(InputError, match=r"1 of 3 answers failed, the first: residual-qda on bench.*class"):
         run_plan(plan, store)
-    assert [store.find(unit) is not None for unit in units(plan)] == [True, False, True, True]
+    assert [store.find(unit) is not None for unit in units(plan)] == [True, False, True]
 
 
 def test_answers_that_sizes_share_are_had_once() -> None:
@@ -201,7 +186,6 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
         ("residual-qda",),
     )
     first = units(plan)[2]
-    assert units(plan)[4].name == TRUST
 
     def interrupt(unit: Unit, known: bool) -> None:
         if unit == first:
@@ -211,12 +195,10 @@ def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
         run_plan(plan, AnswerStore(tmp_path), interrupt)
     asked: list[bool] = []
     results = run_plan(plan, AnswerStore(tmp_path), lambda unit, known: asked.append(known))
-    assert asked == [True, True, False, False, False]
+    assert asked == [True, True, False, False]
     asked.clear()
-    again = run_plan(plan, AnswerStore(tmp_path), lambda unit, known: asked.append(known))
+    run_plan(plan, AnswerStore(tmp_path), lambda unit, known: asked.append(known))
     assert all(asked)
-    assert [result.trust is not None for result in again] == [True, False]
-    assert again[0].trust == results[0].trust
     asked.clear()
     run_plan(plan, AnswerStore(tmp_path, fresh=True), lambda unit, known: asked.append(known))
     assert not any(asked)
@@ -259,7 +241,7 @@ def test_a_killed_sweep_goes_on_where_it_stopped(tmp_path: Path) -> None:
         ("residual-qda", "threshold"),
     )
     results = run_plan(plan, AnswerStore(answers), lambda unit, known: asked.append(f"{unit.name} {known}"))
-    assert len(asked) == 7
+    assert len(asked) == 6
     assert sum(line.endswith("True") for line in asked) == len(kept)
     assert {name: (answers / name).stat().st_mtime_ns for name in kept} == kept
     fresh = run_plan(plan)
@@ -315,10 +297,6 @@ def test_the_limit_of_the_field_is_called_an_estimate(
     page = write_results(plan, results, tmp_path).read_text()
     assert "estimate of the limit" in page
     assert "Bayes limit on these motors" not in page
-    assert page.count("Left out: the likelihood of recipe field has no closed form") == 3
-    told = results[0].trust
-    assert told is not None
-    assert [row["method"] for row in told["sets"]["methods"]] == ["limit", "residual-qda"]
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import verdict_times
 from made_results import RECIPE, TASK, answer, decisions, made_results
 from scipy.stats import binom
 from sklearn.metrics import brier_score_loss, confusion_matrix, log_loss
+from trust_figures import scored_severities, set_figures
+from verdict_times import STATED_ERRORS, accuracy_by_moment, moments
 
-from motor_classifiers.scoring import progress, trust as trust_module, unknown_faults, verdict_times
+from motor_classifiers.scoring import progress
+from motor_classifiers.scoring.benchmark import Plan, make_tasks, unit_of, units
 from motor_classifiers.scoring.calibration import BIN_EDGES, calibration_scores, reliability
 from motor_classifiers.scoring.evaluation import evaluation_lines
+from motor_classifiers.scoring.frozen_tasks import UNKNOWN_FAULTS, foreign_starts
 from motor_classifiers.scoring.judging import LIMIT, expected_severity, in_recipe_order
 from motor_classifiers.scoring.metrics import (
     compare,
@@ -25,16 +30,11 @@ from motor_classifiers.scoring.metrics import (
     root_mean_square,
     scores,
 )
-from motor_classifiers.scoring.plan import Plan, make_tasks, unit_of, units
 from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_classifiers.scoring.results import as_csv, result_rows
 from motor_classifiers.scoring.task import class_task, judged_cases
-from motor_classifiers.scoring.trust import Counts, expected_seconds, set_figures
-from motor_classifiers.scoring.unknown_faults import UNKNOWN_FAULTS, foreign_scores, foreign_starts
-from motor_classifiers.scoring.verdict_times import STATED_ERRORS, accuracy_by_moment, moments
 
 # Reaches in: stand-ins for models answer in the types of real ones; a score is compared with the posterior below it.
-from motor_classifiers.wrappers.fault_family import FamilyFit
 from motor_env import FaultKind, Timing, load_recipe
 from motor_env.simulation.recipes import FACTORS, FaultClass, Spread
 
@@ -134,7 +134,7 @@ def test_calibration_against_scikit_learn_and_on_the_edges() -> None:
 
 
 def test_severities_are_scored() -> None:
-    got = trust_module._scored(  # a handful of severities hold its two figures exactly
+    got = scored_severities(  # a handful of severities hold its two figures exactly
         np.array([0.1, 0.2, 0.3, 0.0]), np.array([[0.0, 0.2], [0.1, 0.2], [0.1, 0.2], [0.0, 0.1]]),
         np.array([0.2, 0.2, 0.1, 0.2]),
     )  # fmt: skip
@@ -254,8 +254,6 @@ def test_a_sweep_tries_sizes_at_the_usual_noise() -> None:
     plan = Plan(cells, ("threshold", "posterior-network"))
     assert plan.reference == 3  # 10 kHz and 20 mA
     assert plan.n_comparisons == 8
-    assert plan.with_network
-    assert not Plan(cells, ("threshold",)).with_network
 
 
 def test_times_that_are_expected() -> None:
@@ -265,15 +263,12 @@ def test_times_that_are_expected() -> None:
         unit.name: unit.seconds for unit in units(Plan((usual,), ("residual-qda", "posterior-network")))
     }
     assert by_name == pytest.approx(
-        {LIMIT: 0.5 + 2.0, "residual-qda": 1.0 + 1.0, "posterior-network": 1.0 + 15.0, "trust": 60.0}
+        {LIMIT: 0.5 + 2.0, "residual-qda": 1.0 + 1.0, "posterior-network": 1.0 + 15.0}
     )
     slow = {unit.name: unit.seconds for unit in units(Plan((TASK,), ("residual-qda",)))}
-    assert slow == pytest.approx(
-        {LIMIT: 0.5 + 0.006, "residual-qda": 1.0 + 0.5 * 160 / 2000 * (0.2 + 0.08), "trust": 5.0 + 3.0}
-    )
+    assert slow == pytest.approx({LIMIT: 0.5 + 0.006, "residual-qda": 1.0 + 0.5 * 160 / 2000 * (0.2 + 0.08)})
     field = class_task(load_recipe("field"))
     assert unit_of(field, "posterior-network").seconds == pytest.approx(600.0)
-    assert expected_seconds(field, with_network=True) == 1.0
 
 
 def test_costs_are_those_of_the_process(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -306,47 +301,6 @@ def test_unknown_faults_are_as_large_as_their_names_say() -> None:
         field = {"motor constants": "constants"}.get(name, name)
         factors = {quantity: getattr(fault, quantity) for quantity in FACTORS}
         assert factors == pytest.approx(dict.fromkeys(FACTORS, 1.0) | {field: 1.0 + float(change) / 100.0})
-
-
-def test_foreign_faults_are_found_above_the_threshold(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the distance of made cases: the last sample of a start tells its number, foreign ones are ten further."""
-
-    def distance(recipe: Any, X: Any) -> FamilyFit:
-        flat = np.asarray(X).reshape(len(X), -1)
-        return FamilyFit(flat[:, -1], np.full(len(flat), ""), np.zeros(len(flat)), np.zeros(len(flat), bool))
-
-    def made(recipe: Any, seed: int, cases: Any) -> Any:
-        X = np.zeros((len(cases), 1, 100))
-        X[:, 0, -1] = np.asarray(cases) % 100
-        return type("Made", (), {"X": X})
-
-    monkeypatch.setattr(unknown_faults, "family_fit", distance)
-    monkeypatch.setattr(unknown_faults, "generate_arrays", made)
-
-    def scored(further: float) -> dict[str, Any]:
-        monkeypatch.setattr(
-            unknown_faults,
-            "foreign_starts",
-            lambda recipe, fault, seed, cases: made(recipe, seed, cases).X + further,
-        )
-        return foreign_scores(
-            RECIPE, {"limit": lambda X: 0.5 + np.stack([X[:, 0, -1], -X[:, 0, -1]], axis=1).astype(np.float64) / 100.0},
-            seed=1, first_case=0, n_threshold=50, n_known=20, n_foreign=10,
-        )  # fmt: skip
-
-    # Thresholds come from cases 20 .. 69: 99 % of them lie below 68.5; the judged ones are 0 .. 19.
-    assert scored(64.0)["faults"][0]["called_other"] == 0.5  # of 64 .. 73
-    got = scored(15.0)
-    assert got["false_alarms"] == 0.0
-    row = got["faults"][0]
-    assert row["called_other"] == 0.0
-    # Foreign cases 15 .. 24 against known ones 0 .. 19: 16 to 20 of the known lie below, ties half.
-    below = [sum(k < f for k in range(20)) + 0.5 * sum(k == f for k in range(20)) for f in range(15, 25)]
-    assert row["auroc"]["distance"] == pytest.approx(np.mean(below) / 20)
-    assert row["auroc"]["limit"] == pytest.approx(1.0 - np.mean(below) / 20)  # the surer, the less strange
-    assert row["roc"]["distance"][0] == pytest.approx(0.5)
-    assert row["roc"]["distance"][25] == pytest.approx(1.0)
-    assert len(row["roc"]["distance"]) == 101
 
 
 def test_a_foreign_fault_is_applied_to_a_healthy_motor() -> None:
@@ -424,21 +378,6 @@ def test_a_race_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {point.wrong for point in curves[verdict_times.FIXED_TIME]} == {0.0}
 
 
-@pytest.mark.parametrize(("n_samples", "has_figures"), [(10, False), (11, True)])
-def test_early_verdicts_need_two_moments(
-    n_samples: int, has_figures: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(trust_module, "COUNTS", Counts(early=60, healthy=60))
-    short = load_recipe("bench", timing=Timing(1_000.0, 0.001 * n_samples))
-    early = trust_module._early(class_task(short, 150, 60))  # the section alone: all of them train a network
-    assert early.get("time_s") == ([0.010, 0.011] if has_figures else None)
-    raced = trust_module._race(class_task(short, 150, 60))
-    assert ("curves" in raced) is has_figures
-    if has_figures:
-        assert raced["severity"] == 0.25
-        assert len(early["stopping"]) == 8
-
-
 def test_figures_of_sets_are_those_of_the_coverage() -> None:
     test = TASK.starts()
     told = answer(test.class_index, 0.75).probabilities
@@ -452,10 +391,6 @@ def test_figures_of_sets_are_those_of_the_coverage() -> None:
     assert (row["method"], row["coverage"], row["empty"]) == ("one", 1.0, 0.0)
     assert row["mean_size"] == pytest.approx(np.mean(size))
     assert row["by_class"] == [1.0] * 5
-    few = TASK.starts().select(np.arange(3))
-    assert set_figures({"one": told[:3]}, few) == {
-        "reason": "3 test starts are too few: a class has none in one of their halves"
-    }
 
 
 def test_lines_of_an_evaluation() -> None:

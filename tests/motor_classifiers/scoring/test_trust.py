@@ -1,32 +1,18 @@
 """How far models can be trusted: under other conditions, on foreign faults, on halves; what the figures say."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
+import trust_figures
 from shifts import shift_scores, textbook_shifts
+from trust_figures import Counts, halves_coverage, shipped_network
 
 from motor_classifiers import ConformalSets, OutsideDetector
-from motor_classifiers.scoring import trust as trust_module
+from motor_classifiers.scoring.frozen_tasks import UNKNOWN_FAULTS, foreign_starts
 from motor_classifiers.scoring.task import class_task
-from motor_classifiers.scoring.trust import (
-    SECTIONS,
-    Counts,
-    halves_coverage,
-    load_figures,
-    save_figures,
-    shipped_network,
-    trust_figures,
-    trust_key,
-)
-from motor_classifiers.scoring.unknown_faults import (
-    DISTANCE,
-    UNKNOWN_FAULTS,
-    foreign_starts,
-)
 from motor_datasets import generate_arrays
 from motor_env import Recipe, Timing, class_probabilities, load_recipe
 
@@ -114,61 +100,33 @@ def test_each_half_of_the_motors_calibrates_the_other() -> None:
         halves_coverage(probabilities[:2], truth[:2], motors[[0, 2]])
 
 
-FEW = Counts(threshold=100, known=60, foreign=20, severity=40, early=60, healthy=60, steps=5)
-
-
-def test_figures_are_json_and_survive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trust_module, "COUNTS", FEW)
-    cell = class_task(BENCH, 200, 100)
-    told = trust_figures(cell, with_network=False)
-    assert told["severity"].keys() == {"reason"}
-    assert len(told["unknown"]["settings"]) == 1
-    assert set(told["unknown"]["settings"][0]["faults"][0]["auroc"]) == {DISTANCE, "limit"}
-    assert all(0.0 <= share <= 1.0 for shares in told["early"]["accuracy"].values() for share in shares)
-    assert [row["stated"] for row in told["early"]["stopping"][::2]] == [0.10, 0.05, 0.02, 0.01]
-    path = tmp_path / "figures.json"
-    save_figures(told, path)
-    assert load_figures(path) == json.loads(json.dumps(told))
-    assert load_figures(path) == json.loads(json.dumps(trust_figures(cell, with_network=False)))
-    whole = path.read_bytes()
-    for damaged in (whole[: len(whole) // 2], b"[]", b"{}", b""):
-        path.write_bytes(damaged)
-        assert load_figures(path) is None
-    assert load_figures(tmp_path / "none.json") is None
+FEW = Counts(known=60, foreign=20, severity=40, early=60, healthy=60, steps=5)
 
 
 def test_the_shipped_network_is_taken_where_the_recipe_is_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trust_module, "COUNTS", FEW)
+    monkeypatch.setattr(trust_figures, "COUNTS", FEW)
     recipe = load_recipe("bench")
     assert shipped_network(recipe) is not None
     assert shipped_network(BENCH) is None
-    told = trust_module._severity(class_task(recipe), shipped_network(recipe))
-    assert told["network_is_shipped"]
+    told = trust_figures.severities(class_task(recipe), trust_figures.network_for(recipe, 0))
+    assert told["n_cases"] == 40
     by_kind = {row["kind"]: row for row in told["kinds"]}
     assert set(by_kind) == {"bearing", "winding_contact", "winding_short"}
     for row in by_kind.values():
         assert row["network"]["rmse"] == pytest.approx(row["limit"]["rmse"], rel=0.15)
 
 
-def test_what_a_setting_cannot_have_is_left_out_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trust_module, "COUNTS", FEW)
-    told = trust_figures(class_task(load_recipe("field"), 100, 100), with_network=True)
-    assert all("no closed form" in told[name]["reason"] for name in SECTIONS)
-    no_bearing = replace(BENCH, classes=(BENCH.classes[0], BENCH.classes[3]))
-    assert "bearing" in trust_module._race(class_task(no_bearing))["reason"]
-
-
-def test_the_key_holds_all_that_the_figures_depend_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    cells = (
-        class_task(BENCH, 200),
-        class_task(BENCH, 300),
-        class_task(BENCH, 200, seed=1),
-        class_task(replace(BENCH, name="b"), 200),
+def test_foreign_faults_are_told_by_their_distance() -> None:
+    got = trust_figures.foreign_scores(
+        BENCH, {"limit": partial(class_probabilities, BENCH)}, seed=0, n_known=200, n_foreign=40
     )
-    keys = {trust_key(cell, with_network=also) for cell in cells for also in (False, True)}
-    assert len(keys) == 2 * len(cells)
-    monkeypatch.setattr(trust_module, "COUNTS", FEW)
-    assert trust_key(cells[0], with_network=False) not in keys
+    assert [row["fault"] for row in got["faults"]] == [fault.name for fault in UNKNOWN_FAULTS]
+    heavier = got["faults"][0]
+    assert heavier["auroc"]["distance"] > 0.99 > 0.7 > heavier["auroc"]["limit"]
+    assert heavier["called_other"] > 0.9
+    assert heavier["roc"]["distance"][0] <= heavier["roc"]["distance"][-1] == 1.0
+    assert len(heavier["roc"]["limit"]) == 101
+    assert got["false_alarms"] < 0.05
 
 
 def test_early_verdicts_are_tried_on_starts_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,9 +137,9 @@ def test_early_verdicts_are_tried_on_starts_of_their_own(monkeypatch: pytest.Mon
         taken.extend(set(starts.case_id.tolist()) for starts in (train, test))
         return {"limit": np.full((13, len(test), 5), 0.2)}
 
-    monkeypatch.setattr(trust_module, "COUNTS", FEW)
-    monkeypatch.setattr(trust_module, "probabilities_by_moment", noted)
-    trust_module._early(cell)
+    monkeypatch.setattr(trust_figures, "COUNTS", FEW)
+    monkeypatch.setattr(trust_figures, "probabilities_by_moment", noted)
+    trust_figures.early_figures(cell)
     learned, tried = taken
     assert (len(learned), len(tried)) == (60, 60)
     assert not tried & (learned | set(cell.starts().case_id.tolist()))

@@ -10,9 +10,8 @@ from scipy.stats import multivariate_normal
 from motor_classifiers import OutsideDetector
 
 # Reaches in: starts of other motors and surroundings than any recipe has by name.
-from motor_classifiers.scoring.unknown_faults import ForeignFault, foreign_starts
-from motor_classifiers.wrappers.outside import ADVICE
-from motor_classifiers.wrappers.world import Cloud, World
+from motor_classifiers.scoring.frozen_tasks import ForeignFault, foreign_starts
+from motor_classifiers.wrappers.outside import ADVICE, Cloud, World
 from motor_datasets import generate_arrays
 from motor_env import Timing, load_recipe
 from motor_env.simulation.disturbances import Field

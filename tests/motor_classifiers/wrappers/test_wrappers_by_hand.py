@@ -1,12 +1,11 @@
 """What wrappers compute, on a handful of cases by hand: p-values, thresholds, stops, severities along rays."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, norm
+from scipy.stats import binomtest
 from sklearn.frozen import FrozenEstimator
 from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import make_pipeline
@@ -15,25 +14,14 @@ from motor_classifiers import (
     ConformalClassifier,
     ConformalSets,
     EarlyClassifier,
-    OpenSetClassifier,
     OutsideDetector,
 )
 
 # Reaches in: pins what a wrapper makes of the state that a file holds, without a file.
 from motor_classifiers.estimators.state import State
-from motor_classifiers.wrappers import open_set
 from motor_classifiers.wrappers.conformal import measured_coverage
 from motor_classifiers.wrappers.early import Stopped, shortened, stop_when_sure, stopping_score
-from motor_classifiers.wrappers.fault_family import (  # the two last: closed forms hold them, not only rates
-    FamilyFit,
-    _along,
-    _hypotheses,
-    family_fit,
-)
-from motor_classifiers.wrappers.open_set import OUTSIDE
-from motor_env import Channel, FaultKind, Timing, load_recipe, simulate_states
-from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipes import FaultClass, Spread
+from motor_env import Channel, Timing, load_recipe
 
 BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 # Strangeness of the true class: 1/8, 1/4 and 1/2, which are exact in binary.
@@ -152,104 +140,3 @@ def test_the_first_samples_are_those_of_each_channel() -> None:
     X = np.arange(4 * 2 * 100, dtype=np.float64).reshape(4, 2, 100)
     model = EarlyClassifier(_Counting(both), samples=(3, 100)).fit(X, [0, 1, 0, 1])
     np.testing.assert_array_equal(model.estimators_[0].given_, X[:, :, :3].reshape(4, 6))
-
-
-def test_the_verdicts_of_refused_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each start is its own distance from the family and severity; the third value says what is off."""
-
-    def family(recipe: Any, cases: Any) -> FamilyFit:
-        first, severity = cases[:, 0, 0], cases[:, 0, 1]
-        return FamilyFit(first, np.full(len(cases), "bearing"), severity, severity > 10.0)
-
-    def off(self: OutsideDetector, X: Any) -> Any:
-        return np.array(["", "load", "warmth"], dtype=object)[X[:, 2].astype(int)]
-
-    monkeypatch.setattr(open_set, "family_fit", family)
-    monkeypatch.setattr(OutsideDetector, "what_is_off", off)
-    X = np.column_stack([np.arange(60.0), np.zeros((60, 2))])
-    model = OpenSetClassifier().fit(X, np.where(X[:, 0] < 30.0, "low", "more"))
-    got = model.verdicts(np.array([[3.0, 12, 0], [16.0, 12, 1], [17.0, 12, 1], [5.0, 9, 2], [40.0, 12, 0]]))
-    # A distance below 16.8, 99 % of a chi-square of six, is within the family.
-    assert got.label.tolist() == ["bearing", "bearing", OUTSIDE, OUTSIDE, "more"]
-    assert got.is_outside.tolist() == [False, False, True, True, False]
-    assert got.out_of_range.tolist() == [True, True, False, False, False]
-    assert got.off.tolist() == ["", "", "load", "warmth", ""]
-    np.testing.assert_array_equal(got.severity, [12.0, 12.0, np.nan, np.nan, np.nan])
-    assert OpenSetClassifier().false_alarm_rate == OutsideDetector().false_alarm_rate == 0.01
-
-
-def test_severity_along_rays_is_the_conditional_normal() -> None:
-    """Against the joint normal of t and the logarithms: t ~ N(0, 1), logarithms = tolerances + t rays."""
-    rng = np.random.default_rng(0)
-    rays, tolerances = rng.normal(size=(2, 4)), np.array([0.01, 0.04, 0.09, 0.16])
-    joint = np.block([[np.eye(2), rays], [rays.T, np.diag(tolerances) + rays.T @ rays]])
-    inside = joint[2:, 2:]
-    gain = np.linalg.solve(inside, joint[2:, :2]).T
-    left = joint[:2, :2] - gain @ joint[2:, :2]
-    values, root = rng.normal(size=(3, 4)), 0.1 * rng.normal(size=(3, 4, 4))
-    covariance = root @ np.swapaxes(root, 1, 2)
-    fitted: Any = SimpleNamespace(values=values, covariance=covariance)
-    mean, std = _along(rays, np.linalg.inv(inside), fitted)
-    np.testing.assert_allclose(mean, values @ gain.T)
-    expected = [np.sqrt(np.diag(gain @ own @ gain.T + left)) for own in covariance]
-    np.testing.assert_allclose(std, expected)
-
-
-def test_kinds_of_joint_faults_stand_for_them_where_one_is_hidden() -> None:
-    bearing, contact = FaultKind.BEARING, FaultKind.WINDING_CONTACT
-    both = FaultClass(bearing, 0.25, also=(FaultClass(contact, 0.1),))
-    pairs = [
-        (label, sorted(map(str, kinds)))
-        for label, kinds in _hypotheses(replace(BENCH, classes=(FaultClass(), both)))
-    ]
-    joint = "bearing+winding_contact"
-    assert pairs == [
-        ("healthy", []), (joint, ["bearing", "winding_contact"]), (joint, ["bearing"]), (joint, ["winding_contact"]),
-    ]  # fmt: skip
-    known = replace(BENCH, classes=(FaultClass(), both, FaultClass(bearing, 0.1)))
-    assert [label for label, _ in _hypotheses(known)] == ["healthy", joint, joint, "bearing"]
-
-
-def test_a_louder_sensor_is_out_of_range_when_it_surely_is() -> None:
-    """The scatter of a variance read off n values is sqrt(2 / n) of it; surely means 99 %."""
-    loud = replace(BENCH, classes=(FaultClass(), FaultClass(FaultKind.NOISE, 1.0)))
-    still = simulate_states(loud.motor, loud.nominal_voltage_v, loud.timing.dt_s)[:, 0]
-    noise = loud.sensor.current_noise_a * np.random.default_rng(2).standard_normal(100)
-    X = still + np.linspace(1.6, 2.2, 25)[:, None] * noise
-    got = family_fit(loud, X[:, None])
-    assert set(got.kind) == {"noise"}
-    # Both hypotheses have the same noise, so what differs are squares in units of it: linear in the scale's square.
-    squares = np.square(np.linspace(1.6, 2.2, 25))
-    np.testing.assert_allclose(
-        got.distance, np.polyval(np.polyfit(squares, got.distance, 1), squares), atol=0.02
-    )
-    assert ((got.distance > 0.0) & (got.distance < 12.0)).all()
-    variance = got.severity + 1.0
-    least = variance * (1.0 - norm.ppf(0.99) * np.sqrt(2.0 / 100))
-    np.testing.assert_array_equal(got.out_of_range, least > 2.0)
-    assert 5 < got.out_of_range.sum() < 20
-    # Levels within a hundredth of the bound are decided, too: the bound is met on both sides.
-    edge = 2.0 / (1.0 - norm.ppf(0.99) * np.sqrt(0.02))
-    scales = np.sqrt(edge / (variance[0] / 1.6**2) * np.array([0.998, 1.002]))
-    close = family_fit(loud, (still + scales[:, None] * noise)[:, None])
-    assert close.out_of_range.tolist() == [False, True]
-
-
-def _rubbing(factor: float) -> FloatArray:
-    """The noise-free start of a nominal motor with so many times the friction."""
-    motor = BENCH.motor.scaled(viscous_friction_n_m_s_per_rad=factor)
-    current: FloatArray = simulate_states(motor, BENCH.nominal_voltage_v, BENCH.timing.dt_s)[:, 0]
-    return current
-
-
-def test_a_bearing_is_out_of_range_when_it_surely_is() -> None:
-    """Motors without tolerances: the noise alone leaves the severity unsure, by the information in the slope."""
-    certain = replace(BENCH, spread=Spread())
-    severity = np.linspace(0.2, 0.5, 31)
-    got = family_fit(certain, np.stack([_rubbing(1.0 + size) for size in severity])[:, None])
-    assert set(got.kind) == {"bearing"}
-    np.testing.assert_allclose(got.severity, severity, rtol=0.15)
-    slope = (_rubbing(1.4 * np.exp(1e-4)) - _rubbing(1.4 * np.exp(-1e-4))) / 2e-4
-    std = 1.0 / np.sqrt(np.square(slope / certain.sensor.current_noise_a).sum() + 1.0)
-    surely = np.log1p(got.severity) - norm.ppf(0.99) * std > np.log1p(0.25)
-    assert (got.out_of_range != surely).sum() <= 1  # the slope is that of one friction for all

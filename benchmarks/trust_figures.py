@@ -1,59 +1,56 @@
-"""How far to trust a verdict: the figures of the benchmark's section of that name, in one setting.
-
-Conformal sets need no answers beside those of the benchmark. All else is one piece of work of its own: faults never
-trained on, severities, early verdicts. Its figures are plain JSON, and kept beside the answers.
-"""
+"""How far to trust a verdict in the benchmark's setting: sets, unknown faults, severities, early verdicts."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
-
-from motor_classifiers.estimators.methods import ESTIMATE
-from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-from motor_classifiers.scoring.judging import digest_of
-from motor_classifiers.scoring.metrics import IntArray
-from motor_classifiers.scoring.task import TEST_FIRST_CASE, ClassTask, judged_starts
-from motor_classifiers.scoring.unknown_faults import Confidence, foreign_scores
-from motor_classifiers.scoring.verdict_times import (
+from numpy.typing import NDArray
+from sklearn.metrics import roc_auc_score, roc_curve
+from verdict_times import (
     accuracy_by_moment,
     moments,
     probabilities_by_moment,
     race,
     stopping_rows,
 )
+
+from motor_classifiers.estimators.methods import ESTIMATE
+from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_classifiers.model_files.persistence import PRETRAINED, load_model
+from motor_classifiers.scoring.frozen_tasks import UNKNOWN_FAULTS, foreign_starts
+from motor_classifiers.scoring.metrics import IntArray
+from motor_classifiers.scoring.task import TEST_FIRST_CASE, ClassTask, judged_cases, judged_starts
 from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measured_coverage
+from motor_classifiers.wrappers.outside import OutsideDetector
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.files import LARGEST_TABLE_BYTES, read_json, write_text
 from motor_env.inference.posterior import class_probabilities
 from motor_env.inference.severity import SeverityPrior, severity_posterior
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import FaultClass, Recipe
 
-TRUST = "trust"
-"""Name of this piece of work among the answers."""
+Confidence = Callable[[NDArray[np.float32]], FloatArray]
+"""Probabilities of transients: shape (n_cases, n_channels, n_samples) to (n_cases, n_classes)."""
+
+DISTANCE = "distance"
+"""What faults are told by beside the classifiers' confidence: the detector's distance from the recipe's starts."""
+
+FALSE_ALARM_RATES: FloatArray = np.linspace(0.0, 1.0, 101)
+"""Where curves are drawn."""
 
 Figures = dict[str, Any]
-"""What JSON can hold; a section that is left out holds its `reason` alone."""
+"""What JSON can hold."""
 
 FIRST_CASE = 2_000_000_000
 """First number of the starts judged here: neither training nor test starts of the benchmark."""
 
 TELLING_RATE_HZ = 1_000.0
 """Rate of a second setting of the unknown faults: at 10 kHz every one of them is found."""
-
-SECTIONS = ("unknown", "severity", "early", "race")
 
 _PROMISED = 0.90  # coverage of sets
 
@@ -63,8 +60,7 @@ class Counts:
     """How many starts each figure rests on.
 
     Attributes:
-        threshold: known motors that set the threshold of the verdict `other`.
-        known: known motors it is tried on.
+        known: motors of the known classes.
         foreign: motors with each unknown fault.
         severity: motors with each kind of fault.
         early: starts of the early verdicts.
@@ -72,7 +68,6 @@ class Counts:
         steps: batches of the network where one must be trained for the second rate.
     """
 
-    threshold: int = 3000
     known: int = 3000
     foreign: int = 500
     severity: int = 800
@@ -128,12 +123,9 @@ def set_figures(probabilities: Mapping[str, FloatArray], test: Dataset) -> Figur
         probabilities: of each method, in the recipe's order of classes, shape (n_test, n_classes).
         test: the starts.
     """
-    try:
-        measured = {
-            name: halves_coverage(own, test.class_index, test.motor_id) for name, own in probabilities.items()
-        }
-    except ValueError:
-        return {"reason": f"{len(test)} test starts are too few: a class has none in one of their halves"}
+    measured = {
+        name: halves_coverage(own, test.class_index, test.motor_id) for name, own in probabilities.items()
+    }
     rows = [
         {
             "method": name,
@@ -147,86 +139,88 @@ def set_figures(probabilities: Mapping[str, FloatArray], test: Dataset) -> Figur
     return {"n_test": len(test), "promised": _PROMISED, "methods": rows}
 
 
-def trust_key(task: ClassTask, *, with_network: bool) -> str:
-    """Digest of all that the figures depend on."""
-    contents = {
-        "what": TRUST,
-        "recipe": recipe_to_dict(task.recipe),
-        "n_train": task.n_train,
-        "seed": task.seed,
-        "counts": asdict(COUNTS),
-        "network": with_network,
-    }
-    return digest_of(contents)
-
-
-def expected_seconds(task: ClassTask, *, with_network: bool) -> float:
-    """About how long the figures take on one core."""
-    if task.recipe.field is not None:
-        return 1.0
-    samples = task.recipe.timing.n_samples / 1000.0
-    return (20.0 + 40.0 * samples) if with_network else 5.0 + 30.0 * samples
-
-
-def trust_figures(task: ClassTask, *, with_network: bool) -> Figures:
-    """All figures of a setting; sections that it cannot have say why.
+def trust_figures(task: ClassTask) -> Figures:
+    """All figures of a setting but those of the sets.
 
     Args:
-        task: setting; its training starts are those of the early verdicts.
-        with_network: whether a posterior network is asked for.
+        task: setting of textbook motors; its training starts are those of the early verdicts.
     """
-    counts = {"counts": asdict(COUNTS)}
-    if task.recipe.field is not None:
-        reason = {
-            "reason": f"the likelihood of recipe {task.recipe.name} has no closed form, and these figures need it"
-        }
-        return {**counts, **dict.fromkeys(SECTIONS, reason)}
-    seed = task.seed % 2**32
-    with threadpool_limits(1):
-        network = network_for(task.recipe, seed) if with_network else None
-        return {
-            **counts,
-            "unknown": _unknown(task, network),
-            "severity": _severity(task, network),
-            "early": _early(task),
-            "race": _race(task),
-        }
+    network = network_for(task.recipe, task.seed)
+    return {
+        "counts": asdict(COUNTS),
+        "unknown": unknown_figures(task, network),
+        "severity": severities(task, network),
+        "early": early_figures(task),
+        "race": race_figures(task),
+    }
 
 
-def _unknown(task: ClassTask, network: PosteriorNetwork | None) -> Figures:
-    """Faults never trained on, told by distance and by confidence."""
-    settings = [(task.recipe, network)]
-    if task.recipe.timing.sampling_rate_hz > TELLING_RATE_HZ:
-        slow = replace(
-            task.recipe, timing=replace(task.recipe.timing, sampling_rate_hz=TELLING_RATE_HZ), shifts=()
-        )
-        trained = None
-        if network is not None:
-            trained = network_for(slow, task.seed % 2**32, steps=COUNTS.steps, with_severity=False)
-        settings.append((slow, trained))
+def unknown_figures(task: ClassTask, network: PosteriorNetwork) -> Figures:
+    """Faults never trained on, told by the detector's distance and by confidence."""
+    slow = replace(
+        task.recipe, timing=replace(task.recipe.timing, sampling_rate_hz=TELLING_RATE_HZ), shifts=()
+    )
+    trained = network_for(slow, task.seed, steps=COUNTS.steps, with_severity=False)
     rows = []
-    for recipe, own in settings:
-        confidences: dict[str, Confidence] = {"limit": partial(class_probabilities, recipe)}
-        if own is not None:
-            confidences[ESTIMATE] = own.predict_proba
-        scores = foreign_scores(
-            recipe, confidences, seed=task.seed, first_case=FIRST_CASE,
-            n_threshold=COUNTS.threshold, n_known=COUNTS.known, n_foreign=COUNTS.foreign,
-        )  # fmt: skip
+    for recipe, own in ((task.recipe, network), (slow, trained)):
+        confidences: dict[str, Confidence] = {
+            "limit": partial(class_probabilities, recipe),
+            ESTIMATE: own.predict_proba,
+        }
+        scores = foreign_scores(recipe, confidences, task.seed, COUNTS.known, COUNTS.foreign)
         rows.append({"sampling_rate_hz": recipe.timing.sampling_rate_hz, **scores})
     return {"settings": rows}
 
 
-def _severity(task: ClassTask, network: PosteriorNetwork | None) -> Figures:
+def foreign_scores(
+    recipe: Recipe, confidences: Mapping[str, Confidence], seed: int, n_known: int, n_foreign: int
+) -> Figures:
+    """Measure how well the detector's distance, and the confidence of classifiers, tell `UNKNOWN_FAULTS`.
+
+    Args:
+        recipe: the known classes.
+        confidences: classifiers by name; the smaller their largest probability, the more foreign a start.
+        seed: the random seed.
+        n_known: starts of known classes.
+        n_foreign: starts of each foreign fault.
+
+    Returns:
+        `false_alarms`, the share of motors of the known classes that are refused, and `faults`: of each its name
+        `fault`, the area under the ROC curve `auroc` and the share found at each of `FALSE_ALARM_RATES` `roc`, both by
+        `DISTANCE` and by each classifier's confidence, and the share `called_other`.
+    """
+    detector = OutsideDetector(recipe).fit()
+    numbers = judged_cases(recipe, FIRST_CASE, n_known + len(UNKNOWN_FAULTS) * n_foreign)
+    known = generate_arrays(recipe, seed, numbers[:n_known]).X
+
+    def strangeness(X: NDArray[np.float32]) -> dict[str, FloatArray]:
+        unsure = {name: -classify(X).max(axis=1) for name, classify in confidences.items()}
+        return {DISTANCE: -detector.decision_function(X), **unsure}
+
+    of_known = strangeness(known)
+    scored = []
+    for fault, own in zip(UNKNOWN_FAULTS, numbers[n_known:].reshape(-1, n_foreign), strict=True):
+        of_foreign = strangeness(foreign_starts(recipe, fault, seed, own))
+        areas, curves = {}, {}
+        for name, strange in of_foreign.items():
+            truth = np.repeat([0, 1], [n_known, n_foreign])
+            both = np.concatenate([of_known[name], strange])
+            areas[name] = float(roc_auc_score(truth, both))
+            false, right, _ = roc_curve(truth, both)
+            curves[name] = np.round(np.interp(FALSE_ALARM_RATES, false, right), 4).tolist()
+        refused = float((of_foreign[DISTANCE] > 0.0).mean())
+        scored.append({"fault": fault.name, "auroc": areas, "called_other": refused, "roc": curves})
+    return {"false_alarms": float((of_known[DISTANCE] > 0.0).mean()), "faults": scored}
+
+
+def severities(task: ClassTask, network: PosteriorNetwork) -> Figures:
     """Severities, uniform over the range, beside the exact posterior's."""
-    if network is None:
-        return {"reason": f"{ESTIMATE}, which tells severities, is not among the methods"}
     kinds = [
         {"kind": str(prior.kind), "largest": prior.largest}
         | severity_figures(network, task.recipe, prior, task.seed, COUNTS.severity)
         for prior in network.severity_priors_
     ]
-    return {"network_is_shipped": shipped_network(task.recipe) is not None, "kinds": kinds}
+    return {"n_cases": COUNTS.severity, "kinds": kinds}
 
 
 def severity_figures(
@@ -244,23 +238,22 @@ def severity_figures(
     exact = severity_posterior(recipe, prior, test.X)
     intervals = np.column_stack([estimated.low, estimated.high]), exact.interval(0.90)
     return {
-        "network": _scored(estimated.mean, intervals[0], test.severity),
-        "limit": _scored(exact.mean, intervals[1], test.severity),
+        "network": scored_severities(estimated.mean, intervals[0], test.severity),
+        "limit": scored_severities(exact.mean, intervals[1], test.severity),
     }
 
 
-def _scored(mean: FloatArray, interval: FloatArray, truth: FloatArray) -> dict[str, float]:
+def scored_severities(mean: FloatArray, interval: FloatArray, truth: FloatArray) -> dict[str, float]:
+    """Root mean square error of the means, and coverage of the intervals, shape (n_cases, 2)."""
     inside = (interval[:, 0] <= truth) & (truth <= interval[:, 1])
     return {"rmse": float(np.sqrt(np.square(mean - truth).mean())), "coverage": float(inside.mean())}
 
 
-def _early(task: ClassTask) -> Figures:
+def early_figures(task: ClassTask) -> Figures:
     """Accuracy by what was seen, and the stopping rule."""
     recipe, seen = task.recipe, moments(task.recipe.timing)
-    if len(seen.samples) < 2:
-        return {"reason": f"a start of recipe {recipe.name} has too few samples to be cut short"}
     test = judged_starts(recipe, task.seed, FIRST_CASE, COUNTS.early)
-    probabilities = probabilities_by_moment(recipe, task.seed % 2**32, task.train(), test)
+    probabilities = probabilities_by_moment(recipe, task.seed, task.train(), test)
     return {
         "time_s": seen.time_s.tolist(),
         "accuracy": {
@@ -270,32 +263,15 @@ def _early(task: ClassTask) -> Figures:
     }
 
 
-def _race(task: ClassTask) -> Figures:
+def race_figures(task: ClassTask) -> Figures:
     """The largest bearing fault or none, by the limit and by the sequential rules."""
-    recipe = task.recipe
-    bearings = [c for c in recipe.classes if [part.kind for part in c.parts] == [FaultKind.BEARING]]
-    if not bearings or len(moments(recipe.timing).samples) < 2:
-        return {"reason": f"recipe {recipe.name} has no class of a bearing fault alone, or too few samples"}
+    bearings = [c for c in task.recipe.classes if [part.kind for part in c.parts] == [FaultKind.BEARING]]
     fault = max(bearings, key=lambda c: c.severity)
     curves = race(
-        recipe, FaultClass(fault.kind, fault.severity), seed=task.seed, first_case=FIRST_CASE,
+        task.recipe, FaultClass(fault.kind, fault.severity), seed=task.seed, first_case=FIRST_CASE,
         n_cases=COUNTS.early, n_healthy=COUNTS.healthy,
     )  # fmt: skip
     return {
         "severity": fault.severity,
         "curves": {name: [point._asdict() for point in points] for name, points in curves.items()},
     }
-
-
-def save_figures(figures: Figures, path: Path) -> None:
-    """Write figures; the file appears whole or not at all."""
-    write_text(path, json.dumps(figures, allow_nan=False, indent=1) + "\n")
-
-
-def load_figures(path: Path) -> Figures | None:
-    """Read figures; None where there are none, or only damaged ones."""
-    try:
-        figures = read_json(path, LARGEST_TABLE_BYTES)
-    except (OSError, ValueError):
-        return None
-    return figures if isinstance(figures, dict) and {"counts", *SECTIONS} <= set(figures) else None

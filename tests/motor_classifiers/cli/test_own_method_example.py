@@ -1,4 +1,4 @@
-"""The script of a stranger: public names alone, from a method to its row, submission and score."""
+"""The script of a stranger: public names alone, from a method to its row, answers and score."""
 
 import ast
 import importlib
@@ -32,4 +32,3 @@ def test_it_runs_from_the_method_to_the_score(tmp_path: Path) -> None:
     )
     assert "own_method.py:small_network" in done.stdout
     assert "points more than the best possible" in done.stdout
-    assert (tmp_path / "submission" / "card.toml").is_file()

@@ -1,1 +1,0 @@
-"""motor-bench: frozen tasks, submissions to them, their scores and ranks."""

@@ -1,0 +1,351 @@
+"""The frozen tasks of motor-bench: what they ask beside the class, their cases and costs, the digests of their data.
+
+Each task has a seed of its own, and its test cases are of distinct motors: the cases of one say nothing of another's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motor_classifiers.estimators.reference_starts import referenced_probabilities, referenced_starts
+from motor_classifiers.scoring.task import (
+    TEST_FIRST_CASE,
+    TRAIN_FIRST_CASE,
+    Cases,
+    ClassTask,
+    DrawnTask,
+    judged_starts,
+    mean_figures,
+)
+from motor_datasets.arrays import Dataset
+from motor_env.errors import InputError
+from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.motor.faults import FaultKind
+from motor_env.motor.parameters import FloatArray, SupplyParameters
+from motor_env.simulation.drawing import apply_factors, draw
+from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.random_streams import Stream, uniforms
+from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
+from motor_env.simulation.simulate import Timing, simulate
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignFault:
+    """A departure from the healthy motor that no fault kind explains: factors on its quantities.
+
+    Attributes:
+        name: for tables.
+        supply: factor on the supply's voltage.
+        resistance: factor on the resistance.
+        constants: common factor on both motor constants.
+        inertia: factor on the inertia.
+        friction: factor on the viscous friction.
+    """
+
+    name: str
+    supply: float = 1.0
+    resistance: float = 1.0
+    constants: float = 1.0
+    inertia: float = 1.0
+    friction: float = 1.0
+
+
+UNKNOWN_FAULTS = (
+    ForeignFault("inertia +25 %", inertia=1.25),
+    ForeignFault("motor constants -10 %", constants=0.9),
+    ForeignFault("supply -10 %", supply=0.9),
+)
+"""Faults on which no model of ours is trained: a heavier rotor, magnets that lost strength, a weak supply."""
+
+
+def foreign_starts(
+    recipe: Recipe, fault: ForeignFault, seed: int, cases: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """Starts of otherwise healthy motors of a recipe with a foreign fault, shape (n_cases, n_channels, n_samples).
+
+    Args:
+        recipe: tolerances, supply, sensor and timing.
+        fault: what is wrong with them.
+        seed: the random seed.
+        cases: case numbers, shape (n_cases,).
+
+    Raises:
+        ValueError: the recipe departs from the textbook motor.
+    """
+    if recipe.field is not None:
+        raise ValueError(f"foreign faults are those of textbook motors, recipe {recipe.name} has a field")
+    scenario = draw(replace(recipe, classes=(FaultClass(),), healthy_starts=0), seed, cases).scenario
+    changed = replace(
+        scenario,
+        parameters=apply_factors(scenario.parameters, np.array([getattr(fault, name) for name in FACTORS])),
+        supply=SupplyParameters(scenario.supply.voltage_v * fault.supply),
+    )
+    return simulate(changed, seed, cases).measurements.astype(np.float32)
+
+
+VERSION = "2.0"
+"""Version of the frozen tasks: one with another recipe, seed or count belongs to another."""
+
+SEED = 20_261
+"""The seed of every task is a digest of this number, its name and the version."""
+
+SMALL = 24
+"""Cases of the small counts that are checked quickly."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceTask(ClassTask):
+    """Name the class, given healthy starts of the same motor as further channels."""
+
+    n_references: int = 1
+
+    def train(self) -> Dataset:
+        """Starts with their references."""
+        return referenced_starts(self.recipe, self.seed, np.arange(self.n_train), self.n_references)
+
+    def starts(self) -> Dataset:
+        """Starts of other motors, with their references."""
+        motors = np.arange(self.n_test) + TEST_FIRST_CASE // 10
+        return referenced_starts(self.recipe, self.seed, motors, self.n_references)
+
+    def best(self, X: NDArray[np.float32]) -> FloatArray:
+        """The exact posterior given the references."""
+        return referenced_probabilities(self.recipe, X)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeverityTask(DrawnTask):
+    """Tell the severity of a fault whose kind is known; the answer is a number, 0.01 for a point."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """One estimate."""
+        return ("severity",)
+
+    def test(self) -> Cases:
+        """Starts of other motors, severities uniform."""
+        starts = judged_starts(self.recipe, self.seed, TEST_FIRST_CASE, self.n_test)
+        return Cases(starts.X, starts.severity)
+
+    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
+        """Squared error in points."""
+        squares: FloatArray = np.square(100.0 * (answers[:, 0] - truth))
+        return squares
+
+    def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
+        """Root of the mean squared error, in points."""
+        roots: FloatArray = np.sqrt(0.01 * mean_figures(costs, weights))
+        return roots
+
+    def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
+        """The posterior mean."""
+        (fault,) = self.recipe.classes
+        assert fault.kind is not None  # noqa: S101  # a task of one kind
+        prior = SeverityPrior(fault.kind, fault.severity, fault.largest_severity)
+        return severity_posterior(self.recipe, prior, X).mean[:, None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StrangerTask(DrawnTask):
+    """Say how strange a start is: motors of the known classes against faults that nobody was trained on.
+
+    The metric is 1 minus the area under the ROC curve, averaged over the unknown faults. The cost of a case is its part
+    of that area's linearisation (DeLong et al. 1988): the mean is the metric, and the scatter that of the area.
+    """
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """One score, the larger the stranger."""
+        return ("strangeness",)
+
+    def test(self) -> Cases:
+        """Equally many starts of the known classes and of each unknown fault, shuffled by the seed."""
+        per_kind = self.n_test // (1 + len(UNKNOWN_FAULTS))
+        numbers = np.arange((1 + len(UNKNOWN_FAULTS)) * per_kind).reshape(-1, per_kind) + TEST_FIRST_CASE
+        known = judged_starts(self.recipe, self.seed, TEST_FIRST_CASE, per_kind).X
+        foreign = [
+            foreign_starts(self.recipe, fault, self.seed, own)
+            for fault, own in zip(UNKNOWN_FAULTS, numbers[1:], strict=True)
+        ]
+        order = np.random.default_rng(self.seed).permutation(per_kind * (1 + len(foreign)))
+        kinds = np.repeat(np.arange(1 + len(foreign)), per_kind)
+        return Cases(np.concatenate([known, *foreign])[order], kinds[order])
+
+    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
+        """Each case's part of 1 minus the area."""
+        score, n_faults = answers[:, 0], len(UNKNOWN_FAULTS)
+        is_known = truth == 0
+        known = score[is_known]
+        lost_known, deviation, missing = np.zeros(len(known)), np.zeros(len(truth)), 0.0
+        for fault in range(1, n_faults + 1):
+            foreign = score[truth == fault]
+            lost = 1.0 - _share_below(np.sort(known), foreign)
+            missing += float(lost.mean()) / n_faults
+            lost_known += _share_below(np.sort(foreign), known) / n_faults
+            deviation[truth == fault] = (lost - lost.mean()) / n_faults
+        deviation[is_known] = lost_known - missing
+        return missing + (1 + n_faults) * deviation
+
+
+def _share_below(others: FloatArray, score: FloatArray) -> FloatArray:
+    """Share of sorted others below each score, ties half."""
+    below = np.searchsorted(others, score, "left") + np.searchsorted(others, score, "right")
+    share: FloatArray = below / (2.0 * len(others))
+    return share
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamTask(DrawnTask):
+    """Sound an alarm soon after a fault sets in: half of the motors stay healthy; the answer is a time, nan for none.
+
+    A false alarm costs 1, a miss costs 1, and a delay its share of `longest_delay_s`.
+    """
+
+    longest_delay_s: float = 0.2
+    onsets_s: tuple[float, float, int] = (0.15, 0.45, 31)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Time of the alarm after the step of the supply."""
+        return ("alarm_s",)
+
+    def test(self) -> Cases:
+        """Starts that go on; where the class is a fault, it sets in at one of the onsets."""
+        return self._drawn(self.seed, TEST_FIRST_CASE, self.n_test)
+
+    def train_streams(self) -> Cases:
+        """Starts of other motors that go on, to choose thresholds on."""
+        return self._drawn(self.seed, TRAIN_FIRST_CASE, self.n_train)
+
+    def learned(self) -> dict[str, NDArray[Any]]:
+        """Streams, and when their faults set in."""
+        X, onset_s = self.train_streams()
+        return {"X": X, "onset_s": onset_s}
+
+    def _drawn(self, seed: int, first: int, count: int) -> Cases:
+        numbers = np.arange(count) + first
+        grid = np.linspace(*self.onsets_s)
+        chosen = (uniforms(seed, Stream.ONSET, numbers, 1)[:, 0] * len(grid)).astype(np.int64)
+        X = np.zeros((count, len(self.recipe.sensor.channels), self.recipe.timing.n_samples), np.float32)
+        healthy = np.zeros(count, dtype=bool)
+        for n, onset in enumerate(grid):
+            mine = np.flatnonzero(chosen == n)
+            if len(mine):
+                drawn = draw(self.recipe, seed, numbers[mine])
+                late = tuple(replace(fault, onset_s=float(onset)) for fault in drawn.scenario.faults)
+                X[mine] = simulate(replace(drawn.scenario, faults=late), seed, numbers[mine]).measurements
+                healthy[mine] = drawn.class_index == 0
+        return Cases(X, np.where(healthy, np.nan, grid[chosen]))
+
+    def check(self, answers: FloatArray) -> None:
+        """A time is nan or not negative."""
+        wrong = np.flatnonzero(answers[:, 0] < 0.0)
+        if len(wrong):
+            raise InputError(f"case {wrong[0]}: alarm_s must be >= 0 or nan, got {answers[wrong[0], 0]:g}")
+
+    def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
+        """1 for a false alarm or a miss, else the delay."""
+        alarm = np.where(np.isnan(answers[:, 0]), np.inf, answers[:, 0])
+        onset = np.where(np.isnan(truth), np.inf, truth)
+        late = np.where(np.isfinite(alarm) & np.isfinite(onset), alarm, 0.0) - np.where(
+            np.isfinite(onset), onset, 0.0
+        )
+        delay = np.clip(late / self.longest_delay_s, 0.0, 1.0)
+        wrong = (alarm < onset) | (np.isinf(alarm) & np.isfinite(onset))
+        return np.where(wrong, 1.0, np.where(np.isinf(onset), 0.0, delay))
+
+
+def task_seed(name: str) -> int:
+    """Seed of a task: 64 bits of a digest of `SEED`, name and version."""
+    return int.from_bytes(hashlib.sha256(f"motor-bench {VERSION} {name} {SEED}".encode()).digest()[:8])
+
+
+def _tasks() -> dict[str, DrawnTask]:
+    bench = named_recipe("bench")
+    severities = replace(bench, classes=(FaultClass(FaultKind.BEARING, 0.0, severity_to=0.30),))
+    # A winding that ages under a motor without load hardly changes its current: bearings alone.
+    bearings = [FaultClass(FaultKind.BEARING, severity) for severity in (0.25, 0.5, 1.0)]
+    half = (FaultClass(weight=float(len(bearings))), *bearings)
+    stream = replace(bench, classes=half, timing=Timing(1_000.0, 0.7))
+    slow = replace(bench, timing=Timing(1_000.0, 0.1))
+    full, field, operation = map(named_recipe, ("bench-full", "field", "operation"))
+    friction = "Which class in the field: friction, ramps, sensor errors"
+    at_work = "Which class at work: another voltage, which is a channel, and load in each case"
+    late = "When did a bearing fault set in: delay against false alarms"
+    area = "100 (1 - area under the ROC curve)"
+    every: tuple[DrawnTask, ...] = (
+        ClassTask("bench", "Which of five classes: tolerances, current alone, 10 kHz", recipe=bench),
+        ClassTask("bench-full", "Which of nine classes: all kinds of faults", recipe=full),
+        ClassTask("field", friction, bracket=(16.29, 16.97), recipe=field, judged_per_motor=1),
+        ClassTask("operation", at_work, bracket=(18.68, 20.16), recipe=operation),
+        ReferenceTask(
+            "reference", "Which class, with one healthy start of the same motor", 2000, recipe=bench
+        ),
+        SeverityTask(
+            "severity", "How large a bearing fault, 0 to 30 %", 2000, "RMSE, points", recipe=severities
+        ),
+        StrangerTask("unknown", "How strange: faults never trained on, 1 kHz", 4000, area, recipe=slow),
+        StreamTask("stream", late, 2000, "100 x mean cost", recipe=stream),
+    )
+    return {task.name: replace(task, seed=task_seed(task.name)) for task in every}
+
+
+TASKS = _tasks()
+"""Every task by name."""
+
+
+def load_task(name: str) -> DrawnTask:
+    """A frozen task of motor-bench: recipe, training starts, test cases.
+
+    Raises:
+        InputError: there is none of this name.
+    """
+    if name not in TASKS:
+        raise InputError(f"task must be one of {', '.join(TASKS)}, got {name!r}")
+    return TASKS[name]
+
+
+def task_facts(task: DrawnTask) -> dict[str, Any]:
+    """What a stranger needs to know of a task, for JSON."""
+    return {
+        "task": task.name,
+        "version": VERSION,
+        "title": task.title,
+        "metric": task.metric,
+        "columns": ["case", *task.columns],
+        "n_train": task.n_train,
+        "n_test": task.n_test,
+        "recipe": recipe_to_dict(task.recipe),
+    }
+
+
+def task_digests(task: DrawnTask) -> dict[str, str]:
+    """SHA-256 of the measurements and the truth of both splits."""
+    numbers, test = [values for values in task.learned().values() if values.dtype.kind != "U"], task.test()
+    return {"train": _digest(numbers), "test": _digest((test.X, test.truth))}
+
+
+def _digest(arrays: Iterable[NDArray[Any]]) -> str:
+    return hashlib.sha256(b"".join(np.ascontiguousarray(values).tobytes() for values in arrays)).hexdigest()
+
+
+def current_digests(*, whole: bool) -> dict[str, dict[str, str]]:
+    """Digests of all tasks as this code draws them, of so many cases as they have, or of `SMALL`."""
+    tasks = TASKS if whole else {n: replace(t, n_train=SMALL, n_test=SMALL) for n, t in TASKS.items()}
+    return {name: task_digests(task) for name, task in tasks.items()}
+
+
+def frozen_digests() -> dict[str, Any]:
+    """What they must be: of `small` counts and `whole`, written by `python benchmarks/leaderboard.py freeze`."""
+    text = (files("motor_classifiers.scoring") / "motor_bench.json").read_text(encoding="utf-8")
+    digests: dict[str, Any] = json.loads(text)
+    return digests
