@@ -17,9 +17,9 @@ from result import Result
 from timing import best_rate
 
 from motor_env import MotorParameters, discretize, simulate_states
-from motor_env.fitting import parameter_index as places
-from motor_env.fitting.ekf import BEGIN
-from motor_env.fitting.record import Record
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.ekf import BEGIN
+from motor_env.diagnosis.estimation.record import Record
 from motor_env.motor.parameters import FloatArray
 
 jax.config.update("jax_enable_x64", True)

@@ -14,10 +14,10 @@ from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted
 
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.verdict import Verdict
+from motor_env.diagnosis.readers.start import Circuit
+from motor_env.diagnosis.verdict.judgement import Verdict
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.faults import Fault, FaultKind
-from motor_env.recordings.start import Circuit
 
 CASES: dict[Verdict, tuple[Fault, ...]] = {
     Verdict.HEALTHY: (),

@@ -31,7 +31,7 @@ from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.wrappers.outside import single_starts
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.files import replacing, write_text
+from motor_env.common.files import replacing, write_text
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe

@@ -22,16 +22,16 @@ import pandas as pd
 from cyclopts import run
 from tables import keep_table
 
-from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference, reference_of_pieces
-from motor_env.diagnosis.healthy_spread import START_SPREAD, next_piece
-from motor_env.diagnosis.hypotheses import NAMES, FittedWindow
-from motor_env.diagnosis.verdict import Judgement
-from motor_env.fleet.fits import fit_fleet, fit_log, processes
-from motor_env.fleet.initial_fit import Reading
-from motor_env.fleet.learning import PRIOR_SPREAD, directions_of
-from motor_env.fleet.population import HealthyPopulation, Motors, learn_population
-from motor_env.fleet.unit_update import combine_with_records
+from motor_env.diagnosis.fleet.fits import fit_fleet, fit_log, processes
+from motor_env.diagnosis.fleet.initial_fit import Reading
+from motor_env.diagnosis.fleet.learning import PRIOR_SPREAD, directions_of
+from motor_env.diagnosis.fleet.population import HealthyPopulation, Motors, learn_population
+from motor_env.diagnosis.fleet.unit_update import combine_with_records
+from motor_env.diagnosis.verdict.decision import decide
+from motor_env.diagnosis.verdict.healthy_motor import Reference, reference_of_pieces
+from motor_env.diagnosis.verdict.healthy_spread import START_SPREAD, next_piece
+from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow
+from motor_env.diagnosis.verdict.judgement import Judgement
 from motor_env.motor import identifiable
 from motor_env.motor.healthy import Fleet, Healthy, Starts
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray

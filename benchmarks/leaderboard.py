@@ -33,8 +33,8 @@ from motor_classifiers.scoring.judging import in_recipe_order, judge
 from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.task import ClassTask, DrawnTask
 from motor_env import Cusum, Glr, TolerantFilter
+from motor_env.common.files import write_text
 from motor_env.detection.rules.base import Rule
-from motor_env.files import write_text
 from motor_env.motor.parameters import FloatArray
 
 FOLDER = Path(__file__).resolve().parent

@@ -28,7 +28,10 @@ def parts() -> dict[str, list[Path]]:
         rows[package] = sorted(top.rglob("*.py"))
         for path in rows[package]:
             room = path.relative_to(top).parts[:-1]
-            rows.setdefault(f"{package}/{room[0] if room else '*.py'}", []).append(path)
+            depth = 2 if room[:1] == ("diagnosis",) else 1
+            rows.setdefault("/".join((package, *room[:depth])) if room else f"{package}/*.py", []).append(
+                path
+            )
     rows["benchmarks without mutants.py"] = sorted({*(ROOT / "benchmarks").glob("*.py")} - {ROOT / MUTANTS})
     rows["examples"] = sorted((ROOT / "examples").rglob("*.py"))
     rows["tests"] = sorted((ROOT / "tests").rglob("*.py"))

@@ -88,12 +88,13 @@ class Mutant:
 
 
 def room_of(file: Path) -> str:
-    """`operation` for motor_env/fitting/model_selection.py; the package's name for what lies at its top."""
+    """`diagnosis/estimation` for motor_env/diagnosis/estimation/ekf.py; the package's name for what lies at its top."""
     parts = file.parts[file.parts.index(next(p for p in file.parts if p in PACKAGES)) :]
-    inner = parts[1] if len(parts) > 2 else ""
+    depth = 2 if parts[1] == "diagnosis" else 1
+    inner = parts[1 : min(depth + 1, len(parts) - 1)]
     if parts[0] == "motor_env":
-        return inner or "motor_env"
-    return "/".join(filter(None, (parts[0], inner)))
+        return "/".join(inner) or "motor_env"
+    return "/".join((parts[0], *inner))
 
 
 def sources() -> dict[str, list[Path]]:
@@ -334,7 +335,10 @@ def own_tests(mutant: Mutant) -> list[str]:
     package = "" if mutant.room.startswith("motor_") else "motor_env/"
     if mutant.room == "motor_env":
         return sorted(str(file.relative_to(TREE)) for file in TREE.glob("tests/motor_env/test_*.py"))
-    return [folder] if (TREE / (folder := f"tests/{package}{mutant.room}")).exists() else []
+    folder = Path(f"tests/{package}{mutant.room}")
+    if not (TREE / folder).exists() and folder.parent.name == "diagnosis":
+        folder = folder.parent  # verdict and operation are tested there
+    return [str(folder)] if (TREE / folder).exists() else []
 
 
 def attempt(mutant: Mutant, tests: list[str], workers: int) -> tuple[bool, list[str]]:

@@ -20,15 +20,15 @@ from kept_rows import kept_rows
 from operation_simulator import KNEE, LOADS, PROFILES, SLIDING, VOLTAGE_NOISE, Motor, draw_motor, simulate
 from tables import keep_table
 
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.model_selection import initial_problems as begins
+from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation, identify_operation
+from motor_env.diagnosis.estimation.problem import motor_unknowns as motor_places
+from motor_env.diagnosis.estimation.terms import terms
+from motor_env.diagnosis.estimation.uncertainty import information_covariance, secants
+from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.filters.joint import joint_filter
-from motor_env.fitting import parameter_index as places
-from motor_env.fitting.model_selection import initial_problems as begins
-from motor_env.fitting.operation_fit import OperationFit as Operation, identify_operation
-from motor_env.fitting.problem import motor_unknowns as motor_places
-from motor_env.fitting.terms import terms
-from motor_env.fitting.uncertainty import information_covariance, secants
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
-from motor_env.recordings.recording import UnusableError
 
 QUANTITIES = ("R", "L", "K", "J", "B", "coulomb", "brush_drop", "load_constant", "load_square")
 HEADER = (

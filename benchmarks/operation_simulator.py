@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from motor_env.recordings.recording import Recording
+from motor_env.diagnosis.readers.recording import Recording
 
 Floats = NDArray[np.float64]
 PROFILES = (

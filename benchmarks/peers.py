@@ -20,7 +20,7 @@ from run import FOLDER, ONE_THREAD
 from motor_classifiers.scoring.peers import PEERS, identity
 from motor_classifiers.scoring.task import class_task
 from motor_datasets.arrays import Dataset
-from motor_env.files import replacing
+from motor_env.common.files import replacing
 from motor_env.simulation.named_recipes import named_recipe
 
 KEPT = FOLDER / "results" / "peers.npz"

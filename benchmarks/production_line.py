@@ -14,7 +14,7 @@ from tables import keep_table
 from verdict_tables import HERE, How, Said, counted
 
 from motor_env import commission, diagnose
-from motor_env.recordings.recording import Recording, read_recording
+from motor_env.diagnosis.readers.recording import Recording, read_recording
 
 
 @cache

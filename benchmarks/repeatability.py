@@ -23,9 +23,9 @@ from kept_rows import kept_rows
 from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
 from tables import keep_table
 
+from motor_env.common.errors import InputError
 from motor_env.diagnosis.identification import identify
-from motor_env.errors import InputError
-from motor_env.recordings.recording import Recording
+from motor_env.diagnosis.readers.recording import Recording
 
 QUANTITIES = ("R", "L", "K", "J", "drag")
 HEADER = ("records", "pairs", "quantities", "hold", "95 % hold at", "beyond 4 sd", "width over scatter")

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 from tables import keep_table
 
 from motor_env import Cusum, Glr, ModelBank, MOfN, Rule, ShiryaevRoberts, Sprt
+from motor_env.common.plotting import drawing, save
 from motor_env.detection.rules import Threshold, WindowedNis, in_a_row, nis_rule, run_lengths
-from motor_env.plotting import drawing, save
 
 ARL0 = 1e4
 HEALTHY = 1_000

@@ -27,9 +27,9 @@ from motor_classifiers.scoring.frozen_tasks import load_task
 from motor_classifiers.scoring.judging import judge
 from motor_classifiers.scoring.task import ClassTask
 from motor_datasets.arrays import Dataset
-from motor_env.files import write_text
+from motor_env.common.files import write_text
+from motor_env.common.plotting import drawing, save
 from motor_env.motor.parameters import FloatArray
-from motor_env.plotting import drawing, save
 
 FOLDER = Path(__file__).resolve().parent
 KEPT = FOLDER / "results" / "scaling"

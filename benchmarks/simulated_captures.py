@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
+from motor_env.diagnosis.readers.recording import Recording, resampled as evened
 from motor_env.motor.faults import Fault, apply_faults
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
-from motor_env.recordings.recording import Recording, resampled as evened
 from motor_env.simulation.drawing import apply_factors
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.named_recipes import BENCH_SPREAD

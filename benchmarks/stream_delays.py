@@ -19,9 +19,9 @@ from motor_classifiers.scoring.frozen_tasks import StreamTask, load_task
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_classifiers.scoring.score import score
 from motor_env import Cusum, Glr, TolerantFilter
+from motor_env.common.plotting import drawing, save
 from motor_env.detection.rules.base import Rule, first_above
 from motor_env.motor.parameters import FloatArray
-from motor_env.plotting import drawing, save
 
 RULES: dict[str, Rule] = {"CUSUM": Cusum(0.2), "CUSUM, larger shift": Cusum(0.5), "GLR": Glr(10, 700)}
 SHARES = (0.01, 0.02, 0.05, 0.10)

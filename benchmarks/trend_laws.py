@@ -17,9 +17,9 @@ from cyclopts import run
 from tables import keep_table
 from verdict_tables import HERE, How, Said, counted
 
+from motor_env.diagnosis.prognosis.estimates import Series
+from motor_env.diagnosis.prognosis.trend import judge as judge_trend
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FloatArray
-from motor_env.prognosis.estimates import Series
-from motor_env.prognosis.trend import judge as judge_trend
 
 LIMIT, REACH = 1.25, 0.25
 HORIZON, SUBSTEPS = 40, 8  # lives beyond 40 times what is seen count as infinite; substeps of a day

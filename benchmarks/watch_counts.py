@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.stats import poisson
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind
-from motor_env.diagnosis.running.sequential_monitor import YEAR_S
-from motor_env.live.watch import Event
+from motor_env.diagnosis.operation.sequential_monitor import YEAR_S
+from motor_env.diagnosis.streaming.watch import Event
 from motor_env.motor.faults import apply_fault
 from motor_env.motor.model import discretize
 from motor_env.motor.parameters import MotorParameters

@@ -19,8 +19,8 @@ from tables import keep_table
 from watch_counts import NO_ALARM, RATES, Floats, delays_by_fault, duty, heavy, lines, motion
 
 from motor_env import FaultKind, KalmanFilter, SensorParameters, run_filter
-from motor_env.live.state import State
-from motor_env.live.watch import LearningPhase, Watch
+from motor_env.diagnosis.streaming.state import State
+from motor_env.diagnosis.streaming.watch import LearningPhase, Watch
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import Channel, MotorParameters
 

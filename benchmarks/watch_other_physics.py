@@ -19,8 +19,8 @@ from scipy.stats import poisson
 from tables import keep_table
 from watch_counts import ALARM_HEADER, RATES, alarm_row, alarms, due, lines
 
-from motor_env.live.state import State
-from motor_env.live.watch import LearningPhase, Watch
+from motor_env.diagnosis.streaming.state import State
+from motor_env.diagnosis.streaming.watch import LearningPhase, Watch
 
 WINDOW_S, LEARN_S, DT_S = 20.0, 200.0, 0.01
 SUPPORT = {"yes": "if the fitted tails hold", "no": "is not supported"}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import grimp
 
-from motor_env.plotting import COLOUR, INK, QUIET, drawing, save, subplots
+from motor_env.common.plotting import COLOUR, INK, QUIET, drawing, save, subplots
 
 DOCS = Path(__file__).parent
 

@@ -12,10 +12,10 @@ from types import SimpleNamespace
 from typing import cast
 
 from motor_env import diagnose
-from motor_env.diagnosis.report.page import _bars, _currents, reference_current
-from motor_env.diagnosis.verdict import Verdict
-from motor_env.fleet.judging import picture
-from motor_env.fleet.unit import FleetUnit
+from motor_env.diagnosis.fleet.judging import picture
+from motor_env.diagnosis.fleet.unit import FleetUnit
+from motor_env.diagnosis.verdict.judgement import Verdict
+from motor_env.diagnosis.verdict.report_page import _bars, _currents, reference_current
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"

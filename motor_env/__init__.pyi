@@ -1,4 +1,7 @@
 # What a user imports from `motor_env`: listed here and nowhere else; loaded when first used.
+from .common.errors import (
+    InputError as InputError,
+)
 from .detection.plots import (
     plot_bank as plot_bank,
     plot_rules as plot_rules,
@@ -23,14 +26,30 @@ from .diagnosis.diagnose import (
     Diagnosis as Diagnosis,
     diagnose as diagnose,
 )
+from .diagnosis.fleet.judging import (
+    diagnose_fleet as diagnose_fleet,
+)
+from .diagnosis.fleet.learning import (
+    learn_fleet as learn_fleet,
+)
 from .diagnosis.identification import (
     identify as identify,
 )
-from .diagnosis.verdict import (
-    Verdict as Verdict,
+from .diagnosis.prognosis.files import (
+    trend as trend,
 )
-from .errors import (
-    InputError as InputError,
+from .diagnosis.readers.headers import (
+    ColumnChoice as ColumnChoice,
+)
+from .diagnosis.readers.recording import (
+    Recording as Recording,
+    read_recording as read_recording,
+)
+from .diagnosis.streaming.command import (
+    watch as watch,
+)
+from .diagnosis.verdict.judgement import (
+    Verdict as Verdict,
 )
 from .filters.adaptive import (
     adaptive_filter as adaptive_filter,
@@ -54,12 +73,6 @@ from .filters.smoothing import (
 from .filters.stream import (
     FilterStream as FilterStream,
 )
-from .fleet.judging import (
-    diagnose_fleet as diagnose_fleet,
-)
-from .fleet.learning import (
-    learn_fleet as learn_fleet,
-)
 from .inference.posterior import (
     class_probabilities as class_probabilities,
     excess_over_limit as excess_over_limit,
@@ -67,9 +80,6 @@ from .inference.posterior import (
 from .inference.severity import (
     SeverityPrior as SeverityPrior,
     severity_posterior as severity_posterior,
-)
-from .live.command import (
-    watch as watch,
 )
 from .motor.data_sheet import (
     Motor as Motor,
@@ -89,16 +99,6 @@ from .motor.parameters import (
     MotorParameters as MotorParameters,
     SensorParameters as SensorParameters,
     SupplyParameters as SupplyParameters,
-)
-from .prognosis.files import (
-    trend as trend,
-)
-from .recordings.headers import (
-    ColumnChoice as ColumnChoice,
-)
-from .recordings.recording import (
-    Recording as Recording,
-    read_recording as read_recording,
 )
 from .simulation.drawing import (
     draw as draw,

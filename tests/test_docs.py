@@ -131,11 +131,16 @@ def test_page_runs(
     "module",
     [
         *("motor_env.detection", "motor_env.diagnosis", "motor_env.envs", "motor_env.filters"),
-        *("motor_env.fitting", "motor_env.inference", "motor_env.motor", "motor_env.recordings"),
+        *(
+            "motor_env.diagnosis.estimation",
+            "motor_env.inference",
+            "motor_env.motor",
+            "motor_env.diagnosis.readers",
+        ),
         *(
             "motor_env.simulation",
-            "motor_env.errors",
-            "motor_env.prognosis",
+            "motor_env.common.errors",
+            "motor_env.diagnosis.prognosis",
             "motor_datasets",
             "motor_classifiers",
         ),

@@ -24,17 +24,17 @@ SHARED = {
     "motor_classifiers.cli.main": "the command line",
     "motor_datasets.cli": "the command line",
     "motor_env.cli": "the command line",
-    "motor_env.console": "how every command ends",
-    "motor_env.errors": "what every room raises",
-    "motor_env.diagnosis.verdict": "what a Diagnosis is made of",
+    "motor_env.common.console": "how every command ends",
+    "motor_env.common.errors": "what every room raises",
+    "motor_env.diagnosis.verdict.judgement": "what a Diagnosis is made of",
     "motor_env.motor.data_sheet": "what a Motor is made of",
     "motor_env.motor.faults": "what a Fault is made of",
     "motor_env.motor.healthy": "what a commissioned Motor holds",
     "motor_env.motor.model": "the equations that every room is compared with",
     "motor_env.motor.parameters": "the type of arrays, and constants of the paper's motor",
-    "motor_env.fitting.parameter_index": "the places of values in what windows of work have taught",
-    "motor_env.recordings.recording": "what a recording is refused with",
-    "motor_env.recordings.start": "from a Recording to what `identify` takes; the documentation calls it",
+    "motor_env.diagnosis.estimation.parameter_index": "the places of values in what windows of work have taught",
+    "motor_env.diagnosis.readers.recording": "what a recording is refused with",
+    "motor_env.diagnosis.readers.start": "from a Recording to what `identify` takes; the documentation calls it",
     "motor_env.simulation.recipes": "what a Recipe is made of",
 }
 """Inner modules that tests of every room may import, and why."""
@@ -135,16 +135,23 @@ def imported(tree: ast.AST) -> Iterator[str]:
                 yield inner if is_module(inner) else str(node.module)
 
 
+def room_of(module: str) -> str:
+    parts = module.split(".")
+    depth = 3 if parts[1:2] == ["diagnosis"] and parts[2:3] not in (["verdict"], ["operation"]) else 2
+    while depth > 1 and is_module(".".join(parts[:depth])):
+        depth -= 1
+    return ".".join(parts[:depth])
+
+
 def reaches(text: str, folder: tuple[str, ...]) -> set[str]:
     """Inner modules of other rooms than its own that a test imports; a room's tests lie in a folder of its name.
 
-    A room is a package in one of the three, with all below it; modules beside the rooms belong to the package itself.
+    A room is a package in one of the three, with all below it, or one of the wing `diagnosis`; modules beside the rooms
+    belong to the package itself. Tests of the wing's own modules may open `verdict` and `operation`, too.
     """
-    own, found = ".".join(folder[:2]), set()
+    own, found = room_of(".".join(folder)), set()
     for module in imported(ast.parse(text)):
-        parts = module.split(".")
-        room = ".".join(parts[:1] if is_module(".".join(parts[:2])) else parts[:2])
-        if room != own and module not in FRONTS and module not in SHARED:
+        if room_of(module) != own and module not in FRONTS and module not in SHARED:
             found.add(module)
     return found
 
@@ -180,7 +187,7 @@ def test_a_test_that_reaches_into_another_room_says_why() -> None:
         ("import motor_env.simulation.drawing", "motor_env.simulation.drawing"),
         ("def late():\n    from motor_env.envs import kernel", "motor_env.envs.kernel"),
         ("from motor_env.envs.drive.kernel import step", "motor_env.envs.drive.kernel"),
-        ("from motor_env import files", "motor_env.files"),
+        ("from motor_env.common import files", "motor_env.common.files"),
         ("from motor_datasets.layout import make_plan", "motor_datasets.layout"),
     ],
 )

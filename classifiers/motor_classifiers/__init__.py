@@ -16,7 +16,7 @@ from typing import Any
 
 import lazy_loader
 
-from motor_env.errors import require_extra
+from motor_env.common.errors import require_extra
 
 _load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.arrays import whole
+from motor_env.common.arrays import whole
 from motor_env.motor.parameters import Channel, FloatArray
 from motor_env.simulation.failed_sensors import VOLTAGE
 from motor_env.simulation.recipes import Recipe

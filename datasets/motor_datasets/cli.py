@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from cyclopts import App
 
-from motor_env import __version__, console
-from motor_env.errors import require_extra
+from motor_env import __version__
+from motor_env.common import console
+from motor_env.common.errors import require_extra
 
 if TYPE_CHECKING:
     from motor_datasets.layout import Plan
@@ -177,7 +178,7 @@ def describe(recipe: str, /, *, picture: Path | None = None, seed: console.Whole
     print(describing.describe(chosen))
     if picture is not None:
         require_extra("pyarrow", "datasets")
-        from motor_env.files import replacing
+        from motor_env.common.files import replacing
 
         with replacing(picture) as temporary:
             describing.draw_sheet(chosen, seed, temporary)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from motor_datasets.arrays import LABELS, Dataset
-from motor_env.errors import InputError
-from motor_env.files import replacing
+from motor_env.common.errors import InputError
+from motor_env.common.files import replacing
 
 SUFFIXES = (".npz", ".mat")
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset, at_least_one
 from motor_datasets.layout import split_of
-from motor_env.arrays import instance, whole, wholes
+from motor_env.common.arrays import instance, whole, wholes
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.drawing import Draw, draw, measure_draw
 from motor_env.simulation.recipes import Recipe

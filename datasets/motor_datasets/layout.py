@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_datasets.arrays import parameter_names
-from motor_env.arrays import instance, whole, wholes
+from motor_env.common.arrays import instance, whole, wholes
 from motor_env.motor.parameters import require
 from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.recipes import Recipe

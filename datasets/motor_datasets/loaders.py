@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset
 from motor_datasets.manifest import read_manifest
 from motor_datasets.remote import Folder, folder_of
-from motor_env.arrays import instance
-from motor_env.errors import require_extra
+from motor_env.common.arrays import instance
+from motor_env.common.errors import require_extra
 from motor_env.simulation.recipes import Recipe
 
 if TYPE_CHECKING:

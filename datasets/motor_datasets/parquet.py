@@ -16,8 +16,8 @@ from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset, columns, p
 from motor_datasets.layout import Split, bytes_of_case
 from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, whole_content
 from motor_datasets.remote import Folder
-from motor_env.arrays import is_one_of, shown
-from motor_env.errors import InputError, require_extra
+from motor_env.common.arrays import is_one_of, shown
+from motor_env.common.errors import InputError, require_extra
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from motor_env.arrays import shown
-from motor_env.errors import InputError
+from motor_env.common.arrays import shown
+from motor_env.common.errors import InputError
 from motor_env.motor.parameters import require
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from motor_datasets.arrays import Dataset, at_least_one
 from motor_datasets.generate import generate_arrays
 from motor_datasets.layout import BLOCK, Split, split_of
-from motor_env.arrays import instance, is_one_of, shown, whole, wholes
+from motor_env.common.arrays import instance, is_one_of, shown, whole, wholes
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
 

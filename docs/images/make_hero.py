@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import norm
 
 from motor_env import Fault, FaultKind, KalmanFilter, Scenario, run_filter, simulate
+from motor_env.common.plotting import COLOUR, INK, drawing, end_label, save, subplots
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
-from motor_env.plotting import COLOUR, INK, drawing, end_label, save, subplots
 
 SEED = 7
 WINDOW = 50

@@ -13,19 +13,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from motor_env.common.errors import InputError
 from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
 from motor_env.diagnosis.batch import diagnose_files
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.report.formats import as_json, headline
-from motor_env.diagnosis.report.page import moving_average, reference_current
-from motor_env.diagnosis.verdict import Diagnosis
-from motor_env.errors import InputError
+from motor_env.diagnosis.readers.recording import Recording, read_recording
+from motor_env.diagnosis.verdict.judgement import Diagnosis
+from motor_env.diagnosis.verdict.report_page import moving_average, reference_current
+from motor_env.diagnosis.verdict.report_text import as_json, headline
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.faults import HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import CATALOGUE, FloatArray, SensorParameters
-from motor_env.recordings.recording import Recording, read_recording
 from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate, simulate_states
 
 LARGEST_UPLOAD_BYTES = 20_000_000

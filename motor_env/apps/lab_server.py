@@ -19,7 +19,7 @@ from urllib.parse import parse_qs, unquote, urlsplit
 
 from motor_env.apps import lab
 from motor_env.apps.lab import LARGEST_UPLOAD_BYTES, Uploads
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 from motor_env.motor.toml_files import from_dict
 
 HOST = "127.0.0.1"

@@ -14,12 +14,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from motor_env.apps.paper import FAULT_LEVELS, VOLTAGE_V, faulty, level_name, start_up
+from motor_env.common.plotting import COLOUR, INK, QUIET, end_label, note, subplots
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import DEFAULT_PROCESS_NOISE_STD, KalmanFilter
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, RAD_S_PER_RPM, FloatArray, SensorParameters
-from motor_env.plotting import COLOUR, INK, QUIET, end_label, note, subplots
 from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate, simulate_states
 
 SEED = 1

@@ -22,9 +22,9 @@ from motor_env.apps.paper_figures import (
     PaperFigure,
     paper_figures,
 )
-from motor_env.files import require_ours, write_text
-from motor_env.pages.html import render
-from motor_env.plotting import drawing, save
+from motor_env.common.files import require_ours, write_text
+from motor_env.common.pages.html import render
+from motor_env.common.plotting import drawing, save
 
 MADE_BY = "motor-env reproduce"
 NOT_PRINTED = "not printed"

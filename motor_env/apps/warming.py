@@ -17,6 +17,7 @@ import numpy as np
 from motor_env.apps import lab
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.identification import identify
+from motor_env.diagnosis.readers.recording import Recording
 from motor_env.envs.offline.behaviours import TASKS, Behaviour
 from motor_env.envs.offline.recording import episodes_of
 from motor_env.inference.features import physical_features
@@ -27,7 +28,6 @@ from motor_env.motor.compiled import in_silence
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
-from motor_env.recordings.recording import Recording
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.simulate import simulate_states

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 from cyclopts import App
 
-from motor_env import __version__, console
+from motor_env import __version__
 from motor_env.cli import monitors, motors, programs, verdicts
+from motor_env.common import console
 
 app = App(
     name="motor-env",

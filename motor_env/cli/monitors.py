@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from motor_env import console
 from motor_env.cli.options import Duration
-from motor_env.console import printable
+from motor_env.common import console
+from motor_env.common.console import printable
 
 
 def watch(
@@ -44,8 +44,8 @@ def watch(
         columns: Names of the columns, such as time_s,voltage_v,current_a,speed_rad_s, where no line says them.
         baud: Of the serial port.
     """
-    from motor_env.live import command
-    from motor_env.live.watch import LearningPhase
+    from motor_env.diagnosis.streaming import command
+    from motor_env.diagnosis.streaming.watch import LearningPhase
 
     return command.run(
         motor,
@@ -96,8 +96,8 @@ def export_c(
         stuck_after: So many equal readings in a row, while voltage is on, are a stuck sensor.
         name: Of the library, and the first part of the names in it.
     """
-    from motor_env.embedded.monitor import CusumBank, monitor_of, sensor_of
-    from motor_env.embedded.source import write_library
+    from motor_env.diagnosis.embedded.monitor import CusumBank, monitor_of, sensor_of
+    from motor_env.diagnosis.embedded.source import write_library
     from motor_env.motor.data_sheet import load_motor
 
     known = load_motor(motor)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter, Token
 
-from motor_env import console
-from motor_env.console import json_text, printable
-from motor_env.errors import InputError
+from motor_env.common import console
+from motor_env.common.console import json_text, printable
+from motor_env.common.errors import InputError
 
 if TYPE_CHECKING:
-    from motor_env.fleet import initial_fit
-    from motor_env.recordings.profiles import Profile
+    from motor_env.diagnosis.fleet import initial_fit
+    from motor_env.diagnosis.readers.profiles import Profile
 
 
 def _seconds(_: type[float], tokens: Sequence[Token]) -> float:
@@ -73,7 +73,7 @@ class Reading:
     @property
     def chosen(self) -> Profile:
         """The choices, with those of the profile."""
-        from motor_env.recordings import profiles
+        from motor_env.diagnosis.readers import profiles
 
         given = {
             field.name: getattr(self, field.name)
@@ -85,7 +85,7 @@ class Reading:
 
     def keep(self) -> None:
         """Save them where that is asked for."""
-        from motor_env.recordings.profiles import save_profile
+        from motor_env.diagnosis.readers.profiles import save_profile
 
         if self.save_profile is not None:
             save_profile(self.chosen, self.save_profile)
@@ -115,7 +115,7 @@ class Measurement(Reading):
 
     def of_fleet(self, regime: str) -> initial_fit.Reading:
         """How the records of a fleet are read: each has one piece, so that none is asked for."""
-        from motor_env.fleet import initial_fit
+        from motor_env.diagnosis.fleet import initial_fit
 
         if self.start is not None:
             raise InputError("--start does not go with a fleet: give each start in a file of its own")
@@ -155,7 +155,7 @@ class FleetOptions:
     @contextmanager
     def fitted(self, files: list[Path], reading: initial_fit.Reading) -> Iterator[dict[str, Any]]:
         """Arguments of the functions that fit a fleet, as long as its workers and a bar on the terminal last."""
-        from motor_env.fleet.fits import processes
+        from motor_env.diagnosis.fleet.fits import processes
 
         with (
             console.progress_bar(2 * len(files), "fitting") as advance,

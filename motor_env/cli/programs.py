@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from motor_env import console
 from motor_env.cli.options import show
-from motor_env.errors import require_extra
+from motor_env.common import console
+from motor_env.common.errors import require_extra
 
 
 def reproduce(*, out: Path, json_: bool = False) -> int:
@@ -59,7 +59,7 @@ def examples(folder: Path = Path("examples")) -> int:
     Args:
         folder: Where to; files of these names that are there already are kept.
     """
-    from motor_env.files import write_examples
+    from motor_env.common.files import write_examples
 
     for path in write_examples(folder):
         print(path)

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from motor_env import console
 from motor_env.cli.options import FLEET, READING, START, FleetOptions, Reading, StartMeasurement, refuse, show
-from motor_env.console import printable
-from motor_env.errors import InputError
+from motor_env.common import console
+from motor_env.common.console import printable
+from motor_env.common.errors import InputError
 
 
 def diagnose(
@@ -58,8 +58,8 @@ def diagnose(
     if fleet:
         beside = "--fleet, where sisters are the reference"
         refuse(beside, motor=motor, healthy=healthy, temperature_c=temperature_c)
-        from motor_env.files import write_text
-        from motor_env.fleet.judging import diagnose_fleet
+        from motor_env.common.files import write_text
+        from motor_env.diagnosis.fleet.judging import diagnose_fleet
 
         with sisters.fitted(files, measurement.of_fleet(regime)) as how:
             found = diagnose_fleet(files, false_alarm_rate=false_alarm_rate, **how)
@@ -129,9 +129,9 @@ def trend(
         out: The page, one self-contained HTML file.
         json_: Print one array with one object a quantity.
     """
-    from motor_env.files import write_text
-    from motor_env.prognosis.files import trend as trends_of
-    from motor_env.prognosis.trend import parse_limits
+    from motor_env.common.files import write_text
+    from motor_env.diagnosis.prognosis.files import trend as trends_of
+    from motor_env.diagnosis.prognosis.trend import parse_limits
 
     chosen = reading.chosen
     with console.working("reading") as say:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import instance, number, numbers
+from motor_env.common.arrays import instance, number, numbers
 from motor_env.detection.rules.base import Rule, first_above
 from motor_env.detection.rules.thresholds import Threshold
 from motor_env.motor.parameters import FloatArray

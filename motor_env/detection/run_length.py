@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from scipy.special import ndtr
 
-from motor_env.arrays import whole
+from motor_env.common.arrays import whole
 from motor_env.motor.parameters import FloatArray, require
 
 LONGEST_WINDOW = 14

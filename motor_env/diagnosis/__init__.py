@@ -1,8 +1,8 @@
 """Verdicts on recordings of real motors: `diagnose`, `commission` and `identify`.
 
-It fits nothing itself and reads no files' columns: `motor_env.fitting` and `motor_env.recordings` do. Begin with
-`diagnose.py`: sensors are checked (`sensors`), a start is fitted, compared (`hypotheses.py`), decided on
-(`decision.py`) and described (`report`).
+The wing of real motors; the mission beside it never imports it. Files are read in `readers`, a motor is fitted in
+`estimation`, compared and judged in `verdict`, window by window in `operation`. Begin at `diagnose.diagnose`: it checks
+the sensors, fits, decides and describes.
 
 Example:
     >>> from motor_env import diagnose, load_motor, read_recording

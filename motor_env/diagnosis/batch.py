@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from motor_env.console import ExitStatus
+from motor_env.common.console import ExitStatus
+from motor_env.common.errors import InputError, require_options
+from motor_env.common.files import write_text
 from motor_env.diagnosis.commission import commission
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
-from motor_env.errors import InputError, require_options
-from motor_env.files import write_text
+from motor_env.diagnosis.readers.headers import ColumnChoice
+from motor_env.diagnosis.readers.recording import read_recording
+from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.motor.data_sheet import Motor, load_motor
-from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import read_recording
 
 _LONGEST_NAME = 50  # of a page: a file's name has 255 bytes
 

@@ -11,37 +11,37 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.common.errors import InputError, require_options, require_several
 from motor_env.diagnosis.diagnose import explain_unusable
-from motor_env.diagnosis.healthy_spread import (
+from motor_env.diagnosis.estimation.preprocessing import at_terminals
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.operation.window_baseline import learn_windows
+from motor_env.diagnosis.readers.headers import ColumnChoice
+from motor_env.diagnosis.readers.recording import (
+    Recording,
+    UnusableError,
+    describe_reading as understood,
+    recording_of,
+)
+from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
+from motor_env.diagnosis.readers.start import Circuit, chosen_starts, prepare, split_starts
+from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.diagnosis.verdict.healthy_spread import (
     detectable_changes,
     explain_disagreement,
     explain_outlier,
     fit_healthy,
     learn_starts,
 )
-from motor_env.diagnosis.hypotheses import Fitted
-from motor_env.diagnosis.motor_files import motor_of_windows, to_motor
-from motor_env.diagnosis.report.formats import UNITS, describe_friction_share
-from motor_env.diagnosis.running.window_baseline import learn_windows
-from motor_env.diagnosis.sensors.sensor_diagnosis import learn_signs
-from motor_env.errors import InputError, require_options, require_several
-from motor_env.fitting.preprocessing import at_terminals
-from motor_env.fitting.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.verdict.hypotheses import Fitted
+from motor_env.diagnosis.verdict.motor_files import motor_of_windows, to_motor
+from motor_env.diagnosis.verdict.report_text import UNITS, describe_friction_share
+from motor_env.diagnosis.verdict.sensor_diagnosis import learn_signs
 from motor_env.motor.assumptions import lines as lines_of
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import (
-    Recording,
-    UnusableError,
-    describe_reading as understood,
-    recording_of,
-)
-from motor_env.recordings.regime import RegimeDecision as Taken, taken_for
-from motor_env.recordings.start import Circuit, chosen_starts, prepare, split_starts
 
 FEWEST_STARTS = 3
 _NO_LOAD = 1.2  # of the current with the load: the same motor, within its friction's changes
@@ -147,7 +147,7 @@ class Commissioned:
 
     def page(self) -> str:
         """Draw a self-contained HTML page: the spread of each quantity; of starts also their fits and residuals."""
-        from motor_env.diagnosis.report.page import page_of_fits, spread_chart
+        from motor_env.diagnosis.verdict.report_page import page_of_fits, spread_chart
 
         starts = [fit for fit in self.fits if isinstance(fit, Identified)]
         smallest = ", ".join(f"{kind.replace('_', ' ')} {share:.0%}" for kind, share in self.smallest.items())

@@ -13,35 +13,39 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from motor_env.arrays import instance
-from motor_env.diagnosis import verdict
-from motor_env.diagnosis.decision import DEFAULT_FALSE_ALARM_RATE, decide
-from motor_env.diagnosis.healthy_motor import Reference, ReferenceShift, reference_of
-from motor_env.diagnosis.hypotheses import alarm_share, compare
-from motor_env.diagnosis.report import formats
-from motor_env.diagnosis.scaling_errors import SWAPPED, is_unlike_motor
-from motor_env.diagnosis.sensors.channels import sensor_judgement
-from motor_env.diagnosis.sensors.sensor_diagnosis import diagnose_sensors
-from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.errors import InputError, require_options
-from motor_env.fitting.starts.commutation import ripple_quantities
-from motor_env.fitting.starts.start_fit import (
+from motor_env.common.arrays import instance
+from motor_env.common.errors import InputError, require_options
+from motor_env.diagnosis.estimation.starts.commutation import ripple_quantities
+from motor_env.diagnosis.estimation.starts.start_fit import (
     NOT_TURNING,
     POOR_FIT,
     StartFit as Identified,
     is_blocked,
     shows_turning,
 )
-from motor_env.fitting.starts.start_identification import EXTENSIONS, NUISANCES, identify, identify_best
+from motor_env.diagnosis.estimation.starts.start_identification import (
+    EXTENSIONS,
+    NUISANCES,
+    identify,
+    identify_best,
+)
+from motor_env.diagnosis.readers.headers import ColumnChoice
+from motor_env.diagnosis.readers.noise import explainable
+from motor_env.diagnosis.readers.recording import Recording, UnusableError, recording_of
+from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
+from motor_env.diagnosis.readers.start import Circuit, Start, chosen_starts, prepare
+from motor_env.diagnosis.verdict import judgement as verdict, report_text as formats
+from motor_env.diagnosis.verdict.channels import sensor_judgement
+from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE, decide
+from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift, reference_of
+from motor_env.diagnosis.verdict.hypotheses import alarm_share, compare
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.scaling_errors import SWAPPED, is_unlike_motor
+from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.model import steady_state
-from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.noise import explainable
-from motor_env.recordings.recording import Recording, UnusableError, recording_of
-from motor_env.recordings.regime import RegimeDecision as Taken, taken_for
-from motor_env.recordings.start import Circuit, Start, chosen_starts, prepare
 
 _ANOTHER_ORDER = math.log(1.5)
 _LEAST = 0.05  # of the voltage behind the brushes, and of the speed: a motor file may leave none
@@ -83,7 +87,7 @@ class Diagnosis(verdict.Diagnosis):
 
     def page(self) -> str:
         """Draw a self-contained HTML page: the verdict, what to do first, and what it rests on."""
-        from motor_env.diagnosis.report.page import page
+        from motor_env.diagnosis.verdict.report_page import page
 
         return page(self)
 
@@ -145,7 +149,7 @@ def diagnose(
 
     def judged(recording: Recording) -> Diagnosis:
         if taken.regime == "operation":
-            from motor_env.diagnosis.running.log_diagnosis import judge_log
+            from motor_env.diagnosis.operation.log_diagnosis import judge_log
 
             pieces, count = judge_log(recording, motor, false_alarm_rate, **known)
             return Diagnosis(recording, taken, tuple(pieces), count, periods_per_turn)
@@ -276,7 +280,7 @@ def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
     driving = max(1.0 - motor.brush_drop_v / start.level_v, _LEAST)
     p, volts = motor.parameters, driving * start.level_v
     if windows is not None:
-        from motor_env.diagnosis.running.windows import viscous
+        from motor_env.diagnosis.operation.windows import viscous
 
         speed = float(steady_state(p, volts)[1])
         return ReferenceShift(

@@ -7,9 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from motor_env.common.errors import InputError, require_options, require_several
 from motor_env.diagnosis.diagnose import explain_unusable
-from motor_env.diagnosis.motor_files import describe_undetermined, motor_of_log, to_motor
-from motor_env.diagnosis.report.formats import (
+from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation, identify_operation
+from motor_env.diagnosis.estimation.preprocessing import at_terminals
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified, implausible
+from motor_env.diagnosis.estimation.starts.start_identification import EXTENSIONS, identify_best
+from motor_env.diagnosis.readers.headers import ColumnChoice
+from motor_env.diagnosis.readers.recording import Recording, UnusableError, recording_of
+from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
+from motor_env.diagnosis.readers.start import Circuit, chosen_starts, prepare
+from motor_env.diagnosis.verdict.motor_files import describe_undetermined, motor_of_log, to_motor
+from motor_env.diagnosis.verdict.report_text import (
     TWO_SIDED,
     describe_r2,
     estimate_json,
@@ -20,16 +29,7 @@ from motor_env.diagnosis.report.formats import (
     ripple_lines,
     warnings_of,
 )
-from motor_env.errors import InputError, require_options, require_several
-from motor_env.fitting.operation_fit import OperationFit as Operation, identify_operation
-from motor_env.fitting.preprocessing import at_terminals
-from motor_env.fitting.starts.start_fit import StartFit as Identified, implausible
-from motor_env.fitting.starts.start_identification import EXTENSIONS, identify_best
 from motor_env.motor.data_sheet import Motor
-from motor_env.recordings.headers import ColumnChoice
-from motor_env.recordings.recording import Recording, UnusableError, recording_of
-from motor_env.recordings.regime import RegimeDecision as Taken, taken_for
-from motor_env.recordings.start import Circuit, chosen_starts, prepare
 
 _HELD = {
     "held": "held until the next one",
@@ -104,7 +104,7 @@ class Identification:
 
     def page(self) -> str:
         """Draw a self-contained HTML page: measured beside fitted current and speed of each start and of all logs."""
-        from motor_env.diagnosis.report.page import page_of_fits
+        from motor_env.diagnosis.verdict.report_page import page_of_fits
 
         fits: dict[str, Identified | Operation] = {
             f"{recording.path.name}, start {number}": fit

@@ -9,10 +9,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from motor_env.arrays import shown
+from motor_env.common.arrays import shown
+from motor_env.common.errors import require_extra
 from motor_env.envs.baselines.posterior_view import PosteriorView
 from motor_env.envs.vector import MotorVectorEnv
-from motor_env.errors import require_extra
 from motor_env.motor.parameters import require
 
 require_extra("stable_baselines3", "rl")

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 from numpy.typing import NDArray
 
-from motor_env.arrays import is_one_of, numbers, shown, whole, wholes
+from motor_env.common.arrays import is_one_of, numbers, shown, whole, wholes
 from motor_env.envs import kernel, layout, stepping
 from motor_env.envs.kernel import ROWS
 from motor_env.envs.layout import WordArray, empty_lanes, pack_task

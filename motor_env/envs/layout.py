@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.arrays import shown, whole
+from motor_env.common.arrays import shown, whole
 from motor_env.envs import kernel
 from motor_env.envs.compiling import record_maker
 from motor_env.motor.compiled import inlined

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 
-from motor_env.arrays import shown
+from motor_env.common.arrays import shown
+from motor_env.common.errors import UnknownOptionError
 from motor_env.envs.tasks import require_environment, task_recipe, with_motor
-from motor_env.errors import UnknownOptionError
 from motor_env.motor.parameters import (
     PAPER_MOTOR,
     FloatArray,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from motor_env.arrays import shown
+from motor_env.common.arrays import shown
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import CATALOGUE, Channel, MotorParameters, SensorParameters, require
 from motor_env.simulation.named_recipes import RECIPES

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from motor_env.arrays import is_one_of, shown
+from motor_env.common.arrays import is_one_of, shown
 from motor_env.envs import layout, stepping
 from motor_env.envs.base import (
     Info,

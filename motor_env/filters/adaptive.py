@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import number
+from motor_env.common.arrays import number
 from motor_env.filters.kalman import (
     KalmanFilter,
     checked_series,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import numbers, real, require_finite_entries, shown, spread
+from motor_env.common.arrays import numbers, real, require_finite_entries, shown, spread
 from motor_env.filters import kernels
 from motor_env.filters.kalman import KalmanFilter, require_belief, schedule, schedules, score
 from motor_env.motor.model import N_STATES, Input, propagate

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from motor_env.arrays import numbers
+from motor_env.common.arrays import numbers
 from motor_env.motor.parameters import require
 
 _LAGS = 20  # of the whiteness test

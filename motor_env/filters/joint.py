@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
-from motor_env.arrays import instance, number, numbers, shown, whole
+from motor_env.common.arrays import instance, number, numbers, shown, whole
 from motor_env.filters.adaptive import adapted_noise
 from motor_env.filters.kalman import checked_series, measurement_update, require_noise, sample_named, score
 from motor_env.motor.model import N_STATES, discretize

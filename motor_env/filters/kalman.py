@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import instance, number, numbers
+from motor_env.common.arrays import instance, number, numbers
 from motor_env.filters.kernels import fill_schedules, score_innovations
 from motor_env.motor.model import N_STATES, DiscreteModel, Input, discretize
 from motor_env.motor.parameters import SMALLEST, FloatArray, MotorParameters, SensorParameters, require

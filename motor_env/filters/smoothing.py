@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.arrays import instance, numbers, require_finite_entries
+from motor_env.common.arrays import instance, numbers, require_finite_entries
 from motor_env.filters.batch import FilterResult
 from motor_env.filters.kalman import KalmanFilter, masked_sensor, require_belief
 from motor_env.motor.compiled import compiled, inlined, njit

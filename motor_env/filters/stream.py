@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import numbers, spread, whole
+from motor_env.common.arrays import numbers, spread, whole
 from motor_env.filters.batch import innovations_and_states
 from motor_env.filters.kalman import KalmanFilter, require_belief, schedules, score
 from motor_env.motor.model import N_STATES, Input, propagate

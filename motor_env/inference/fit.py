@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import numbers
+from motor_env.common.arrays import numbers
 from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import (
     NormalEquations,

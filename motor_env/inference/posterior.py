@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-from motor_env.arrays import instance, numbers, wholes
+from motor_env.common.arrays import instance, numbers, wholes
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import Observed, fitted_residuals

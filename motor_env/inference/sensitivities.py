@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import instance, numbers
+from motor_env.common.arrays import instance, numbers
 from motor_env.inference.kernels import fill_normal_equations, fill_sensitivities
 from motor_env.inference.parametrisation import Coordinates, model_slopes
 from motor_env.motor.model import N_STATES

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import instance, number
+from motor_env.common.arrays import instance, number
 from motor_env.inference.posterior import class_evidence, recipe_observed
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray, require

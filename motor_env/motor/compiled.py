@@ -99,7 +99,7 @@ _WAITS = {
     "motor_env.envs.maintain.": ("the environment Maintain", "about 5 seconds"),
     "motor_env.envs.drive.": ("the environment Drive", "about 5 seconds"),
     "motor_env.envs.": ("its environments", "about half a minute"),
-    "motor_env.fitting.": ("the fit of a recording", "about 5 seconds"),
+    "motor_env.diagnosis.estimation.": ("the fit of a recording", "about 5 seconds"),
     "motor_env.filters.": ("the filter", "about 3 seconds"),
     "motor_env.simulation.": ("the simulation", "about 5 seconds"),
 }

@@ -28,9 +28,9 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from motor_env.arrays import instance, shown
-from motor_env.errors import InputError
-from motor_env.files import write_text
+from motor_env.common.arrays import instance, shown
+from motor_env.common.errors import InputError
+from motor_env.common.files import write_text
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import CATALOGUE, RAD_S_PER_RPM, MotorParameters, require, require_positive
 from motor_env.motor.toml_files import (

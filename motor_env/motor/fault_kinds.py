@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from motor_env.arrays import instance, number, shown
+from motor_env.common.arrays import instance, number, shown
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, Floats, require
 
 HEALTHY = "healthy"

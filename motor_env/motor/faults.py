@@ -9,7 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from motor_env.arrays import real, shown
+from motor_env.common.arrays import real, shown
 from motor_env.motor.fault_kinds import (
     BUILT_IN_KINDS,
     ENTRY_POINTS,

@@ -123,8 +123,8 @@ class Windows:
 
     Attributes:
         window_s: their length.
-        terms: of the joint fit, see `motor_env.fitting.terms`.
-        physical: values of the joint fit, in the order of `motor_env.fitting.parameter_index`.
+        terms: of the joint fit, see `motor_env.diagnosis.estimation.terms`.
+        physical: values of the joint fit, in the order of `motor_env.diagnosis.estimation.parameter_index`.
         hold: what the voltage does between two samples.
         dt_s: sampling interval of the fit.
         speed_rad_s: effective speed, at which the drag over the speed is the quantity B.

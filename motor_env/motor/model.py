@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.arrays import instance
+from motor_env.common.arrays import instance
 from motor_env.motor.compiled import inlined, njit
 from motor_env.motor.parameters import FloatArray, Floats, MotorParameters, require_positive
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.arrays import LARGEST_NUMBER, instance, numbers, real, shown
+from motor_env.common.arrays import LARGEST_NUMBER, instance, numbers, real, shown
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

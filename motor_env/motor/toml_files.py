@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 from pydantic_core import core_schema
 
-from motor_env.errors import InputError
-from motor_env.files import LARGEST_NOTE_BYTES, read_file
+from motor_env.common.errors import InputError
+from motor_env.common.files import LARGEST_NOTE_BYTES, read_file
 from motor_env.motor.parameters import LARGEST, SMALLEST, FloatArray, require
 
 T = TypeVar("T")

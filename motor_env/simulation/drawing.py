@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import instance, whole
+from motor_env.common.arrays import instance, whole
 from motor_env.motor.faults import BUILT_IN_KINDS, HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import (
     QUANTITY_FIELDS,

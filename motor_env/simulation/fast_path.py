@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import whole
+from motor_env.common.arrays import whole
 from motor_env.motor.compiled import njit
 from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import State, discretize, steady_state

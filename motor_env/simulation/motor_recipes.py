@@ -15,7 +15,7 @@ import re
 
 import numpy as np
 
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.identifiable import tolerance_std

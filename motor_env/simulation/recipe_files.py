@@ -8,8 +8,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from motor_env.arrays import instance
-from motor_env.errors import InputError
+from motor_env.common.arrays import instance
+from motor_env.common.errors import InputError
 from motor_env.motor.assumptions import usable_parameters
 from motor_env.motor.data_sheet import load_motor
 from motor_env.motor.parameters import Channel, require

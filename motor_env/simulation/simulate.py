@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import instance, number, numbers, spread, whole, wholes
+from motor_env.common.arrays import instance, number, numbers, spread, whole, wholes
 from motor_env.motor.faults import Fault, NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import N_STATES, Input, discretize, propagate
 from motor_env.motor.parameters import (

@@ -281,7 +281,7 @@ def refused_or_same(
 _CHILD = """
 import json, resource, signal, sys, warnings
 from pathlib import Path
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 warnings.simplefilter("ignore")
 {read}
 seconds, memory = {seconds}, {memory}

@@ -20,13 +20,13 @@ from motor_env import (
     load_motor,
     simulate,
 )
-from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference
-from motor_env.diagnosis.hypotheses import Difference
-from motor_env.diagnosis.verdict import Judgement
 
 # Reaches in: fits are altered by hand.
-from motor_env.fitting.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.verdict.decision import decide
+from motor_env.diagnosis.verdict.healthy_motor import Reference
+from motor_env.diagnosis.verdict.hypotheses import Difference
+from motor_env.diagnosis.verdict.judgement import Judgement
 from motor_env.motor.identifiable import matrix, names
 from motor_env.motor.parameters import FloatArray
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 # Reaches in: records and unknowns are made by hand, as tests of several rooms need them.
-from motor_env.fitting import parameter_index as index
-from motor_env.fitting.problem import Problem, Solution
-from motor_env.fitting.record import Hold, Record
-from motor_env.fitting.terms import Term, terms
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.problem import Problem, Solution
+from motor_env.diagnosis.estimation.record import Hold, Record
+from motor_env.diagnosis.estimation.terms import Term, terms
 from motor_env.motor.parameters import FloatArray
 
 DT_S = 2e-3

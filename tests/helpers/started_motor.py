@@ -5,15 +5,15 @@ import numpy as np
 from motor_env import MotorParameters
 
 # Reaches in: dry friction, a fan and slow sensors, which `simulate` has not, are those of the model that is fitted.
-from motor_env.fitting import ekf, parameter_index as index
-from motor_env.fitting.record import Record
+from motor_env.diagnosis.estimation import ekf, parameter_index as index
+from motor_env.diagnosis.estimation.record import Record
 from motor_env.motor.parameters import FloatArray
 
 Beyond = float | list[float]
 
 
 def values_of(motor: MotorParameters, **beyond: Beyond) -> FloatArray:
-    """Values of a motor; what it has beyond the textbook by the names of `motor_env.fitting.parameter_index`.
+    """Values of a motor; what it has beyond the textbook by the names of `estimation.parameter_index`.
 
     There the two constants are one: torques, inertia and friction are those over the torque constant, times the other.
     """

@@ -10,8 +10,9 @@ from typing import Annotated, Any
 from cyclopts import App, Parameter
 
 from motor_classifiers.cli.tasks import score, task
-from motor_env import __version__, console
-from motor_env.errors import InputError, require_extra
+from motor_env import __version__
+from motor_env.common import console
+from motor_env.common.errors import InputError, require_extra
 
 app = App(
     name="motor-classifiers",

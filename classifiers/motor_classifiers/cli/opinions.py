@@ -10,11 +10,11 @@ from typing import Any
 from motor_classifiers.prediction.opinions import Opinion, opinions, predict_recording, second_opinion
 from motor_classifiers.wrappers.outside import OUTSIDE
 from motor_datasets.loaders import load
-from motor_env.console import ExitStatus
-from motor_env.errors import InputError
+from motor_env.common.console import ExitStatus
+from motor_env.common.errors import InputError
+from motor_env.diagnosis.readers.recording import read_recording
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import HEALTHY
-from motor_env.recordings.recording import read_recording
 from motor_env.simulation.recipes import Recipe
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from motor_env.errors import InputError
-from motor_env.files import replacing
+from motor_env.common.errors import InputError
+from motor_env.common.files import replacing
 
 
 def numbers(option: str, text: str | None) -> tuple[float, ...]:

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from motor_classifiers.scoring.benchmark import AnswerStore, Plan, Unit, run_plan, units
 from motor_classifiers.scoring.score import Results
-from motor_env.console import progress_bar
+from motor_env.common.console import progress_bar
 
 FULL_SWEEP = {
     "recipe": "bench,bench-full,paper,field",

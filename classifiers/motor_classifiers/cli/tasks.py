@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from motor_env.errors import require_extra
+from motor_env.common.errors import require_extra
 
 
 def task(name: str, /, *, out: Path) -> int:
@@ -22,7 +22,7 @@ def task(name: str, /, *, out: Path) -> int:
     import numpy as np
 
     from motor_classifiers.scoring.frozen_tasks import load_task, task_facts
-    from motor_env.files import replacing, write_text
+    from motor_env.common.files import replacing, write_text
 
     chosen = load_task(name)
     test = chosen.test()

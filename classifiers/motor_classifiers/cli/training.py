@@ -13,8 +13,8 @@ from motor_classifiers.estimators.networks.posterior_network import UNKNOWN_NOIS
 from motor_classifiers.estimators.own_methods import fed, find_method
 from motor_classifiers.model_files.persistence import check_saveable, save_model
 from motor_datasets.loaders import load
-from motor_env.console import progress_bar
-from motor_env.errors import InputError
+from motor_env.common.console import progress_bar
+from motor_env.common.errors import InputError
 from motor_env.motor.assumptions import usable_parameters
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.faults import FaultKind

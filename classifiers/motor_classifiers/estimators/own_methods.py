@@ -16,8 +16,8 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils import get_tags
 
 from motor_classifiers.estimators.methods import METHODS, Make, Method
-from motor_env.errors import InputError
-from motor_env.files import LARGEST_NOTE_BYTES, read_file
+from motor_env.common.errors import InputError
+from motor_env.common.files import LARGEST_NOTE_BYTES, read_file
 from motor_env.motor.parameters import FloatArray
 
 GROUP = "motor_classifiers.methods"

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_classifiers.estimators.state import Arrays
-from motor_env.errors import InputError
-from motor_env.files import LARGEST_DATA_BYTES, read_file
+from motor_env.common.errors import InputError
+from motor_env.common.files import LARGEST_DATA_BYTES, read_file
 from motor_env.motor.parameters import require
 
 LARGEST_TEXT_BYTES = 32_000_000

@@ -33,8 +33,8 @@ from motor_classifiers.model_files import containers
 from motor_classifiers.model_files.pipelines import check_pipeline, load_pipeline, pipeline_members
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
-from motor_env.errors import InputError
-from motor_env.files import LARGEST_DATA_BYTES, read_file, replacing
+from motor_env.common.errors import InputError
+from motor_env.common.files import LARGEST_DATA_BYTES, read_file, replacing
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
 from motor_env.simulation.recipes import Recipe

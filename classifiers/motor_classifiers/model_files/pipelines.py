@@ -22,7 +22,7 @@ from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
 from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection, RuleStatistics
 from motor_classifiers.estimators.reference_starts import RecentredStarts
 from motor_classifiers.model_files.containers import packed, parsed, unpacked
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 from motor_env.motor.parameters import require
 from motor_env.simulation.recipes import Recipe
 

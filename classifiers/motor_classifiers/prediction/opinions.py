@@ -20,12 +20,12 @@ from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
 from motor_classifiers.wrappers.outside import ADVICE, OUTSIDE, OutsideDetector
-from motor_env.console import ExitStatus
+from motor_env.common.console import ExitStatus
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.report.formats import as_json
+from motor_env.diagnosis.readers.recording import Recording, UnusableError, read_recording
+from motor_env.diagnosis.verdict.report_text import as_json
 from motor_env.motor.data_sheet import Motor, Tolerance
 from motor_env.motor.faults import HEALTHY, FaultKind
-from motor_env.recordings.recording import Recording, UnusableError, read_recording
 from motor_env.simulation.recipes import Recipe
 
 UNDECIDED = "unusable"

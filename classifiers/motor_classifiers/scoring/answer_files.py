@@ -14,8 +14,8 @@ from motor_classifiers.scoring.frozen_tasks import VERSION
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_classifiers.scoring.score import score
 from motor_classifiers.scoring.task import DrawnTask
-from motor_env.errors import InputError
-from motor_env.files import LARGEST_TABLE_BYTES, read_file
+from motor_env.common.errors import InputError
+from motor_env.common.files import LARGEST_TABLE_BYTES, read_file
 from motor_env.motor.parameters import FloatArray
 
 

@@ -24,7 +24,7 @@ from motor_classifiers.scoring.judging import (
 from motor_classifiers.scoring.peers import read_peers
 from motor_classifiers.scoring.score import Results, score_classes
 from motor_classifiers.scoring.task import ClassTask, class_task
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 from motor_env.motor.parameters import require
 from motor_env.simulation.named_recipes import changed_recipe
 from motor_env.simulation.recipes import Recipe

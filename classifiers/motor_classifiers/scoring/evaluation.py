@@ -12,7 +12,7 @@ from motor_classifiers.scoring.results import SCORES, comparison_fields, limit_f
 from motor_classifiers.scoring.score import score_classes
 from motor_classifiers.scoring.task import GivenTask
 from motor_datasets.arrays import Dataset
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 from motor_env.simulation.recipes import Recipe
 
 _UNTOLD = Cost(0.0, None)  # what answers took is not asked

@@ -26,7 +26,7 @@ from motor_classifiers.scoring.task import (
     mean_figures,
 )
 from motor_datasets.arrays import Dataset
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 from motor_env.inference.severity import SeverityPrior, severity_posterior
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, SupplyParameters

@@ -22,10 +22,10 @@ from motor_classifiers.model_files.containers import read_arrays
 from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_classifiers.scoring.task import ClassTask
 from motor_env import __version__
-from motor_env.errors import InputError
-from motor_env.files import replacing
+from motor_env.common.errors import InputError
+from motor_env.common.files import replacing
+from motor_env.common.processes import end_with_parent
 from motor_env.motor.parameters import FloatArray
-from motor_env.processes import end_with_parent
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 

@@ -14,7 +14,7 @@ from motor_classifiers.scoring.judging import Answer
 from motor_classifiers.scoring.progress import Cost
 from motor_classifiers.scoring.task import ClassTask
 from motor_datasets.arrays import Dataset
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 from motor_env.motor.parameters import FloatArray
 
 PEERS = {

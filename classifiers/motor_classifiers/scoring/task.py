@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 from motor_env.inference.posterior import class_probabilities
 from motor_env.inference.work_features import work_probabilities
 from motor_env.motor.parameters import FloatArray, require

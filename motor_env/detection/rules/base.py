@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import flags, instance, number, numbers, whole
+from motor_env.common.arrays import flags, instance, number, numbers, whole
 from motor_env.detection.rules import calibration
 from motor_env.detection.rules.thresholds import LONGEST, Request, Statistic, Threshold
 from motor_env.detection.run_length import RunLaw

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_env.arrays import numbers, whole
+from motor_env.common.arrays import numbers, whole
 from motor_env.detection.rules.kernels import first_passages
 from motor_env.detection.rules.thresholds import Request, Statistic, Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from motor_env.arrays import instance, number, numbers
+from motor_env.common.arrays import instance, number, numbers
 from motor_env.detection.rules import kernels
 from motor_env.detection.rules.base import ExactRule, Rule, checked_shift
 from motor_env.detection.rules.thresholds import Request, Threshold

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from motor_env.arrays import number, numbers, whole
+from motor_env.common.arrays import number, numbers, whole
 from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
 

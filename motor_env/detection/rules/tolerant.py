@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.arrays import instance, numbers
+from motor_env.common.arrays import instance, numbers
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
 from motor_env.filters.stream import FilterStream

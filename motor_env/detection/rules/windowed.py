@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.arrays import instance, numbers, whole
+from motor_env.common.arrays import instance, numbers, whole
 from motor_env.detection.rules import glr_kernels, kernels
 from motor_env.detection.rules.base import Rule
 from motor_env.detection.rules.cusum import first_channel

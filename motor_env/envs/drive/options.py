@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from motor_env.arrays import shown
+from motor_env.common.arrays import shown
 from motor_env.envs.options import settle_choice, settle_numbers
 from motor_env.envs.tasks import described
 from motor_env.motor.faults import HEALTHY, FaultKind

@@ -36,7 +36,7 @@ from motor_classifiers import METHODS, ResidualProjection, load_model, make_meth
 from motor_datasets import generate_arrays
 
 # Reaches in: bombs are larger than what is read.
-from motor_env.files import LARGEST_DATA_BYTES
+from motor_env.common.files import LARGEST_DATA_BYTES
 
 TWO = replace(RECIPE, classes=RECIPE.classes[:2])
 N_MUTATED = 1_030

@@ -21,7 +21,7 @@ from motor_classifiers.scoring.frozen_tasks import TASKS, task_facts
 # Reaches in: the intervals by hand need the very weights that cases are drawn again with.
 from motor_classifiers.scoring.metrics import resampling_weights
 from motor_env import InputError
-from motor_env.files import LARGEST_TABLE_BYTES
+from motor_env.common.files import LARGEST_TABLE_BYTES
 
 
 def test_costs_of_the_linearised_area_by_hand() -> None:

@@ -30,14 +30,14 @@ from motor_env.cli import main, monitors as of_streams, motors, options, verdict
 # Reaches in: stand-ins are patched in where commands look their work up, and answer in its types.
 from motor_env.diagnosis import identification as identifying
 from motor_env.diagnosis.batch import Outcome
-from motor_env.diagnosis.verdict import Judgement
-from motor_env.embedded import monitor as monitors, source
-from motor_env.embedded.monitor import CusumBank
-from motor_env.live import command
-from motor_env.prognosis import files as trends
-from motor_env.recordings.profiles import Profile, load_profile
-from motor_env.recordings.regime import RegimeDecision as Taken
-from motor_env.recordings.start import Circuit
+from motor_env.diagnosis.embedded import monitor as monitors, source
+from motor_env.diagnosis.embedded.monitor import CusumBank
+from motor_env.diagnosis.prognosis import files as trends
+from motor_env.diagnosis.readers.profiles import Profile, load_profile
+from motor_env.diagnosis.readers.regime import RegimeDecision as Taken
+from motor_env.diagnosis.readers.start import Circuit
+from motor_env.diagnosis.streaming import command
+from motor_env.diagnosis.verdict.judgement import Judgement
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = str(EXAMPLES / "motor.toml")

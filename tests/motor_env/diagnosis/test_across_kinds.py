@@ -23,13 +23,14 @@ from motor_env import (
     commission,
     diagnose,
 )
-from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference, ReferenceShift, reference_of
-from motor_env.diagnosis.hypotheses import Difference, FittedWindow, joint_share
-from motor_env.diagnosis.motor_files import motor_of_windows
-from motor_env.diagnosis.report.page import reference_current
-from motor_env.diagnosis.scaling_errors import find_scaling_errors
-from motor_env.fitting import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.readers.regime import taken_for
+from motor_env.diagnosis.verdict.decision import decide
+from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift, reference_of
+from motor_env.diagnosis.verdict.hypotheses import Difference, FittedWindow, joint_share
+from motor_env.diagnosis.verdict.motor_files import motor_of_windows
+from motor_env.diagnosis.verdict.report_page import reference_current
+from motor_env.diagnosis.verdict.scaling_errors import find_scaling_errors
 
 # Reaches in: a window is off in the direction of a fault.
 from motor_env.motor.faults import apply_fault
@@ -37,7 +38,6 @@ from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.regime import taken_for
 
 RKJB = ("R", "K", "J", "B")
 SPEED = 200.0

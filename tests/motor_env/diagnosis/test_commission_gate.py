@@ -12,8 +12,8 @@ from simulated_captures import DEFECTS, captures
 
 from motor_env import PAPER_MOTOR, Recording
 from motor_env.cli import main
-from motor_env.recordings.recording import UnusableError
-from motor_env.recordings.start import split_starts
+from motor_env.diagnosis.readers.recording import UnusableError
+from motor_env.diagnosis.readers.start import split_starts
 
 DT_S = 1e-4
 

@@ -16,22 +16,22 @@ from motor_env import (
     Verdict,
 )
 from motor_env.diagnosis import diagnose as judging
-from motor_env.diagnosis.decision import alarm_limits, decide
 from motor_env.diagnosis.diagnose import explain_unusable
-from motor_env.diagnosis.hypotheses import (
+
+# Reaches in: fits are moved by hand in directions that no public name gives.
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.identification import Identification
+from motor_env.diagnosis.verdict import report_text as formats
+from motor_env.diagnosis.verdict.decision import alarm_limits, decide
+from motor_env.diagnosis.verdict.hypotheses import (
     covariance_at_one_temperature,
     form_hypotheses,
     joint_share,
     probabilities,
 )
-from motor_env.diagnosis.identification import Identification
-from motor_env.diagnosis.report import formats
-from motor_env.diagnosis.verdict import Judgement
+from motor_env.diagnosis.verdict.judgement import Judgement
 from motor_env.filters.consistency import check_consistency
-
-# Reaches in: fits are moved by hand in directions that no public name gives.
-from motor_env.fitting import parameter_index as places
-from motor_env.fitting.uncertainty import excess_covariance as beyond
 from motor_env.motor.healthy import Starts
 from motor_env.motor.identifiable import visible_direction
 from motor_env.motor.parameters import FloatArray

@@ -15,18 +15,18 @@ from odd_recordings import at_work, scaled, started
 from scipy.signal import lfilter
 
 from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
-from motor_env.diagnosis.report.verdict_texts import VERDICT_TEXTS
-from motor_env.diagnosis.sensors.channels import ChannelRecord, correlation, find_failure, free_run
-from motor_env.diagnosis.sensors.sensor_diagnosis import diagnose_sensors, learn_signs, physical_values
-from motor_env.diagnosis.verdict import Judgement
-from motor_env.errors import InputError
+from motor_env.common.errors import InputError
 
 # Reaches in: motors that one recording teaches, and the checks by themselves.
-from motor_env.fitting import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.readers.start import Circuit
+from motor_env.diagnosis.verdict.channels import ChannelRecord, correlation, find_failure, free_run
+from motor_env.diagnosis.verdict.judgement import Judgement
+from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors, learn_signs, physical_values
+from motor_env.diagnosis.verdict.verdict_texts import VERDICT_TEXTS
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.start import Circuit
 from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import RECIPES, changed_recipe
 from motor_env.simulation.recipes import FaultClass
@@ -113,7 +113,7 @@ def test_a_duty_is_that_share_of_the_supply() -> None:
 def test_a_shunt_is_in_the_circuit_that_sensors_are_checked_in(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[float] = []
     monkeypatch.setattr(
-        "motor_env.diagnosis.sensors.sensor_diagnosis.find_failure",
+        "motor_env.diagnosis.verdict.sensor_diagnosis.find_failure",
         lambda _, physical: given.append(float(physical[places.R])),
     )
     for circuit in (None, Circuit(shunt_ohm=0.5)):

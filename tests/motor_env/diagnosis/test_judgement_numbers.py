@@ -12,8 +12,8 @@ from scipy import integrate, stats
 from motor_env import (
     FaultKind,
 )
-from motor_env.diagnosis.decision import alarm_limits
-from motor_env.diagnosis.hypotheses import (
+from motor_env.diagnosis.verdict.decision import alarm_limits
+from motor_env.diagnosis.verdict.hypotheses import (
     alarm_share,
     compare,
     explain,

@@ -22,13 +22,13 @@ from motor_env import (
     watch,
 )
 from motor_env.diagnosis.commission import commission
-from motor_env.diagnosis.hypotheses import NAMES
-from motor_env.diagnosis.verdict import Judgement
-from motor_env.fitting import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.readers.recording import UnusableError
+from motor_env.diagnosis.readers.start import prepare
+from motor_env.diagnosis.verdict.hypotheses import NAMES
+from motor_env.diagnosis.verdict.judgement import Judgement
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.recording import UnusableError
-from motor_env.recordings.start import prepare
 
 FINE_S, DT_S, EACH_S = 5e-4, 2e-3, 0.05  # of the simulation, of the log; how long a voltage lasts
 KINDS = {
@@ -245,7 +245,7 @@ def test_columns_are_swapped_where_most_windows_are_then_of_the_motor(
     unusable, winding = (Judgement(Verdict(word), ("because",)) for word in ("unusable", "winding"))
     pieces = [[unusable] * of, [winding] * windings + [unusable] * (of - windings)]
     monkeypatch.setattr(
-        "motor_env.diagnosis.running.log_diagnosis.judge_log", lambda *_, **__: (pieces.pop(0), of)
+        "motor_env.diagnosis.operation.log_diagnosis.judge_log", lambda *_, **__: (pieces.pop(0), of)
     )
     assert diagnose(started(noise_v=0.01), "paper", regime="operation").verdict == said
 

@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference
-from motor_env.diagnosis.hypotheses import NAMES, Difference, FittedWindow
-from motor_env.diagnosis.running import log_diagnosis as judging
-from motor_env.diagnosis.running.windows import WindowJudge
-from motor_env.diagnosis.scaling_errors import (
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.operation import log_diagnosis as judging
+from motor_env.diagnosis.operation.windows import WindowJudge
+from motor_env.diagnosis.readers.recording import Recording
+from motor_env.diagnosis.verdict.decision import decide
+from motor_env.diagnosis.verdict.healthy_motor import Reference
+from motor_env.diagnosis.verdict.hypotheses import NAMES, Difference, FittedWindow
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.scaling_errors import (
     BEYOND_WEAR,
     EXPLAINED,
     describe_scaling_errors,
     find_scaling_errors,
 )
-from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.fitting import parameter_index as places
 from motor_env.motor.healthy import Windows
-from motor_env.recordings.recording import Recording
 
 FULL, CURRENT = ("R", "L", "K", "J", "B"), ("R", "L", "K^2/J", "B/J")
 POWERS = {

@@ -29,11 +29,11 @@ from motor_env import (
     load_motor,
     simulate,
 )
+from motor_env.diagnosis.readers.noise import difference_noise
+from motor_env.diagnosis.readers.start import Circuit, chosen_starts
 
 # Reaches in: the estimate of a start's noise by itself, and the starts of a recording without their fits.
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.noise import difference_noise
-from motor_env.recordings.start import Circuit, chosen_starts
 
 MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
 FAULTS = {

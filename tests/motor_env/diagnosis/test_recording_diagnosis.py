@@ -29,8 +29,8 @@ from motor_env import (
     simulate,
 )
 from motor_env.diagnosis.batch import diagnose_files
-from motor_env.recordings.recording import UnusableError
-from motor_env.recordings.start import prepare
+from motor_env.diagnosis.readers.recording import UnusableError
+from motor_env.diagnosis.readers.start import prepare
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MOTOR = load_motor(EXAMPLES / "motor.toml")

@@ -15,22 +15,31 @@ from motor_env import (
     InputError,
     Motor,
 )
-from motor_env.diagnosis import batch, commission, healthy_spread, motor_files
-from motor_env.diagnosis.decision import alarm_limits
-from motor_env.diagnosis.healthy_motor import (
+from motor_env.diagnosis import batch, commission
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.readers.noise import difference_noise
+from motor_env.diagnosis.readers.start import Circuit, prepare
+from motor_env.diagnosis.verdict import (
+    healthy_spread,
+    motor_files,
+    report_page as page,
+    report_text as formats,
+)
+from motor_env.diagnosis.verdict.decision import alarm_limits
+from motor_env.diagnosis.verdict.healthy_motor import (
     ReferenceShift,
     add_normal_spread,
     reference_of,
     reference_of_pieces,
 )
-from motor_env.diagnosis.healthy_spread import (
+from motor_env.diagnosis.verdict.healthy_spread import (
     explain_disagreement,
     explain_outlier,
     fit_healthy,
     learn_starts,
     predictive_t,
 )
-from motor_env.diagnosis.hypotheses import (
+from motor_env.diagnosis.verdict.hypotheses import (
     covariance_at_one_temperature,
     form_hypotheses,
     joint_share,
@@ -38,15 +47,11 @@ from motor_env.diagnosis.hypotheses import (
     smallest_changes,
     smallest_detectable,
 )
-from motor_env.diagnosis.report import formats, page
-from motor_env.fitting.uncertainty import excess_covariance as beyond
 
 # Reaches in: what a reference must hold follows from a motor's equations and from the noise of its starts.
 from motor_env.motor.healthy import Fleet
 from motor_env.motor.identifiable import names
 from motor_env.motor.model import steady_state
-from motor_env.recordings.noise import difference_noise
-from motor_env.recordings.start import Circuit, prepare
 
 
 def test_the_next_of_several_healthy_ones() -> None:

@@ -13,13 +13,13 @@ from scipy import stats
 
 from motor_env import InputError, Motor, Recording, Verdict, commission, diagnose, load_motor
 from motor_env.cli import main
-from motor_env.console import worst
+from motor_env.common.console import worst
 from motor_env.diagnosis import batch
-from motor_env.diagnosis.hypotheses import EXPONENTS, NAMES, alarm_share, joint_share
-from motor_env.diagnosis.running import windows
-from motor_env.diagnosis.running.windows import WindowJudge
-from motor_env.diagnosis.verdict import Judgement
-from motor_env.fitting import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.operation import windows
+from motor_env.diagnosis.operation.windows import WindowJudge
+from motor_env.diagnosis.verdict.hypotheses import EXPONENTS, NAMES, alarm_share, joint_share
+from motor_env.diagnosis.verdict.judgement import Judgement
 
 # Reaches in: the oracle of the joint share needs the direction in which each fault shows.
 from motor_env.motor import identifiable as quantities

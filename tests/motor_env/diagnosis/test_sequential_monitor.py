@@ -12,15 +12,15 @@ import pytest
 from scipy import stats
 
 from motor_env import InputError, Recording
-from motor_env.diagnosis.hypotheses import NAMES, FittedWindow
-from motor_env.diagnosis.running import sequential_monitor
-from motor_env.diagnosis.running.operating_conditions import condition_features
-from motor_env.diagnosis.running.score_calibration import (
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.operation import sequential_monitor
+from motor_env.diagnosis.operation.operating_conditions import condition_features
+from motor_env.diagnosis.operation.score_calibration import (
     fault_directions,
     learn_calibration,
     normal_scores,
 )
-from motor_env.diagnosis.running.sequential_monitor import (
+from motor_env.diagnosis.operation.sequential_monitor import (
     EFFECT_SIZES,
     YEAR_S,
     SequentialMonitor,
@@ -28,9 +28,9 @@ from motor_env.diagnosis.running.sequential_monitor import (
     is_alarm,
     updated_sums,
 )
-from motor_env.diagnosis.running.windows import WindowJudge, judge_of
-from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.fitting import parameter_index as places
+from motor_env.diagnosis.operation.windows import WindowJudge, judge_of
+from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.motor.healthy import Healthy, OperatingCondition, ScoreCalibration, Windows
 from motor_env.motor.parameters import FloatArray
 

@@ -9,7 +9,25 @@ import numpy as np
 import pytest
 
 from motor_env import FaultKind, Recording, commission
-from motor_env.diagnosis.healthy_spread import (
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.record import Record
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.window import WindowFit, fit_window
+
+# Reaches in: drives and windows are made by hand, and a watch hears them.
+from motor_env.diagnosis.operation import window_baseline, windows
+from motor_env.diagnosis.operation.operating_conditions import off_others, sorted_by_condition
+from motor_env.diagnosis.operation.score_calibration import learn_calibration
+from motor_env.diagnosis.operation.sequential_monitor import YEAR_S, SequentialMonitor
+from motor_env.diagnosis.operation.window_baseline import learn_windows
+from motor_env.diagnosis.operation.windows import (
+    CONDITION_SPREAD,
+    DRIVEN_OTHERWISE,
+    WindowJudge,
+    judge_of,
+    windows_of,
+)
+from motor_env.diagnosis.verdict.healthy_spread import (
     RECORD_SPREAD,
     detectable_changes,
     learn_without,
@@ -17,27 +35,9 @@ from motor_env.diagnosis.healthy_spread import (
     predictive_t,
     usual_condition_windows,
 )
-from motor_env.diagnosis.hypotheses import FittedWindow
-from motor_env.diagnosis.motor_files import motor_of_windows
-
-# Reaches in: drives and windows are made by hand, and a watch hears them.
-from motor_env.diagnosis.running import window_baseline, windows
-from motor_env.diagnosis.running.operating_conditions import off_others, sorted_by_condition
-from motor_env.diagnosis.running.score_calibration import learn_calibration
-from motor_env.diagnosis.running.sequential_monitor import YEAR_S, SequentialMonitor
-from motor_env.diagnosis.running.window_baseline import learn_windows
-from motor_env.diagnosis.running.windows import (
-    CONDITION_SPREAD,
-    DRIVEN_OTHERWISE,
-    WindowJudge,
-    judge_of,
-    windows_of,
-)
-from motor_env.diagnosis.verdict import Judgement, Verdict
-from motor_env.fitting import parameter_index as places
-from motor_env.fitting.record import Record
-from motor_env.fitting.uncertainty import excess_covariance as beyond
-from motor_env.fitting.window import WindowFit, fit_window
+from motor_env.diagnosis.verdict.hypotheses import FittedWindow
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.motor_files import motor_of_windows
 from motor_env.motor.healthy import Healthy, OperatingCondition
 from motor_env.motor.parameters import FloatArray
 

@@ -22,15 +22,15 @@ from motor_env import (
 )
 from motor_env.cli import main
 from motor_env.diagnosis.batch import page_path
-from motor_env.diagnosis.hypotheses import (
+
+# Reaches in: fits are altered by hand.
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.readers.noise import PeriodicLine
+from motor_env.diagnosis.verdict import report_page as page, report_text as formats
+from motor_env.diagnosis.verdict.hypotheses import (
     Change,
     joint_share,
 )
-from motor_env.diagnosis.report import formats, page
-
-# Reaches in: fits are altered by hand.
-from motor_env.fitting.starts.start_fit import StartFit as Identified
-from motor_env.recordings.noise import PeriodicLine
 
 
 def test_every_other_verdict_is_a_fault() -> None:

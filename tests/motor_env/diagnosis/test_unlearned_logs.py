@@ -23,18 +23,18 @@ from motor_env import (
     simulate,
     simulate_states,
 )
-from motor_env.diagnosis.hypotheses import NAMES
-from motor_env.diagnosis.running import log_diagnosis, window_baseline
-from motor_env.diagnosis.running.log_diagnosis import judge_for
-from motor_env.diagnosis.running.windows import viscous
-from motor_env.fitting import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as places
 
 # Reaches in: the long test judges by the joint fit itself, made once for two motors.
-from motor_env.fitting.operation_fit import identify_operation
-from motor_env.fitting.record import Record
+from motor_env.diagnosis.estimation.operation_fit import identify_operation
+from motor_env.diagnosis.estimation.record import Record
+from motor_env.diagnosis.operation import log_diagnosis, window_baseline
+from motor_env.diagnosis.operation.log_diagnosis import judge_for
+from motor_env.diagnosis.operation.windows import viscous
+from motor_env.diagnosis.readers.recording import UnusableError
+from motor_env.diagnosis.verdict.hypotheses import NAMES
 from motor_env.motor.healthy import Healthy, Windows
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.recording import UnusableError
 
 P, DT_S = PAPER_MOTOR, 0.002
 FRICTION = float(P.viscous_friction_n_m_s_per_rad)

@@ -15,29 +15,21 @@ from scipy import integrate, optimize, stats
 
 from motor_env import Diagnosis, FaultKind, InputError, Motor, Recording, Verdict, diagnose
 from motor_env.cli import main
-from motor_env.diagnosis import batch, hypotheses
+from motor_env.diagnosis import batch
 from motor_env.diagnosis.commission import Commissioned, commission
-from motor_env.diagnosis.decision import decide
-from motor_env.diagnosis.healthy_motor import Reference
-from motor_env.diagnosis.healthy_spread import learn_without, predictive_t
-from motor_env.diagnosis.hypotheses import (
-    EXPONENTS,
-    NAMES,
-    Change,
-    FittedWindow,
-    covariance_at_one_temperature,
-    joint_share,
-)
-from motor_env.diagnosis.motor_files import motor_of_windows
-from motor_env.diagnosis.report import formats
-from motor_env.diagnosis.running import window_baseline, windows
-from motor_env.diagnosis.running.operating_conditions import (
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.record import Record
+
+# Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
+from motor_env.diagnosis.estimation.window import WindowFit
+from motor_env.diagnosis.operation import window_baseline, windows
+from motor_env.diagnosis.operation.operating_conditions import (
     condition_distance,
     condition_features,
     rms_volts,
 )
-from motor_env.diagnosis.running.window_baseline import learn_windows
-from motor_env.diagnosis.running.windows import (
+from motor_env.diagnosis.operation.window_baseline import learn_windows
+from motor_env.diagnosis.operation.windows import (
     WARMTH,
     WindowJudge,
     averaged,
@@ -46,19 +38,27 @@ from motor_env.diagnosis.running.windows import (
     viscous,
     windows_of,
 )
-from motor_env.diagnosis.sensors.sensor_diagnosis import physical_values
-from motor_env.diagnosis.verdict import Judgement
-from motor_env.fitting import parameter_index as places
-from motor_env.fitting.record import Record
-
-# Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
-from motor_env.fitting.window import WindowFit
+from motor_env.diagnosis.readers.recording import UnusableError
+from motor_env.diagnosis.readers.regime import RegimeDecision as Taken
+from motor_env.diagnosis.readers.start import Circuit
+from motor_env.diagnosis.verdict import hypotheses, report_text as formats
+from motor_env.diagnosis.verdict.decision import decide
+from motor_env.diagnosis.verdict.healthy_motor import Reference
+from motor_env.diagnosis.verdict.healthy_spread import learn_without, predictive_t
+from motor_env.diagnosis.verdict.hypotheses import (
+    EXPONENTS,
+    NAMES,
+    Change,
+    FittedWindow,
+    covariance_at_one_temperature,
+    joint_share,
+)
+from motor_env.diagnosis.verdict.judgement import Judgement
+from motor_env.diagnosis.verdict.motor_files import motor_of_windows
+from motor_env.diagnosis.verdict.sensor_diagnosis import physical_values
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction, warmth_direction
 from motor_env.motor.parameters import FloatArray
-from motor_env.recordings.recording import UnusableError
-from motor_env.recordings.regime import RegimeDecision as Taken
-from motor_env.recordings.start import Circuit
 
 WHITE: FloatArray = np.random.default_rng(3).standard_normal((200, 2))
 PHYSICAL = np.zeros(places.N_VALUES)

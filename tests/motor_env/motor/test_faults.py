@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind, register_fault_kind
-from motor_env.diagnosis.verdict import Verdict
+from motor_env.diagnosis.verdict.judgement import Verdict
 from motor_env.motor.faults import (
     ALWAYS,
     BUILT_IN_KINDS,

@@ -1,0 +1,235 @@
+"""Numbers and arrays of callers, checked once at the door: what cannot be used is refused in one sentence.
+
+Compiled loops check nothing: a NaN in them lasts for ever, and a wrong shape reads outside of an array. So every public
+entry takes its arguments through these functions before it changes anything.
+
+Example:
+    >>> from motor_env.common.arrays import numbers
+    >>> numbers("voltage_v", [12.0, float("nan")], ("n_samples",))
+    Traceback (most recent call last):
+    ...
+    ValueError: voltage_v must be finite, got nan at [1]
+"""
+
+from __future__ import annotations
+
+import operator
+import reprlib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LARGEST_NUMBER = 1e100
+"""What is larger is refused as an infinite number is: its square is near the end of what a float can hold."""
+
+Shape = tuple[int | str, ...]
+"""Lengths of axes; a word stands for any length, "..." at the front for any axes."""
+
+_KINDS = {"b": "bools", "c": "complex numbers", "m": "durations", "M": "dates", "U": "text", "S": "text"}
+_WHOLE = 2**63 - 1
+_DOUBLE = np.dtype(np.float64)
+
+
+def numbers(
+    name: str,
+    values: Any,
+    shape: Shape | None = None,
+    *,
+    missing: bool = False,
+    single: bool = False,
+    least: float | None = None,
+) -> NDArray[np.float64]:
+    """The values as a float64 array that compiled code can read; a copy only where they are none.
+
+    Args:
+        name: of the argument.
+        values: what the caller gave.
+        shape: what it must have, with no axis of length 0; None for any.
+        missing: whether NaN, None and masked values are allowed: they become NaN.
+        single: whether float32 stays so.
+        least: no value may be smaller.
+
+    Raises:
+        ValueError: no real numbers, another shape, or a value that is not finite; the sentence says where.
+    """
+    if type(values) is float and not shape and abs(values) <= LARGEST_NUMBER:
+        return np.array(values)  # the quick way of a stream
+    array = real(name, values, shape, single=single)
+    require_finite_entries(name, array, values, missing=missing)
+    if least is not None and not (array >= least).all():
+        raise ValueError(f"{name} must be >= {least:g}, got {array.min():g}")
+    return array
+
+
+def real(name: str, values: Any, shape: Shape | None = None, *, single: bool = False) -> NDArray[np.float64]:
+    """As `numbers`, with whatever values: for what finds out itself that one is not finite."""
+    array = _array(name, values)
+    if array.dtype.kind == "O":
+        array = _from_objects(name, array)
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} must be real numbers, got {_KINDS.get(array.dtype.kind, 'something else')}")
+    if array.dtype is not _DOUBLE and not (single and array.dtype == np.float32):
+        with np.errstate(over="ignore"):
+            array = array.astype(np.float64)
+    if shape is not None and not (array.size and _fits(array.shape, shape)):
+        wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" if shape else "() (one number)"
+        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+    return array if array.flags.carray else array.copy()
+
+
+def require_finite_entries(name: str, array: NDArray[Any], given: Any, *, missing: bool = False) -> None:
+    """Raise `ValueError` with place and value of the first entry that is not finite; with `missing` NaN may stand."""
+    flat = array.reshape(-1)
+    # One quick pass: a number that is not finite stays in the sum, and a huge one makes it huge.
+    if float(np.vdot(flat, flat)) <= LARGEST_NUMBER:
+        return
+    bad = ~(np.abs(array.astype(np.float64)) <= LARGEST_NUMBER)
+    if missing:
+        bad &= ~np.isnan(array)
+    if bad.any():
+        place = np.unravel_index(int(bad.argmax()), array.shape)
+        where = f" at [{', '.join(map(str, place))}]" if place else ""
+        masked = np.isnan(array[place]) and _is_masked(given)
+        found = "a masked value" if masked else f"{array[place]:g}"
+        bound = f" and at most {LARGEST_NUMBER:g}" if np.isfinite(array[place]) else ""
+        raise ValueError(f"{name} must be finite{bound}, got {found}{where}")
+
+
+def spread(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """As `numbers`, of a shape that NumPy's rules spread over `shape`: a scalar, or the last axes."""
+    array = numbers(name, values)
+    if not array.ndim:
+        return array
+    lengths = zip(array.shape[::-1], shape[::-1], strict=False)
+    if array.ndim > len(shape) or any(own not in (1, whole) for own, whole in lengths):
+        raise ValueError(f"{name} must be a number or have shape {shape}, got {array.shape}")
+    return array
+
+
+def number(
+    name: str,
+    value: Any,
+    *,
+    above: float | None = None,
+    least: float | None = None,
+    below: float | None = None,
+    most: float | None = None,
+) -> float:
+    """One finite number within the bounds that are given; else `ValueError`."""
+    found = value if isinstance(value, float) else float(numbers(name, value, ()))
+    bounds = ((">", above), (">=", least), ("<", below), ("<=", most))
+    holds = {">": operator.gt, ">=": operator.ge, "<": operator.lt, "<=": operator.le}
+    if not abs(found) <= LARGEST_NUMBER or any(
+        b is not None and not holds[sign](found, b) for sign, b in bounds
+    ):
+        wanted = " and ".join(f"{sign} {bound:g}" for sign, bound in bounds if bound is not None)
+        raise ValueError(f"{name} must be {wanted or 'finite'}, got {found:g}")
+    return found
+
+
+def instance(name: str, value: object, kind: type | tuple[type, ...]) -> None:
+    """Raise `TypeError` unless the value is of the kind, or one of the kinds."""
+    if not isinstance(value, kind):
+        kinds = kind if isinstance(kind, tuple) else (kind,)
+        wanted = " or ".join(each.__name__ for each in kinds if each is not type(None))
+        raise TypeError(f"{name} must be of type {wanted}, got {shown(value)}")
+
+
+def whole(name: str, value: Any, least: int = 0, most: int = _WHOLE) -> int:
+    """One whole number within the bounds; else `ValueError`. A bool and 1.5 are none."""
+    found = value
+    if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "iu" and not np.ma.is_masked(value):
+        found = value.tolist()
+    if not isinstance(found, int) or isinstance(found, bool) or not least <= found <= most:
+        raise ValueError(f"{name} must be a whole number in {least} .. {most}, got {shown(value)}")
+    return found
+
+
+def wholes(name: str, values: Any, least: int = 0, most: int = _WHOLE) -> NDArray[np.int64]:
+    """Whole numbers within the bounds, of any shape; else `ValueError` with the place of the first one that is none."""
+    array = _array(name, values)
+    is_good = array.dtype.kind in "iu" and bool(((array >= least) & (array <= most)).all())
+    for place, entry in enumerate(() if is_good else array.reshape(-1).tolist()):
+        if type(entry) is not int or not least <= entry <= most:
+            where = f" at [{place}]" if array.ndim else ""
+            raise ValueError(f"{name} must be whole numbers in {least} .. {most}, got {shown(entry)}{where}")
+    return array.astype(np.int64)
+
+
+def flags(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Bools of that shape; else `ValueError`."""
+    array = _array(name, values)
+    if array.dtype != np.bool_ or array.shape != shape:
+        raise ValueError(f"{name} must be bools of shape {shape}, got shape {array.shape}")
+    return array
+
+
+def _array(name: str, values: Any) -> NDArray[Any]:
+    if type(values) is np.ndarray:
+        return values
+    try:
+        return np.asarray(_unmasked(values))
+    except (
+        TypeError,
+        ValueError,
+        OverflowError,
+        RuntimeError,
+    ):  # rows of several lengths, a tensor with gradients
+        raise ValueError(f"{name} must be numbers, in rows of one length, got {shown(values)}") from None
+
+
+def is_one_of(value: Any, words: Iterable[str]) -> bool:
+    """Whether the value, whatever it is, is one of the words."""
+    return isinstance(value, str) and value in set(words)
+
+
+def shown(value: Any) -> str:
+    """What a caller gave, in a few words of one line."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, str | bytes | int | float | complex | None):
+        return reprlib.repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(shown, value[:4]))}{', ...' * (len(value) > 4)}]"
+    if isinstance(value, np.ndarray):
+        return shown(value.tolist()) if value.size < 4 else f"an array of shape {value.shape}"
+    return (
+        f"the type {value.__name__}" if isinstance(value, type) else f"a value of type {type(value).__name__}"
+    )
+
+
+def _unmasked(values: Any) -> Any:
+    """NaN in place of masked values, in lists too; whole numbers without a mask stay such."""
+    if isinstance(values, np.ma.MaskedArray):
+        if not np.ma.is_masked(values):
+            return values.data
+        is_number = values.dtype.kind in "fiu"
+        return np.ma.filled(values.astype(np.float64), np.nan) if is_number else values.data
+    if isinstance(values, list | tuple):
+        return [_unmasked(entry) for entry in values]
+    return values
+
+
+def _is_masked(values: Any) -> bool:
+    return np.ma.is_masked(values) or (isinstance(values, list | tuple) and any(map(_is_masked, values)))
+
+
+def _from_objects(name: str, array: NDArray[Any]) -> NDArray[np.float64]:
+    """From Python's own numbers, such as integers beyond 64 bits; None becomes NaN."""
+    try:
+        if not any(isinstance(entry, str | bytes | bool) for entry in array.flat):
+            return array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(f"{name} must be real numbers, got {shown(array)}")
+
+
+def _fits(own: tuple[int, ...], wanted: Shape) -> bool:
+    if wanted[:1] == ("...",):
+        wanted = wanted[1:]
+        own = own[len(own) - len(wanted) :] if len(own) >= len(wanted) else ()
+    return len(own) == len(wanted) and all(
+        isinstance(need, str) or has == need for has, need in zip(own, wanted, strict=True)
+    )

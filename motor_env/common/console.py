@@ -1,0 +1,167 @@
+"""What the three commands share: errors as one sentence with exit status 2, exit statuses of verdicts and of bugs."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from enum import IntEnum
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, CycloptsError, Parameter, Token
+
+from motor_env.common.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
+
+
+_CLOSED_PIPE = 128 + 13  # as a shell reports SIGPIPE, which Windows does not have
+
+
+def _whole(_: type[int], tokens: Sequence[Token]) -> int:
+    text = tokens[0].value
+    try:
+        return int(text)
+    except ValueError:
+        raise ValueError(f"must be a whole number, got {text!r}") from None
+
+
+Whole = Annotated[int, Parameter(converter=_whole)]
+"""An option's whole number; cyclopts alone would round 1.5 to 2."""
+
+
+class ExitStatus(IntEnum):
+    """Exit statuses of every command."""
+
+    HEALTHY = 0
+    FAULT = 1
+    BAD_INPUT = 2
+    UNDECIDED = 3
+    BUG = 70  # EX_SOFTWARE of sysexits.h; Python's own 1 would read as a fault of the motor
+
+
+_WORST_FIRST = (
+    ExitStatus.BUG,
+    ExitStatus.BAD_INPUT,
+    ExitStatus.FAULT,
+    ExitStatus.UNDECIDED,
+    ExitStatus.HEALTHY,
+)
+
+
+def worst(statuses: Iterable[ExitStatus]) -> ExitStatus:
+    """The exit status of several files or pieces; undecided where there is none."""
+    return min(statuses, key=_WORST_FIRST.index, default=ExitStatus.UNDECIDED)
+
+
+def run(app: App, arguments: Sequence[str] | None = None) -> int:
+    """Run a command line and return its exit status.
+
+    Bad input becomes one sentence on standard error and status 2; an unexpected error its traceback and status 70.
+    SIGTERM ends it as Ctrl-C does, so that nothing half written stays.
+    """
+    app.default_parameter = Parameter(negative=())  # no --no-json, and no --empty-files
+    app.suppress_keyboard_interrupt = False  # otherwise cyclopts exits before anything can be said
+    try:
+        _heed_termination()
+        status = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:  # whoever read is gone, and the rest of it goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _CLOSED_PIPE
+    except CycloptsError as error:
+        message = " ".join(str(error).split())
+    except (InputError, ValueError, OSError) as error:
+        message = _sentence(error)
+    except KeyboardInterrupt as interrupt:
+        print(f"{app.name[0]}: interrupted", file=sys.stderr)
+        return 128 + (interrupt.args[0] if interrupt.args else signal.SIGINT)
+    except Exception:  # noqa: BLE001  # a bug, whatever it is, must not end with the exit status of a verdict
+        traceback.print_exc()
+        return int(ExitStatus.BUG)
+    else:
+        return int(status) if isinstance(status, int) else 0
+    print(f"{app.name[0]}: {printable(message)}", file=sys.stderr)
+    return int(ExitStatus.BAD_INPUT)
+
+
+def _heed_termination() -> None:
+    def interrupt(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_DFL)  # a second one ends at once
+        raise KeyboardInterrupt(number)
+
+    # A handler that somebody else has set stays.
+    is_main = threading.current_thread() is threading.main_thread()
+    if is_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, interrupt)
+
+
+def printable(text: str) -> str:
+    """Text of strangers, such as the name of a file, without what steers a terminal or cannot be encoded."""
+    return "".join(
+        letter if letter.isprintable() or letter in "\n\t" else letter.encode("unicode_escape").decode()
+        for letter in text
+    )
+
+
+@contextmanager
+def working(words: str) -> Iterator[Callable[[object], None]]:
+    """A line on the terminal that says what is worked on; yields the function that changes it."""
+    if sys.stderr is None or not sys.stderr.isatty():
+        yield lambda now: None
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    with Console(stderr=True).status(words) as status:
+        yield lambda now: status.update(Text(printable(str(now))))
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {(error.strerror or str(error)).lower()}"
+    return str(error)
+
+
+@contextmanager
+def progress_bar(total: float | None, text: str, *columns: ProgressColumn) -> Iterator[Callable[..., None]]:
+    """A bar with the time left, on standard error and only on a terminal.
+
+    Args:
+        total: amount of work; None while it is not known.
+        text: what is done.
+        *columns: what else to show.
+
+    Yields:
+        Function that takes `advance`, `completed`, `total` or `description`.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    errors = Console(stderr=True)
+    usual = (TextColumn("{task.description}"), BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*usual, *columns, console=errors, disable=not errors.is_terminal) as bar:
+        yield partial(bar.update, bar.add_task(text, total=total))
+
+
+def json_text(value: Any, *, indent: int | None = 1) -> str:
+    """A result for programs, on one line without `indent`. What is infinite or no number is null, as JSON wants it."""
+    return json.dumps(_finite(value), indent=indent, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    """A value as JSON can hold it: null for a number that is infinite or none."""
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

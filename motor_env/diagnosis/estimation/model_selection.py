@@ -1,0 +1,298 @@
+"""The model of a motor at work: initial values, prediction errors, and the terms that the evidence supports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+from scipy.ndimage import convolve1d
+
+from motor_env.diagnosis.estimation import ekf, parameter_index as index
+from motor_env.diagnosis.estimation.initial_values import initial_values
+from motor_env.diagnosis.estimation.problem import Problem, Solution
+from motor_env.diagnosis.estimation.record import HOLDS, Record
+from motor_env.diagnosis.estimation.score_tests import candidates, score_tests
+from motor_env.diagnosis.estimation.terms import SHAPES, Term, terms
+from motor_env.diagnosis.readers.recording import UnusableError
+from motor_env.motor.parameters import FloatArray
+
+STRONG_EVIDENCE = 6.0
+SELECTION_SAMPLES = 2_000
+"""Samples on which the model of a record more than twice as long is selected."""
+_FIRST_NOISE_V = 0.02
+_FIRST_SHAPE = 0.1  # of what is believed
+_QUIET_VALUES = {
+    "offset_current": 0.0,
+    "offset_speed": 0.0,
+    "noise_voltage": -1.0,
+    "noise_torque": -4.0,
+    "load_walk": -4.0,
+}
+_TORQUE_DISTURBANCES = ("load_walk", "noise_torque")
+"""A torque that disturbs the motor wanders, or is another in each interval; at most one of the two."""
+_MOST_TRIED = 2
+_FEW_EVALUATIONS = 6
+_ALTERNATIVE, _HOPELESS = 0.1, 0.3  # of the number of readings
+_CLEARLY = math.log(2.0)
+
+
+def fit(record: Record) -> Solution:
+    """Fit the smallest model of a record that the evidence supports, with alternatives, which widen its intervals.
+
+    Raises:
+        UnusableError: no regression finds a motor in the record.
+    """
+    return _without_process_noise(_with_timing_alternatives(_smallest_model(record)))
+
+
+def _smallest_model(record: Record) -> Solution:
+    """Fit a record without alternatives; a long one from a part of it."""
+    if len(record.voltage_v) > 2 * SELECTION_SAMPLES:
+        return _refit_to_all_samples(_smallest_model(record.sample(SELECTION_SAMPLES)), record)
+    rivals = [_select_terms(first) for first in _initial_fits(record)]
+    best = min(rivals, key=lambda solution: solution.bic())
+    others = sorted(_fits_of_other_voltages(best, record), key=lambda solution: solution.bic())
+    if others and (other := _refit(others[0], [])).bic() < best.bic():
+        best = _select_terms(other)
+    return _forward_selection(_with_shape_parameters(_prefer_held_voltage(best))).escape_local_minimum()
+
+
+def _prefer_held_voltage(best: Solution) -> Solution:
+    """Replace a fractional delay or a straight-line voltage by a held one if they win only by averaging noise.
+
+    Both average neighbours of the recorded voltage and its noise. So does a mean over three samples without a delay:
+    where it explains as much, there is none. A fit that blames all on a disturbing torque may be likelier and explain
+    less.
+    """
+    timed = _remove_terms(best, ("delay",))
+    is_straight = best.problem.record.hold == "straight"
+    if best.problem.record.averaged > 1 or not (is_straight or len(timed.names) < len(best.names)):
+        return best
+    delay = dict(zip(best.names, best.theta, strict=True)).get("delay", 0.0)
+    part = 0.5 if is_straight else abs(delay) % 1.0
+    beside = (2.0 - math.sqrt(4.0 - 12.0 * part * (1.0 - part))) / 6.0
+    record = best.problem.record
+    even = convolve1d(record.voltage_v, [beside, 1.0 - 2.0 * beside, beside], mode="nearest")
+    for hold in ("held", "late"):
+        problem = replace(timed.problem, record=replace(record, hold=hold, voltage_v=even))
+        averaged = problem.solve(timed.theta)
+        is_as_good = _free_run_misfit(averaged) < _free_run_misfit(best) + _CLEARLY
+        if averaged.bic() < best.bic() and is_as_good:
+            problem = replace(problem, record=replace(record, hold=hold))
+            return problem.solve(averaged.theta)
+    return best
+
+
+def _with_timing_alternatives(best: Solution) -> Solution:
+    """Add fits with other voltage timing as alternatives where the voltage has no steps.
+
+    A lag of the voltage then looks like L/R. Only how a model errs that is never quite right decides between them.
+    """
+    slopes = np.diff(best.problem.record.voltage_v)
+    if np.nansum(np.abs(np.diff(slopes))) > np.nansum(np.abs(slopes)):
+        return best
+    rivals = []
+    for begun in _fits_of_other_voltages(best, best.problem.record):
+        other = _refit(begun, [])
+        if other.misfit < best.misfit + _ALTERNATIVE * best.problem.count:
+            rivals.append(other)
+    return _with_alternatives(best, rivals)
+
+
+def _without_process_noise(best: Solution) -> Solution:
+    """Add the fit without process noise as an alternative of the same misfit, if it explains nearly as much.
+
+    Both are right where the model is. Where it is not, process noise stands for what the model lacks, and a controller
+    makes that depend on the current: R may err by a half while the likelihood is sure of it. There the two differ.
+    """
+    if not {"noise_voltage", *_TORQUE_DISTURBANCES} & {*best.names}:
+        return best
+    (other,) = _output_error_fits([best])
+    return _with_alternatives(
+        best, [other] if _log_unexplained(other).mean() < _log_unexplained(best).mean() + _CLEARLY else []
+    )
+
+
+def _with_alternatives(best: Solution, others: Sequence[Solution]) -> Solution:
+    """Add other fits as alternatives of the same misfit; terms that they lack stay as they are."""
+    rivals = []
+    for other in others:
+        known = dict(zip(other.names, other.theta, strict=True))
+        theta = [known.get(name, value) for name, value in zip(best.names, best.theta, strict=True)]
+        rivals.append((np.array(theta), best.misfit))
+    return replace(best, alternative_optima=(*best.alternative_optima, *rivals))
+
+
+def _refit_to_all_samples(best: Solution, record: Record) -> Solution:
+    """Fit the model of a part of a long record to all of it, with the terms that this supports in addition."""
+    hold = best.problem.record.hold
+    record = replace(record if (best.problem.record.marks == ekf.OPEN).any() else record.closed(), hold=hold)
+    return _forward_selection(replace(best.problem, record=record).solve(best.theta, most=_FEW_EVALUATIONS))
+
+
+def _fits_of_other_voltages(best: Solution, record: Record) -> list[Solution]:
+    """Fit without a delay under every other variant of the voltage, which the initial values may have missed."""
+    timed = _remove_terms(best, ("delay",))
+    fits = []
+    for behaved in _voltage_variants(record):
+        is_same = behaved.hold == best.problem.record.hold and "delay" not in best.names
+        if not (is_same and np.array_equal(behaved.marks, best.problem.record.marks)):
+            fits.append(replace(timed.problem, record=behaved).solve(timed.theta, most=_FEW_EVALUATIONS))
+    return fits
+
+
+def _voltage_variants(record: Record) -> list[Record]:
+    """Return the record with every way in which the voltage may be held, with and without open circuits."""
+    circuits = [record, record.closed()] if (record.marks == ekf.OPEN).any() else [record]
+    holds = HOLDS if record.averaged == 1 else (record.hold,)
+    return [replace(circuit, hold=hold) for hold, circuit in product(holds, circuits)]
+
+
+def _with_shape_parameters(best: Solution) -> Solution:
+    """Fit the shapes of brush drop and dry friction, too, under their prior.
+
+    Fits also begin from a quiet motor without offsets, as noise and a wandering load may have carried a fit away; and,
+    where dry friction and a constant load may stand for each other, from less and from more of it.
+    """
+    added = [best.problem.every[shape] for shape, of in SHAPES.items() if of in best.names]
+    problem = best.problem.with_terms(added)
+    begin = np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added])
+    calm = np.array(
+        [_QUIET_VALUES.get(name, value) for name, value in zip(problem.names, begin, strict=True)]
+    )
+    starting_points = [begin, calm]
+    if {"coulomb", "load_constant"} <= set(best.names):
+        dry, load = problem.names.index("coulomb"), problem.names.index("load_constant")
+        turns = math.copysign(1.0, float(best.free[0][:, 3].mean()))
+        for more in (-begin[dry], abs(begin[load])):
+            moved = begin.copy()
+            moved[dry] += more
+            moved[load] -= turns * more
+            starting_points.append(moved)
+    tried = [problem.solve(theta) for theta in starting_points]
+    shaped = min(tried, key=lambda solution: solution.misfit)
+    if shaped.misfit > best.misfit + len(added):
+        return best
+    return replace(
+        shaped, alternative_optima=tuple((each.theta, each.misfit) for each in tried if each is not shaped)
+    )
+
+
+def _select_terms(first: Solution) -> Solution:
+    """Select the terms that the evidence supports, from a fit of those that every motor has."""
+    best = first
+    for name in ("load_walk", "load_constant"):
+        best = _drop_if_unsupported(best, name)
+    best = _forward_selection(best)
+    for name in _TORQUE_DISTURBANCES:
+        if name not in best.names:
+            disturbed = _refit(_remove_terms(best, _TORQUE_DISTURBANCES), [best.problem.every[name]])
+            if disturbed.bic() < best.bic() - STRONG_EVIDENCE:
+                best = _forward_selection(disturbed)
+    # It may have stood for a term that came later.
+    best = _drop_if_unsupported(best, "load_walk")
+    return min([best, *_output_error_fits([first, best])], key=_free_run_misfit)
+
+
+def _output_error_fits(solutions: Sequence[Solution]) -> list[Solution]:
+    """Fit the same terms without process noise: output errors, which real model errors may leave ahead."""
+    begun = [_remove_terms(solution, ("noise_voltage", *_TORQUE_DISTURBANCES)) for solution in solutions]
+    return [less.problem.solve(less.theta, most=60) for less in begun]
+
+
+def _free_run_misfit(solution: Solution) -> float:
+    """Sum `_log_unexplained`; a fit with process noise must be behind by less than the margin."""
+    left = _log_unexplained(solution)
+    return float(left.sum()) + (0.0 if "noise_voltage" not in solution.names else -_CLEARLY * len(left))
+
+
+def _log_unexplained(solution: Solution) -> FloatArray:
+    """Return the logarithm of the share of each recorded channel's variance that the free run leaves."""
+    return np.log([max(1.0 - r2, 1e-12) for r2 in solution.explained() if r2 is not None])
+
+
+def _forward_selection(best: Solution) -> Solution:
+    while (richer := _add_best_term(best)) is not None:
+        best = richer
+    return best
+
+
+def _drop_if_unsupported(best: Solution, name: str) -> Solution:
+    if name not in best.names:
+        return best
+    trial = _refit(_remove_terms(best, (name,)), [])
+    return trial if trial.bic() < best.bic() else best
+
+
+def _remove_terms(best: Solution, names: Collection[str]) -> Solution:
+    kept = [n for n, name in enumerate(best.names) if name not in names]
+    problem = replace(best.problem, free=tuple(best.problem.free[n] for n in kept))
+    return Solution(problem, best.theta[kept], best.misfit)
+
+
+def _base_terms(record: Record) -> list[str]:
+    """Name the terms to begin with: what every motor has, as far as the channels can tell, and any load."""
+    names = ["J", "coulomb", "load_constant", "noise_voltage", "load_walk"]
+    if record.seen[0]:
+        names += ["R", "L", "B", "brush_drop", "offset_current", "noise_current"]
+    if record.seen[1]:
+        names += ["K", "offset_speed", "noise_speed"]
+    return names
+
+
+def _initial_fits(record: Record) -> list[Solution]:
+    """Fit the first terms, once for each variant of the voltage that may be true."""
+    few = []
+    for behaved in _voltage_variants(record):
+        begun = initial_problems(behaved)[:_MOST_TRIED]
+        tried = [problem.solve(theta, most=_FEW_EVALUATIONS) for problem, theta in begun]
+        few += sorted(tried, key=lambda solution: solution.misfit)[:1]
+    if not few:
+        raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
+    ahead = min(solution.misfit for solution in few)
+    n_readings = few[0].problem.count
+    fits = [_refit(solution, []) for solution in few if solution.misfit - ahead < _HOPELESS * n_readings]
+    best = min(solution.misfit for solution in fits)
+    return [solution for solution in fits if solution.misfit - best < _ALTERNATIVE * n_readings]
+
+
+def initial_problems(record: Record) -> list[tuple[Problem, FloatArray]]:
+    """Return problems with unknowns to begin from, out of regressions, smallest prediction errors first."""
+    begun = [_initial_problem(record, values) for values in initial_values(record)]
+    return sorted(begun, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
+
+
+def _initial_problem(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
+    every = terms(record, values)
+    problem = Problem(record, values, tuple(every[name] for name in _base_terms(record)))
+    known = values.copy()
+    theta = np.zeros(len(problem.free))
+    for n, term in enumerate(problem.free):
+        if not term.is_log:
+            theta[n] = min(values[term.place] / term.unit, term.high)
+        if term.name == "noise_voltage":
+            theta[n] = math.log(_FIRST_NOISE_V * record.peaks[0] / term.unit)
+    known[[index.L, index.LOAD]] = 0.0  # none where a fit does without
+    return replace(problem, known=known), theta
+
+
+def _refit(before: Solution, added: list[Term]) -> Solution:
+    problem = before.problem.with_terms(added)
+    begin = np.concatenate([before.theta, [0.0 if term.is_log else 1e-3 for term in added]])
+    return problem.solve(begin)
+
+
+def _add_best_term(best: Solution) -> Solution | None:
+    """Fit with the one more term that the evidence wants most; None unless it is strong."""
+    every = best.problem.every
+    tested = [(test.chi_square, name) for name, test in score_tests(best, every, candidates(best)).items()]
+    for chi_square, name in sorted(tested, reverse=True):
+        if chi_square < math.log(best.problem.count) + STRONG_EVIDENCE:
+            return None
+        trial = _refit(best, [every[name]])
+        if trial.bic() < best.bic() - STRONG_EVIDENCE:
+            return trial
+    return None

@@ -1,0 +1,290 @@
+"""`identify_operation`: what records of a motor at work tell of the motor, and what they do not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from motor_env.diagnosis.estimation import ekf, parameter_index as index
+from motor_env.diagnosis.estimation.model_selection import fit
+from motor_env.diagnosis.estimation.preprocessing import MOST, from_recordings
+from motor_env.diagnosis.estimation.problem import Solution, motor_unknowns
+from motor_env.diagnosis.estimation.record import Record
+from motor_env.diagnosis.estimation.terms import NOISES, SHAPES
+from motor_env.diagnosis.estimation.uncertainty import covariance
+from motor_env.diagnosis.readers.noise import PeriodicLine, constant_lines, explainable, periodic_lines
+from motor_env.diagnosis.readers.recording import Recording, UnusableError
+from motor_env.motor.parameters import FloatArray
+from motor_env.motor.threads import on_one_thread
+
+FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's
+UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the inductance"
+_UNTOLD = 0.5
+_LONGEST_LAG_S = 0.2  # L/R of brushed motors, with a margin
+_UNFIT = "its voltage hardly moves, or is a raw pulse-width modulation that was sampled more slowly than it switches"
+_POOR = 0.5
+_CURRENT_TELLS = 0.3
+_TWO_SIDED = 1.96
+_SAME_LINE = 2.0  # bins of a spectrum
+_UNITS_FULL = {
+    "R": "ohm", "L": "H", "K": "V s/rad", "J": "kg m2", "B": "N m s/rad", "coulomb": "N m", "brush_drop": "V",
+    "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
+    "heating": "K/J", "cooling": "1/s", "sensor_lag": "s", "speed_lag": "s", "delay": "samples", "drag": "N m",
+    "brush_knee": "A", "gear_loss": "of the torque", "stribeck": "of coulomb", "coulomb_knee": "rad/s",
+}  # fmt: skip
+_UNITS_CURRENT = _UNITS_FULL | {
+    "J": "A s/V", "B": "A/V", "coulomb": "A", "load_constant": "A", "load_square": "A/V2", "drag": "A",
+    "coulomb_knee": "V",
+}  # fmt: skip
+_UNITS_SPEED = _UNITS_FULL | {
+    "J": "A s2/rad ohm", "coulomb": "V2 s/rad", "load_constant": "V2 s/rad", "load_square": "V2 s3/rad3",
+}  # fmt: skip
+_NAMES_CURRENT = {"J": "J/K^2", "B": "B/K^2", "coulomb": "coulomb/K", "load_constant": "load_constant/K",
+                  "load_square": "load_square/K^3", "drag": "drag/K"}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One quantity of the motor.
+
+    Attributes:
+        name: as in the reports.
+        value: SI.
+        low, high: interval, 95 %.
+        unit: of these.
+        is_told: whether the record determines it to better than half of its value.
+        log_sd: standard deviation of its logarithm, or relative standard deviation.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    is_told: bool
+    log_sd: float
+
+
+@dataclass(frozen=True, slots=True)
+class OperationFit:
+    """A motor at work, identified.
+
+    Attributes:
+        record: what was fitted.
+        solution: the fit.
+        quantities: of the motor, undetermined ones included.
+        covariance: of the unknowns that are no noises, shape (p, p), in their units.
+        expected: current and speed of the free run under the voltage, shape (n, 2).
+        warmth_k: warming of the winding since the begin, shape (n,).
+        r2_current, r2_speed: share of the variance that the free run explains; None where not used.
+        notes: what the record cannot tell, in sentences.
+    """
+
+    record: Record
+    solution: Solution
+    quantities: tuple[Quantity, ...]
+    covariance: FloatArray
+    expected: FloatArray
+    warmth_k: FloatArray
+    r2_current: float | None
+    r2_speed: float | None
+    notes: tuple[str, ...]
+
+    @property
+    def model(self) -> tuple[str, ...]:
+        """Names of the terms that are no noises, a slowly varying load included; shapes only where determined."""
+        walks = ["load_walk"] if "load_walk" in self.solution.names else []
+        reported = {quantity.name for quantity in self.quantities}
+        left_out = {*NOISES, *(name for name in SHAPES if name not in reported)}
+        return (*(name for name in self.solution.names if name not in left_out), *walks)
+
+    def quantity(self, name: str) -> Quantity:
+        """Return a quantity by its name."""
+        return next(quantity for quantity in self.quantities if quantity.name == name)
+
+
+def identify_operation(recordings: Sequence[Recording], *, most: int = MOST) -> OperationFit:
+    """Fit one motor to recordings of it at work, jointly.
+
+    Args:
+        recordings: with voltage, current and, where measured, speed.
+        most: number of samples beyond which neighbours are averaged.
+
+    Raises:
+        UnusableError: they cannot be used together, or no motor explains them.
+    """
+    return identify_record(from_recordings(recordings, most=most))
+
+
+def without_lines(solution: Solution, record: Record) -> tuple[Record, tuple[PeriodicLine, ...]]:
+    """Take the lines off a record's current; return it with them. Each recording has its own.
+
+    A line that the voltage has too is the motor's answer to it, and stays.
+
+    Args:
+        solution: its fit.
+        record: what was fitted.
+    """
+    if record.seen[0] == 0.0:
+        return record, ()
+    free = solution.free[1]
+    residual, readings = np.nan_to_num(record.readings[:, 0] - free[:, 2]), record.readings.copy()
+    begins, every = np.flatnonzero(record.marks == ekf.BEGIN), []
+    for first, end in zip(begins, [*begins[1:], len(residual)], strict=True):
+        some, time_s = slice(first, end), record.dt_s * np.arange(end - first)
+        own = [line.frequency_hz for line in periodic_lines(record.voltage_v[some], time_s)]
+        beside = _SAME_LINE / (record.dt_s * (end - first))
+        for line in constant_lines(residual[some], time_s, np.abs(free[some, 3])):
+            if all(abs(line.frequency_hz - frequency_hz) > beside for frequency_hz in own):
+                readings[some, 0] -= line.current_a(time_s)
+                every.append(line)
+    return replace(record, readings=readings) if every else record, tuple(every)
+
+
+@on_one_thread
+def identify_record(record: Record) -> OperationFit:
+    """Fit one motor to a record.
+
+    Raises:
+        UnusableError: no motor explains it.
+    """
+    solution = fit(record)
+    record, lines = without_lines(solution, record)
+    # Its terms may have stood for the lines.
+    operation = _operation_fit(fit(record) if lines else solution, lines)
+    if operation.r2_current is not None and operation.r2_current < _CURRENT_TELLS and record.seen[1]:
+        operation = _operation_fit(fit(record.only(current=False, speed=True)))
+    _refuse_poor_fit(operation)
+    return operation
+
+
+def _refuse_poor_fit(operation: OperationFit) -> None:
+    for n, (name, r2) in enumerate((("current", operation.r2_current), ("speed", operation.r2_speed))):
+        if r2 is None:
+            continue
+        least = _POOR * explainable(operation.record.readings[operation.record.told[:, n], n])
+        if not r2 >= least:
+            raise UnusableError(
+                f"no motor model explains the {name} (R2 {r2:.2f}; at least {least:.2g} is needed)"
+            )
+    determined = {quantity.name: quantity.value for quantity in operation.quantities if quantity.is_told}
+    names = [quantity.name for quantity in operation.quantities]
+    needed = [name for name in names if name.split("/")[0] in ("R", "K", "J", "R J")]
+    untold = ", ".join(name for name in needed if name not in determined)
+    # Without a recorded speed, which is what R leaves of the voltage, all else rests on R and J/K^2.
+    if not (any if operation.record.seen[1] else all)(name in determined for name in needed):
+        raise UnusableError(f"the record does not determine {untold}: {_UNFIT}")
+    if determined.get("L", 0.0) > _LONGEST_LAG_S * determined.get("R", math.inf):
+        raise UnusableError(f"L/R of {determined['L'] / determined['R']:.3g} s is that of no motor: {_UNFIT}")
+
+
+def _operation_fit(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> OperationFit:
+    record = solution.problem.record
+    spread = covariance(solution)
+    filtered, free = solution.free
+    r2 = solution.explained()
+    quantities = tuple(_quantities(solution, spread))
+    return OperationFit(
+        record=record,
+        solution=solution,
+        quantities=quantities,
+        covariance=spread,
+        expected=free[:, 2:4],
+        warmth_k=filtered[:, 5],
+        r2_current=r2[0],
+        r2_speed=r2[1],
+        notes=tuple(_notes(record, solution, quantities, lines)),
+    )
+
+
+def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
+    """Return each unknown with its interval, and the whole drag at the effective speed."""
+    problem, theta = solution.problem, solution.theta
+    chosen = motor_unknowns(problem)
+    names, units = _names_and_units(problem.record)
+    quantities = []
+    for row, n in enumerate(chosen):
+        term, sd = problem.free[n], math.sqrt(max(spread[row, row], 0.0))
+        value, half = term.value(theta[n]), _TWO_SIDED * sd
+        if term.is_log:
+            low, high = value * math.exp(-min(half, 300.0)), value * math.exp(min(half, 300.0))
+            relative = sd
+        else:
+            low, high = value - half * term.unit, value + half * term.unit
+            low = max(low, 0.0) if term.low >= 0.0 else low
+            relative = sd * term.unit / max(abs(value), 1e-300)
+        is_told = bool(relative < _UNTOLD)
+        name = term.name
+        if name in SHAPES and not is_told:
+            continue
+        quantities.append(Quantity(names.get(name, name), value, low, high, units[name], is_told, relative))
+    drag = _drag(solution, spread, names.get("drag", "drag"), units["drag"])
+    return [*quantities, drag] if drag else quantities
+
+
+def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quantity | None:
+    """Return the friction torque at the effective speed, B w + Tc (+ c w^2): known better than its parts."""
+    problem, values = solution.problem, solution.values
+    if "B" not in problem.names:
+        return None
+    speed = solution.free[0][:, 3]
+    w = float(np.sqrt(np.mean(speed**2)))
+    slopes = {"B": w, "coulomb": 1.0, "load_square": w * w}
+    terms_ = [problem.free[n] for n in motor_unknowns(problem)]
+    gradient = np.array([slopes.get(term.name, 0.0) * term.unit for term in terms_])
+    value = values[index.B] * w + values[index.COULOMB] + values[index.SQUARE] * w * w
+    sd = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
+    half = _TWO_SIDED * sd
+    relative = sd / max(value, 1e-300)
+    return Quantity(
+        name, value, max(value - half, 0.0), value + half, unit, bool(relative < _UNTOLD), relative
+    )
+
+
+def _names_and_units(record: Record) -> tuple[dict[str, str], dict[str, str]]:
+    if record.seen.all():
+        return {}, _UNITS_FULL
+    if record.seen[0]:
+        return _NAMES_CURRENT, _UNITS_CURRENT
+    return {"J": "R J", "coulomb": "R coulomb"}, _UNITS_SPEED
+
+
+def _notes(
+    record: Record,
+    solution: Solution,
+    quantities: tuple[Quantity, ...],
+    lines: tuple[PeriodicLine, ...],
+) -> list[str]:
+    values, sentences = solution.values, []
+    if record.seen[0] and not record.seen[1]:
+        sentences.append("the current alone tells J/K^2 and B/K^2, not K, J and B")
+    if not record.seen[0]:
+        gain, lag = 1.0 / values[index.K], values[index.J] / values[index.K] ** 2
+        dead = values[index.COULOMB] / values[index.K]
+        sentences.append(
+            f"the current tells nothing: R, L and the friction are not determined; the speed alone gives"
+            f" {gain:.4g} rad/s a volt, a dead voltage of {dead:.3g} V and a time constant of {lag:.3g} s"
+        )
+    untold = [
+        quantity.name
+        for quantity in quantities
+        if not quantity.is_told and quantity.name.split("/")[0] in ("R", "L", "K", "J", "B")
+    ]
+    if untold:
+        sentences.append(f"not determined by this record: {', '.join(untold)}")
+    if record.steps_seen < FEWEST_STEPS:
+        sentences.append(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
+    if lines:
+        loudest = max(lines, key=lambda line: line.amplitude_a)
+        where = f"{loudest.amplitude_a:.3g} A at {loudest.frequency_hz:.4g} Hz (or an alias of it)"
+        sentences.append(f"a ripple of {where} was taken off the current")
+    if record.averaged > 1:
+        sentences.append(f"{record.averaged} neighbouring samples were averaged into one")
+    if record.share < 1.0:
+        sentences.append(
+            f"{record.share:.0%} of the record were used, the stretches in which its voltage moves most"
+        )
+    return sentences

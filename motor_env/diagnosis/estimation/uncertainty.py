@@ -1,0 +1,276 @@
+"""How well the unknowns are known: Fisher information, residuals that are not white, terms that were left out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import fft
+
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.problem import WIDTHS, Problem, Solution, motor_unknowns
+from motor_env.diagnosis.estimation.score_tests import (
+    candidates,
+    quantisation_effects,
+    score_tests,
+    unmodelled_effects,
+)
+from motor_env.diagnosis.readers.noise import difference_noise
+from motor_env.motor.parameters import FloatArray
+
+_WIDEST = 1e3
+_ANYTHING_LOG_SD = 3.0
+_PARTS = 20  # of a record, whose scores are compared
+_HARDLY = 1e-3  # of what tells an unknown, beside the one part that tells it
+_DUST = 1e-6  # of the largest reading
+_NO_LESS = 1e-3  # of the squared error of a free model: the part that is not white is never none
+_BY_CHANCE = 4.0  # over the root of the number of samples: of the variance of white noise, by its differences
+_FOLLOWS = 0.15
+"""Share of the free run's error that may look like the unknowns; with it records of one motor agree within their
+intervals, see `benchmarks/repeatability.py`."""
+
+
+def information_covariance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """Return the covariance of the unknowns that are no noises (Cramer-Rao), shape (p, p), by their `secants`."""
+    base = problem.residuals(theta)
+    return _inverse(jacobian.T @ jacobian) * float(base @ base) / problem.count
+
+
+def secants(problem: Problem, theta: FloatArray) -> FloatArray:
+    """Return derivatives of the residuals, without the noises', over steps as wide as the unknowns are uncertain."""
+    chosen = motor_unknowns(problem)
+    base = problem.residuals(theta)
+    jacobian = problem.jacobian(theta, base, chosen)
+    for _ in range(2):
+        sd = np.sqrt(np.diag(_inverse(jacobian.T @ jacobian)) * float(base @ base) / problem.count)
+        steps = np.clip(sd, *WIDTHS)
+        jacobian = problem.secants(theta, chosen, steps)
+    return jacobian
+
+
+def covariance(best: Solution) -> FloatArray:
+    """Return the covariance of the unknowns that are no noises, with model error and the choice of terms.
+
+    A term that was left out counts with its posterior probability (Hoeting et al. 1999) under its usual size: it would
+    have moved the others, and left them less certain. Other optima count with theirs. So do `unmodelled_effects`,
+    `quantisation_effects`, and the model's error, in parts of the record and throughout.
+    """
+    problem, chosen = best.problem, motor_unknowns(best.problem)
+    white, rows = normalised(problem, best.theta, secants(problem, best.theta), chosen)
+    total, _ = sandwich(white, rows)
+    total += model_error(white, rows, total, states=free_run_states(best)) + _systematic_covariance(
+        best, chosen
+    )
+    for name, test in score_tests(best, problem.every, candidates(best)).items():
+        occam = test.sd / math.hypot(test.sd, problem.every[name].usual)
+        odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
+        weight, moves = odds / (1.0 + odds), test.moves[chosen]
+        total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
+    for test in unmodelled_effects(best):
+        # A size of 1 is believed; the record settles this share of it.
+        known = 1.0 / (1.0 + test.sd**2)
+        moves = test.moves[chosen]
+        total += ((known * test.value) ** 2 + 1.0 - known) * np.outer(moves, moves)
+    for test in quantisation_effects(best):
+        # It follows no law that the record could settle.
+        total += np.outer(test.moves[chosen], test.moves[chosen])
+    ahead = np.exp([0.5 * (best.misfit - misfit) for _, misfit in best.alternative_optima])
+    for share, (theta, _) in zip(ahead / (1.0 + ahead.sum()), best.alternative_optima, strict=True):
+        moved = (theta - best.theta)[chosen]
+        total += share * np.outer(moved, moved)
+    return total
+
+
+def _systematic_covariance(best: Solution, chosen: Sequence[int]) -> FloatArray:
+    """Return the covariance by the part of the free run's error that no number of samples averages away.
+
+    What no term says, as cogging, comes back whenever the motor moves alike, and looks like a part of what the terms
+    say. Innovations hide its size: a disturbing torque stands for it. White noise, which averages away, does not count.
+    """
+    problem, record = best.problem, best.problem.record
+    moved, steps = problem.steps(best.theta, chosen)
+    values = problem.values_each(np.vstack([best.theta, moved]))
+    shown, *others = record.predict_each(values, learn=False, load=best.free[0][:, 4])[0][:, :, 2:4]
+    information = np.diag([1.0 / min(problem.free[n].prior_sd, _WIDEST) ** 2 for n in chosen])
+    for channel, counted in enumerate(record.told.T):
+        if record.seen[channel] > 0.0:
+            left = (record.readings - shown)[counted, channel]
+            slopes = (np.array(others) - shown)[:, counted, channel] / steps[:, None]
+            whole = float(np.mean(left**2)) + (_DUST * record.peaks[1 + channel]) ** 2
+            white = difference_noise(left) ** 2 * (1.0 + _BY_CHANCE / math.sqrt(len(left)))
+            size = max(whole - white, _NO_LESS * whole)
+            information += slopes @ slopes.T / (len(left) * size * _FOLLOWS**2)
+    return _inverse(information)
+
+
+def normalised(
+    problem: Problem, theta: FloatArray, jacobian: FloatArray, chosen: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Return residuals in units of their size, and their derivatives: what `sandwich` and `model_error` take.
+
+    Args:
+        problem: what was fitted.
+        theta: its best unknowns.
+        jacobian: derivatives of the residuals, one column for each chosen unknown.
+        chosen: their positions.
+
+    Returns:
+        Residuals of the samples, shape (n, channels); the derivatives of all residuals, and rows of a weak prior: a
+        standard deviation of 3 for a logarithm that no sample tells, and for the onset half an interval and half the
+        current's rise, as the fit's slope at one place does not see the bounds between two samples.
+    """
+    base, channels = problem.residuals(theta), int(problem.record.seen.sum())
+    size, n = math.sqrt(float(base @ base) / problem.count), len(problem.record.voltage_v)
+    rows = np.concatenate([jacobian / size, np.diag(1.0 / _weak_prior_sd(problem, theta)[chosen])])
+    return (base / size)[: n * channels].reshape(n, channels), rows
+
+
+def sandwich(
+    white: FloatArray, rows: FloatArray, *, begin: int = 0, level: float = 0.0
+) -> tuple[FloatArray, tuple[float, ...]]:
+    """Return the covariance of unknowns under autocorrelated residuals, and independent samples by channel.
+
+    Each channel's residual is a stationary series with its autocovariance up to a tenth of the record (Bartlett window;
+    Newey & West 1987), and with no less power at any frequency than its white noise.
+
+    Args:
+        white: residuals, see `normalised`.
+        rows: their derivatives.
+        begin: first sample of the running motor.
+        level: standard deviation of a constant error of the running motor, over the noise.
+    """
+    n, channels = white.shape
+    bread = _inverse(rows.T @ rows)
+    meat = rows[n * channels :].T @ rows[n * channels :]  # what is believed beforehand
+    independent = []
+    for channel in range(channels):
+        series, part = white[:, channel] - white[:, channel].mean(), rows[channel : n * channels : channels]
+        taper = _autocovariance(series, max(n // 10, 2))
+        meat += part.T @ _coloured_product(part, taper, difference_noise(series[begin:]))
+        inflation = max(float(2.0 * np.sum(taper) - taper[0]) / max(float(taper[0]), 1e-300), 1.0)
+        independent.append(n / inflation)
+    moved = level * rows[begin * channels : n * channels : channels].sum(axis=0)
+    meat += np.outer(moved, moved)
+    # Rounding may leave a direction that hardly matters a negative variance.
+    variances, vectors = np.linalg.eigh(0.5 * (meat + meat.T))
+    spread = bread @ (vectors * np.sqrt(np.maximum(variances, 0.0)))
+    return spread @ spread.T, tuple(independent)
+
+
+def free_run_states(best: Solution) -> FloatArray:
+    """Return current and speed of the free run, and their slopes, shape (n, 4): what a model's error may follow."""
+    states = best.free[1][:, 2:4]
+    return np.concatenate([states, np.gradient(states, axis=0)], axis=1)
+
+
+def model_error(white: FloatArray, rows: FloatArray, series: FloatArray, *, states: FloatArray) -> FloatArray:
+    """Return the covariance that a model's error adds to that of a stationary series, shape (p, p).
+
+    A model that is wrong somewhere, as where a supply rises, errs most in samples that tell most, which no stationary
+    series shows. The scores of twenty parts of the record do: their scatter beyond the series' counts. They are scaled
+    to scatter by the information where the model is right (Bell & McCaffrey 2002); all parts have the same sum of
+    leverages.
+
+    Under a periodic command all parts in time err alike. So the record is also cut by its states: into twenty parts of
+    small to large current, and so on. Of these only what exceeds chance counts, for p unknowns (Marchenko & Pastur
+    1967).
+
+    Args:
+        white: residuals, see `normalised`.
+        rows: their derivatives.
+        series: covariance under a stationary series, see `sandwich`.
+        states: what the record is cut by beside time, shape (n, m).
+    """
+    n, channels = white.shape
+    values, axes = np.linalg.eigh(_inverse(rows.T @ rows))
+    root = axes * np.sqrt(np.maximum(values, 0.0))  # unknowns of which the record tells all equally much
+    shares = rows[: n * channels].reshape(n, channels, -1) @ root
+    leverage = np.einsum("ncp,ncp->n", shares, shares)
+    total, by_chance = series, (1.0 + math.sqrt(len(series) / _PARTS)) ** 2
+    # At rest, only rounding tells states apart: they keep their order in time, so that every machine says the same.
+    levels = np.round(states / np.maximum(np.ptp(states, axis=0), 1e-300), 6)
+    orders = [np.arange(n), *np.argsort(levels.T, kind="stable")]
+    for order, usual in zip(orders, [1.0] + [by_chance] * (len(orders) - 1), strict=True):
+        cumulated = np.cumsum(leverage[order])
+        parts = np.minimum((_PARTS * cumulated / max(float(cumulated[-1]), 1e-300)).astype(int), _PARTS - 1)
+        moved = np.zeros_like(series)
+        for part in np.unique(parts):
+            of = order[parts == part]
+            some = shares[of].reshape(-1, len(series))
+            leverages, across = np.linalg.eigh(some.T @ some)
+            score = across.T @ (some.T @ white[of].ravel())
+            move = root @ (across @ (score / np.sqrt(np.maximum(1.0 - leverages, _HARDLY))))
+            moved += np.outer(move, move)
+        size = np.maximum(np.diag(total), np.diag(moved))
+        total = total + excess_covariance(total + _HARDLY**2 * np.diag(size), moved, usual)
+    return total - series
+
+
+def excess_covariance(known: FloatArray, covariance: FloatArray, usual: float = 1.0) -> FloatArray:
+    """Return the excess of a covariance over `usual` times a known one, shape (n, n)."""
+    root = np.linalg.cholesky(known)
+    inverse = np.linalg.inv(root)
+    sizes, axes = np.linalg.eigh(inverse @ covariance @ inverse.T)
+    more = root @ axes * np.sqrt(np.maximum(sizes - usual, 0.0))
+    return np.asarray(more @ more.T, dtype=np.float64)
+
+
+def _weak_prior_sd(problem: Problem, theta: FloatArray) -> FloatArray:
+    """Return the weak prior's standard deviation of each unknown, in its unit."""
+    values = problem.values(theta)
+    rise = values[index.L] / values[index.R] + values[index.RISE] + values[index.LAG_I]
+    late = 0.5 * (1.0 + rise / problem.record.dt_s)
+    deviations = []
+    for term, value in zip(problem.free, theta.tolist(), strict=True):
+        if term.place in (index.ONSET, index.DELAY):
+            deviations.append(late)
+        elif term.prior_sd < math.inf:
+            deviations.append(math.inf)
+        else:
+            deviations.append(_ANYTHING_LOG_SD * (1.0 if term.is_log else max(abs(value), term.usual)))
+    return np.array(deviations)
+
+
+def _autocovariance(series: FloatArray, lags: int) -> FloatArray:
+    """Return the autocovariance of samples 0, 1, ... apart, under a Bartlett window, shape (lags,)."""
+    n = len(series)
+    length = fft.next_fast_len(2 * n - 1, real=True)
+    spectrum = fft.rfft(series, length) * fft.rfft(series[::-1], length)
+    full: FloatArray = fft.irfft(spectrum, length)[n - 1 : n - 1 + lags] / n
+    return full * (1.0 - np.arange(lags) / lags)
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Invert an information matrix; an unknown direction gets a finite, hopeless variance."""
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, axes = np.linalg.eigh(information / np.outer(size, size))
+    inverse = (axes / np.maximum(values, 1e-10)) @ axes.T
+    shown = np.maximum(size, np.sqrt(np.diag(inverse)) / _WIDEST)  # no standard deviation beyond the widest
+    return np.asarray(inverse / np.outer(shown, shown))
+
+
+def _coloured_product(columns: FloatArray, covariance: FloatArray, noise: float) -> FloatArray:
+    """Return the covariance matrix of a stationary series times columns, shape (n, m).
+
+    A short series' spectrum scatters by a third at each frequency; power below the white noise is chance, and would
+    make a steady level look better known than its noise allows.
+
+    Args:
+        columns: shape (n, m).
+        covariance: of samples 0, 1, ... apart, shape (lags,).
+        noise: standard deviation of the white noise in it.
+    """
+    n, lags = len(columns), len(covariance)
+    size = n + 2 * lags
+    kernel = np.concatenate([covariance, np.zeros(size - 2 * lags + 1), covariance[:0:-1]])
+    spectrum = np.maximum(np.fft.rfft(kernel).real, noise**2)
+    out: FloatArray = np.fft.irfft(spectrum[:, None] * np.fft.rfft(columns, size, axis=0), size, axis=0)[:n]
+    return out
+
+
+def capped(covariance: FloatArray) -> FloatArray:
+    """Limit a covariance of logarithms to standard deviations of 10."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    out: FloatArray = (vectors * np.clip(values, 1e-12, 100.0)) @ vectors.T
+    return out

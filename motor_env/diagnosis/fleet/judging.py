@@ -1,0 +1,227 @@
+"""Judge each motor of a fleet by all others, and show the fleet: `motor-env diagnose --fleet`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from motor_env.common.console import ExitStatus, worst
+from motor_env.common.errors import InputError, require_options
+from motor_env.common.pages.html import render
+from motor_env.common.pages.svg import Axis, Chart
+from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.fleet.fits import Map
+from motor_env.diagnosis.fleet.initial_fit import Reading
+from motor_env.diagnosis.fleet.learning import LearnedFleet, learn_fleet
+from motor_env.diagnosis.fleet.population import HealthyPopulation
+from motor_env.diagnosis.fleet.unit import FleetUnit, UnitId
+from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.diagnosis.verdict.hypotheses import Difference
+from motor_env.diagnosis.verdict.judgement import Verdict
+from motor_env.diagnosis.verdict.scaling_errors import describe_scaling_errors, find_scaling_errors
+from motor_env.motor import identifiable
+
+_GAINS = 3  # of voltage, current and speed
+
+
+@dataclass(frozen=True, slots=True)
+class FleetDiagnosis:
+    """Verdicts on the motors of a fleet.
+
+    Attributes:
+        units: the motors, the oddest first.
+        quantities: that were compared.
+        false_alarm_rate: of each healthy motor.
+    """
+
+    units: tuple[FleetUnit, ...]
+    quantities: tuple[str, ...]
+    false_alarm_rate: float
+
+    @property
+    def status(self) -> ExitStatus:
+        """Return the exit status of the worst motor."""
+        return worst(unit.verdict.status for unit in self.units)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Build an object a motor, the oddest first."""
+        return [unit.to_json() for unit in self.units]
+
+    @property
+    def summary(self) -> str:
+        """Say how many are odd, and how many would be by chance."""
+        odd = sum(unit.verdict.is_fault for unit in self.units)
+        chance = self.false_alarm_rate * len(self.units)
+        stand, share = "stands" if odd == 1 else "stand", 1.0 / self.false_alarm_rate
+        return (
+            f"{odd} of {len(self.units)} motors {stand} out."
+            f" If all were healthy, about {chance:.1f} motors would stand out by chance (1 in {share:.0f})."
+        )
+
+    def __repr__(self) -> str:
+        return self.text()
+
+    def text(self) -> str:
+        """Print a table, the oddest motor first."""
+        width = max(len(unit.unit_id.name) for unit in self.units)
+        rows = [
+            f"{unit.unit_id.name:<{width}}  {unit.verdict:<12} {unit.shown_severity:>6}  {unit.shown}"
+            for unit in self.units
+        ]
+        return "\n".join([self.summary, *rows])
+
+    def page(self) -> str:
+        """Render a self-contained HTML page: a picture of the fleet, and the table."""
+        return render(
+            "motor_env.diagnosis.fleet",
+            "fleet.html.j2",
+            title="A motor among its sisters",
+            summary=self.summary,
+            chart=picture(self.quantities, self.units),
+            units=self.units,
+        )
+
+
+def diagnose_fleet(
+    files: Sequence[Path],
+    *,
+    group: str | None = None,
+    reading: Reading | None = None,
+    false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE,
+    each: Map = map,
+    kept: Path | None = None,
+    progress: Callable[[Path], None] = lambda path: None,
+) -> FleetDiagnosis:
+    """Judge each motor of a fleet by all others; those of its own machine teach nothing about it.
+
+    Args:
+        files: recordings, see `learn_fleet`.
+        group: regular expression that reads machine, motor and repeat from a file's name.
+        reading: how the files are read.
+        false_alarm_rate: how often a healthy motor may be called faulty.
+        each: what maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
+        kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
+        progress: told each file, twice.
+
+    Raises:
+        InputError: too few motors, or records that cannot be used together.
+    """
+    require_options(false_alarm_rate=false_alarm_rate)
+    fleet = learn_fleet(files, group=group, reading=reading, each=each, kept=kept, progress=progress)
+    machines = list(dict.fromkeys(unit_id.machine for unit_id in fleet.unit_of.values()))
+    job = partial(_diagnose_machine, fleet, false_alarm_rate)
+    judged = [unit for units in each(job, machines) for unit in units]
+    judged.sort(key=lambda unit: (not unit.verdict.is_fault, 0.0 if unit.p_value is None else unit.p_value))
+    return FleetDiagnosis(tuple(judged), fleet.fits.quantities, false_alarm_rate)
+
+
+def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[FleetUnit]:
+    """Judge the motors of a machine by those of all others."""
+    core, units = fleet.core_without(machine), []
+    for unit_id in dict.fromkeys(each for each in fleet.unit_of.values() if each.machine == machine):
+        if unit_id.motor not in fleet.positions:
+            raise InputError(
+                f"no motor of the place {unit_id.motor} can be fitted: nothing judges {unit_id.name}"
+            )
+        own = [path for path, each in fleet.unit_of.items() if each == unit_id]
+        motor = fleet.motor("a healthy one", core, unit_id.motor)
+        records = {
+            path: diagnose(path, motor, false_alarm_rate=rate / len(own), **fleet.fits.reading.options)
+            for path in own
+        }
+        units.append(
+            FleetUnit(unit_id, records, fleet.fits.quantities, _difference_from(fleet, core, unit_id))
+        )
+    alike = common_cause(
+        [unit.difference for unit in units if unit.difference is not None], fleet.fits.quantities, rate
+    )
+    return [replace(unit, common_cause=alike) for unit in units]
+
+
+def common_cause(differences: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
+    """Find one sensor or supply at a wrong scale that the motors of a machine share; empty for nothing.
+
+    Each motor may be too little off by itself.
+    """
+    if len(differences) < 2:
+        return ""
+    deviations = np.mean([each.log_ratios for each in differences], axis=0)
+    spread = np.mean([each.covariance for each in differences], axis=0) / len(differences)
+    limit = -float(stdtrit(differences[0].degrees_of_freedom, rate / (2.0 * _GAINS)))
+    mean = replace(differences[0], log_ratios=deviations, covariance=spread)
+    return describe_scaling_errors(
+        [scale for scale in find_scaling_errors(mean, names, limit, rate) if scale.gain is not None]
+    )
+
+
+def _difference_from(fleet: LearnedFleet, core: HealthyPopulation, unit_id: UnitId) -> Difference | None:
+    """Compare a motor with the population; None without a fit."""
+    if unit_id not in fleet.motors:
+        return None
+    number = fleet.motors.index(unit_id)
+    kept = np.array([n == number for n in range(len(fleet.motors))])
+    logs, errors = fleet.records.subset(kept).means(core.within)
+    at = fleet.positions.index(unit_id.motor)
+    return Difference(
+        logs[0] - core.centres[at],
+        core.next_motor(at) + errors[0],
+        identifiable.matrix(fleet.fits.quantities),
+        core.degrees_of_freedom,
+    )
+
+
+_FARTHEST = 6.0  # standard deviations that the picture shows
+_USUAL = 2.0
+_JITTER = (0.0, 0.12, -0.12, 0.06, -0.06, 0.18, -0.18)  # of a column: dots that would hide each other
+_ROW = 13.0  # pixels between two names
+
+
+def picture(names: Sequence[str], units: Sequence[FleetUnit]) -> str:
+    """Draw the fleet: each quantity's column has a dot a motor, and the names of odd ones.
+
+    Heights are standard deviations of another healthy motor.
+
+    Args:
+        names: of the quantities.
+        units: the motors, the oddest first.
+    """
+    columns = Axis("", -0.5, len(names) - 0.5)
+    rows = Axis("", -_FARTHEST, _FARTHEST, (-6, -4, -2, 0, 2, 4, 6), number="{:g}".format)
+    chart = Chart(
+        columns,
+        rows,
+        size=(480.0, 380.0),  # so narrow that its names can be read on a phone
+        margins=(36.0, 72.0, 14.0, 34.0),
+        label=f"{len(units)} motors, each quantity in standard deviations from the healthy core",
+    )
+    top, height = chart.y(_USUAL), chart.y(-_USUAL) - chart.y(_USUAL)
+    chart.shape("rect", "usual", x=chart.left, y=top, width=chart.right - chart.left, height=height)
+    chart.y_numbers()
+    named: dict[int, list[tuple[float, float, str]]] = {}
+    for unit_id, unit in enumerate(reversed(units)):  # the oddest last, on top
+        # What a failed sensor has read tells nothing of the motor.
+        is_odd = unit.verdict.is_fault and unit.verdict is not Verdict.SENSOR
+        for column, name in enumerate(names):
+            if name not in unit.deviations:
+                continue
+            deviations = unit.deviations[name]
+            at = (chart.x(column + _JITTER[unit_id % len(_JITTER)]), chart.y(deviations))
+            title = f"{unit.unit_id.name}: {name} {unit.ratios[name] - 1.0:+.0%}"
+            chart.dot("odd" if is_odd else "sister", at, 5.0 if is_odd else 3.5, title)
+            if is_odd and abs(deviations) > _USUAL:
+                named.setdefault(column, []).append((at[1] + 4.0, at[0] + 9.0, unit.unit_id.name))
+    for labels in named.values():
+        below = -math.inf
+        for line, x, label in sorted(labels):
+            below = max(line, below + _ROW)
+            chart.text((x, below), label, "name")
+    for column, name in enumerate(names):
+        chart.text((chart.x(column), chart.bottom + 22.0), name, "tick", "middle")
+    return chart.svg()

@@ -1,0 +1,236 @@
+"""Learn a healthy motor from a fleet: `motor-env commission --fleet`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from motor_env.common.errors import InputError, require_several
+from motor_env.diagnosis.commission import interval_lines, intervals
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.fleet.fits import FleetFits, Map, fit_fleet
+from motor_env.diagnosis.fleet.initial_fit import Reading
+from motor_env.diagnosis.fleet.population import HealthyPopulation, Motors, learn_population
+from motor_env.diagnosis.fleet.unit import UnitId, unit_ids
+from motor_env.diagnosis.operation.windows import viscous
+from motor_env.diagnosis.verdict.healthy_spread import START_SPREAD, learn_starts
+from motor_env.diagnosis.verdict.motor_files import motor_of_windows, to_motor
+from motor_env.diagnosis.verdict.scaling_errors import POWERS
+from motor_env.motor import identifiable
+from motor_env.motor.data_sheet import Motor, Tolerance
+from motor_env.motor.faults import motor_kinds
+from motor_env.motor.healthy import Fleet, Healthy, Windows
+from motor_env.motor.parameters import FloatArray
+
+FEWEST_UNITS = 5
+PRIOR_SPREAD = Tolerance(
+    supply=0.01,
+    resistance=0.075,
+    inductance=0.10,
+    constants=0.03,
+    inertia=0.075,
+    friction=0.35,
+    temperature_k=0.0,
+)
+"""Spread from motor to motor that is believed before any is seen: about that of a fleet of real gear motors (see
+docs/fleet.md). One that is too small costs false alarms in small fleets, one that is too large costs power."""
+_MANY = 500
+_GAINS = ("voltage", "current", "speed")
+_NONE = 1e-6
+_LEAST_PROBABILITY = (
+    0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
+)
+
+
+@dataclass(frozen=True)
+class LearnedFleet:
+    """A fleet, and the healthy population of its motors.
+
+    Attributes:
+        fits: of its records.
+        unit_of: motor of each file, with or without a fit.
+    """
+
+    fits: FleetFits
+    unit_of: dict[Path, UnitId]
+
+    @cached_property
+    def motors(self) -> list[UnitId]:
+        """List the motors whose records were fitted."""
+        return list(dict.fromkeys(self.unit_of[path] for path in self.fits.by_file))
+
+    @property
+    def positions(self) -> list[str]:
+        """List the places in a machine, such as left and right."""
+        return sorted({motor.motor for motor in self.motors})
+
+    @cached_property
+    def records(self) -> Motors:
+        """Collect what the records tell."""
+        exponents, by_file = identifiable.matrix(self.fits.quantities), self.fits.by_file
+        return Motors(
+            np.array([fit.log_values for fit in by_file.values()]),
+            np.array([fit.log_covariance for fit in by_file.values()]),
+            np.array([self.motors.index(self.unit_of[path]) for path in by_file]),
+            np.array([self.positions.index(motor.motor) for motor in self.motors]),
+            exponents @ identifiable.tolerance_covariance(PRIOR_SPREAD) @ exponents.T
+            + _regulariser(exponents),
+            np.eye(len(exponents)) * START_SPREAD**2,
+            directions_of(exponents),
+        )
+
+    @cached_property
+    def core(self) -> HealthyPopulation:
+        """Learn the healthy population of all motors."""
+        return learn_population(self.records)
+
+    def core_without(self, machine: str) -> HealthyPopulation:
+        """Learn that of all other machines."""
+        if len({motor.machine for motor in self.motors}) > _MANY:
+            return self.core  # one machine of so many moves nothing
+        kept = np.array([motor.machine != machine for motor in self.motors])
+        others = self.records.subset(kept)
+        if len(np.unique(others.position)) < len(self.positions):
+            raise InputError(f"no other machine than {machine} has a motor in the same place")
+        return learn_population(others, begin=self.core)
+
+    def motor(self, name: str, core: HealthyPopulation | None = None, position: str | None = None) -> Motor:
+        """Make the healthy motor, as motor files hold it.
+
+        Args:
+            name: of it.
+            core: population; that of all motors unless given.
+            position: place in the machine; without it, a motor of any place.
+        """
+        healthy = self._healthy(self.core if core is None else core, position)
+        if self.fits.windows is not None:
+            volts = (self.fits.windows.peaks or (None,))[0]
+            return replace(motor_of_windows(healthy, name), nominal_voltage_v=volts)
+        return to_motor(self._healthy_starts, name, healthy=healthy)
+
+    def _healthy(self, core: HealthyPopulation, position: str | None = None) -> Healthy:
+        """Predict another healthy motor."""
+        centre, covariance = self._predictive(core, position)
+        count = len(core.probability)
+        return Healthy(
+            count,
+            core.degrees_of_freedom,
+            self.fits.quantities,
+            np.exp(centre),
+            covariance,
+            0.0,
+            windows=None if self.fits.windows is None else at_centre(self.fits.windows, centre),
+            starts=None if self.fits.windows is not None else learn_starts(self._healthy_starts).starts,
+            fleet=Fleet(count, core.within),
+        )
+
+    @cached_property
+    def _healthy_starts(self) -> list[Identified]:
+        """List the starts of motors that seem healthy."""
+        pairs = zip(self.fits.by_file.values(), self.core.probability[self.records.motor], strict=True)
+        return [fit for fit, sure in pairs if isinstance(fit, Identified) and sure > _LEAST_PROBABILITY]
+
+    def _predictive(self, core: HealthyPopulation, position: str | None) -> tuple[FloatArray, FloatArray]:
+        """Return centre and covariance of another healthy motor's record."""
+        if position is not None:
+            at = self.positions.index(position)
+            return core.centres[at], core.next_motor(at) + core.within
+        centre, off = core.centres.mean(axis=0), core.centres - core.centres.mean(axis=0)
+        apart = off.T @ off / max(len(off) - 1, 1)
+        return centre, core.between + core.centre_covariances.mean(axis=0) + apart + core.within
+
+    def text(self, rate: float) -> str:
+        """Say what was learned, with the interval of the next healthy motor."""
+        healthy, freedom = self._healthy(self.core), self.core.degrees_of_freedom
+        sick = int(np.sum(self.core.probability < _LEAST_PROBABILITY))
+        seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
+        lines = [
+            f"{len(self.motors)} motors with {len(self.fits.by_file)} records; {sick} of them {seem} nothing",
+            f"interval of the next healthy motor ({1.0 - rate:.0%}, Student t, {freedom:.0f} degrees)",
+            *interval_lines(intervals(healthy, healthy.log_covariance, rate)),
+            *self._positions(),
+            *self.fits.read,
+            *(f"  not used: {path} ({reason})" for path, reason in self.fits.failures.items()),
+        ]
+        return "\n".join(lines)
+
+    def _positions(self) -> list[str]:
+        if len(self.positions) < 2:
+            return []
+        off = np.expm1(self.core.centres - self.core.centres.mean(axis=0))
+        return [
+            f"  {position}: "
+            + ", ".join(
+                f"{name} {change:+.0%}"
+                for name, change in zip(self.fits.quantities, row.tolist(), strict=True)
+            )
+            for position, row in zip(self.positions, off, strict=True)
+        ]
+
+
+def directions_of(exponents: FloatArray) -> FloatArray:
+    """List the directions in which faults and gains of sensors move quantities, shape (m, p).
+
+    Args:
+        exponents: of (R, L, K, J, B, V) in each quantity, shape (p, 6).
+    """
+    gains = [
+        exponents @ [POWERS[column].get(name, 0.0) for name in identifiable.PARAMETERS] for column in _GAINS
+    ]
+    faults = [identifiable.visible_direction(kind, exponents) for kind in motor_kinds()]
+    return np.array([direction for direction in (*gains, *faults) if np.linalg.norm(direction) > _NONE])
+
+
+def _regulariser(exponents: FloatArray) -> FloatArray:
+    """Return a covariance that lets quantities which share their parameters have an inverse."""
+    return np.eye(len(exponents)) * 1e-4**2
+
+
+def at_centre(windows: Windows, centre: FloatArray) -> Windows:
+    """Set the windows' parameters to logarithms of R, K, J and the drag over the speed."""
+    known = windows.physical.copy()
+    drag = math.exp(centre[3]) / viscous(known, windows.speed_rad_s)
+    known[[places.R, places.K, places.J]] = np.exp(centre[:3])
+    known[[places.B, places.COULOMB]] *= drag
+    return replace(windows, physical=known)
+
+
+def learn_fleet(
+    files: Sequence[Path],
+    *,
+    group: str | None = None,
+    reading: Reading | None = None,
+    each: Map = map,
+    kept: Path | None = None,
+    progress: Callable[[Path], None] = lambda path: None,
+) -> LearnedFleet:
+    """Learn a healthy motor from motors of one make, of which some may be sick.
+
+    Args:
+        files: recordings; each of another motor, unless names tell otherwise.
+        group: regular expression that reads machine, motor and repeat from a file's name, see `unit_ids`.
+        reading: how the files are read.
+        each: what maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
+        kept: file that keeps first fits, so that a stopped run goes on.
+        progress: told each file, twice.
+
+    Raises:
+        InputError: too few motors, or records that cannot be used together.
+    """
+    require_several("files", files, (str, Path))
+    files = [Path(path) for path in files]
+    if len({path.resolve() for path in files}) < len(files):
+        raise InputError("a record of the fleet is given twice: it would count as two motors")
+    every = dict(zip(files, unit_ids(files, group), strict=True))
+    fits = fit_fleet(files, reading or Reading(), each=each, kept=kept, progress=progress)
+    learned = LearnedFleet(fits, every)
+    count = len(learned.motors)
+    if count < FEWEST_UNITS:
+        raise InputError(f"a fleet needs at least {FEWEST_UNITS} motors that can be fitted, got {count}")
+    return learned

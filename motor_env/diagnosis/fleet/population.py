@@ -1,0 +1,273 @@
+"""Learn where the healthy core of a population of motors lies and how far it scatters, while sick ones are in it.
+
+Each motor's logarithms are those of its core, off by what differs from motor to motor; each record is off again by what
+differs from record to record, and by its fit's own error. A motor is of the core, or sick: off along one quantity,
+along the direction of a fault or gain, or along all (a contaminated normal distribution; Tukey 1960). Expectation and
+maximisation give each motor its probability of being of the core (Dempster, Laird & Rubin 1977). Motors are judged by
+the core alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from motor_env.diagnosis.verdict.healthy_spread import PRIOR_WEIGHT
+from motor_env.motor.parameters import FloatArray
+
+_SICK_SPREAD = 10.0  # of a sick motor, over what is believed of healthy ones
+_INITIAL_SHARE = 0.75  # of the motors, from which the core grows
+_STEPS = 20
+_SICK, _SICK_OF = 1.0, 10.0  # prior: one motor in ten
+_MAD = 1.4826  # of a normal distribution
+_MOST_WITHIN = 0.8  # of the variance of another motor's record
+_ROUNDS, _CONVERGED = 200, 1e-6
+
+
+@dataclass(frozen=True)
+class Motors:
+    """Records of several motors: all their quantities.
+
+    Attributes:
+        logs: logarithms that each record tells, shape (n_records, p).
+        errors: their covariance by the fit, shape (n_records, p, p).
+        motor: number of each record's motor, 0 to n_motors - 1, shape (n_records,).
+        position: number of each motor's place in its machine, such as left or right, shape (n_motors,).
+        between, within: covariance from motor to motor, and from record to record of one motor, as believed before any
+            is seen, shape (p, p).
+        directions: in which faults move several quantities at once, shape (m, p); each moves alone in any case.
+    """
+
+    logs: FloatArray
+    errors: FloatArray
+    motor: NDArray[np.intp]
+    position: NDArray[np.intp]
+    between: FloatArray
+    within: FloatArray
+    directions: FloatArray | None = None
+
+    @cached_property
+    def sick(self) -> list[FloatArray]:
+        """List what sick motors scatter by in addition: along one direction each, and along all, shape (p, p) each."""
+        p = len(self.between)
+        axes = np.eye(p) if self.directions is None else np.vstack([np.eye(p), self.directions])
+        inverse = np.linalg.inv(self.between)
+        sizes = _SICK_SPREAD**2 / np.einsum("np,pq,nq->n", axes, inverse, axes)
+        along = [size * np.outer(axis, axis) for size, axis in zip(sizes.tolist(), axes, strict=True)]
+        return [*along, _SICK_SPREAD**2 * np.diag(self.between.diagonal())]
+
+    def subset(self, kept: NDArray[np.bool_]) -> Motors:
+        """Select motors by `kept`, shape (n_motors,)."""
+        records = kept[self.motor]
+        number = np.cumsum(kept) - 1
+        return replace(
+            self,
+            logs=self.logs[records],
+            errors=self.errors[records],
+            motor=number[self.motor[records]],
+            position=self.position[kept],
+        )
+
+    def within_covariance(self) -> FloatArray:
+        """Estimate the covariance from record to record of one motor, by those that are repeated, shape (p, p).
+
+        The median of their deviations counts: a record may be wrong, and few motors are repeated.
+        """
+        residual, freedom = [], 0
+        for motor in np.flatnonzero(np.bincount(self.motor) > 1):
+            own = self.logs[self.motor == motor]
+            residual.append((own - own.mean(axis=0)) * math.sqrt(len(own) / (len(own) - 1.0)))
+            freedom += len(own) - 1
+        if not residual:
+            return self.within
+        error = np.median(self.errors.diagonal(axis1=1, axis2=2), axis=0)
+        variance = np.maximum(
+            np.square(_MAD * np.median(np.abs(np.concatenate(residual)), axis=0)) - error, 0.0
+        )
+        return (freedom * np.diag(variance) + PRIOR_WEIGHT * self.within) / (freedom + PRIOR_WEIGHT)
+
+    def means(self, within: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Average each motor's logarithms; with their covariance, shapes (n_motors, p) and (n_motors, p, p).
+
+        Args:
+            within: covariance from record to record, shape (p, p).
+        """
+        count, p = len(self.position), self.logs.shape[1]
+        weights = np.linalg.inv(within + self.errors)
+        information, pulled = np.zeros((count, p, p)), np.zeros((count, p))
+        np.add.at(information, self.motor, weights)
+        np.add.at(pulled, self.motor, np.einsum("npq,nq->np", weights, self.logs))
+        covariance: FloatArray = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        own: FloatArray = np.einsum("npq,nq->np", covariance, pulled)
+        return own, covariance
+
+
+@dataclass(frozen=True, slots=True)
+class HealthyPopulation:
+    """The healthy core of a population.
+
+    Attributes:
+        centres: mean logarithms for each position, shape (n_positions, p).
+        centre_covariances: their errors, shape (n_positions, p, p).
+        between: covariance from motor to motor, shape (p, p).
+        within: covariance from record to record of one motor, shape (p, p).
+        degrees_of_freedom: of their sum.
+        probability: that each motor is of the core, shape (n_motors,).
+    """
+
+    centres: FloatArray
+    centre_covariances: FloatArray
+    between: FloatArray
+    within: FloatArray
+    degrees_of_freedom: float
+    probability: FloatArray
+
+    def next_motor(self, position: int = 0) -> FloatArray:
+        """Return the covariance of another healthy motor, without errors of records, shape (p, p)."""
+        found: FloatArray = self.between + self.centre_covariances[position]
+        return found
+
+
+def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> HealthyPopulation:
+    """Find the healthy core of some motors.
+
+    Records are first taken by themselves, those of one motor together as one. How much of their spread is from record
+    to
+    record is told by the motors that are repeated.
+
+    Args:
+        motors: their records.
+        begin: a core of nearly the same motors, to begin from.
+    """
+    repeats = np.bincount(motors.motor)
+    share = 1.0 / repeats[motors.motor]
+    if begin is None:
+        # Few healthy motors have a tight half by chance; of many with sick ones among them the tight one is likelier.
+        ends = [
+            _run_em(first, motors, share)
+            for first in (_initial_population(motors), _initial_population(motors, 1.0))
+        ]
+        core, _ = max(ends, key=lambda end: end[1])
+    else:
+        at_once = replace(begin, between=begin.between + begin.within, probability=np.ones(len(motors.logs)))
+        core, _ = _run_em(at_once, motors, share)
+    total, of_records = core.between, motors.within_covariance()
+    within = np.diag(np.minimum(of_records.diagonal(), _MOST_WITHIN * total.diagonal()))
+    return replace(
+        core,
+        between=floor_covariance(total - within, (1.0 - _MOST_WITHIN) * total),
+        within=within,
+        probability=np.bincount(motors.motor, core.probability) / repeats,
+    )
+
+
+def _run_em(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
+    """Repeat rounds until they settle; also return the logarithm of the posterior probability."""
+    for _ in range(_ROUNDS):
+        before, (core, likelihood) = core, _em_round(core, motors, share)
+        moved = max(np.abs(core.centres - before.centres).max(), np.abs(core.between - before.between).max())
+        if moved < _CONVERGED:
+            break
+    log_size = float(np.linalg.slogdet(core.between)[1])
+    believed = (
+        -0.5 * PRIOR_WEIGHT * (log_size + float(np.trace(np.linalg.solve(core.between, motors.between))))
+    )
+    return core, likelihood + believed
+
+
+def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> HealthyPopulation:
+    """Choose a part of the records that lies closest together (Rousseeuw & Van Driessen 1999).
+
+    The spread of these is less than that of all of a normal distribution, by a known factor.
+    """
+    logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
+    (count, p), places = logs.shape, int(position.max()) + 1
+    kept = max(math.ceil(part * count), min(p + 1, count))
+    far = float(chi2.ppf(kept / count, p)) if kept < count else math.inf
+    factor = kept / count / float(chi2.cdf(far, p + 2))
+    error = np.median(errors.diagonal(axis1=1, axis2=2), axis=0)
+    healthy = np.ones(count)
+    centres = np.stack([np.median(logs[position == n], axis=0) for n in range(places)])
+    residual = logs - centres[position]
+    scatter = np.square(_MAD * np.median(np.abs(residual), axis=0)) - error
+    between = np.diag(np.maximum(scatter, motors.between.diagonal() / PRIOR_WEIGHT))
+    for _ in range(_STEPS):
+        distance = np.einsum("np,npq,nq->n", residual, np.linalg.inv(between + errors), residual)
+        before, healthy = healthy, np.zeros(count)
+        healthy[np.argsort(distance, kind="stable")[:kept]] = 1.0
+        if np.array_equal(before, healthy):
+            break
+        some = [(position == n) & (healthy > 0.0) for n in range(places)]
+        centres = np.stack(
+            [logs[members].mean(axis=0) if members.any() else centres[n] for n, members in enumerate(some)]
+        )
+        residual = logs - centres[position]
+        inside = residual[healthy > 0.0]
+        scatter = factor * (inside.T @ inside) - kept * np.diag(error)
+        between = floor_covariance(
+            (scatter + PRIOR_WEIGHT * motors.between) / (kept + PRIOR_WEIGHT), motors.between / count
+        )
+    zeros = np.zeros((places, p, p))
+    return HealthyPopulation(centres, zeros, between, motors.within, PRIOR_WEIGHT, healthy)
+
+
+def floor_covariance(covariance: FloatArray, least: FloatArray) -> FloatArray:
+    """Raise a covariance to at least another one in each direction."""
+    root = np.linalg.cholesky(least)
+    inverse = np.linalg.inv(root)
+    sizes, axes = np.linalg.eigh(inverse @ covariance @ inverse.T)
+    found: FloatArray = (root @ axes * np.maximum(sizes, 1.0)) @ (root @ axes).T
+    return found
+
+
+def _log_density(residual: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Compute logarithms of normal densities without their constant; shapes (n, p) and (n, p, p)."""
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(root, residual[..., None])[..., 0]
+    size = np.log(root.diagonal(axis1=-2, axis2=-1)).sum(axis=-1)
+    found: FloatArray = -0.5 * np.square(white).sum(axis=-1) - size
+    return found
+
+
+def _em_round(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
+    """Update probabilities, centres and spread once; also return the log likelihood before.
+
+    Each record counts by its share of its motor, shape (n_records,).
+    """
+    logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
+    residual, spread = logs - core.centres[position], core.between + errors
+    log_healthy = _log_density(residual, spread)
+    every = [_log_density(residual, spread + way) for way in motors.sick]
+    log_sick = np.logaddexp.reduce(every, axis=0) - math.log(len(every))
+    sick = (_SICK + float(share @ (1.0 - core.probability))) / (_SICK_OF + float(share.sum()))
+    healthy = 1.0 / (1.0 + sick / (1.0 - sick) * np.exp(np.clip(log_sick - log_healthy, -500.0, 500.0)))
+    counts = share * healthy
+    likelihood = float(share @ np.logaddexp(log_healthy + math.log1p(-sick), log_sick + math.log(sick)))
+    weights = np.linalg.inv(spread) * counts[:, None, None]
+    centres, covariances = [], []
+    for n in range(len(core.centres)):
+        here = position == n
+        covariance = np.linalg.inv(weights[here].sum(axis=0))
+        centres.append(covariance @ np.einsum("npq,nq->p", weights[here], logs[here]))
+        covariances.append(covariance)
+    residual = logs - np.stack(centres)[position]
+    gain = core.between @ np.linalg.inv(spread)
+    own = np.einsum("npq,nq->np", gain, residual)
+    left = core.between - gain @ core.between
+    scatter = np.einsum("n,npq->pq", counts, own[:, :, None] * own[:, None, :] + left)
+    freedom = max(float(counts.sum()) - len(centres), 0.0) + PRIOR_WEIGHT
+    between = (scatter + PRIOR_WEIGHT * motors.between) / freedom
+    after = replace(
+        core,
+        centres=np.stack(centres),
+        centre_covariances=np.stack(covariances),
+        between=0.5 * (between + between.T),
+        degrees_of_freedom=freedom,
+        probability=healthy,
+    )
+    return after, likelihood

@@ -1,0 +1,174 @@
+"""The diagnosis of a log of a motor at work: its windows against the healthy motor.
+
+A motor that was not commissioned at work is compared by its data sheet, or by its healthy starts.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.operation_fit import identify_record
+from motor_env.diagnosis.estimation.preprocessing import at_terminals, from_recordings
+from motor_env.diagnosis.estimation.record import STRETCHES, Record
+from motor_env.diagnosis.estimation.window import LOAD
+from motor_env.diagnosis.operation.operating_conditions import NEEDED, needed_columns
+from motor_env.diagnosis.operation.window_baseline import (
+    chosen_terms,
+    effective_speed,
+    known_of,
+    turns_one_way,
+    window_length_s,
+)
+from motor_env.diagnosis.operation.windows import WindowJudge, judge_of, viscous, windows_of
+from motor_env.diagnosis.readers.recording import Recording, UnusableError
+from motor_env.diagnosis.readers.start import Circuit
+from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.diagnosis.verdict.healthy_motor import NORMAL_DOF, ReferenceShift, reference_of
+from motor_env.diagnosis.verdict.hypotheses import EXPONENTS, NAMES, Difference
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.scaling_errors import (
+    BEYOND_WEAR,
+    EXPLAINED,
+    describe_scaling_errors,
+    find_scaling_errors,
+    is_far_from_healthy,
+)
+from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors
+from motor_env.motor.data_sheet import Motor
+from motor_env.motor.healthy import Windows
+from motor_env.motor.model import steady_state
+from motor_env.motor.parameters import FloatArray
+
+_COARSE = (0.1, 0.1, 0.1, 0.5)  # of the logarithms of R, K, J and the drag
+_CLEAR = 3.0
+_NOTHING = "there is nothing to compare with: give a motor file, or commission one from healthy logs"
+_WINDOWS = 10  # of a log
+_SHORTEST = 40.0  # a window: mechanical time constants
+_SETTLED, _FEW = 20.0, 2_000  # a stretch: mechanical time constants; samples of all stretches
+
+
+def judge_log(
+    recording: Recording,
+    motor: Motor | None,
+    rate: float,
+    *,
+    voltage_v: float | None = None,
+    circuit: Circuit | None = None,
+    temperature_c: float | None = None,
+) -> tuple[list[Judgement], int]:
+    """Judge the windows of a log; return also how many it has. One judgement on the whole where it cannot be cut."""
+    whole = at_terminals(recording, voltage_v, circuit)
+    if motor is None:
+        return [Judgement(Verdict.NO_REFERENCE, (_NOTHING,)).on(whole)], 1
+    failed = diagnose_sensors(whole, motor, voltage_v, at_work=True)
+    if failed is not None:
+        return [failed], 1
+    try:
+        judge = judge_for(whole, motor, temperature_c)
+        judged, count = judge.judge(whole, rate)
+        if any(is_far_from_healthy(one) for one in judged):
+            judged = _as_a_whole(judged, whole, judge)
+        if all(one.verdict is Verdict.UNUSABLE for one in judged):
+            from_recordings([whole])  # may say why
+    except UnusableError as error:
+        return [Judgement(Verdict.UNUSABLE, (str(error),)).on(whole)], 1
+    return judged, count
+
+
+def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -> list[Judgement]:
+    """Check a log that is far from the healthy motor, from which its windows are fitted: is it read wrongly?
+
+    A fit of the whole log begins anywhere. No wrong scale is told closer than to some percent, and friction that is
+    not viscous goes by another power.
+    """
+    with suppress(UnusableError):
+        joint = identify_record(from_recordings([whole]))
+        physical = known_of(joint.solution)
+        drag = viscous(physical, effective_speed(joint))
+        logs = np.log([*physical[[places.R, places.K, places.J]], drag])
+        spread = judge.reference.log_covariance + np.diag(np.square(_COARSE))
+        difference = Difference(logs - judge.reference.log_values, spread, EXPONENTS, NORMAL_DOF)
+        misread = describe_scaling_errors(
+            find_scaling_errors(difference, NAMES, _CLEAR, DEFAULT_FALSE_ALARM_RATE)
+        )
+        if misread:
+            return [_misread(one, misread) if one.verdict.is_fault else one for one in judged]
+    return judged
+
+
+def _misread(judgement: Judgement, misread: str) -> Judgement:
+    """Give a window's judgement what the whole log says instead of what its own fit did."""
+    own = (one for one in judgement.reasons if one != BEYOND_WEAR and not one.startswith(EXPLAINED))
+    return judgement.as_other(misread, *own)
+
+
+def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = None) -> WindowJudge:
+    """Make the judge of the windows of a log.
+
+    A motor that was commissioned by windows says so itself. Any other motor's file tells R, K, J and the drag at one
+    speed. The terms, the hold of the voltage and how the drag divides into viscous and dry friction then come from a
+    fit of stretches of the log.
+
+    Raises:
+        UnusableError: no current and speed, or no motor explains the log.
+    """
+    if motor.healthy is not None and motor.healthy.windows is not None:
+        return judge_of(motor.healthy, motor.name, temperature_c)
+    needed_columns(recording)  # refuses at once what the fit of the whole log would take long to find
+    settles_s = float(np.mean(motor.parameters.mechanical_time_constant_s))
+    joint = identify_record(_enough(from_recordings([recording]), settles_s))
+    if not joint.record.seen.all():
+        raise UnusableError(NEEDED)
+    window_s, speed = window_length_s([recording], _WINDOWS, _SHORTEST * settles_s), effective_speed(joint)
+    physical, terms = known_of(joint.solution), joint.solution.names
+    if set(LOAD) & set(terms):
+        records = []
+        for part in windows_of(recording, window_s)[:_WINDOWS]:
+            with suppress(UnusableError):  # as at rest
+                records.append(replace(from_recordings([part]), hold=joint.record.hold))
+        if records:
+            physical, terms, _ = chosen_terms(records, joint)
+    reference = reference_of(
+        motor,
+        NAMES,
+        are_starts=False,
+        temperature_c=temperature_c,
+        shift=ReferenceShift(friction=_friction_scale(motor, physical, speed)),
+    )
+    if reference is None or reference.names != NAMES:
+        raise UnusableError(
+            f"{motor.name} does not tell {', '.join(NAMES)}, which a motor at work is judged by"
+        )
+    windows = Windows(
+        window_s=window_s,
+        terms=terms,
+        physical=physical,
+        hold=joint.record.hold,
+        dt_s=recording.dt_s,
+        speed_rad_s=speed,
+        one_way=turns_one_way(joint),
+    )
+    return WindowJudge(windows, reference)
+
+
+def _enough(record: Record, settles_s: float) -> Record:
+    """Choose stretches of a record in which a motor settles: they tell the terms and how the drag divides."""
+    samples = max(_FEW, STRETCHES * math.ceil(_SETTLED * settles_s / record.dt_s))
+    return record.sample(samples) if samples < len(record.voltage_v) else record
+
+
+def _friction_scale(motor: Motor, physical: FloatArray, speed_rad_s: float) -> float:
+    """Divide the drag over the speed in this log by the friction of the motor's file, for the same healthy motor.
+
+    The file's friction is that at the no-load speed. Between two speeds the drag divides as in the log.
+    """
+    p = motor.parameters
+    if motor.nominal_voltage_v is None:
+        return 1.0
+    no_load = float(steady_state(p, motor.nominal_voltage_v)[1])
+    return (1.0 + motor.dry_share(no_load)) * viscous(physical, speed_rad_s) / viscous(physical, no_load)

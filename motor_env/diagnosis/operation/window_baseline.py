@@ -1,0 +1,203 @@
+"""The baseline of a motor at work: what its healthy windows teach about the next one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.operation_fit import (
+    FEWEST_STEPS,
+    UNSEEN_STEPS,
+    OperationFit as Operation,
+    identify_operation,
+)
+from motor_env.diagnosis.estimation.preprocessing import MOST, from_recordings
+from motor_env.diagnosis.estimation.problem import Solution
+from motor_env.diagnosis.estimation.record import Record
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.window import LOAD, WindowFit, fit_window, without_load
+from motor_env.diagnosis.operation.operating_conditions import (
+    FAR,
+    NEEDED,
+    condition_features,
+    rms_volts,
+    sorted_by_condition,
+)
+from motor_env.diagnosis.operation.sequential_monitor import checked_calibration
+from motor_env.diagnosis.operation.windows import MOST_SAMPLES, over_speed, windows_of
+from motor_env.diagnosis.readers.recording import Recording, UnusableError
+from motor_env.diagnosis.verdict.healthy_spread import RECORD_SPREAD, next_window, usual_condition_windows
+from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow
+from motor_env.motor.healthy import Healthy, OperatingCondition, Windows
+from motor_env.motor.parameters import FloatArray
+
+FEWEST_WINDOWS = 4
+_MOST_KEPT = 40  # windows of a condition whose features stand in the motor file
+_DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
+TEMPERATURE_K = 15.0
+"""How much warmer or colder a healthy motor may be, one standard deviation."""
+_TOLD = 0.1
+"""Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
+fits say, and as they scatter."""
+_ONE_WAY = 0.9  # of the turns
+_LEFT = 0.05
+"""Torque that is another one in each interval, over the drag, from which on the model lacks something of the motor."""
+_NOISES = slice(places.NOISE_I, places.WALK + 1)
+
+
+def learn_windows(
+    recordings: Sequence[Recording], window_s: float | None = None, *, steady: bool = False
+) -> tuple[Healthy, list[FittedWindow]]:
+    """Learn from windows of a healthy motor at work; return what they teach of the next one, and their fits.
+
+    The spread is that of windows, with their own errors as a prior worth 4 of them, and that from record to record.
+
+    Args:
+        recordings: of the healthy motor at work.
+        window_s: length of a window; by default a twentieth of all recordings.
+        steady: nothing but a fault moves the motor, as on a test bench: records are alike, no other temperature, the
+            load and the sensors' offsets as in the recordings.
+
+    Raises:
+        UnusableError: no current and speed, too few windows, or no motor explains them.
+    """
+    if window_s is None:
+        window_s = window_length_s(recordings, _DEFAULT_WINDOWS)
+    parts = [part for recording in recordings for part in windows_of(recording, window_s)]
+    if len(parts) < FEWEST_WINDOWS:
+        raise UnusableError(f"{len(parts)} windows of {window_s:g} s; at least {FEWEST_WINDOWS} are needed")
+    samples = sum(len(recording.time_s) for recording in recordings)
+    chosen = recordings
+    if samples > MOST:
+        every = math.ceil(sum(len(part.time_s) for part in parts) / MOST)
+        chosen = parts[:: min(every, len(parts) // FEWEST_WINDOWS)]
+    joint = identify_operation(chosen, most=max(MOST, sum(len(one.time_s) for one in chosen)))
+    if not joint.record.seen.all():
+        raise UnusableError(NEEDED)
+    if joint.record.steps_seen < FEWEST_STEPS:
+        raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
+    hold, speed, times = joint.record.hold, effective_speed(joint), 1.0 if _lacks(joint) else FAR
+    records = [replace(from_recordings([part]), hold=hold) for part in parts]
+    known, wanted, fits = chosen_terms(records, joint, steady=steady)
+    one_way = turns_one_way(joint)
+    # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
+    known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
+    fits = [fit_window(record, known, wanted, one_way=one_way) for record in records]
+    volts = [rms_volts(part) for part in parts]
+    found = [over_speed(fit, known, speed) for fit in fits]
+    centre, covariance, freedom = next_window(found, steady=steady)
+    logs = np.array([fit.log_values for fit in found])
+    off, alike = logs - centre, 1.0
+    conditions: tuple[OperatingCondition, ...] = ()
+    if not steady:
+        features = np.array([condition_features(part) for part in parts])
+        of, alike = sorted_by_condition(features, times)
+        groups = [np.flatnonzero(of == n).tolist() for n in range(of.max() + 1)]
+        conditions = tuple(
+            _condition(some, usual_condition_windows(some, groups), features, found) for some in groups
+        )
+        off = logs - np.log([conditions[n].values for n in of])
+    spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
+    ratios = list(logs - centre)
+    warm = 0.0 if steady else TEMPERATURE_K
+    windows = Windows(
+        window_s=window_s,
+        terms=wanted,
+        physical=known,
+        hold=hold,
+        dt_s=parts[0].dt_s,
+        speed_rad_s=speed,
+        one_way=one_way,
+        rms_volts=(min(volts), max(volts)),
+        peaks=tuple(np.max([record.peaks for record in records], axis=0).tolist()),
+        window_excess=_squares(ratios, spreads) / _squares(ratios, [covariance] * len(fits)),
+        drives=conditions,
+        alike=alike,
+        calibration=checked_calibration(
+            off,
+            np.array([fit.log_covariance for fit in found]),
+            RECORD_SPREAD * (warm > 0.0),
+            temperature_k=warm,
+        ),
+    )
+    return Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows), found
+
+
+def _lacks(joint: Operation) -> bool:
+    """Say whether the model leaves torque unexplained; where it does not, it errs under far drives only."""
+    known = joint.solution.values
+    drag = known[places.COULOMB] + known[places.B] * effective_speed(joint)
+    return bool(known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag)
+
+
+def turns_one_way(joint: Operation) -> bool:
+    """Say whether the motor turns one way, but for a twentieth of its turns."""
+    speed = joint.expected[:, 1]
+    return bool(abs(np.mean(speed)) > _ONE_WAY * np.mean(np.abs(speed)))
+
+
+def chosen_terms(
+    records: Sequence[Record], joint: Operation, *, steady: bool = False
+) -> tuple[FloatArray, tuple[str, ...], list[WindowFit]]:
+    """Choose a window's terms; return the physical values that windows share, the terms, and fits with these.
+
+    Where the motor turns one way, all that brakes is friction: near standstill a fit may seem to tell a load from it,
+    by the shape that it gives the friction there. Elsewhere a load is a term where windows tell it.
+    """
+    known, wanted = known_of(joint.solution), joint.solution.names
+    one_way, own = turns_one_way(joint), tuple(name for name in wanted if name not in LOAD)
+    if one_way and own != wanted:
+        known = known_of(without_load(joint.solution, float(np.mean(joint.expected[:, 1]))))
+        wanted = tuple(name for name in wanted if name != "load_constant")
+    if not one_way and not steady:
+        with_load = (*own, *LOAD)
+        fits = [fit_window(record, known, with_load) for record in records]
+        told_sd = math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits]))
+        if max(told_sd, np.std([fit.logs[-1] for fit in fits])) < _TOLD:
+            return known, with_load, fits
+    if "load_walk" not in wanted:
+        known[places.WALK] = 0.0
+    if steady:
+        wanted = tuple(name for name in wanted if not name.startswith(("offset", "load_constant")))
+    return known, wanted, [fit_window(record, known, wanted, one_way=one_way) for record in records]
+
+
+def _condition(
+    pieces: Sequence[int], usual: Sequence[int], features: FloatArray, found: Sequence[FittedWindow]
+) -> OperatingCondition:
+    """Learn what windows under one condition teach, some of all, beside those of the usual one."""
+    centre, covariance, freedom = next_window(
+        [found[n] for n in pieces], steady=False, usual=[found[n] for n in usual]
+    )
+    kept = features[pieces[:: math.ceil(len(pieces) / _MOST_KEPT)]]
+    return OperatingCondition(tuple(pieces), kept, np.exp(centre), covariance, freedom)
+
+
+def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float = 0.0) -> float:
+    """Choose a window's length: this part of all recordings, at most what one fit or one recording holds."""
+    dt_s = recordings[0].dt_s
+    lengths_s = [len(recording.time_s) * recording.dt_s for recording in recordings]
+    part_s = min(sum(lengths_s) / parts, MOST_SAMPLES * dt_s)
+    return min(max(part_s, least_s, _SHORTEST * dt_s), *lengths_s)
+
+
+def effective_speed(joint: Operation) -> float:
+    """Return the root mean square of the speed, at which the drag is told best."""
+    return max(float(np.sqrt(np.mean(np.square(joint.expected[:, 1])))), 1e-9)
+
+
+def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> float:
+    """Sum the squared distances per dimension."""
+    pairs = zip(ratios, spreads, strict=True)
+    return sum(float(off @ np.linalg.solve(spread, off)) / len(NAMES) for off, spread in pairs)
+
+
+def known_of(joint: Solution) -> FloatArray:
+    """Return the joint fit's physical values without warmth: each window is taken at its own temperature."""
+    known = joint.values
+    known[[places.HEATING, places.COOLING]] = 0.0
+    return known

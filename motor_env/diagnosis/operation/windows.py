@@ -1,0 +1,267 @@
+"""A motor at work, window by window: each is fitted, and compared with a healthy motor.
+
+All windows are fitted with the terms that the healthy ones were identified with jointly. What windows of one motor
+share is held there: brush drop, inductance, and how the drag divides into viscous and dry friction, so that regimes
+agree. What may change is R, K, J and the whole drag. Where the healthy windows tell friction from a load, as those that
+reverse do, a load that varies slowly is unknown in each window; elsewhere it is part of the drag.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from motor_env.common.errors import InputError
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.preprocessing import block_means, from_recordings, missing_blocks
+from motor_env.diagnosis.estimation.record import Record
+from motor_env.diagnosis.estimation.window import WindowFit, fit_window, per_log
+from motor_env.diagnosis.operation.operating_conditions import (
+    FAR,
+    condition_features,
+    nearest,
+    needed_columns,
+    off_others,
+    rms_volts,
+)
+from motor_env.diagnosis.readers.recording import Recording, UnusableError, cut
+from motor_env.diagnosis.verdict.channels import ChannelRecord, find_failure
+from motor_env.diagnosis.verdict.decision import decide
+from motor_env.diagnosis.verdict.healthy_motor import Reference, add_normal_spread, reference_of_pieces
+from motor_env.diagnosis.verdict.hypotheses import EXPONENTS, NAMES, FittedWindow, alarm_share
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.motor import identifiable as quantities
+from motor_env.motor.healthy import Healthy, Windows
+from motor_env.motor.parameters import FloatArray
+
+MOST_SAMPLES = 6_000
+MANY, MOST_JUDGED = 40, 20
+_TOGETHER = 50  # windows that are screened at once
+_REGIME = 2.0
+CONDITION_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
+"""Standard deviation of the logarithms of R, K, J and B under another condition that is not far: what the model lacks
+(stiction, a gear's teeth, brushes) is then taken for them in another way."""
+DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
+WARMTH = quantities.warmth_direction(EXPONENTS)
+
+
+def viscous(physical: FloatArray, speed_rad_s: float) -> float:
+    """Return the drag over the speed of a motor of these physical values, at a speed."""
+    dry, fan = physical[places.COULOMB] / speed_rad_s, physical[places.SQUARE] * speed_rad_s
+    return float(max(physical[places.B] + dry + fan, 1e-300))
+
+
+def averaged(recording: Recording, window_s: float) -> Recording:
+    """Average neighbours of windows with more than MOST_SAMPLES."""
+    factor = math.ceil(window_s / recording.dt_s / MOST_SAMPLES - 1e-6)
+    if factor <= 1:
+        return recording
+    columns = (recording.time_s, recording.current_a, *needed_columns(recording))
+    time_s, current_a, voltage_v, speed_rad_s = (block_means(column, factor) for column in columns)
+    missing = missing_blocks(recording, factor)
+    return Recording(recording.path, time_s, current_a, voltage_v, speed_rad_s, missing=missing)
+
+
+def windows_of(recording: Recording, window_s: float) -> list[Recording]:
+    """Cut a recording into windows of equal length; a rest at the end is left out."""
+    recording = averaged(recording, window_s)
+    length = round(window_s / recording.dt_s)
+    count = len(recording.time_s) // length
+    return [cut(recording, slice(n * length, (n + 1) * length)) for n in range(count)]
+
+
+def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
+    """Give a window's fit the drag over the speed instead of a factor on the drag of the physical values."""
+    drag = math.log(viscous(physical, speed_rad_s))
+    logs = fit.logs + np.array([0.0, 0.0, 0.0, drag])
+    return FittedWindow(logs, fit.covariance, fit.whitened)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowJudge:
+    """A healthy motor at work, as its windows are fitted and compared.
+
+    Attributes:
+        windows: how healthy windows were recorded and fitted.
+        reference: distribution of R, K, J and B of a healthy window.
+        references: of windows under each operating condition that it was commissioned in.
+    """
+
+    windows: Windows
+    reference: Reference
+    references: tuple[Reference, ...] = ()
+
+    def physical(self) -> FloatArray:
+        """Return the physical values of the healthy motor."""
+        known = self.windows.physical.copy()
+        values = np.exp(self.reference.log_values)
+        known[[places.R, places.K, places.J]] = values[:3]
+        known[places.DRAG] = values[3] / viscous(self.windows.physical, self.windows.speed_rad_s)
+        return known
+
+    def fitted(self, record: Record) -> FittedWindow:
+        """Fit a window."""
+        windows = self.windows
+        record = replace(record, hold=windows.hold)
+        fit = fit_window(record, self.physical(), windows.terms, one_way=windows.one_way)
+        return over_speed(fit, windows.physical, windows.speed_rad_s)
+
+    def condition_of(self, recording: Recording) -> tuple[int, float]:
+        """Find the healthy condition that a recording's last window is like, and how far off: above 1 it is not."""
+        if not self.windows.drives:
+            return 0, 0.0
+        last = cut(recording, slice(-round(self.windows.window_s / recording.dt_s), None))
+        place, distance = nearest(condition_features(last), self.windows.drives)
+        return place, distance / self.windows.alike
+
+    def under(self, place: int) -> WindowJudge:
+        """Return the judge of windows under one of several conditions: healthy are those under it."""
+        if len(self.references) < 2:
+            return self
+        return replace(self, reference=self.references[place])
+
+    def condition_spread(self, place: int, fit: FittedWindow) -> FloatArray:
+        """Return the standard deviation of the logarithms of R, K, J and B under another condition, shape (4,).
+
+        R, K and J of a motor are the same, however it is driven. The farther those of the nearest condition are off the
+        others, the more the model lacks there. What it lacks of the torque is added to the friction: going down, the
+        logarithm moves by more.
+
+        Args:
+            place: of the nearest condition.
+            fit: of the window.
+        """
+        off = off_others(self.windows.drives)[place]
+        times = float(np.sqrt(np.mean(np.square(off / CONDITION_SPREAD)[:-1])))
+        spread = CONDITION_SPREAD * max(times, 1.0)
+        spread[-1] *= max(per_log(math.exp(fit.log_values[-1] - self.reference.log_values[-1])), 1.0)
+        return spread
+
+    def judge(
+        self, recording: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None = None
+    ) -> tuple[list[Judgement], int]:
+        """Judge each window; return also how many there are. Together they alarm at the rate (Bonferroni).
+
+        Of more than MANY windows MOST_JUDGED are judged: half of them evenly spread, half those that the healthy motor
+        explains worst. The rate is still shared by all.
+
+        Args:
+            recording: of the motor at work.
+            rate: of false alarms.
+            is_alarm: decides on a window's fit, where it is not judged by itself.
+
+        Raises:
+            UnusableError: the record is outside the commissioned regime, or shorter than a window.
+        """
+        sampled = averaged(recording, self.windows.window_s)
+        if not 1.0 / _REGIME <= sampled.dt_s / self.windows.dt_s <= _REGIME:
+            raise UnusableError("outside the commissioned regime: another sampling interval")
+        parts = windows_of(sampled, self.windows.window_s)
+        if not parts:
+            raise UnusableError(f"the record is shorter than a window of {self.windows.window_s:g} s")
+        volts = rms_volts(recording)
+        low, high = self.windows.rms_volts or (volts, volts)
+        if not low / _REGIME <= volts <= high * _REGIME:
+            raise UnusableError(
+                f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
+            )
+        chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(sampled, parts)
+        judged = [self._judged(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen]
+        return judged if len(self.references) < 2 else _confirmed(judged), len(parts)
+
+    def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
+        """Choose the windows that are judged, of many."""
+        values, length = self.physical(), len(parts[0].time_s)
+        values[places.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
+        misfits = np.zeros(len(parts))
+        for first in range(0, len(parts), _TOGETHER):
+            some = slice(first, min(first + _TOGETHER, len(parts)))
+            stretch = cut(recording, slice(some.start * length, some.stop * length))
+            with suppress(UnusableError):  # as at rest
+                record = from_recordings([stretch], most=len(stretch.time_s))
+                squares = replace(record, hold=self.windows.hold).predict(values)[0][:, :2] ** 2
+                misfits[some] = squares.reshape(-1, 2 * length).mean(axis=1)
+        evenly = np.linspace(0, len(parts) - 1, MOST_JUDGED // 2).round().astype(int)
+        return sorted({*evenly.tolist(), *np.argsort(misfits)[-MOST_JUDGED // 2 :].tolist()})
+
+    def failed_sensor(self, part: Recording) -> Judgement | None:
+        """Judge whether a sensor failed in a part of a log; None where none did."""
+        volts, speed = needed_columns(part)
+        if not volts.any():
+            return None
+        return find_failure(ChannelRecord(part.dt_s, volts, part.current_a, speed), self.physical())
+
+    def _judged(
+        self, part: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None
+    ) -> Judgement:
+        failed = self.failed_sensor(part)
+        if failed is not None:
+            return failed
+        place, strange = self.condition_of(part)
+        alike = self.under(place)
+        try:
+            record = from_recordings([part])
+            # From the mean of conditions that are far apart it may stay in a notch between them.
+            fit = alike.fitted(record)
+        except UnusableError as error:
+            return Judgement(Verdict.UNUSABLE, (str(error),))
+        reference = alike.reference if strange <= 1.0 else self.reference
+        judged = decide(fit, reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
+        if judged.verdict is Verdict.UNUSABLE or strange <= 1.0:
+            return judged
+        if not judged.verdict.is_fault:
+            return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
+        own, share = self.reference.log_covariance, alarm_share(rate, EXPONENTS)
+        condition = np.diag(np.square(self.condition_spread(place, fit)))
+        spread = add_normal_spread(own, condition, share, self.reference.degrees_of_freedom)
+        allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
+        if allowed.verdict.is_fault and strange <= FAR:
+            return replace(allowed, reasons=(*allowed.reasons, DRIVEN_OTHERWISE))
+        return _as_unusable(allowed, judged.reasons[0])
+
+
+def _as_unusable(judged: Judgement, said: str) -> Judgement:
+    """Judge a window that is driven otherwise unusable, and say what would be said of one that is not."""
+    why = f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
+    return replace(judged.as_other(f"{why} {said}"), verdict=Verdict.UNUSABLE, confidence=None)
+
+
+def _confirmed(judged: list[Judgement]) -> list[Judgement]:
+    """Check faults under unknown conditions, of a motor with several: a true one shows in half of these windows.
+
+    A window that is driven like none of them is compared with all together, and each of them is off in its own way. A
+    fault moves all such windows alike; what the model lacks is beyond the wide limits in a few.
+    """
+    otherwise = [any(why.startswith(DRIVEN_OTHERWISE) for why in one.reasons) for one in judged]
+    faults = [is_other and one.verdict.is_fault for one, is_other in zip(judged, otherwise, strict=True)]
+    if 2 * sum(faults) >= sum(otherwise):
+        return judged
+    each = zip(judged, faults, strict=True)
+    return [_as_unusable(one, one.reasons[0]) if is_fault else one for one, is_fault in each]
+
+
+def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
+    """Make the judge of a motor that was learned from windows.
+
+    Raises:
+        UnusableError: the healthy pieces are no windows, or do not tell R, K, J and B.
+        InputError: their physical values are not as many as the fit has.
+    """
+
+    def reference_of(some: Healthy) -> Reference | None:
+        return reference_of_pieces(some, NAMES, motor, are_starts=False, temperature_c=temperature_c)
+
+    reference = reference_of(healthy)
+    if healthy.windows is None or reference is None or reference.names != NAMES:
+        raise UnusableError(f"the healthy pieces of {motor} do not tell {', '.join(NAMES)} of windows")
+    if len(healthy.windows.physical) != places.N_VALUES:
+        raise InputError(
+            f"{motor}: healthy.windows.physical must have {places.N_VALUES} values,"
+            f" got {len(healthy.windows.physical)}"
+        )
+    references = [reference_of(healthy.under(condition)) for condition in healthy.windows.drives]
+    return WindowJudge(healthy.windows, reference, tuple(one for one in references if one is not None))

@@ -1,0 +1,307 @@
+"""Make trends of files, and show them: text, JSON, and one self-contained HTML page with pictures."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from motor_env.common.console import printable
+from motor_env.common.errors import InputError, require_several
+from motor_env.common.pages.html import render
+from motor_env.common.pages.svg import Axis, Chart, round_ticks
+from motor_env.diagnosis.batch import explain_failure
+from motor_env.diagnosis.estimation.starts.start_identification import identify
+from motor_env.diagnosis.prognosis.estimates import (
+    SECONDS_PER_DAY,
+    TEMPERATURE,
+    Series,
+    build_series,
+    date_of,
+    read_estimates,
+)
+from motor_env.diagnosis.prognosis.trend import Forecast, Trend, describe, judge
+from motor_env.diagnosis.readers.headers import ColumnChoice
+from motor_env.diagnosis.readers.recording import Recording, read_recording
+from motor_env.diagnosis.readers.start import prepare
+from motor_env.diagnosis.verdict.healthy_spread import fit_healthy
+from motor_env.motor.parameters import FloatArray
+
+_Z90 = 1.6448536269514722
+
+_STATES = {
+    "reached": "limit reached",
+    "trending": "trending",
+    "close": "close to a limit",
+    "unknown": "not judged",
+    "steady": "no trend",
+}
+"""Each state in words, in the order of the page."""
+
+
+def _is_table(path: Path) -> bool:
+    """Tell a table of estimates (time or date, or JSON) from a recording (`time_s` and a current)."""
+    if path.suffix.lower() == ".json" or not path.is_file():
+        return path.is_file()
+    with path.open("rb") as file:
+        head = file.readline(4096).decode("utf-8", errors="replace").lower()
+    return "current" not in head
+
+
+def _read_recordings(
+    paths: Sequence[Path],
+    columns: Sequence[ColumnChoice],
+    date: Literal["name", "modified"],
+    notes: list[str],
+) -> list[tuple[float, Recording]]:
+    """Read recordings and their days in the order of time; notes say which cannot be read."""
+    files: list[Path] = []
+    for path in paths:
+        files += sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    dated: list[tuple[float, Path]] = []
+    for file in (file for file in files if not file.name.startswith(".")):
+        day = date_of(file.name) if date == "name" else file.stat().st_mtime / SECONDS_PER_DAY
+        if day is None:
+            notes.append(f"{file.name}: its name holds no date such as 2026-01-31 (or use --date modified)")
+        else:
+            dated.append((day, file))
+    recordings = []
+    for day, file in sorted(dated):
+        try:
+            recordings.append((day, read_recording(file, columns)))
+        except (ValueError, ArithmeticError, LookupError) as error:
+            notes.append(explain_failure(file, error, "read")[0])
+    return recordings
+
+
+def _fit_recordings(
+    recordings: Sequence[tuple[float, Recording]],
+    voltage_v: float | None,
+    notes: list[str],
+    progress: Callable[[Path], None],
+) -> list[Series]:
+    """Fit every recording with the model that the first three prefer: a change of model would be a jump."""
+    model: tuple[str, ...] | None = None
+    estimates: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
+    for number, (day, recording) in enumerate(recordings):
+        progress(recording.path)
+        try:
+            if model is None:
+                first = [prepare(entry, voltage_v) for _, entry in recordings[number : number + 3]]
+                model = fit_healthy(first)[0].model
+            fit = identify(prepare(recording, voltage_v), model)
+        except (ValueError, ArithmeticError, LookupError) as error:  # UnusableError, or numerics that give up
+            notes.append(f"{recording.path.name}: {error}")
+        else:
+            # The model's error is the same in all starts of a motor; how much more they scatter is learned from them.
+            spreads = fit.values * np.sqrt(np.diag(fit.white_covariance))
+            for name, value, spread in zip(fit.quantity_names, fit.values, spreads, strict=True):
+                estimates[name].append((day, float(value), float(spread)))
+    if not estimates:
+        raise InputError(f"no recording can be used; the first reason: {[*notes, 'there are none'][0]}")
+    return build_series(estimates)
+
+
+@dataclass(frozen=True, slots=True)
+class Trends:
+    """Trends of a motor's quantities.
+
+    Attributes:
+        trends: one a quantity.
+        notes: a sentence for every recording that could not be used.
+    """
+
+    trends: tuple[Trend, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """Return the most urgent of `reached`, `trending`, `close`, `unknown` and `steady`."""
+        return min((trend.state for trend in self.trends), key=list(_STATES).index)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Build one object a quantity; infinite times are null."""
+        return [
+            {
+                "quantity": trend.series.name,
+                "state": trend.state,
+                "sentence": trend.sentence,
+                "reference": trend.reference,
+                "last_estimate": float(trend.series.estimate[-1]),
+                "estimates": len(trend.series.time),
+                "time_unit": trend.series.unit,
+                "first_date": None if trend.series.start is None else trend.series.start.isoformat(),
+                "limits": [_limit_json(trend, forecast) for forecast in trend.forecasts],
+            }
+            for trend in self.trends
+        ]
+
+    def __repr__(self) -> str:
+        return self.text()
+
+    def text(self) -> str:
+        """Write a line a quantity."""
+        width = max(len(trend.series.name) for trend in self.trends)
+        return "\n".join(f"{trend.series.name:<{width}}  {trend.sentence}" for trend in self.trends)
+
+    def page(self) -> str:
+        """Render a self-contained HTML page with a picture a quantity, the most urgent first."""
+        rows = [
+            _page_row(trend)
+            for trend in sorted(self.trends, key=lambda trend: list(_STATES).index(trend.state))
+        ]
+        return render(
+            "motor_env.diagnosis.prognosis", "trend.html.j2", title="Trends", rows=rows, notes=self.notes
+        )
+
+
+def _limit_json(trend: Trend, forecast: Forecast) -> dict[str, Any]:
+    life = {
+        name: number if math.isfinite(number) else None
+        for name, number in zip(("low", "median", "high", "level"), forecast.life, strict=False)
+    }
+    return {
+        "limit": forecast.factor * trend.reference,
+        "factor": forecast.factor,
+        "probability_of_trend": forecast.wear.probability_trend,
+        "trends": forecast.trends,
+        "reached": forecast.reached,
+        "close": forecast.close,
+        "probability_reached": forecast.life.probability_reached,
+        "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
+        "remaining_life": life if forecast is trend.leading and forecast.is_told else None,
+        "withheld": forecast.withheld or None,
+    }
+
+
+def trend(
+    paths: str | Path | Sequence[str | Path],
+    limits: Mapping[str, tuple[float, ...]] | None = None,
+    *,
+    level: float = 0.9,
+    voltage_v: float | None = None,
+    columns: Sequence[ColumnChoice] = (),
+    date: Literal["name", "modified"] = "name",
+    reference_count: int = 3,
+    progress: Callable[[Path], None] = lambda path: None,
+) -> Trends:
+    """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
+
+    Args:
+        paths: a table of estimates (CSV or JSON), a folder of dated recordings, or several of these.
+        limits: factors on the mean of the first estimates, by quantity; 0.75 and 1.25 unless given, and none of L.
+        level: probability that the interval of the remaining life holds.
+        voltage_v: level of the supply, for recordings without a voltage.
+        columns: columns named by the user.
+        date: where the date of a recording comes from.
+        reference_count: number of first estimates whose mean is the reference.
+        progress: told each file before it is fitted.
+
+    Raises:
+        InputError: bad options or files.
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"level must lie between 0 and 1, got {level:g}")
+    if reference_count < 1:
+        raise InputError(f"reference-count must be >= 1, got {reference_count}")
+    given = [paths] if isinstance(paths, str | Path) else paths
+    require_several("paths", given, (str, Path))
+    several = [Path(path) for path in given]
+    if missing := [path for path in several if not path.exists()]:
+        raise InputError(f"{missing[0]}: no such file or folder")
+    notes: list[str] = []
+    if len(several) == 1 and _is_table(several[0]):
+        series = read_estimates(several[0])
+    else:
+        series = _fit_recordings(_read_recordings(several, columns, date, notes), voltage_v, notes, progress)
+    named = {estimates.name: estimates for estimates in series}
+    temperature = named.pop(TEMPERATURE, None)
+    if unknown := [name for name in limits or {} if name not in named]:
+        raise InputError(f"--limit names {unknown[0]!r}; the quantities are {', '.join(sorted(named))}")
+    return Trends(
+        tuple(
+            judge(estimates, (limits or {}).get(name), level, reference_count, temperature)
+            for name, estimates in named.items()
+        ),
+        tuple(printable(note) for note in notes),
+    )
+
+
+def _page_row(trend: Trend) -> dict[str, str]:
+    """Collect what the page says of a quantity."""
+    series, chosen = trend.series, trend.leading
+    when = f" since {series.start:%Y-%m-%d}" if series.start else ""
+    return {
+        "name": series.name,
+        "status": trend.state,
+        "state": _STATES[trend.state],
+        "life": "–"
+        if chosen is None or chosen.reached or not chosen.trends
+        else describe(chosen, series.unit),
+        "sentence": trend.sentence,
+        "basis": f"{len(series.time)} estimates{when}; mean of the first {trend.reference:.4g}",
+        "chart": _draw_chart(trend),
+    }
+
+
+def _draw_chart(trend: Trend) -> str:
+    """Draw estimates and limits, and where it trends the forecast and the interval of the time to the limit."""
+    series = trend.series
+    relative = series.estimate / trend.reference
+    error = _Z90 * series.standard_error / abs(trend.reference)
+    factors = [forecast.factor for forecast in trend.forecasts]
+    shown = np.concatenate([relative - error, relative + error, [1.0], factors])
+    low, high = float(shown.min()), float(shown.max())
+    room = 0.06 * max(high - low, 1e-6)
+    forecast = trend.leading if trend.leading is not None and trend.leading.is_told else None
+    left, last, ahead = float(series.time[0]), float(series.time[-1]), 0.0
+    if forecast is not None:
+        end = next(x for x in (forecast.life.high, forecast.life.median, last - left) if math.isfinite(x))
+        ahead = min(1.08 * end, 3.0 * (last - left))
+    right, start = max(last + ahead, left + 1e-9), series.start
+    ticks = round_ticks(left, right, 6)
+    chart = Chart(
+        Axis(series.unit, left, right, ticks)
+        if start is None
+        else Axis("", left, right, ticks, lambda days: f"{start + timedelta(days=days):%Y-%m-%d}"),
+        Axis("", low - room, high + room, round_ticks(low - room, high + room), _change),
+        size=(860, 300),
+        margins=(64, 120, 16, 38),
+        label=f"{series.name} relative to the mean of the first estimates, over time",
+    )
+    chart.y_numbers()
+    chart.x_numbers()
+    chart.text((chart.right, 296), chart.x_axis.title, anchor="end")
+    for factor in factors:
+        chart.across("limit", factor)
+        chart.text((chart.right + 8, chart.y(factor) + 4), f"limit {_change(factor)}", "limit-name")
+    if forecast is not None:
+        _draw_forecast(chart, forecast, last, np.linspace(0.0, ahead, 60))
+    for t, value, half in zip(series.time, relative, error, strict=True):
+        x = chart.x(t)
+        chart.line("range", (x, chart.y(value - half)), (x, chart.y(value + half)))
+        chart.dot("dot", (x, chart.y(value)), 3.2)
+    return chart.svg()
+
+
+def _change(factor: float) -> str:
+    return f"{100.0 * (factor - 1.0):+.0f} %"
+
+
+def _draw_forecast(chart: Chart, forecast: Forecast, last: float, ahead: FloatArray) -> None:
+    """Draw the expected levels, and on the limit the interval of the time until it is reached."""
+    mean, std = forecast.wear.forecast(ahead)
+    time, upper, lower = last + ahead, mean + _Z90 * std, mean - _Z90 * std
+    chart.shape("polygon", points=chart.points([*time, *time[::-1]], [*upper, *lower[::-1]]))
+    inside = (mean >= chart.y_axis.low) & (mean <= chart.y_axis.high)
+    chart.curve("forecast", time[inside], mean[inside])
+    y, life = chart.y(forecast.factor), forecast.life
+    chart.line("life", (chart.x(last + life.low), y), (chart.x(last + life.high), y))
+    if last + life.median <= chart.x_axis.high:
+        chart.dot("median", (chart.x(last + life.median), y), 6)

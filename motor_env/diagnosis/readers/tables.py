@@ -1,0 +1,216 @@
+"""Tables out of the files that people have: text, workbooks, .mat, .npy, .npz, Parquet. None of them may run code.
+
+Compiled parsers of involved formats crash on some damaged files, and a small file may unpack to gigabytes: MATLAB,
+HDF5, workbooks and Parquet are parsed in a process of their own (`array_parser`), with limits of memory and time.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motor_env.common.errors import InputError, require_extra
+from motor_env.common.files import LARGEST_DATA_BYTES, LARGEST_TABLE_BYTES, read_file
+from motor_env.diagnosis.readers import array_parser
+from motor_env.diagnosis.readers.headers import understand
+from motor_env.diagnosis.readers.text.block import FEWEST_SAMPLES, MOST_COLUMNS, Table, TextTable, cells
+from motor_env.diagnosis.readers.text.number_parser import large_block, whole_block
+from motor_env.motor.parameters import FloatArray
+
+LARGEST_WHOLE_BYTES = 50_000_000
+"""Size of a text up to which it is read whole; a longer one is read in pieces."""
+_CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
+_CONTROL_SHARE = 0.01  # more control characters than that are no text
+_FOREIGN = {  # how they begin, and what helps
+    b"PK\x03\x04": "an archive; a workbook must be named .xlsx, other archives unpacked",
+    b"\xd0\xcf\x11\xe0": "an old Excel workbook; save it as .xlsx or CSV",
+    b"\x89HDF": "HDF5, which must be named .mat, .h5 or .hdf5",
+    b"TDSm": "LabVIEW's TDMS; export it as CSV",
+}
+_SECONDS = 30.0  # for what is parsed elsewhere
+_SINGLE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+
+
+def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
+    """Read a table of numbers.
+
+    Args:
+        path: of the file.
+        wanted: columns that must not be left out.
+
+    Raises:
+        InputError: the file is missing, empty, too large or of no kind that can be read; a cell holds no number.
+    """
+    size, averaged = 0, 1
+    with suppress(OSError):  # it is told when the file is opened
+        size = path.stat().st_size if path.is_file() else 0
+    match path.suffix.lower():
+        case ".parquet" | ".pq" if size:  # of any length, for it is read in pieces
+            require_extra("pyarrow", "datasets")
+            arrays, averaged = _arrays(_parsed_elsewhere(path, b"", "Parquet", str(path)))
+        case ".mat" | ".h5" | ".hdf5":
+            content, kind = _content(path), "MATLAB"
+            if content.startswith((b"\x89HDF", b"MATLAB 7.3 MAT-file")):
+                require_extra("h5py", "files")
+                kind = "HDF5"
+            arrays, averaged = _arrays(_parsed_elsewhere(path, content, kind))
+        case ".xlsx" | ".xlsm":
+            content = _content(path)
+            require_extra("openpyxl", "files")
+            return whole_block(path, _parsed_elsewhere(path, content, "workbook").decode())
+        case ".npy" | ".npz":
+            arrays = _numpy(path, _content(path))
+        case _ if size > LARGEST_WHOLE_BYTES:
+            return large_block(path)
+        case _:
+            return whole_block(path, _decoded(path, _content(path)))
+    return _columns(path, arrays, averaged, wanted)
+
+
+def read_text_table(path: Path) -> TextTable:
+    """Read a text file as a table of cells.
+
+    Raises:
+        InputError: the file is missing, empty or too large, or no text.
+    """
+    return cells(path, _decoded(path, _content(path, LARGEST_TABLE_BYTES)).splitlines())
+
+
+def _content(path: Path, largest: int = LARGEST_DATA_BYTES) -> bytes:
+    content = read_file(path, largest)
+    if not content or content.isspace():
+        raise InputError(f"{path}: is empty")
+    return content
+
+
+def _decoded(path: Path, content: bytes) -> str:
+    """Decode text in UTF-8 or UTF-16, or in the code page of an old scope."""
+    _refuse_foreign(path, content)
+    wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    for encoding in ["utf-16"] if wide else ["utf-8-sig", "cp1252"]:
+        with suppress(UnicodeDecodeError):
+            text = content.decode(encoding)
+            plain = text.encode() if wide else content
+            control = len(plain) - len(plain.translate(None, _CONTROL))
+            if control <= _CONTROL_SHARE * len(text) and "\0" not in text:
+                return text
+    raise InputError(f"{path}: is not text, and its ending is none of .mat, .h5, .npy, .npz, .parquet, .xlsx")
+
+
+def _refuse_foreign(path: Path, content: bytes) -> None:
+    for begin, words in _FOREIGN.items():
+        if content.startswith(begin):
+            raise InputError(f"{path}: is {words}")
+
+
+def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> bytes:
+    """Return what the parser says of a file."""
+    if kind != "HDF5" and content[:2] != b"PK":
+        _refuse_foreign(path, content)
+    # -P: modules of this folder must not hide others of the same name.
+    command = [sys.executable, "-P", array_parser.__file__, kind, *more]
+    try:
+        done = subprocess.run(  # noqa: S603  # our own interpreter and file; what it parses is data
+            command,
+            input=content,
+            capture_output=True,
+            timeout=_SECONDS,
+            env=os.environ | _SINGLE,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise _unreadable(path, kind, f"it takes longer than {_SECONDS:g} s") from None
+    if done.returncode:
+        words = done.stderr.decode(errors="replace").strip().splitlines() if done.returncode == 1 else []
+        raise _unreadable(path, kind, [f"its parser crashed with status {done.returncode}", *words][-1])
+    return done.stdout
+
+
+def _arrays(said: bytes) -> tuple[dict[str, Any], int]:
+    """Return arrays by name, and how many rows are averaged to one."""
+    head, _, body = said.partition(b"\n")
+    averaged, shapes = json.loads(head)
+    ends = np.cumsum([np.prod(shape) for _, shape in shapes], dtype=np.int64)
+    parts = np.split(np.frombuffer(body, np.float64), ends)[: len(shapes)]
+    return {name: part.reshape(shape) for (name, shape), part in zip(shapes, parts, strict=True)}, averaged
+
+
+def _numpy(path: Path, content: bytes) -> dict[str, Any]:
+    try:
+        if content[:2] == b"PK":
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                array_parser.check_count(sum(member.file_size for member in archive.infolist()) // 8)
+        loaded = np.load(io.BytesIO(content), allow_pickle=False)
+        if not isinstance(loaded, np.ndarray):
+            members = {name: loaded[name] for name in loaded.files}
+            return {name: array for name, array in members.items() if isinstance(array, np.ndarray)}
+        return (
+            {name: loaded[name] for name in loaded.dtype.names} if loaded.dtype.names else {"array": loaded}
+        )
+    except Exception as error:  # noqa: BLE001  # a damaged file makes NumPy raise anything, zipfile's errors among them
+        raise _unreadable(path, "NumPy", error) from None
+
+
+def _unreadable(path: Path, kind: str, reason: object) -> InputError:
+    short = " ".join(str(reason).split())[:100]
+    return InputError(f"{path}: is not a {kind} file that can be read ({short})")
+
+
+def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence[str]) -> Table:
+    """Return the table of the arrays of one length, a wanted one's or the most frequent, and of a matrix's columns.
+
+    Raises:
+        InputError: no such array, an infinite value, or a quantity would be lost with an array of another length.
+    """
+    numbers: dict[str, FloatArray] = {
+        name: np.squeeze(given).astype(np.float64)
+        for name, given in arrays.items()
+        if given.dtype.kind in "fiub" and given.size > 1
+    }
+    flat: dict[str, FloatArray] = {}
+    for name, squeezed in numbers.items():
+        if squeezed.ndim == 1:
+            flat[name] = squeezed
+        elif squeezed.ndim == 2 and min(squeezed.shape) <= MOST_COLUMNS:
+            tall = squeezed if squeezed.shape[0] >= squeezed.shape[1] else squeezed.T
+            flat |= {f"{name}#{k + 1}": tall[:, k] for k in range(tall.shape[1])}
+    if not flat:
+        raise InputError(f"{path}: holds no column of numbers")
+    lengths = [len(flat[name]) for name in wanted if name in flat] or [
+        len(values) for values in flat.values()
+    ]
+    length = max(set(lengths), key=lambda n: (lengths.count(n), n))
+    others = {name: values for name, values in flat.items() if len(values) != length}
+    flat = {name: values for name, values in flat.items() if len(values) == length}
+    there = {None, *(understand(name).quantity for name in flat)}
+    for name, values in others.items():
+        if name in wanted or (understand(name).quantity not in there and len(values) >= FEWEST_SAMPLES):
+            raise InputError(f"{path}: {name} has {len(values)} values where the others have {length}")
+    values = np.column_stack(list(flat.values()))
+    bad = np.argwhere(np.isinf(values))
+    if len(bad):
+        row, column = bad[0]
+        raise InputError(
+            f"{path}, row {row * averaged + 1}: the column {list(flat)[column]} must hold finite numbers,"
+            f" got {values[row, column]}"
+        )
+    return Table(
+        tuple("" if "#" in name else name for name in flat),
+        values,
+        range(1, length * averaged + 1, averaged),
+        ("",) * len(flat),
+        tuple(range(1, len(flat) + 1)),
+        where="row",
+        remarks=(f"left out, for their lengths: {', '.join(others)}",) if others else (),
+        averaged=averaged,
+    )

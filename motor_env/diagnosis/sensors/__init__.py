@@ -1,1 +1,0 @@
-"""Failed sensors: told before any fault of a motor."""

@@ -1,0 +1,302 @@
+"""Sources of lines: standard input, a growing file, a serial port, MQTT; and how their bytes are framed.
+
+A source yields bytes as they come, and nothing (b"") at least every second while none do.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from io import FileIO
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote, urlsplit
+
+from motor_env.common.errors import InputError
+
+NEW_FILE = "new_file"
+SILENCE_S = 5.0
+LONGEST_LINE = 1 << 16
+BLOCK_BYTES = 512
+"""By so many bytes before its place a reader sees that a file is still the one that it has read."""
+_PAUSE_S = 0.2
+_CHUNK = 1 << 16
+_MOST_WAITING_BYTES = 1 << 26
+_PIECE_BYTES = 100  # of a piece beside what is in it
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """A source's message beside lines: kind (silence, unplugged, lost, new_file), and words."""
+
+    kind: str
+    text: str
+
+
+Piece = bytes | Notice
+SILENCE = Notice("silence", f"no line for {SILENCE_S:g} s: is the cable in?")
+
+
+def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
+    """Frame pieces as whole lines; SILENCE once where none come for a while.
+
+    What is longer than LONGEST_LINE comes in parts, of which only the last one ends with a line end.
+
+    Args:
+        pieces: of a source.
+        rest: whether what follows the last line end is a line, too.
+    """
+    left, heard_s, is_silent = bytearray(), time.monotonic(), False
+    for piece in pieces:
+        if isinstance(piece, Notice):
+            left.clear()
+            yield piece
+            heard_s, is_silent = time.monotonic(), piece.kind == "unplugged"
+            continue
+        left += piece
+        if b"\n" in piece:
+            *whole, left = left.split(b"\n")
+            yield from (bytes(line) + b"\n" for line in whole)
+            heard_s, is_silent = time.monotonic(), False  # now: a window may have been judged meanwhile
+        if len(left) > LONGEST_LINE:
+            yield bytes(left)
+            left.clear()
+        if not is_silent and time.monotonic() - heard_s > SILENCE_S:
+            is_silent = True
+            yield SILENCE
+    if left and rest:
+        yield bytes(left)
+
+
+def identity(name: str | None) -> str:
+    """Name what is watched in states and sentences: a file by its whole path, a broker without a password.
+
+    Raises:
+        InputError: it names no source.
+    """
+    if name is None:
+        return "standard input"
+    if name.startswith("serial:"):
+        return name
+    if name.startswith("mqtt:"):
+        broker = _broker(name)
+        return f"mqtt://{broker.host}:{broker.port}/{broker.topic}"
+    if "://" in name:  # it may hold a password, too
+        raise InputError("a source is a file, serial:PORT or mqtt://HOST/TOPIC, got another kind of URL")
+    return str(Path(name).absolute())
+
+
+def source(
+    name: str | None, *, follow: bool, baud: int, offset: int = 0, last_read: bytes = b""
+) -> Iterator[Piece]:
+    """Open what a user names: a file, serial:PORT, mqtt://HOST/TOPIC; standard input without a name.
+
+    Args:
+        name: of the source.
+        follow: whether to wait for what is appended to a file, or takes its place.
+        baud: of a serial port.
+        offset: bytes of a file that were read before.
+        last_read: the last BLOCK_BYTES of them.
+
+    Raises:
+        InputError: there is no such thing, or the library that it needs is missing.
+    """
+    identity(name)
+    if name is None:
+        return _standard_input()
+    if name.startswith("serial:"):
+        return _serial(name.removeprefix("serial:"), baud)
+    if name.startswith("mqtt:"):
+        return _mqtt(_broker(name))
+    return _file(Path(name), offset, last_read, follow=follow)
+
+
+def _standard_input() -> Iterator[Piece]:
+    waiting: queue.Queue[Piece | None] = queue.Queue(16)
+
+    def read() -> None:
+        while piece := os.read(sys.stdin.fileno(), _CHUNK):
+            waiting.put(piece)
+        waiting.put(None)
+
+    threading.Thread(target=read, daemon=True).start()
+    return _from(waiting)
+
+
+def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece]:
+    """Read a file. Each read begins with the block before it: where that is another one, so is the file."""
+    file, following = _opened(path), None
+    try:
+        while True:
+            if follow and following is None:  # asked first, so that the old one is read to its end
+                following = _following(path, file)
+            file.seek(min(at - len(before), os.fstat(file.fileno()).st_size))
+            block = file.read(len(before) + _CHUNK)
+            if not block.startswith(before):
+                words = f"{path} is not the file of before: read from its begin"
+                yield Notice(NEW_FILE, f"{words}; what stood behind byte {at} may be lost")
+                at, before = 0, b""
+                continue
+            piece = block[len(before) :]
+            at, before = at + len(piece), block[-BLOCK_BYTES:]
+            yield piece
+            if piece:
+                continue
+            if following is not None:
+                file.close()
+                file, following, at, before = following, None, 0, b""
+                yield Notice(NEW_FILE, f"{path} is another file now: read from its begin")
+            elif follow:
+                time.sleep(_PAUSE_S)
+            else:
+                return
+    finally:
+        file.close()
+        if following is not None:
+            following.close()
+
+
+def _opened(path: Path) -> FileIO:
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is no regular file; a port is serial:PORT, and a pipe standard input")
+    return FileIO(path)
+
+
+def _following(path: Path, file: FileIO) -> FileIO | None:
+    """Open another file in its place, once something is in it: before that, the old one may still grow."""
+    with suppress(FileNotFoundError):
+        now = path.stat()
+        if now.st_size > 0 and not os.path.samestat(now, os.fstat(file.fileno())):
+            return _opened(path)
+    return None
+
+
+def _serial(port: str, baud: int) -> Iterator[Piece]:
+    """A thread reads, so that nothing is lost while a window is judged; an unplugged port is opened anew."""
+    try:
+        import serial
+    except ImportError:
+        raise InputError("a serial port needs pyserial: pip install 'motor-env[live]'") from None
+    try:
+        device = serial.serial_for_url(port, baud, timeout=_PAUSE_S)
+    except (serial.SerialException, ValueError) as error:
+        reason = os.strerror(error.errno).lower() if isinstance(error, OSError) and error.errno else error
+        raise InputError(f"serial port {port}: {reason}") from None
+    waiting = _BoundedQueue()
+
+    def read() -> None:
+        while True:
+            try:
+                device.open() if not device.is_open else None
+                waiting.offer(device.read(device.in_waiting or 1))
+            except (OSError, TypeError):  # TypeError: pyserial's, of a port that closes while it is read
+                if device.is_open:
+                    device.close()
+                    waiting.offer(Notice("unplugged", f"serial port {port} is gone; it is tried again"))
+                time.sleep(_PAUSE_S)
+
+    threading.Thread(target=read, daemon=True).start()
+    return _from(waiting)
+
+
+class _Broker(NamedTuple):
+    host: str
+    port: int
+    topic: str
+    user: str
+    password: str
+
+
+def _broker(url: str) -> _Broker:
+    try:
+        parts = urlsplit(url)
+        port, topic = parts.port or 1883, unquote(parts.path.removeprefix("/"))
+    except ValueError:
+        parts, port, topic = urlsplit(""), 0, ""
+    if not parts.hostname or not topic:  # what was given may hold a password, and is not said
+        raise InputError(
+            "MQTT needs mqtt://HOST/TOPIC or mqtt://USER:PASSWORD@HOST:PORT/TOPIC (in a password write / as %2F,"
+            " # as %23, ? as %3F)"
+        )
+    return _Broker(parts.hostname, port, topic, unquote(parts.username or ""), unquote(parts.password or ""))
+
+
+def _mqtt(broker: _Broker) -> Iterator[Piece]:
+    """Each message holds one or more lines; the library's own thread connects again."""
+    try:
+        from paho.mqtt.client import Client
+        from paho.mqtt.enums import CallbackAPIVersion
+    except ImportError:
+        raise InputError("MQTT needs paho-mqtt: pip install 'motor-env[live]'") from None
+    waiting = _BoundedQueue()
+    client = Client(CallbackAPIVersion.VERSION2)
+    if broker.user:
+        client.username_pw_set(broker.user, broker.password)
+
+    def subscribe(*given: Any) -> None:
+        if given[3].is_failure:
+            waiting.offer(Notice("unplugged", f"{broker.host} refuses: {given[3]}".lower()))
+        else:
+            client.subscribe(broker.topic, qos=1)
+
+    client.on_connect = subscribe
+    client.on_message = lambda *given: waiting.offer(bytes(given[2].payload).rstrip(b"\r\n") + b"\n")
+    client.on_disconnect = lambda *_: waiting.offer(Notice("unplugged", f"{broker.host} is gone"))
+    try:
+        client.connect(broker.host, broker.port)
+    except OSError as error:
+        raise InputError(f"{broker.host}:{broker.port}: {(error.strerror or str(error)).lower()}") from None
+    client.loop_start()
+    return _from(waiting)
+
+
+class _BoundedQueue(queue.Queue[Piece | None]):
+    """Queue pieces for a watch that lags behind, and count those that find no room."""
+
+    def __init__(self) -> None:
+        self._bytes, self._lost = 0, 0
+        super().__init__(_MOST_WAITING_BYTES)
+
+    def offer(self, piece: Piece) -> None:
+        """Put a piece in, if there is room."""
+        try:
+            if self._lost:
+                words = f"{self._lost} pieces of lines came faster than they could be judged"
+                self.put_nowait(Notice("lost", words))
+                self._lost = 0
+            self.put_nowait(piece)
+        except queue.Full:
+            self._lost += 1
+
+    def _put(self, item: Piece | None) -> None:
+        self._bytes += _size(item)
+        super()._put(item)
+
+    def _get(self) -> Piece | None:
+        item: Piece | None = super()._get()
+        self._bytes -= _size(item)
+        return item
+
+    def _qsize(self) -> int:
+        return self._bytes
+
+
+def _size(item: Piece | None) -> int:
+    return _PIECE_BYTES + (len(item) if isinstance(item, bytes) else 0)
+
+
+def _from(waiting: queue.Queue[Piece | None]) -> Iterator[Piece]:
+    """Yield what threads have put in, up to None."""
+    piece: Piece | None = b""
+    while piece is not None:
+        yield piece
+        try:
+            piece = waiting.get(timeout=1.0)
+        except queue.Empty:
+            piece = b""

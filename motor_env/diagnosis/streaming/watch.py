@@ -1,0 +1,345 @@
+"""A motor at work watched sample by sample: windows of a stream are judged as windows of a log are.
+
+Lines come in, events go out: one for each window (healthy, or what moved), and one at once for what is wrong with the
+stream: a line that is no sample, a gap, a jump of time, a stuck sensor, silence. Those begin a new window.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from array import array
+from codecs import BOM_UTF8
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from motor_env.common.console import json_text
+from motor_env.common.errors import InputError, require_options
+from motor_env.diagnosis.operation.sequential_monitor import SequentialMonitor
+from motor_env.diagnosis.operation.window_baseline import FEWEST_WINDOWS, learn_windows
+from motor_env.diagnosis.operation.windows import averaged, judge_of
+from motor_env.diagnosis.readers.headers import LARGEST_CURRENT_A, understand
+from motor_env.diagnosis.readers.recording import Recording, UnusableError, resampled as evened
+from motor_env.diagnosis.streaming.sources import LONGEST_LINE, NEW_FILE, Notice, Piece
+from motor_env.diagnosis.streaming.state import WINDOW, State
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.motor.healthy import Healthy, Windows
+
+STUCK_AFTER = 200
+_GAP_STEPS = 20.0
+_SAME_STEP = 0.2
+_MOST_COLUMNS = 1000
+_LONGEST_NAME = 100
+_QUANTITIES = ("time", "voltage", "current", "speed")
+_NAME_THEM = 'name all columns in their order, such as --columns "t [s],I [mA],U [V],n [rpm]"'
+_SECOND = 1.0
+_OFTEN = frozenset(("malformed", "gap", "time_jump"))
+"""Kinds that garbage gives with every line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """An event: a verdict on a window, or what is wrong with the stream.
+
+    Attributes:
+        time_s: end of the window, or when it was seen.
+        kind: window, learning, learned, not_learned, another_motor, malformed, gap, time_jump, stuck_sensor, silence,
+            unplugged, lost or new_file.
+        text: verdict of a window; else what was seen.
+        ratios: quantities of the window over the healthy ones.
+        reason: why a window is unusable, or what shows that a sensor failed.
+        fault_kind: kind of the fault, where it can be told from others of its family.
+        undecided: quantities of a window of which a doubling would not show.
+        count: how many of this kind there were since one was last said; this is the latest of them.
+    """
+
+    time_s: float
+    kind: str
+    text: str
+    ratios: dict[str, float] = field(default_factory=dict)
+    reason: str = ""
+    fault_kind: str | None = None
+    undecided: tuple[str, ...] = ()
+    count: int = 1
+
+    @property
+    def name(self) -> str:
+        """Name by which it is counted."""
+        return f"{WINDOW}{self.text}" if self.kind == "window" else self.kind
+
+    def as_json(self) -> str:
+        """Write it as one line."""
+        is_window = self.kind == "window"
+        fields = {
+            "time_s": self.time_s,
+            "event": self.kind,
+            "verdict": self.text if is_window else None,
+            "kind": self.fault_kind,
+            "reason": self.reason if is_window else self.text,
+            "ratios": {name: round(ratio, 4) for name, ratio in self.ratios.items()},
+            "undecided": list(self.undecided),
+            "count": self.count if self.count > 1 else None,
+        }
+        return json_text(
+            {name: value for name, value in fields.items() if value not in ("", {}, [], None)}, indent=None
+        )
+
+
+class EventThrottle:
+    """Passes at most one event a second of a kind that garbage gives with every line, with their count.
+
+    A second of the stream or of the wall clock: the first so that a log is told the same way however fast it is read,
+    the second so that a stream of nothing but garbage is told at all.
+    """
+
+    def __init__(self) -> None:
+        self._said_s: dict[str, tuple[float, float]] = {}
+        self._held: dict[str, Event] = {}
+
+    def passed(self, events: Iterable[Event], streamed_s: float) -> Iterator[Event]:
+        """Yield those that are said now, and those that were held back and are due."""
+        for event in events:
+            if event.kind not in _OFTEN:
+                yield event
+            else:
+                held = self._held.get(event.kind)
+                self._held[event.kind] = event if held is None else replace(event, count=held.count + 1)
+        if self._held:
+            now_s = (streamed_s, time.monotonic())
+            for kind in list(self._held):
+                before_s = self._said_s.get(kind, (-math.inf, -math.inf))
+                if any(now - before >= _SECOND for now, before in zip(now_s, before_s, strict=True)):
+                    self._said_s[kind] = now_s
+                    yield self._held.pop(kind)
+
+    def rest(self) -> Iterator[Event]:
+        """Yield what is still held back when the lines end."""
+        yield from self._held.values()
+
+
+@dataclass
+class LearningPhase:
+    """Collects windows of a healthy motor, until there are enough to learn from.
+
+    Attributes:
+        window_s: length of a window.
+        learn_s: how long the windows must be together.
+        steady: nothing but a fault moves the motor.
+        recordings: the windows so far.
+    """
+
+    window_s: float
+    learn_s: float
+    steady: bool = False
+    recordings: list[Recording] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < FEWEST_WINDOWS * self.window_s <= self.learn_s < math.inf:
+            raise InputError(
+                f"learn must be at least {FEWEST_WINDOWS} windows of {self.window_s:g} s, got {self.learn_s:g} s"
+            )
+
+    @property
+    def dt_s(self) -> float:
+        """Sampling interval; infinite until it is known."""
+        return self.recordings[0].dt_s if self.recordings else math.inf
+
+
+# Garbage may look like a header for as long as it likes, and its words are mostly the same ones.
+_meaning = lru_cache(1024)(understand)
+
+
+class Watch:
+    """Turns lines into events.
+
+    Args:
+        healthy: what windows of the healthy motor have taught, or what is to be learned from the stream.
+        state: what has been seen so far.
+        false_alarms_per_year: of a healthy motor that always runs.
+
+    Raises:
+        InputError: the state holds the memory of another motor.
+    """
+
+    def __init__(
+        self, healthy: Healthy | LearningPhase, state: State, *, false_alarms_per_year: float
+    ) -> None:
+        require_options(false_alarms_per_year=false_alarms_per_year)
+        self.state = state
+        self.healthy: Healthy | None = None
+        self._per_year = false_alarms_per_year
+        self._phase: LearningPhase | SequentialMonitor
+        if isinstance(healthy, LearningPhase):
+            self._phase = healthy
+        else:
+            self._monitor(healthy, state.memory)
+        self._columns: list[tuple[int, float]] = []
+        self._window = array("d")
+        self._last: list[float] | None = None
+        self._same = 0
+        self._step_s: float | None = None  # between samples, once it was that of the healthy windows
+        self._streamed_s = 0.0  # by the stream's own time, gaps left out
+        self._is_begin = True  # whether the next bytes begin a line
+        self._throttle = EventThrottle()
+        if state.header and not self._read_header(state.header):
+            raise InputError(f"columns must name {', '.join(_QUANTITIES)}, got {state.header[:80]!r}")
+
+    def _monitor(self, healthy: Healthy, state: dict[str, list[float]] | None = None) -> None:
+        self.healthy = healthy
+        self._phase = SequentialMonitor(
+            judge_of(healthy), healthy, false_alarms_per_year=self._per_year, state=state
+        )
+
+    def describe_false_alarm_rate(self) -> str:
+        """Say what holds of the rate of false alarms; empty before anything is learned."""
+        return "" if isinstance(self._phase, LearningPhase) else self._phase.describe_false_alarm_rate()
+
+    @property
+    def _pace(self) -> Windows | LearningPhase:
+        """What tells the length of a window and the sampling interval."""
+        return self._phase if isinstance(self._phase, LearningPhase) else self._phase.judge.windows
+
+    def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
+        """Yield the events of lines and of what their source says."""
+        for line in lines:
+            yield from self._throttle.passed(self._counted(line), self._streamed_s)
+        yield from self._throttle.rest()
+        if not self._columns and self.state.counts["malformed"]:
+            raise InputError(f"no line names the columns time, voltage, current and speed; {_NAME_THEM}")
+
+    def _counted(self, line: Piece) -> Iterator[Event]:
+        if isinstance(line, Notice):
+            if line.kind == NEW_FILE:
+                self.state.begin()
+            events: Iterable[Event] = [self._broken(line.kind, line.text)]
+            self._last, self._is_begin = None, True
+        else:
+            is_begin, self._is_begin = self._is_begin, line.endswith(b"\n")
+            self.state.advance(line)
+            events = self._line(line) if is_begin else ()
+        for event in events:
+            self.state.counts[event.name] += 1
+            yield event
+
+    def _line(self, line: bytes) -> Iterator[Event]:
+        # A file may begin with a mark of its encoding, and several may be joined.
+        text = line[: LONGEST_LINE + 1].removeprefix(BOM_UTF8).decode("utf-8", "replace").strip()
+        if len(line) > LONGEST_LINE:
+            yield Event(self._time_s, "malformed", f"longer than {LONGEST_LINE} bytes: {text[:60]}")
+            return
+        words = text.split(",", _MOST_COLUMNS)
+        try:
+            sample = [float(words[k]) * factor for k, factor in self._columns]
+        except (ValueError, IndexError):
+            sample = []
+        if sample and math.isfinite(sum(sample)) and abs(sample[2]) <= LARGEST_CURRENT_A:
+            yield from self._sample(sample)
+        # A device that begins anew says its header again.
+        elif text and text[0] != "#" and not self._read_header(text):
+            yield Event(self._time_s, "malformed", text[:60])
+
+    def _sample(self, sample: list[float]) -> Iterator[Event]:
+        last, self._last = self._last, sample
+        if last is not None:
+            self._same = self._same + 1 if last[2] == sample[2] and sample[1] else 0
+            if self._same == STUCK_AFTER:
+                yield self._broken("stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A")
+            if self._same >= STUCK_AFTER:
+                return
+            step = sample[0] - last[0]
+            if step <= 0.0:
+                yield self._broken("time_jump", f"{-step:.6g} s back")
+            elif step > _GAP_STEPS * self._pace.dt_s:
+                yield self._broken("gap", f"{step:.6g} s without a sample")
+            else:
+                self._streamed_s += step
+        self._window.extend(sample)
+        if sample[0] - self._window[0] >= self._pace.window_s:
+            event = self._close_window()
+            if isinstance(self._phase, SequentialMonitor):  # before it is said: with it the state is kept
+                self.state.memory = self._phase.state_dict
+            yield event
+
+    def _close_window(self) -> Event:
+        time_s, *columns = np.array(self._window).reshape(-1, len(_QUANTITIES)).T
+        self._window, values = array("d"), dict(zip(_QUANTITIES[1:], columns, strict=True))
+        for name in ("current", "speed"):
+            if values["voltage"].any() and not np.ptp(values[name]):
+                text = f"the {name} of a whole window is {values[name][0]:.6g}"
+                return self._broken("stuck_sensor", text)
+        even_s, values, _ = evened(time_s, values, self._step_s)
+        recording = Recording(Path("stream"), even_s, values["current"], values["voltage"], values["speed"])
+        if abs(recording.dt_s - self._pace.dt_s) < _SAME_STEP * self._pace.dt_s:
+            self._step_s = self._pace.dt_s
+        if isinstance(self._phase, LearningPhase):
+            return self._learned(recording, self._phase)
+        try:
+            return self._verdict(self._phase.diagnose(recording))
+        except UnusableError as error:
+            return Event(self._time_s, "window", "unusable", reason=str(error))
+
+    def _learned(self, recording: Recording, phase: LearningPhase) -> Event:
+        phase.recordings.append(averaged(recording, phase.window_s))
+        learned_s = len(phase.recordings) * phase.window_s
+        words = f"{learned_s:g} of {phase.learn_s:g} s"
+        if learned_s < phase.learn_s * (1.0 - 1e-9):
+            return Event(self._time_s, "learning", words)
+        try:
+            healthy, _ = learn_windows(phase.recordings, phase.window_s, steady=phase.steady)
+        except UnusableError as error:
+            phase.recordings.clear()
+            return Event(self._time_s, "not_learned", str(error))
+        self._monitor(healthy)
+        return Event(self._time_s, "learned", f"{words}: {self.describe_false_alarm_rate()}")
+
+    def _verdict(self, window: Judgement) -> Event:
+        ratios = {change.name: change.ratio for change in window.changes}
+        moved = {change.name for change in window.changes if change.significant}
+        # No wear moves both.
+        if window.verdict is Verdict.OTHER and {"K", "J"} <= moved:
+            return Event(
+                self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
+            )
+        return Event(
+            self._time_s,
+            "window",
+            str(window.verdict),
+            ratios,
+            reason=window.reasons[0] if window.verdict in (Verdict.UNUSABLE, Verdict.SENSOR) else "",
+            fault_kind=None if window.kind is None else str(window.kind),
+            undecided=tuple(change.name for change in window.changes if change.verdict == "undecided"),
+        )
+
+    def _broken(self, kind: str, text: str) -> Event:
+        self._window = array("d")
+        return Event(self._time_s, kind, text)
+
+    @property
+    def _time_s(self) -> float:
+        return self._last[0] if self._last is not None else 0.0
+
+    def _read_header(self, text: str) -> bool:
+        """Whether a line names the columns; then they are those from now on.
+
+        Raises:
+            InputError: it is the first that does, and one is missing.
+        """
+        words = text.split(",", _MOST_COLUMNS)
+        if self._columns and len(words) < len(_QUANTITIES):
+            return False
+        meanings = [_meaning(word[:_LONGEST_NAME]) for word in words]
+        names = [meaning.quantity for meaning in meanings]
+        missing = [quantity for quantity in _QUANTITIES if quantity not in names]
+        if not missing:
+            places = [names.index(quantity) for quantity in _QUANTITIES]
+            self._columns = [(k, meanings[k].factor) for k in places]
+            self.state.header = text
+        elif len(missing) < len(_QUANTITIES) and not self._columns:
+            raise InputError(
+                f"the first line must name the columns; {missing[0]} is missing in {text[:80]!r}; {_NAME_THEM}"
+            )
+        return not missing

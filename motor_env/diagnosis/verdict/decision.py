@@ -1,0 +1,308 @@
+"""Decide on a fitted piece: compare its quantities with a reference, by the covariances of both.
+
+The fit gives logarithms of quantities, with a covariance that includes the model's error. The reference gives the
+distribution of a healthy motor: tolerances, temperature and supply, or the spread between healthy pieces. After an
+alarm the most probable fault is named, unless its rest is itself significant or "other" is more probable. The
+confidence is the posterior probability of the verdict.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import stdtr, stdtrit
+
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.verdict.healthy_motor import Reference
+from motor_env.diagnosis.verdict.hypotheses import (
+    Change,
+    Explanation,
+    Fitted,
+    Hypothesis,
+    alarm_share,
+    compare,
+    covariance_at_one_temperature,
+    estimate_warming,
+    explain,
+    form_hypotheses,
+    is_separable,
+    joint_share,
+    probabilities,
+    severity_of,
+    severity_unit,
+    shared_rows,
+    smallest_changes,
+    smallest_detectable,
+)
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.load_hypotheses import LOADS
+from motor_env.diagnosis.verdict.scaling_errors import (
+    describe_scaling_errors,
+    find_scaling_errors,
+    limit_to_wear,
+)
+from motor_env.motor.faults import FaultKind, motor_kinds
+from motor_env.motor.parameters import FloatArray
+
+DEFAULT_FALSE_ALARM_RATE = 0.01
+_TELLING_WARMTH_K = 8.0
+# Sizes of changes; a ratio beyond the last is that of a quantity which the healthy pieces hardly told.
+_DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
+_LEFT_OVER = 0.01
+_NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
+
+
+class AlarmLimits(NamedTuple):
+    """Limits of the tests, for one rate of false alarms.
+
+    Attributes:
+        share: rate of false alarms of one test of the motor; all its tests together alarm at the wanted rate.
+        z: standard deviations beyond which a fault alarms.
+        noise_z: standard deviations beyond which the noise alarms.
+    """
+
+    share: float
+    z: float
+    noise_z: float
+
+
+def alarm_limits(hypotheses: list[Hypothesis], rate: float, *, tests_noise: bool) -> AlarmLimits:
+    """Find the limits of the tests that together alarm at a rate; a test of the noise has an equal share."""
+    difference = hypotheses[0].difference
+    noise = alarm_share(rate, difference.exponents)
+    freedom = difference.degrees_of_freedom
+    share = joint_share(
+        rate - noise if tests_noise else rate, difference.covariance, difference.exponents, freedom
+    )
+    return AlarmLimits(share, -float(stdtrit(freedom, share)), -float(stdtrit(freedom, noise)))
+
+
+def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None = None) -> Judgement:
+    """Judge a fit against a reference, at a rate of false alarms per healthy piece.
+
+    The load may be unknown: alarm only if every assumed load does.
+
+    Args:
+        fit: of the piece.
+        reference: of the healthy motor.
+        rate: of false alarms.
+        alarm: whether there is an alarm, if several pieces have decided that; None to decide here.
+    """
+    hypotheses = form_hypotheses(fit, reference, rate)
+    limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
+    # A data sheet speaks of a motor without a load; there, loads only help to name what stands out.
+    believed = hypotheses if reference.includes_fit_error else hypotheses[:1]
+    quiet = next(
+        (hypothesis for hypothesis in believed if not hypothesis.is_alarm(limits.z, limits.share)), None
+    )
+    if alarm is not None:
+        quiet = None if alarm else hypotheses[0]
+    hypothesis = quiet or hypotheses[0]
+    same_warmth = covariance_at_one_temperature(fit, reference)
+    # As fitted: those of a hypothesis are straightened, for tests that the temperature shall not raise.
+    rows, load = shared_rows(fit, reference), hypotheses[0].load
+    log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * load.warmth
+    healthy = Judgement(
+        Verdict.HEALTHY,
+        (
+            f"no quantity has moved further than {reference.source} and the fit's own error allow",
+            *_describe_warming(hypothesis, same_warmth, reference),
+        ),
+        severity=0.0,
+        confidence=probabilities(hypothesis.difference, hypothesis.faults)["healthy"],
+        fit=fit,
+        reference=reference,
+        changes=compare(
+            reference.names,
+            log_ratios,
+            same_warmth,
+            reference.degrees_of_freedom,
+            limits.z,
+            is_alarm=quiet is None,
+        ),
+        smallest_changes=smallest_detectable(believed, reference.own_friction, limits.z),
+    )
+    if quiet is None:
+        limit = limits.z if alarm is None else min(limits.z, _NAMED)
+        # However often windows may alarm: a fault that is there leaves no more than this in 1 of 100.
+        left_over = min(rate, _LEFT_OVER)
+        return limit_to_wear(
+            _explain_alarm(healthy, reference, hypotheses, log_ratios, limit, rate=left_over)
+        )
+    # That healthy pieces scatter by their load is no defect of this one, and the model's error is theirs as well.
+    spread = hypothesis.difference.covariance
+    if reference.includes_fit_error:
+        spread = fit.white_covariance[np.ix_(rows, rows)]
+    smallest = smallest_changes(replace(hypothesis.difference, covariance=spread), limits.z)
+    unseen = tuple(_describe_undecided(smallest, reference.source))
+    if len(unseen) == len(_CHECKED_FAULTS):
+        return replace(healthy, verdict=Verdict.UNUSABLE, reasons=unseen, severity=None, confidence=None)
+    healthy = replace(healthy, reasons=(*healthy.reasons, *unseen))
+    return _check_noise(healthy, fit, reference, limits.noise_z)
+
+
+def _explain_alarm(
+    healthy: Judgement,
+    reference: Reference,
+    hypotheses: list[Hypothesis],
+    log_ratios: FloatArray,
+    limit: float,
+    *,
+    rate: float,
+) -> Judgement:
+    """Name the fault that explains an alarm, or none; assume a load only if no fault explains it without one.
+
+    The effect of temperature stays that of a motor without a load: with an open load too, anything could be explained.
+    """
+
+    def suffices(fault: Explanation) -> bool:
+        return fault.z > limit and fault.p_left_over > rate and is_separable(first.difference, fault.kind)
+
+    first = hypotheses[0]
+    scales = find_scaling_errors(first.difference, reference.names, limit, rate)
+    also = [describe_scaling_errors(scales)] if scales else []
+    # What has taught no sensors says nothing of their gains.
+    gains = [scale.gain for scale in scales if scale.gain is not None and reference.is_taught]
+    for hypothesis in hypotheses[:1] if any(map(suffices, first.faults)) else hypotheses:
+        difference = replace(first.difference, response=hypothesis.load.response)
+        faults = explain(difference)
+        probability = probabilities(difference, faults)
+        best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
+        if best is not None and probability[best.kind] >= probability["other"]:
+            (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
+            if gains:
+                probability = probabilities(difference, [*faults, *gains])
+                share = sum(probability[gain.kind] for gain in gains)
+                also[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
+                if share > probability[best.kind]:
+                    break
+            judgement = _name_fault(healthy, reference, as_fitted, probability, hypothesis.load.name)
+            return replace(judgement, reasons=(*judgement.reasons, *also))
+    if gains and len(gains) == len(scales):
+        probability = probabilities(first.difference, [*first.faults, *gains])
+        # Two that explain alike differ by rounding: the one that is named first counts.
+        likeliest = max(gains, key=lambda gain: round(probability[gain.kind], 9))
+        if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
+            judgement = _name_fault(healthy, reference, likeliest, probability, None)
+            return replace(judgement, reasons=(*also, *judgement.reasons))
+    named = {fault.kind for fault in first.faults}
+    unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
+    # These cannot be named: a coupled load would look the same.
+    alike = (
+        f"it may be {fault.kind} by {fault.severity:.0%} ({fault.kind.finding}), or a coupled load: a recording of the"
+        " speed tells which"
+        for fault in filter(suffices, explain(first.difference, unnamed))
+    )
+    other = healthy.as_other(*also, *_describe_changes(healthy.changes, reference.source), *alike)
+    return replace(other, confidence=probabilities(first.difference, first.faults)["other"])
+
+
+def _describe_warming(
+    hypothesis: Hypothesis, same_warmth: FloatArray, reference: Reference
+) -> tuple[str, ...]:
+    """Say that another temperature explains the changes, if it does: its posterior mean in kelvin."""
+    if reference.temperature_k == 0.0:
+        return ()
+    kelvin, sd = estimate_warming(
+        hypothesis.difference.log_ratios, same_warmth, hypothesis.load.warmth, reference.temperature_k
+    )
+    if abs(kelvin) < max(_TELLING_WARMTH_K, 2.0 * sd):
+        return ()
+    word = "warmer" if kelvin > 0.0 else "colder"
+    return (
+        f"the motor is some {abs(kelvin):.0f} K {word} than when it was healthy: that explains its R, K and friction",
+    )
+
+
+def _name_fault(
+    healthy: Judgement,
+    reference: Reference,
+    fault: Explanation,
+    probability: dict[str, float],
+    load: str | None,
+) -> Judgement:
+    """Judge a piece with a known fault; the interval of its severity is that of Student's t."""
+    verdict, own = Verdict(fault.kind.verdict), severity_unit(fault.kind, reference.own_friction)
+    half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
+    low, high = (severity_of(fault.kind, fault.step + margin) / own for margin in (-half, half))
+    return replace(
+        healthy,
+        verdict=verdict,
+        reasons=(
+            fault.kind.finding,
+            f"compared with {reference.source}",
+            *(() if load is None else (f"the changes fit it if the drag is mostly {LOADS[load]}",)),
+        ),
+        severity=fault.severity / own,
+        severity_interval=(low, high),
+        confidence=sum(probability.get(kind, 0.0) for kind in FaultKind if kind.verdict == verdict),
+        fault_kind=fault.kind,
+        kind_probability=probability[fault.kind],
+    )
+
+
+def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
+    """Judge the noise of the current; `limit` is in standard deviations of its logarithm."""
+    if reference.log_noise is None or not isinstance(fit, Identified):
+        return healthy
+    # Coarse steps, a rectifier and a dead zone change the noise seen: it tells nothing. Healthy starts were recorded
+    # with the same sensor, and hold the same.
+    is_coarse = fit.start.alignment.quantum_a > math.exp(reference.log_noise)
+    if (is_coarse or fit.is_hidden) and not reference.includes_fit_error:
+        return healthy
+    z = (math.log(max(fit.noise_a, 1e-12)) - reference.log_noise) / reference.log_noise_sd
+    if z <= limit:
+        return healthy
+    ratio = math.exp(z * reference.log_noise_sd)
+    return replace(
+        healthy,
+        verdict=Verdict.NOISE,
+        reasons=(
+            f"the parameters are as expected, but the current's noise is {ratio:.2f} times the reference's",
+        ),
+        severity=ratio**2 - 1.0,
+        confidence=float(stdtr(reference.degrees_of_freedom, z)),
+    )
+
+
+_CHECKED_FAULTS = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}
+
+
+def _describe_undecided(smallest: dict[str, float], source: str) -> Iterator[str]:
+    """Describe what a piece leaves undecided: a doubling would not show, or there is no reference."""
+    for kind, quantity in _CHECKED_FAULTS.items():
+        severity = smallest.get(str(kind))
+        if severity is None:
+            yield f"the {quantity} is undecided: it cannot be compared with {source}"
+        elif severity > _DOUBLED:
+            shown = f"only a rise of {severity:.0%}" if severity < _TENFOLD else "not even a tenfold one"
+            yield (
+                f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it,"
+                f" {shown} would show"
+            )
+
+
+def _describe_changes(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:
+    moved = [c for c in changes if c.significant] or sorted(
+        changes, key=lambda c: abs(math.log(c.ratio)) / math.log(c.high / c.low), reverse=True
+    )[:1]
+    words = [
+        f"{c.name} is up more than {_MANYFOLD:.0f}-fold"
+        if c.ratio > _MANYFOLD
+        else f"{c.name} is {'up' if c.ratio > 1.0 else 'down'} by {abs(c.ratio - 1.0):.0%}"
+        f" ({c.low - 1.0:+.0%} to {c.high - 1.0:+.0%})"
+        for c in moved
+    ]
+    if any(c.name.startswith("K^2") for c in moved):
+        words.append("K down looks the same as J and B up in the current alone")
+    # Friction moves with any load; two others move together where the motor is another one.
+    several = len({c.name[0] for c in moved if c.significant} - {"B"}) > 1
+    return (
+        "; ".join(words),
+        ("is this the right motor? N" if several else "n")
+        + f"o single known fault explains this, compared with {source}",
+    )

@@ -1,0 +1,193 @@
+"""Judgements on the pieces of a recording, and the verdict that follows from them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from motor_env.common.console import ExitStatus
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.readers.recording import Recording
+from motor_env.diagnosis.readers.regime import RegimeDecision as Taken
+from motor_env.diagnosis.verdict.healthy_motor import Reference
+from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
+from motor_env.filters.consistency import Consistency, check_consistency
+from motor_env.motor.faults import FaultKind
+
+SURE_OF_KIND = 0.95
+"""Posterior probability below which a verdict names no kind of its family."""
+_FEWEST_FOR_WHITENESS = 40
+
+
+class Verdict(StrEnum):
+    """Verdict on a recording: healthy, a family of faults, or why there is none."""
+
+    HEALTHY = "healthy"
+    BEARING = "bearing"
+    WINDING = "winding"
+    MAGNET = "magnet"
+    SENSOR = "sensor"
+    NOISE = "noise"
+    OTHER = "other"
+    NO_REFERENCE = "no_reference"
+    UNUSABLE = "unusable"
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether it calls for action."""
+        return self not in (Verdict.HEALTHY, Verdict.NO_REFERENCE, Verdict.UNUSABLE)
+
+    @property
+    def status(self) -> ExitStatus:
+        """Exit status of this verdict alone."""
+        if self.is_fault:
+            return ExitStatus.FAULT
+        return ExitStatus.HEALTHY if self is Verdict.HEALTHY else ExitStatus.UNDECIDED
+
+    @classmethod
+    def _missing_(cls, value: object) -> Verdict | None:
+        """Return the verdict of a fault kind that was registered from outside the package."""
+        if value not in {kind.verdict for kind in FaultKind}:
+            return None
+        word = str.__new__(cls, value)
+        word._name_, word._value_ = str(value).upper(), str(value)
+        return _REGISTERED.setdefault(str(value), word)
+
+
+_REGISTERED: dict[str, Verdict] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Verdict on one piece of a recording, and its evidence.
+
+    Attributes:
+        verdict: family of the fault, healthy, or why there is none.
+        reasons: sentences.
+        severity: size of the fault as a fraction; 0 for a healthy motor.
+        severity_interval: 95 %; None without a size.
+        confidence: posterior probability of the verdict.
+        fault_kind: the most probable kind of the family.
+        kind_probability: posterior probability of that kind.
+        fit: the fitted piece, if any.
+        reference: what it was compared with.
+        changes: of each quantity from the reference.
+        smallest_changes: severity of each fault that is found in 95 of 100 cases.
+        begin_s: begin of the piece on the recording's clock.
+        duration_s: length of the piece.
+    """
+
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    severity: float | None = None
+    severity_interval: tuple[float, float] | None = None
+    confidence: float | None = None
+    fault_kind: FaultKind | None = None
+    kind_probability: float = 0.0
+    fit: Fitted | None = None
+    reference: Reference | None = None
+    changes: tuple[Change, ...] = ()
+    smallest_changes: dict[str, float] = field(default_factory=dict)
+    begin_s: float = 0.0
+    duration_s: float = 0.0
+
+    def on(self, piece: Recording) -> Judgement:
+        """Return the judgement with the time of its piece in the recording."""
+        return replace(self, begin_s=float(piece.time_s[0]), duration_s=len(piece.time_s) * piece.dt_s)
+
+    def as_other(self, *reasons: str) -> Judgement:
+        """Return the judgement that something else is wrong, for these reasons, without kind and size."""
+        return replace(
+            self,
+            verdict=Verdict.OTHER,
+            reasons=reasons,
+            severity=None,
+            severity_interval=None,
+            fault_kind=None,
+        )
+
+    @property
+    def kind(self) -> FaultKind | None:
+        """Kind of the fault, if it is distinguished from the others of its family."""
+        return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
+
+    @property
+    def identified(self) -> Identified | None:
+        """Fit of a start; None for other pieces."""
+        return self.fit if isinstance(self.fit, Identified) else None
+
+    @property
+    def consistency(self) -> Consistency | None:
+        """Mean, size and whiteness of the fit's innovations; None without a fit, or with too few of them."""
+        if self.fit is None or len(self.fit.whitened) <= _FEWEST_FOR_WHITENESS:
+            return None
+        return check_consistency(self.fit.whitened)
+
+    @property
+    def warning(self) -> str:
+        """Sentence that the recording is not consistent with the fitted model; empty if it is."""
+        return "" if self.consistency is None else self.consistency.warning
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """Verdict on a recording, by judgements on its pieces; for attributes see `diagnose.Diagnosis`."""
+
+    recording: Recording
+    taken: Taken
+    pieces: tuple[Judgement, ...]
+    of: int = 1
+    periods_per_turn: float | None = None
+
+    @property
+    def decisive(self) -> Judgement:
+        """The piece that decides the verdict.
+
+        It is the surest one of the most frequent fault; without a fault the first healthy piece, else the first.
+        """
+        faults = [piece for piece in self.pieces if piece.verdict.is_fault]
+        count = Counter(piece.verdict for piece in faults)
+        healthy = (piece for piece in self.pieces if piece.verdict is Verdict.HEALTHY)
+        calm = next(healthy, self.pieces[0])
+        return max(faults, key=lambda piece: (count[piece.verdict], piece.confidence or 0.0), default=calm)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict of the decisive piece."""
+        return self.decisive.verdict
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Sentences."""
+        return self.decisive.reasons
+
+    @property
+    def severity(self) -> float | None:
+        """Size of the fault."""
+        return self.decisive.severity
+
+    @property
+    def confidence(self) -> float | None:
+        """Posterior probability of the verdict."""
+        return self.decisive.confidence
+
+    @property
+    def kind(self) -> FaultKind | None:
+        """Kind of the fault, if it is distinguished from others of its family."""
+        return self.decisive.kind
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Change of each quantity from the reference."""
+        return self.decisive.changes
+
+    @property
+    def severity_interval(self) -> tuple[float, float] | None:
+        """Interval of the severity, 95 %; None without one."""
+        return self.decisive.severity_interval
+
+    @property
+    def smallest_changes(self) -> dict[str, float]:
+        """Severity of each fault that is found in 95 of 100 cases."""
+        return self.decisive.smallest_changes

@@ -1,0 +1,329 @@
+"""Self-contained HTML pages: a verdict with what to do first and what it rests on; fits beside what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from motor_env.common.console import printable
+from motor_env.common.pages.html import render
+from motor_env.common.pages.svg import Axis, Chart, round_ticks
+from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_prior import absolute_parameters as absolute
+from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
+from motor_env.diagnosis.verdict.judgement import Diagnosis, Judgement, Verdict
+from motor_env.diagnosis.verdict.report_text import as_text, describe_r2, warnings_of
+from motor_env.diagnosis.verdict.verdict_texts import KIND_TEXTS, RUN_ON_TEXTS, SIZE_TEXTS, VERDICT_TEXTS
+from motor_env.motor.parameters import FloatArray
+
+_WIDTH = 480.0  # so narrow that its numbers can be read on a phone
+_RATIOS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0, 1.5, 0.75, 1.25, 0.8, 1.1, 0.9, 1.05, 0.95)
+"""Possible grid lines, the preferred ones first."""
+_MOST_POINTS = 700
+_SHOWN_SHARE = 0.02  # of the recording before the start
+_END = "The end of the start, averaged"
+_COINCIDE = 0.03  # of the peak: closer curves cannot be told apart
+_QUANTITY = {
+    "R": "Winding resistance R",
+    "L": "Inductance L",
+    "K": "Constant K",
+    "K^2/J": "Pull K²/J",
+    "J": "Inertia J",
+    "B": "Friction B",
+    "B/J": "Friction B/J",
+    "speed": "Speed (ripple)",
+}
+
+
+def page(diagnosis: Diagnosis) -> str:
+    """Draw the page of a diagnosis."""
+    decisive, verdict = diagnosis.decisive, diagnosis.verdict
+    fit, expected = decisive.identified, reference_current(decisive)
+    tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
+    named = decisive.kind if decisive.kind in VERDICT_TEXTS else verdict
+    title, *first = VERDICT_TEXTS.get(named, (str(verdict).capitalize(),))
+    sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
+    current, residual = ("", "") if fit is None else _currents(fit, expected, is_fault=verdict.is_fault)
+    return render(
+        "motor_env.diagnosis.verdict",
+        "diagnosis.html.j2",
+        title=title,
+        file=printable(diagnosis.recording.path.name),
+        tone=tone,
+        size=_size(decisive),
+        sure="over 99 % sure" if (diagnosis.confidence or 0.0) > 0.99 else sure,
+        runs_on=RUN_ON_TEXTS.get(decisive.kind or verdict) or RUN_ON_TEXTS.get(verdict, ""),
+        first=first,
+        reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
+        warnings=[
+            f"{sentence[0].upper()}{sentence[1:]}." for sentence in warnings_of(diagnosis.recording, fit)
+        ],
+        read=[printable(note) for note in diagnosis.recording.columns],
+        taken=str(diagnosis.taken),
+        history=pieces_chart(diagnosis.pieces) if len(diagnosis.pieces) > 1 else "",
+        bars=_bars(diagnosis.changes) if diagnosis.changes else "",
+        current=current,
+        has_expected=expected is not None,
+        part=f"{_END}: " if _END in current else "",
+        residual=residual,
+        smallest=[
+            (KIND_TEXTS.get(kind, kind), f"{share:.0%}") for kind, share in decisive.smallest_changes.items()
+        ],
+        expert=printable(as_text(diagnosis, verbose=True)),
+    )
+
+
+def page_of_fits(
+    title: str, fits: Mapping[str, Identified | Operation], *, spread: str = "", note: str = ""
+) -> str:
+    """Draw the page of fits: measured beside fitted current and speed, and the residuals.
+
+    Args:
+        title: heading.
+        fits: of starts and of logs, by the name of the recording.
+        spread: chart of how the quantities of healthy pieces spread, as SVG.
+        note: sentence below that chart.
+    """
+    return render(
+        "motor_env.diagnosis.verdict",
+        "fits.html.j2",
+        title=printable(title),
+        spread=spread,
+        note=note,
+        fits=[
+            (
+                printable(name),
+                f"{' + '.join(fit.model) or 'textbook'}, {describe_r2(fit.r2_current, fit.r2_speed)}",
+                "\n".join(_fit_charts(fit)),
+            )
+            for name, fit in fits.items()
+        ],
+    )
+
+
+def _fit_charts(fit: Identified | Operation) -> Iterator[str]:
+    """Draw current and speed with their residuals, of a log also the voltage, without uncounted samples."""
+    if isinstance(fit, Identified):
+        time, unit = 1e3 * (fit.start.time_s - fit.onset_s), "ms"
+        measured = [fit.start.current_a, fit.start.speed_rad_s]
+        counted = [fit.start.counted, np.full(len(time), fill_value=True)]
+    else:
+        time, unit = fit.record.dt_s * np.arange(len(fit.expected), dtype=np.float64), "s"
+        measured = [fit.record.readings[:, n] if fit.record.seen[n] else None for n in range(2)]
+        counted = [np.isfinite(fit.record.readings[:, n]) for n in range(2)]
+        yield _chart(time, {"measured": fit.record.voltage_v}, "V", "Voltage", time_unit=unit)
+    channels = (("Current", "A"), ("Speed", "rad/s"))
+    for (name, symbol), values, fitted, rows in zip(channels, measured, fit.expected.T, counted, strict=True):
+        if values is None:
+            continue
+        kept = np.flatnonzero(rows)
+        kept = kept[:: max(len(kept) // _MOST_POINTS, 1)]
+        both = {"measured": values[kept], "healthy": fitted[kept]}
+        yield _chart(time[kept], both, symbol, f"{name}, measured and fitted", time_unit=unit)
+        residual = {"beyond": values[kept] - fitted[kept]}
+        yield _chart(time[kept], residual, symbol, f"{name}: residual", time_unit=unit)
+
+
+def spread_chart(fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Draw the interval of each quantity of the next healthy piece, and a dot for each piece, in per cent."""
+    rows = zip(parameters.items(), np.exp([fit.log_values for fit in fits]).T, strict=True)
+    changes, pieces = [], {}
+    for (name, row), values in rows:
+        low, high = np.asarray(row["interval"]) / row["value"]
+        changes.append(Change(name, 1.0, low, high, "healthy"))
+        pieces[name] = values / row["value"]
+    return _bars(tuple(changes), pieces)
+
+
+def _size(judgement: Judgement) -> str:
+    """Describe the size of a fault with its interval; empty without a size."""
+    size, interval, kind = judgement.severity, judgement.severity_interval, judgement.fault_kind
+    if not size or not judgement.verdict.is_fault or kind is None:
+        return ""
+    between = "" if interval is None else f", between {interval[0]:.0%} and {interval[1]:.0%}"
+    return SIZE_TEXTS.get(kind, "Size {}").format(f"{size:.0%}") + between
+
+
+def reference_current(judgement: Judgement) -> FloatArray | None:
+    """Simulate the current of the reference's motor in this start, shape (n,); None without a reference.
+
+    If only the current was recorded, K is that of the fit: the current depends on K^2/J and B/J only.
+    """
+    fit, reference = judgement.identified, judgement.reference
+    if fit is None or reference is None:
+        return None
+    believed = float(np.max(fit.parameters.back_emf_constant_v_s_per_rad))
+    value = absolute(
+        dict(zip(fit.quantity_names, fit.values.tolist(), strict=True)) | reference.values, believed
+    )
+    physical = fit.physical
+    for name in "RLKJB":
+        physical[getattr(places, name)] = value[name]
+    return fit.run(physical)[:, 0] + fit.start.alignment.offset_a
+
+
+def _bars(changes: tuple[Change, ...], pieces: Mapping[str, FloatArray] | None = None) -> str:
+    """Draw the change of each quantity, or those of several pieces, with its interval on a logarithmic axis."""
+    height = 34.0 * len(changes)
+    chart = Chart(
+        _ratio_axis(changes),
+        Axis("", 0.0, 1.0),
+        size=(_WIDTH, height + 30.0),
+        margins=(150.0, 64.0, 0.0, 30.0),
+        label="Deviation of each quantity from the healthy motor, with its 95 % interval",
+    )
+    chart.x_numbers(grid=True)
+    chart.upright("zero", 1.0)
+    for row, change in enumerate(changes):
+        y, style = 34.0 * row + 17.0, "moved" if change.significant else "still"
+        name = change.name.replace(" V)", ")").removesuffix("/V").replace("(J)", "J")
+        with chart.group(style, f"{change.name}: {change.ratio - 1.0:+.1%}"):
+            chart.text((0.0, y + 5.0), _QUANTITY.get(name, change.name), "name")
+            chart.line("interval", (chart.x(change.low), y), (chart.x(change.high), y))
+            if pieces is not None:
+                for ratio in pieces[change.name]:
+                    chart.dot("dot", (chart.x(ratio), y), 4.0)
+                continue
+            chart.dot("dot", (chart.x(change.ratio), y), 6.0)
+            chart.text((_WIDTH, y + 5.0), f"{round(change.ratio - 1.0, 2) + 0.0:+.0%}", "value", "end")
+    return chart.svg()
+
+
+def _ratio_axis(changes: Sequence[Change]) -> Axis:
+    """Make a logarithmic axis in per cent, a tenth wider than the widest interval."""
+    widest = max(max(change.high, 1.0 / change.low) for change in changes)
+    edge = float(np.clip(1.1 * widest, 1.1, 8.0))
+    ticks: list[float] = []
+    for tick in _RATIOS:
+        apart = min((abs(np.log(tick / other)) for other in ticks), default=1.0)
+        if 1.0 / edge <= tick <= edge and apart > 0.36 * np.log(edge):
+            ticks.append(tick)
+    return Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True)
+
+
+def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -> tuple[str, str]:
+    """Draw the measured current beside the healthy motor's, and their difference; empty without a healthy motor.
+
+    The difference is averaged over a fiftieth of the recording, with the sensor's noise as a band. If the curves of a
+    fault would coincide, only the end of the start is drawn, averaged alike.
+    """
+    time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
+    begin = int(np.searchsorted(time_ms, -_SHOWN_SHARE * time_ms[-1]))
+    shown = slice(begin, None, max((len(time_ms) - begin) // _MOST_POINTS, 1))
+    measured = fit.start.current_a - fit.start.ripple_a
+    span = max(len(measured) // 50, 1)
+    curves = {"measured": fit.start.current_a[shown]}
+    if expected is not None:
+        curves["healthy"] = expected[shown]
+    whole_ms, current = time_ms[shown], ""
+    if expected is not None and is_fault:
+        apart = np.abs(moving_average(measured - expected, span))[begin:]
+        if np.max(apart) < _COINCIDE * np.ptp(curves["healthy"]):
+            current = _end_chart(
+                time_ms, moving_average(measured, span), moving_average(expected, span), float(np.max(apart))
+            )
+    label = "Measured current and that of the healthy motor"
+    current = current or _chart(whole_ms, curves, "A", label)
+    if expected is None:
+        return current, ""
+    time_ms, smooth = whole_ms, moving_average(measured - expected, span)[shown]
+    noise = 2.0 * fit.noise_a / float(np.sqrt(span))
+    largest = max(float(np.quantile(np.abs(smooth[time_ms > 0.0]), 0.98)), 2.0 * noise)
+    unit, factor = ("A", 1.0) if largest > 1.0 else ("mA", 1e3)
+    edge = 1.2 * factor * largest
+    residual = _chart(
+        time_ms,
+        {"beyond": factor * smooth},
+        unit,
+        "Measured less healthy current, with the band of the sensor's noise",
+        limits=(-edge, edge),
+        band=factor * noise,
+    )
+    return current, residual
+
+
+def moving_average(values: FloatArray, span: int) -> FloatArray:
+    """Average over so many samples, moving; shape (n,)."""
+    padded = np.pad(values, (span // 2, span - 1 - span // 2), "reflect")
+    return np.convolve(padded, np.ones(span) / span, "valid")
+
+
+def _end_chart(time_ms: FloatArray, measured: FloatArray, healthy: FloatArray, apart_a: float) -> str:
+    """Draw both currents from where they have settled; empty if they do not settle."""
+    moving = np.flatnonzero(np.abs(healthy - healthy[-1]) > 2.0 * apart_a)
+    begin = int(moving[-1]) + 1 if moving.size else 0
+    if begin > 0.9 * len(healthy):
+        return ""
+    shown = slice(begin, None, max((len(time_ms) - begin) // _MOST_POINTS, 1))
+    unit, factor = ("A", 1.0) if apart_a > 1.0 else ("mA", 1e3)
+    curves = {"measured": factor * measured[shown], "healthy": factor * healthy[shown]}
+    label = f"{_END}: measured current and that of the healthy motor"
+    return _chart(time_ms[shown], curves, unit, label)
+
+
+def _chart(
+    time_ms: FloatArray,
+    curves: Mapping[str, FloatArray],
+    unit: str,
+    label: str,
+    *,
+    limits: tuple[float, float] | None = None,
+    band: float = 0.0,
+    time_unit: str = "ms",
+) -> str:
+    """Draw curves by their style over the time, within limits or their own, and a band about 0."""
+    begin, end = float(time_ms[0]), float(time_ms[-1])
+    low, high = limits or (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
+    room = 0.05 * max(high - low, 1e-9)
+    low, high = low - room, high + room
+    chart = Chart(
+        Axis("", begin, end, round_ticks(begin, end), lambda value: f"{value:g} {time_unit}"),
+        Axis("", low, high, round_ticks(low, high), lambda value: f"{value:g} {unit}"),
+        size=(_WIDTH, 230.0),
+        margins=(66.0 + 8.0 * max(len(unit) - 2, 0), 32.0, 8.0, 28.0),
+        label=label,
+    )
+    if band:
+        corners = chart.points([begin, end, end, begin], [band, band, -band, -band])
+        chart.shape("polygon", "band", points=corners)
+    chart.y_numbers()
+    chart.x_numbers()
+    for style, values in curves.items():
+        chart.curve(style, time_ms, values)
+    return chart.svg()
+
+
+def pieces_chart(pieces: Sequence[Judgement]) -> str:
+    """Draw the change of each quantity from the healthy motor, piece by piece over the recording's time."""
+    judged = [(piece, {change.name: change for change in piece.changes}) for piece in pieces if piece.changes]
+    names = [name for name in judged[0][1] if name in judged[-1][1]] if judged else []
+    return "\n".join(
+        _history(name, [(piece, changes[name]) for piece, changes in judged if name in changes])
+        for name in names
+    )
+
+
+def _history(name: str, changes: Sequence[tuple[Judgement, Change]]) -> str:
+    """Draw one quantity: a dot and its interval for each piece."""
+    begin, end = changes[0][0].begin_s, max(piece.begin_s + piece.duration_s for piece, _ in changes)
+    what = _QUANTITY.get(name, name)
+    chart = Chart(
+        Axis("", begin, end, round_ticks(begin, end), lambda value: f"{value:g} s"),
+        _ratio_axis([change for _, change in changes]),
+        size=(_WIDTH, 130.0),
+        margins=(66.0, 32.0, 24.0, 28.0),
+        label=f"{what} over time, with 95 % intervals",
+    )
+    chart.y_numbers()
+    chart.x_numbers()
+    chart.text((66.0, 14.0), what, "name")
+    for piece, change in changes:
+        middle = chart.x(piece.begin_s + 0.5 * piece.duration_s)
+        with chart.group("moved" if change.significant else "still", f"{change.ratio - 1.0:+.1%}"):
+            chart.line("interval", (middle, chart.y(change.low)), (middle, chart.y(change.high)))
+            chart.dot("dot", (middle, chart.y(change.ratio)), 4.0)
+    return chart.svg()
