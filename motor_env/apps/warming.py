@@ -20,9 +20,8 @@ from motor_env.diagnosis.identification import identify
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.envs.offline.behaviours import TASKS, Behaviour
 from motor_env.envs.offline.recording import episodes_of
-from motor_env.inference.features import physical_features
-from motor_env.inference.posterior import class_probabilities
-from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.inference.class_model import physical_features
+from motor_env.inference.posterior import SeverityPrior, class_probabilities, severity_posterior
 from motor_env.inference.work_features import work_features
 from motor_env.motor.compiled import in_silence
 from motor_env.motor.faults import FaultKind

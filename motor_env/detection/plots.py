@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from motor_env.common.arrays import instance, number, numbers
 from motor_env.detection.rules.base import Rule, first_above
-from motor_env.detection.rules.thresholds import Threshold
+from motor_env.detection.rules.calibration import Threshold
 from motor_env.motor.parameters import FloatArray
 
 

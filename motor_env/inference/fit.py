@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.common.arrays import numbers
-from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import (
+    Coordinates,
     NormalEquations,
     Observed,
     common_equations,

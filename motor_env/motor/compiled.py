@@ -13,9 +13,9 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from enum import EnumType
-from functools import cache
+from functools import cache, wraps
 from types import ModuleType
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numba
 import numpy as np
@@ -23,6 +23,28 @@ from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  # it has no types
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@cache
+def _controller() -> Any:
+    import scipy.linalg  # noqa: F401  # it finds what has been loaded
+
+    return ThreadpoolController()
+
+
+def on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
+    """The function, with NumPy's and SciPy's linear algebra on one thread while it runs."""
+
+    @wraps(function)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> T:
+        with _controller().limit(limits=1):
+            return function(*args, **kwargs)
+
+    return alone
 
 
 @cache

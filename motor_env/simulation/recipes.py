@@ -21,8 +21,7 @@ from motor_env.motor.parameters import (
     require_plausible,
     require_positive,
 )
-from motor_env.simulation.disturbances import PRIORS, Field, Range
-from motor_env.simulation.duty import DUTY_PRIORS, Duty
+from motor_env.simulation.disturbances import DUTY_PRIORS, PRIORS, Duty, Field, Range
 from motor_env.simulation.failed_sensors import VOLTAGE
 from motor_env.simulation.nonlinear import substeps
 from motor_env.simulation.simulate import Timing

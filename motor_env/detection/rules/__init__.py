@@ -8,12 +8,10 @@ Rules on the NIS read all channels, the others the first one.
 """
 
 from motor_env.detection.rules.base import Rule, RuleStream, first_above
-from motor_env.detection.rules.calibration import recipe_thresholds, run_lengths
+from motor_env.detection.rules.calibration import Threshold, recipe_thresholds, run_lengths
 from motor_env.detection.rules.cusum import Cusum, ModelBank, ShiryaevRoberts, Sprt
-from motor_env.detection.rules.nis import MOfN, in_a_row, nis_rule
-from motor_env.detection.rules.thresholds import Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter
-from motor_env.detection.rules.windowed import Glr, WindowedNis
+from motor_env.detection.rules.windowed import Glr, MOfN, WindowedNis, in_a_row, nis_rule
 
 __all__ = [
     "Cusum",

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from motor_env.common.arrays import flags, instance, number, numbers, whole
 from motor_env.detection.rules import calibration
-from motor_env.detection.rules.thresholds import LONGEST, Request, Statistic, Threshold
+from motor_env.detection.rules.calibration import LONGEST, Request, Statistic, Threshold
 from motor_env.detection.run_length import RunLaw
-from motor_env.filters.stream import MOST_STREAMS
+from motor_env.filters.batch import MOST_STREAMS
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import LARGEST_SEED

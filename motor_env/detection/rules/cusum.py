@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from motor_env.common.arrays import instance, number, numbers
 from motor_env.detection.rules import kernels
 from motor_env.detection.rules.base import ExactRule, Rule, checked_shift
-from motor_env.detection.rules.thresholds import Request, Threshold
+from motor_env.detection.rules.calibration import Request, Threshold
 from motor_env.detection.run_length import RunLaw, TwoSided, cusum_chain, shiryaev_roberts_chain, sprt_chain
 from motor_env.motor.parameters import FloatArray, require
 

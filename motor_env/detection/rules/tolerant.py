@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motor_env.common.arrays import instance, numbers
-from motor_env.filters.batch import run_filter
+from motor_env.filters.batch import FilterStream, run_filter
 from motor_env.filters.kalman import KalmanFilter
-from motor_env.filters.stream import FilterStream
 from motor_env.inference.posterior import class_coordinates
 from motor_env.inference.whitening import MarginalWhitener, noise_free_innovations
 from motor_env.motor.parameters import FloatArray, require
