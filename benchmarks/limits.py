@@ -15,9 +15,9 @@ from motor_env.inference.posterior import SeverityPrior
 from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import PAPER_MOTOR, Channel, SensorParameters
-from motor_env.simulation.drawing import draw
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe, Spread
+from motor_env.simulation.sampling import draw
 from motor_env.simulation.simulate import Timing, simulate
 
 SEED = 11

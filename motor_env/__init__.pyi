@@ -94,14 +94,14 @@ from .motor.parameters import (
     SensorParameters as SensorParameters,
     SupplyParameters as SupplyParameters,
 )
-from .simulation.drawing import (
-    draw as draw,
-)
 from .simulation.named_recipes import (
     load_recipe as load_recipe,
 )
 from .simulation.recipes import (
     Recipe as Recipe,
+)
+from .simulation.sampling import (
+    draw as draw,
 )
 from .simulation.simulate import (
     Scenario as Scenario,

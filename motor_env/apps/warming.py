@@ -27,8 +27,8 @@ from motor_env.motor.compiled import in_silence
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
-from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import RECIPES
+from motor_env.simulation.sampling import draw, measure_draw
 from motor_env.simulation.simulate import simulate_states
 
 _LEVEL_V, _STEP_S, _NOISE = 12.0, 1e-3, np.array([0.02, 0.5])

@@ -12,9 +12,9 @@ from motor_env.inference.posterior import recipe_observed, variance_factor
 from motor_env.inference.sensitivities import Coordinates, fitted_residuals
 from motor_env.motor.faults import Fault
 from motor_env.motor.parameters import Channel, FloatArray, SupplyParameters
-from motor_env.simulation.drawing import apply_factors, driven, surroundings
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
+from motor_env.simulation.sampling import apply_factors, driven, surroundings
 from motor_env.simulation.simulate import Scenario
 
 FEATURE_FREE = ("resistance", "friction", "supply", "constants", "inertia")

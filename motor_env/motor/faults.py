@@ -56,7 +56,7 @@ class FaultKind(str, metaclass=_Registry):
     Attributes:
         powers: power of (1 + severity) on each quantity, of `QUANTITY_FIELDS` or noise (the variance of the noise).
             Where all are negative, a quantity is multiplied by (1 - severity)^-power: the severity is what is lost.
-            None for a sensor's failure, which changes what is read (`motor_env.simulation.failed_sensors`).
+            None for a sensor's failure, which changes what is read (`motor_env.simulation.sensor_faults`).
         verdict: the word for it, which kinds may share.
         finding: one sentence for the reader of a diagnosis: what moved, and where to look.
 
@@ -311,7 +311,7 @@ class Fault:
         kind: bearing: friction B up by the severity. winding_contact: resistance R up by the severity (bad contact or
             brush). winding_short: a fraction of the turns equal to the severity is shorted. noise: the variance of
             `noise_source` up by the severity. magnet: torque and back-EMF constant down by the severity. Those of
-            sensors (`SENSOR_KINDS`) change what is read: see `motor_env.simulation.failed_sensors`.
+            sensors (`SENSOR_KINDS`) change what is read: see `motor_env.simulation.sensor_faults`.
         severity: relative size, 0.25 for 25 %; a float, or one entry a motor. Below 1 where something is lost.
         onset_s: time of the onset, counted from the step of the supply; `ALWAYS` for a fault that was always there.
             The fault acts in every sampling interval that begins at or after it.

@@ -14,7 +14,6 @@ from motor_env.motor.compiled import njit
 from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, require
-from motor_env.simulation.failed_sensors import VOLTAGE, fail_after_noise, fail_before_noise
 from motor_env.simulation.nonlinear import (
     Driving,
     Effects,
@@ -26,6 +25,7 @@ from motor_env.simulation.nonlinear import (
 )
 from motor_env.simulation.random_streams import Stream, normals, uniforms, whole_blocks
 from motor_env.simulation.sensor import SensorChain, read_sensors
+from motor_env.simulation.sensor_faults import VOLTAGE, fail_after_noise, fail_before_noise
 from motor_env.simulation.simulate import LARGEST_SEED, Scenario, scenario_states
 
 

@@ -22,8 +22,8 @@ from motor_env.motor.parameters import (
     require_positive,
 )
 from motor_env.simulation.disturbances import DUTY_PRIORS, PRIORS, Duty, Field, Range
-from motor_env.simulation.failed_sensors import VOLTAGE
 from motor_env.simulation.nonlinear import substeps
+from motor_env.simulation.sensor_faults import VOLTAGE
 from motor_env.simulation.simulate import Timing
 
 # A normal number of the streams stays below 6.77, so a factor 1 + 0.14 z stays positive.

@@ -20,8 +20,8 @@ from motor_env.motor.parameters import (
     require,
     require_positive,
 )
-from motor_env.simulation.failed_sensors import fail_after_noise, fail_before_noise
 from motor_env.simulation.random_streams import Stream, normals, whole_blocks
+from motor_env.simulation.sensor_faults import fail_after_noise, fail_before_noise
 
 LARGEST_SEED = 2**64 - 1
 MOST_SAMPLES = 10_000_000

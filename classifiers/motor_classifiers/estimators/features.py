@@ -24,8 +24,8 @@ from motor_env.inference.class_model import FEATURE_NAMES, physical_features
 from motor_env.inference.whitening import MatchedTest
 from motor_env.inference.work_features import work_feature_names, work_features
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.drawing import draw
 from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.sampling import draw
 from motor_env.simulation.simulate import simulate
 
 _FAMILY_SEED = 0xFA317  # of the noise-free signal family; no data set is drawn with it

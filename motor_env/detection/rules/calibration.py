@@ -16,9 +16,9 @@ from motor_env.detection.rules.kernels import first_passages
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.detection.run_length import RunLaw
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.random_streams import Stream, normals
 from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env.simulation.sampling import draw, measure_draw
 
 _MOST = 1e30  # samples: at any rate longer than anything runs
 LONGEST = 10**9

@@ -17,12 +17,12 @@ from motor_env.motor.parameters import (
     SupplyParameters,
 )
 from motor_env.simulation.disturbances import N_UNIFORMS, PER_MOTOR
-from motor_env.simulation.failed_sensors import SWAPPED
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.nonlinear import Driving, Effects
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 from motor_env.simulation.sensor import SensorChain
+from motor_env.simulation.sensor_faults import SWAPPED
 from motor_env.simulation.simulate import LARGEST_SEED, Scenario, case_numbers
 
 
