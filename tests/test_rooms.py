@@ -183,7 +183,7 @@ def test_a_test_that_reaches_into_another_room_says_why() -> None:
         ("from motor_env.filters.kernels import covariance_step", None),
         ("from motor_env.filters import kernels", None),
         ("from motor_env.simulation.sampling import measure_draw", "motor_env.simulation.sampling"),
-        ("from motor_env.simulation import drawing", "motor_env.simulation.sampling"),
+        ("from motor_env.simulation import sampling", "motor_env.simulation.sampling"),
         ("import motor_env.simulation.sampling", "motor_env.simulation.sampling"),
         ("def late():\n    from motor_env.envs import kernel", "motor_env.envs.kernel"),
         ("from motor_env.envs.drive.kernel import step", "motor_env.envs.drive.kernel"),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
-from motor_env.common.arrays import instance, number, numbers, shown, whole
+from motor_env.common.arrays import instance, is_one_of, number, numbers, shown, whole
 from motor_env.filters.kalman import (
     KalmanFilter,
     checked_series,
@@ -94,13 +94,13 @@ def adaptive_filter(
     require(a.ndim == 2, "adaptive_filter needs the belief of one motor, got a batch")
     measured, voltage = checked_series(measurements, voltage_v, len(c))
     memory = number("memory", memory, least=1.0)
-    n_cases, _, n_samples = measured.shape
+    n_cases = len(measured)
     state, covariance = np.tile(kalman.initial_state, (n_cases, 1)), kalman.initial_covariance
     noise = np.tile(kalman.measurement_covariance, (n_cases, 1, 1))
     process = np.tile(np.diag(kalman.process_covariance), (n_cases, 1))
     samples = []
-    for k in range(n_samples):
-        with sample_named(k, measured, voltage):
+    with sample_named(measured, voltage) as places:
+        for k in places:
             carried = a @ covariance @ a.T
             step = measurement_update(
                 state @ a.T + kalman.model.gain[:, Input.VOLTAGE] * voltage[k],
@@ -113,7 +113,7 @@ def adaptive_filter(
             noise = adapted_noise(noise, measured[:, :, k] - state @ c.T, c @ covariance @ c.T, memory)
             moved = np.square(step.correction) + np.diagonal(covariance - carried, axis1=1, axis2=2)
             process = np.maximum(process + 2.0 / (memory + 1.0) * (moved - process), 0.0)
-        samples.append((step.innovation, step.innovation_covariance, state, noise, process))
+            samples.append((step.innovation, step.innovation_covariance, state, noise, process))
     innovation, spread, *rest = (np.stack(each, axis=1) for each in zip(*samples, strict=True))
     return AdaptiveResult(innovation, *score(innovation, spread), *rest)
 
@@ -262,7 +262,7 @@ def joint_filter(
     require_noise(sensor)
     instance("names", names, (tuple, list))
     given: tuple[Any, ...] = names
-    unknown = [shown(name) for name in given if not (isinstance(name, str) and name in FREE)]
+    unknown = [shown(name) for name in given if not is_one_of(name, FREE)]
     require(
         len(names) > 0 and not unknown and len(set(names)) == len(names),
         f"names must be of {', '.join(FREE)}, each once, got {', '.join(unknown or names) or 'none'}",
@@ -273,7 +273,7 @@ def joint_filter(
     memory = None if memory is None else number("memory", memory, least=1.0)
     c = np.concatenate([sensor.observation, np.zeros((len(sensor.channels), len(names)))], axis=1)
     measured, voltage = checked_series(measurements, voltage_v, len(c), missing=True)
-    n_cases, _, n_samples = measured.shape
+    n_cases = len(measured)
     size = N_STATES + len(names)
     # The unscented filter needs a covariance with a root: a start that is known to a microampere will do.
     start = np.square(np.array([1e-6, 1e-4, *[prior_std] * len(names)]))
@@ -284,8 +284,8 @@ def joint_filter(
     ahead = _extended if kind == JointKind.EXTENDED else _unscented
     samples = []
     discretize(motor, dt_s)  # what is wrong with these two is said of them, and not of a sample
-    for k in range(n_samples):
-        with sample_named(k, measured, voltage):
+    with sample_named(measured, voltage) as places:
+        for k in places:
             mean, covariance = ahead(motion, mean, covariance, float(voltage[k]))
             step = measurement_update(
                 mean, covariance + process, measured[:, :, k], observation=c, noise=noise
@@ -293,8 +293,8 @@ def joint_filter(
             mean, covariance = step.state, step.covariance
             if memory is not None:
                 noise = adapted_noise(noise, measured[:, :, k] - mean @ c.T, c @ covariance @ c.T, memory)
-        theta = mean[:, N_STATES:], covariance[:, N_STATES:, N_STATES:]
-        samples.append((*theta, step.innovation, step.innovation_covariance))
+            theta = mean[:, N_STATES:], covariance[:, N_STATES:, N_STATES:]
+            samples.append((*theta, step.innovation, step.innovation_covariance))
     thetas, covariances, innovations, spreads = (
         np.stack(each, axis=1) for each in zip(*samples, strict=True)
     )

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.common.arrays import numbers, real, require_finite_entries, shown, spread, whole
+from motor_env.common.arrays import numbers, real, shown, spread, whole
 from motor_env.filters import kernels
 from motor_env.filters.kalman import KalmanFilter, require_belief, schedule, schedules, score
 from motor_env.motor.model import N_STATES, Input, propagate
@@ -65,13 +65,11 @@ class Residuals(NamedTuple):
 
 
 def _series(
-    kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
+    kalman: KalmanFilter, measured: kernels.AnyFloat, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
 ) -> tuple[kernels.AnyFloat, tuple[int, ...], FloatArray]:
-    """Checked measurements, shape (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
-    n_channels = len(kalman.observation)
-    measured = real("measurements", measurements, ("...", n_channels, "n_samples"), single=True)
+    """Measurements as (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
     require(measured.ndim <= 3, f"measurements must have 2 or 3 axes, got shape {measured.shape}")
-    n_samples = measured.shape[-1]
+    n_channels, n_samples = measured.shape[-2:]
     voltage = numbers("voltage_v", voltage_v, ("...", n_samples))
     require(voltage.ndim <= 2, f"voltage_v must have 1 or 2 axes, got shape {voltage.shape}")
     batch = measured.shape[:-2]
@@ -134,9 +132,12 @@ def filter_residuals(
         f"dtype must be float32 or float64, got {shown(dtype)}",
     )
     require_belief(kalman)
-    measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
+    n_channels = len(kalman.observation)
+    checked = real if n_channels == 1 else numbers
+    given = checked("measurements", measurements, ("...", n_channels, "n_samples"), single=True)
+    measured, batch, nominal = _series(kalman, given, voltage_v, load_torque_n_m)
     plan = schedule(kalman, measured.shape[-1])
-    n_cases, n_channels, n_samples = measured.shape
+    n_cases, _, n_samples = measured.shape
     # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
     # be zeroed anew in the next one, which took longer than to filter.
     block = np.empty(n_cases * n_samples * (n_channels + 1), dtype=dtype)
@@ -157,7 +158,6 @@ def filter_residuals(
             nis,
         )
     else:
-        require_finite_entries("measurements", measured.reshape(*batch, *measured.shape[1:]), measurements)
         kernels.filter_two_channels(
             transition.astype(dtype),
             observation.astype(dtype),
@@ -170,7 +170,7 @@ def filter_residuals(
         )
     # A sample that is not finite makes all later innovations of its case not finite.
     if not np.isfinite(innovation[:, -1]).all():
-        require_finite_entries("measurements", measured.reshape(*batch, *measured.shape[1:]), measurements)
+        numbers("measurements", measurements)
         raise ValueError(_TOO_LARGE)
     return Residuals(
         innovation.reshape(*batch, n_samples, n_channels),
@@ -210,9 +210,9 @@ def run_filter(
         ValueError: shapes do not fit, or a measurement is infinite.
     """
     require_belief(kalman)
-    measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
-    whole = measured.reshape(*batch, *measured.shape[1:])
-    require_finite_entries("measurements", whole, measurements, missing=True)
+    shape = ("...", len(kalman.observation), "n_samples")
+    given = numbers("measurements", measurements, shape, missing=True, single=True)
+    measured, batch, nominal = _series(kalman, given, voltage_v, load_torque_n_m)
     missing = np.isnan(measured).swapaxes(1, 2)
     own_covariance = kalman.model.transition.ndim > 2 or bool(missing.any())
     rows = schedules(kalman, missing if own_covariance else np.zeros((1, *missing.shape[1:]), np.bool_))

@@ -287,11 +287,18 @@ def checked_series(
 
 
 @contextmanager
-def sample_named(k: int, measured: FloatArray, voltage_v: FloatArray) -> Iterator[None]:
-    """`ValueError` naming sample `k` and what was given there, where the estimate leaves the range of numbers."""
+def sample_named(measured: FloatArray, voltage_v: FloatArray) -> Iterator[Iterator[int]]:
+    """Numbers of the samples; `ValueError` naming the one at which the estimate leaves the range of numbers."""
+    k = 0
+
+    def count() -> Iterator[int]:
+        nonlocal k
+        for k in range(len(voltage_v)):  # noqa: UP028  # the loop keeps the number
+            yield k
+
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise"):
-            yield
+            yield count()
     except (FloatingPointError, np.linalg.LinAlgError, OverflowError, ValueError):
         case = int(np.argmax(np.abs(np.nan_to_num(measured[:, :, k])).max(axis=1)))
         raise ValueError(

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.common.arrays import instance, numbers, require_finite_entries
+from motor_env.common.arrays import instance, numbers
 from motor_env.filters.batch import FilterResult
 from motor_env.filters.kalman import KalmanFilter, masked_sensor, require_belief
 from motor_env.motor.compiled import compiled, inlined, njit
@@ -177,6 +177,6 @@ def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
         forward, room = np.ascontiguousarray(a.T), np.zeros((3, 2, 2))
         _smoothed_covariance(forward, q, information[n], filtered, spread[n], room)
         _smoothed_states(a, c, weighted[cases], gain[n], filtered, state[cases], out[cases])
-    require_finite_entries("states of the result", out, out)
-    require_finite_entries("covariances of the result", spread, spread)
+    numbers("states of the result", out)
+    numbers("covariances of the result", spread)
     return Smoothed(out.reshape(result.state.shape), spread.reshape(result.covariance.shape))

@@ -145,10 +145,11 @@ class FaultKind(str, metaclass=_Registry):
 
     def require_severity(self, severity: Floats) -> None:
         """Raise `ValueError` unless a fault of this kind can be so large."""
-        largest = float(np.max(severity, initial=0.0))
-        is_share = self.is_sensor and not self.endswith(_WITHOUT_END)
-        require(not is_share or largest <= 1.0, f"severity of {self} must be <= 1, got {largest:g}")
-        require(not self.loses or largest < 1.0, f"severity of {self} must be < 1, got {largest:g}")
+        largest = severity if isinstance(severity, float) else float(np.max(severity, initial=0.0))
+        if self.is_sensor and not self.endswith(_WITHOUT_END) and largest > 1.0:
+            raise ValueError(f"severity of {self} must be <= 1, got {largest:g}")
+        if largest >= 1.0 and self.loses:
+            raise ValueError(f"severity of {self} must be < 1, got {largest:g}")
 
 
 def register_fault_kind(
@@ -300,9 +301,6 @@ class NoiseSource(StrEnum):
     PROCESS = "process"
 
 
-_SOURCES = tuple(NoiseSource)
-
-
 @dataclass(frozen=True, slots=True)
 class Fault:
     """A fault: its kind, its severity, when it begins and how it grows.
@@ -330,24 +328,23 @@ class Fault:
     noise_source: NoiseSource = NoiseSource.MEASUREMENT
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", FaultKind(self.kind))
-        if str(self.noise_source) not in _SOURCES:
-            raise ValueError(
-                f"noise_source must be one of {', '.join(_SOURCES)}, got {shown(self.noise_source)}"
-            )
-        object.__setattr__(self, "noise_source", NoiseSource(str(self.noise_source)))
+        kind, source = self.kind, self.noise_source
+        onset_s = self.onset_s if type(self.onset_s) is float else float(real("onset_s", self.onset_s, ()))
         severity = require_positive("severity", self.severity, zero_allowed=True)
-        object.__setattr__(self, "severity", severity)
-        self.kind.require_severity(severity)
-        onset_s = float(real("onset_s", self.onset_s, ()))
-        require(not math.isnan(onset_s), "onset_s must be a number, got nan")
-        object.__setattr__(self, "onset_s", onset_s)
         growth_s = require_positive("growth_s", self.growth_s, zero_allowed=True, one=True)
-        object.__setattr__(self, "growth_s", growth_s)
-        require(
-            self.growth_s == 0.0 or math.isfinite(self.onset_s),
-            f"growth_s must be 0 for a fault that is always there, got {self.growth_s:g}",
-        )
+        if type(kind) is not FaultKind:
+            kind = FaultKind(kind)
+        if type(source) is not NoiseSource:
+            if str(source) not in list(NoiseSource):
+                raise ValueError(f"noise_source must be one of {', '.join(NoiseSource)}, got {shown(source)}")
+            source = NoiseSource(str(source))
+        kind.require_severity(severity)
+        if math.isnan(onset_s):
+            raise ValueError("onset_s must be a number, got nan")
+        if growth_s and math.isinf(onset_s):
+            raise ValueError(f"growth_s must be 0 for a fault that is always there, got {growth_s:g}")
+        for name, value in zip(self.__slots__, (kind, severity, onset_s, growth_s, source), strict=True):
+            object.__setattr__(self, name, value)
 
     @property
     def is_constant(self) -> bool:

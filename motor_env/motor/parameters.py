@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.common.arrays import LARGEST_NUMBER, instance, numbers, real, shown
+from motor_env.common.arrays import LARGEST_NUMBER, instance, is_one_of, numbers, real, shown
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -73,7 +73,7 @@ def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, on
 
     With `one` it must be a single number.
     """
-    if type(value) is float and 0.0 < value <= LARGEST_NUMBER:
+    if type(value) is float and (0.0 < value <= LARGEST_NUMBER or (zero_allowed and value == 0.0)):
         return value
     array = real(name, value, () if one else None)
     good = (array <= LARGEST_NUMBER) & ((array >= 0.0) if zero_allowed else (array > 0.0))
@@ -82,6 +82,15 @@ def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, on
         bound = f" and at most {LARGEST_NUMBER:g}" if LARGEST_NUMBER < bad < math.inf else ""
         raise ValueError(f"{name} must be finite and {'>=' if zero_allowed else '>'} 0{bound}, got {bad:g}")
     return _plain(value, array)
+
+
+def common_shape(name: str, *values: Any) -> tuple[int, ...]:
+    """The one shape of what differs from motor to motor, `()` or `(1,)` for one motor; `ValueError` for several."""
+    shapes = {getattr(value, "shape", ()) for value in values}
+    several = shapes - {(), (1,)}
+    if len(several) > 1:
+        raise ValueError(f"{name} must have one shape, got {sorted(several)}")
+    return several.pop() if several else max(shapes)
 
 
 def _plain(given: Any, array: FloatArray) -> Floats:
@@ -159,26 +168,21 @@ class MotorParameters:
     viscous_friction_n_m_s_per_rad: Floats
 
     def __post_init__(self) -> None:
-        lengths = set()
-        for field in fields(self):
-            zero_allowed = field.name == "viscous_friction_n_m_s_per_rad"
-            value = require_positive(field.name, getattr(self, field.name), zero_allowed=zero_allowed)
-            object.__setattr__(self, field.name, value)
-            if isinstance(value, np.ndarray):
-                lengths.add(value.shape)
-        if len(lengths - {(1,)}) > 1:
-            raise ValueError(f"all fields of a batch must have one shape, got {sorted(lengths)}")
+        for name in self.__slots__:
+            zero_allowed = name == "viscous_friction_n_m_s_per_rad"
+            value = require_positive(name, getattr(self, name), zero_allowed=zero_allowed)
+            object.__setattr__(self, name, value)
+        _ = self.batch_shape
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
         """Common shape of the fields: `()` for one motor, `(n_motors,)` for a batch."""
-        return np.broadcast_shapes(*(np.shape(getattr(self, field.name)) for field in fields(self)))
+        return common_shape("all fields of a batch", *(getattr(self, name) for name in self.__slots__))
 
     def scaled(self, **factors: Floats) -> Self:
         """Parameters with the named fields multiplied by the given factors."""
-        known = [field.name for field in fields(self)]
-        for name in factors.keys() - set(known):
-            raise ValueError(f"factors must be of {', '.join(known)}, got {name:.60}")
+        for name in factors.keys() - set(self.__slots__):
+            raise ValueError(f"factors must be of {', '.join(self.__slots__)}, got {name:.60}")
         return replace(self, **{name: getattr(self, name) * factor for name, factor in factors.items()})
 
     def motor(self, index: int) -> Self:
@@ -215,11 +219,9 @@ class SensorParameters:
     speed_noise_rad_s: float = 1.0
 
     def __post_init__(self) -> None:
-        known = [channel.value for channel in Channel]
         instance("channels", self.channels, (tuple, list))
-        given: tuple[Any, ...] = self.channels
-        strange = [channel for channel in given if not (isinstance(channel, str) and channel in known)]
-        require(not strange, f"channels must be of {', '.join(known)}, got {shown(strange)}")
+        strange = [channel for channel in self.channels if not is_one_of(channel, Channel)]
+        require(not strange, f"channels must be of {', '.join(Channel)}, got {shown(strange)}")
         object.__setattr__(self, "channels", tuple(Channel(channel) for channel in self.channels))
         require(len(self.channels) > 0, "channels must name at least one of current, speed, got none")
         require(

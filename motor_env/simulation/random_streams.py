@@ -176,7 +176,8 @@ def _fill_normals(seed: np.uint64, stream: np.uint32, cases: NDArray[np.uint64],
 def _filled(fill: Any, seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
     require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
     array = np.asarray(cases)
-    require(bool(np.all(array >= 0)), f"cases must be >= 0, got {np.min(array, initial=0)}")
+    if array.min(initial=0) < 0:
+        raise ValueError(f"cases must be >= 0, got {array.min()}")
     out = np.empty((array.size, count))
     fill(np.uint64(seed), np.uint32(stream), np.ascontiguousarray(array, dtype=np.uint64), out)
     return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +17,7 @@ from motor_env.motor.parameters import (
     MotorParameters,
     SensorParameters,
     SupplyParameters,
+    common_shape,
     require,
     require_positive,
 )
@@ -43,11 +44,9 @@ class Timing:
     quiet_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = require_positive(
-                f.name, getattr(self, f.name), zero_allowed=f.name == "quiet_s", one=True
-            )
-            object.__setattr__(self, f.name, value)
+        for name in self.__slots__:
+            value = require_positive(name, getattr(self, name), zero_allowed=name == "quiet_s", one=True)
+            object.__setattr__(self, name, value)
         samples = self.sampling_rate_hz * (self.duration_s + self.quiet_s)
         require(
             samples <= MOST_SAMPLES,
@@ -101,10 +100,7 @@ def case_numbers(cases: ArrayLike) -> NDArray[np.int64]:
     return found
 
 
-def require_one_batch(*shapes: tuple[int, ...]) -> None:
-    """Raise `ValueError` unless all that differs from motor to motor has one shape."""
-    several = {shape for shape in shapes if shape not in ((), (1,))}
-    require(len(several) <= 1, f"motors, supply and severities must be as many, got shapes {sorted(several)}")
+_SEVERAL = "motors, supply, states and severities, where not of one motor,"
 
 
 def _check_faults(faults: tuple[Fault, ...]) -> None:
@@ -143,17 +139,14 @@ class Scenario:
         instance("timing", self.timing, Timing)
         object.__setattr__(self, "load_torque_n_m", number("load_torque_n_m", self.load_torque_n_m))
         numbers("process_noise_std", self.process_noise_std, (N_STATES,), least=0.0)
-        require_one_batch(
-            self.parameters.batch_shape,
-            np.shape(self.supply.voltage_v),
-            *(np.shape(fault.severity) for fault in self.faults),
-        )
+        _ = self.batch_shape
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
         """`()` for one motor, `(n_motors,)` for a batch."""
-        severities = (np.shape(fault.severity) for fault in self.faults)
-        return np.broadcast_shapes(self.parameters.batch_shape, np.shape(self.supply.voltage_v), *severities)
+        severities = (fault.severity for fault in self.faults)
+        motors = (getattr(self.parameters, name) for name in self.parameters.__slots__)
+        return common_shape(_SEVERAL, *motors, self.supply.voltage_v, *severities)
 
     def checked_cases(self, cases: ArrayLike) -> NDArray[np.int64]:
         """Case numbers as an array; `ValueError` unless they number as many as the motors."""
@@ -225,10 +218,9 @@ def simulate_states(
     added = np.zeros((n_samples, N_STATES))
     if process_noise is not None:
         added = numbers("process_noise", process_noise, ("...", n_samples, N_STATES))
-    parts = [voltage.shape[:-1], parameters.batch_shape, begin.shape[:-1], added.shape[:-2]]
-    parts += [np.shape(fault.severity) for fault in faults]
-    require_one_batch(*parts)
-    batch = np.broadcast_shapes(*parts)
+    motors = (getattr(parameters, name) for name in parameters.__slots__)
+    severities = (fault.severity for fault in faults)
+    batch = common_shape(_SEVERAL, voltage[..., 0], begin[..., 0], added[..., 0, 0], *motors, *severities)
     require(len(batch) <= 1, f"motors must be one, or of shape (n_cases,), got {batch}")
     n_cases = int(np.prod(batch))
     inputs = np.empty((int(np.prod(voltage.shape[:-1])), n_samples, len(Input)))

@@ -755,6 +755,19 @@ ROWS = [
         "diagnose", "regime", lambda v: str(diagnose(STARTUP, "paper", regime=v)), "auto", also=("bogus",)
     ),
     Row.of("diagnose", "columns", lambda v: str(diagnose(STARTUP, "paper", columns=v)), (), "empty list"),
+    *(
+        Row.of("diagnose", name, lambda v, n=name: str(diagnose(STARTUP, "paper", **{n: v})), good, *allows)
+        for name, good, *allows in (
+            ("false_alarm_rate", 0.01),
+            ("voltage_v", 12.0, "None"),
+            ("temperature_c", 25.0, "None"),
+            ("periods_per_turn", 14.0, "None"),
+        )
+    ),
+    *(
+        Row.of("identify", name, lambda v, n=name: str(identify(STARTUP, **{n: v})), good, "None")
+        for name, good in (("start", 1), ("voltage_v", 12.0), ("constant", 0.02), ("periods_per_turn", 14.0))
+    ),
     Row.of("identify", "recordings", lambda v: str(identify(v)), STARTUP, also=([1], [None])),
     Row.of(
         "commission", "recordings", without(commission, ["a.csv"]), ["a.csv"], also=([], [1], "abc", b"abc")
