@@ -1,7 +1,6 @@
 """Write the paper's figures and numbers beside ours as a page and as JSON: the command `motor-env reproduce`.
 
-A folder that it writes holds `index.html` and `paper.md` (the same page), `images/` and `reproduce.json`. Both pages
-are made from one list of blocks.
+A folder that it writes holds `index.html` and `paper.md` (the same page), `images/` and `reproduce.json`.
 """
 
 from __future__ import annotations

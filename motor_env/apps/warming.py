@@ -1,7 +1,4 @@
-"""Compile ahead all that commands and environments use, so that nothing has to wait for it later.
-
-A part is a small call that has everything compiled which it needs.
-"""
+"""Compile ahead all that commands and environments use, so that nothing has to wait for it later."""
 
 from __future__ import annotations
 

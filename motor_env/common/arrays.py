@@ -1,7 +1,6 @@
 """Numbers and arrays of callers, checked once at the door: what cannot be used is refused in one sentence.
 
-Compiled loops check nothing: a NaN in them lasts for ever, and a wrong shape reads outside of an array. So every public
-entry takes its arguments through these functions before it changes anything.
+Compiled loops check nothing, so every public entry takes its arguments through these functions first.
 
 Example:
     >>> from motor_env.common.arrays import numbers
@@ -57,7 +56,7 @@ def numbers(
         return np.array(values)  # the quick way of a stream
     array = real(name, values, shape, single=single)
     # One quick pass: a number that is not finite stays in the sum, and a huge one makes it huge.
-    if not np.vdot(array, array) <= LARGEST_NUMBER:
+    if not float(np.vdot(array, array)) <= LARGEST_NUMBER:
         bad = ~(np.abs(array.astype(np.float64)) <= LARGEST_NUMBER)
         bad &= ~(missing & np.isnan(array))
         if bad.any():

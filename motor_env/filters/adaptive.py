@@ -26,8 +26,7 @@ from motor_env.motor.model import N_STATES, Input, discretize
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters, SensorParameters, require
 
 MEMORY = 200.0
-"""Samples over which noise is estimated: a variance from so many is known to 10 % (sqrt(2 / n)). At
-10 kHz it is 20 ms, five mechanical time constants of the paper's motor."""
+"""Samples over which noise is estimated: a variance from so many is known to 10 % (sqrt(2 / n))."""
 
 
 class AdaptiveResult(NamedTuple):
@@ -57,13 +56,13 @@ def adapted_noise(
 ) -> FloatArray:
     """Measurement covariance after one more sample, by exponential forgetting (Sage & Husa 1969).
 
-    It moves towards r r' + C P C', a sum that is positive (Mohamed & Schwarz 1999), where e e' - C P- C' is not.
+    It moves towards r r' + C P C', which is positive (Mohamed & Schwarz 1999).
 
     Args:
         noise: believed so far, shape (n_cases, n_channels, n_channels).
         residual: r = z - C x after the update, shape (n_cases, n_channels).
         explained: C P C' after the update, the shape of `noise`.
-        memory: samples that the estimate rests on; a new one weighs 2 / (memory + 1).
+        memory: samples; a new one weighs 2 / (memory + 1).
     """
     sample: FloatArray = residual[:, :, None] * residual[:, None, :] + explained
     sample = np.where(np.isnan(sample), noise, sample)  # what is missing tells nothing
@@ -75,15 +74,14 @@ def adaptive_filter(
 ) -> AdaptiveResult:
     """Filter with noise estimated by exponential forgetting (Sage & Husa 1969), starting from the belief's.
 
-    The measurement covariance follows `adapted_noise`; the process noise, taken as independent in current and speed,
-    moves towards the diagonal of K e e' K' + P - A P A', and not below 0. One channel does not always tell the two
-    apart (Mehra 1970): where the gain is small, all that is left over is taken for measurement noise.
+    The measurement covariance follows `adapted_noise`; the process variances move towards the diagonal of K e e' K' + P
+    - A P A', not below 0. One channel does not always tell the two apart (Mehra 1970).
 
     Args:
         kalman: the belief, of one motor.
         measurements: shape (n_cases, n_channels, n_samples), finite.
         voltage_v: shape (n_samples,).
-        memory: samples that an estimate rests on; a new one weighs 2 / (memory + 1).
+        memory: samples; a new one weighs 2 / (memory + 1).
 
     Raises:
         ValueError: shapes do not fit, a sample is not finite or takes the estimate out of the range of numbers, or a
@@ -121,8 +119,7 @@ def adaptive_filter(
 _COULOMB = "coulomb"
 
 FREE = (*QUANTITY_FIELDS, _COULOMB)
-"""What may be estimated: factors on parameters; `constants` is one common factor on Kt and Kb. `coulomb` is dry
-friction, which the believed motor has none of: its theta is the torque over `coulomb_unit_n_m`."""
+"""What may be estimated: factors on parameters, and dry friction: its theta is the torque over `coulomb_unit_n_m`."""
 
 _STEP = 1e-4
 
@@ -254,8 +251,8 @@ def joint_filter(
         memory: samples over which it adapts the measurement noise (Sage & Husa 1969); None keeps the sensor's.
 
     Raises:
-        ValueError: unknown names or kind, shapes that do not fit, a number out of its range, or a sample that takes the
-            estimate out of the range of numbers.
+        ValueError: unknown names or kind, shapes do not fit, a number out of range, or a sample that takes the estimate
+            out of the range of numbers.
     """
     instance("motor", motor, MotorParameters)
     require(motor.batch_shape == (), "joint_filter needs one motor, got a batch")
@@ -304,7 +301,7 @@ def joint_filter(
 def parameter_test_threshold(n_parameters: int, false_alarm_probability: float) -> float:
     """Threshold on `JointResult.statistic` at one chosen sample: chi-square (Wald 1943).
 
-    Exact for normal estimates whose prior is wide; watching it all along alarms more often.
+    Exact for normal estimates whose prior is wide.
     """
     probability = number("false_alarm_probability", false_alarm_probability, above=0.0, below=1.0)
     return float(chdtri(whole("n_parameters", n_parameters, 1), probability))

@@ -24,16 +24,16 @@ _TOO_LARGE = (
 class FilterResult(NamedTuple):
     """What the filter makes of measurements.
 
-    The covariances and the gain depend on no data, so they are common to all cases: shape (n_samples, ...). Where
-    samples are missing, or each case has its own motor, the cases' axes stand in front: shape (..., n_samples, ...).
+    Covariances and gain are common to all cases, shape (n_samples, ...); where samples are missing, or each case has
+    its own motor, the cases' axes stand in front.
 
     Attributes:
         innovation: z - C x-, shape (..., n_samples, n_channels); NaN where a sample is missing.
         innovation_covariance: S, shape (n_samples, n_channels, n_channels).
-        whitened: innovation times the inverse of S's Cholesky factor, white and standard normal while the belief
-            holds, shape (..., n_samples, n_channels); NaN where a sample is missing.
-        nis: normalised innovation squared (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4), shape (..., n_samples), over
-            the channels measured; 0 where none was.
+        whitened: innovation over S's Cholesky factor, standard normal while the belief holds, shape (..., n_samples,
+            n_channels); NaN where a sample is missing.
+        nis: normalised innovation squared (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4), shape (..., n_samples); 0 where
+            none was measured.
         log_likelihood: of all samples measured, shape (...).
         state: estimate after the update, shape (..., n_samples, 2).
         covariance: its covariance P, shape (n_samples, 2, 2).
@@ -51,7 +51,7 @@ class FilterResult(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Innovations of a batch and nothing that costs more, in single or double precision.
+    """Innovations of a batch and nothing that costs more.
 
     Attributes:
         innovation: z - C x-, shape (..., n_samples, n_channels).
@@ -96,8 +96,8 @@ def output_coordinates(
 ) -> tuple[FloatArray, FloatArray]:
     """Motion (a, b, d) and gains (g, h) of a state (p, q) whose p is the output `row` x (Luenberger 1967).
 
-    p <- a p + q + g e and q <- b p + d q + h e: three factors instead of six, and the output without any.
-    `forward` is A K of each sample, shape (n_samples, 2), and so are the gains.
+    p <- a p + q + g e and q <- b p + d q + h e. `forward` is A K of each sample, shape (n_samples, 2), and so are the
+    gains.
     """
     basis = np.array([row, [-row[1], row[0]]])
     moved = basis @ transition @ np.linalg.inv(basis)
@@ -121,8 +121,7 @@ def filter_residuals(
         measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples); float32 is read as it is.
         voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
         load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
-        dtype: precision of innovations and NIS. Covariances are in double precision always: they depend on no data,
-            so that costs nothing.
+        dtype: precision of innovations and NIS.
 
     Raises:
         ValueError: shapes do not fit, a sample is not finite (`run_filter` takes missing samples), or another dtype.
@@ -201,8 +200,8 @@ def run_filter(
 
     Args:
         kalman: the belief, of one motor or of one for each case.
-        measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples). NaN is a missing sample: it
-            updates nothing. The answer is in double precision, also for float32.
+        measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples). NaN is missing and updates
+            nothing.
         voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
         load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
 
@@ -254,12 +253,7 @@ class StreamSample(NamedTuple):
 
 
 class FilterStream:
-    """A filter in service: `update(sample)` gives what `run_filter` gives at that sample.
-
-    Attributes:
-        kalman: the belief, from which it began.
-        n_streams: motors followed side by side.
-    """
+    """A filter in service: `update(sample)` gives what `run_filter` gives at that sample."""
 
     def __init__(self, kalman: KalmanFilter, n_streams: int = 1) -> None:
         require_belief(kalman)
@@ -286,8 +280,7 @@ class FilterStream:
             load_torque_n_m: load torque in that interval.
 
         Raises:
-            ValueError: shapes do not fit, a measurement is infinite, or voltage or load are not finite; the stream
-                stands where it stood.
+            ValueError: shapes do not fit or a number is not finite; the stream stands where it stood.
         """
         n, n_channels = self.n_streams, len(self.kalman.observation)
         measured = numbers("measurement", measurement, missing=True)

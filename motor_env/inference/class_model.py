@@ -72,14 +72,12 @@ _LARGEST_NORMAL = 6.77  # of the streams of random numbers
 class ClassModel:
     """One class of a recipe: what is read, as a function of its nuisances.
 
-    The coordinates are the standard normal ones of `FACTORS`; then, uniform in 0 .. 1, the recipe's priors that have a
-    range, and the severities that have one.
+    Coordinates: standard normal ones of `FACTORS`, then, uniform in 0 .. 1, priors and severities that have a range.
 
     Attributes:
         recipe: what motors are drawn from.
         fault_class: the class.
-        voltage_v: what was applied to a motor at work, shape (n_samples,), or (n, n_samples) for as many coordinates;
-            None for starts.
+        voltage_v: of a motor at work, shape (n_samples,) or (n, n_samples); None for starts.
     """
 
     recipe: Recipe

@@ -1,8 +1,7 @@
 """The Bayes-optimal posterior over the classes of a recipe, and over a severity: the bound of every classifier.
 
 For each class the nuisance factors are integrated out by Laplace's method (Laplace 1774; MacKay 2003, ch. 27): a fit
-of the factors under their Gaussian prior, and the volume of the peak from its curvature. Only the recipe, the measured
-samples and the nominal voltage enter.
+under their Gaussian prior, and the peak's volume from its curvature.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-from motor_env.common.arrays import instance, number, numbers, wholes
+from motor_env.common.arrays import instance, number, numbers, real, wholes
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.sensitivities import Coordinates, Observed, fitted_residuals
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind, NoiseSource, apply_faults, noise_variance_factor
@@ -41,12 +40,10 @@ def variance_factor(fault_class: FaultClass) -> float:
 def recipe_observed(recipe: Recipe, measurements: ArrayLike) -> Observed:
     """The measured transients as the recipe sees them; the first part of a transient is taken for a shorter one.
 
-    Args:
-        recipe: what the cases were drawn from.
-        measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
+    `measurements` has shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
     """
     instance("recipe", recipe, Recipe)
-    measured = numbers("measurements", measurements, ("...", len(recipe.sensor.channels), "n_samples"))
+    measured = real("measurements", measurements, ("...", len(recipe.sensor.channels), "n_samples"))
     most = recipe.timing.n_samples
     require(
         measured.shape[-1] <= most, f"measurements must have at most {most} samples, got {measured.shape[-1]}"
@@ -58,11 +55,11 @@ def recipe_observed(recipe: Recipe, measurements: ArrayLike) -> Observed:
 def class_log_evidence(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
     """Log probability density of each transient under each class (Laplace 1774), shape (n_cases, n_classes).
 
-    Exact for a recipe without spread: then it is the plain likelihood. A process noise fault leaves no trace here.
+    Exact for a recipe without spread. A process noise fault leaves no trace here.
 
     Args:
         recipe: what the cases were drawn from.
-        measurements: shape (n_cases, n_channels, n_samples); fewer samples than the recipe's are its first ones.
+        measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
         prior: of the nuisances, in the coordinates of `class_coordinates`, such as `prior_from_starts` gives; standard
             normal by default.
 
@@ -70,9 +67,8 @@ def class_log_evidence(recipe: Recipe, measurements: ArrayLike, prior: Prior | N
         ValueError: shapes do not fit, a value is not finite, the recipe's sensor has no noise, or one of its sensors
             fails.
     """
-    instance("recipe", recipe, Recipe)
-    recipe.require_motor_faults()
     observed = recipe_observed(recipe, measurements)
+    recipe.require_motor_faults()
     if prior is not None:
         instance("prior", prior, Prior)
         prior.require_shape(observed.n_cases, class_coordinates(recipe, FaultClass()).size)
@@ -101,10 +97,9 @@ def class_evidence(
 
 def class_probabilities(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
     """Posterior of each class (Bayes 1763), shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
-    instance("recipe", recipe, Recipe)
+    evidence = class_log_evidence(recipe, measurements, prior)
     with np.errstate(divide="ignore"):  # a class that is never drawn
-        log_prior = np.log(recipe.class_probabilities)
-    joint = class_log_evidence(recipe, measurements, prior) + log_prior
+        joint = evidence + np.log(recipe.class_probabilities)
     posterior: FloatArray = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
     return posterior
 
@@ -112,8 +107,8 @@ def class_probabilities(recipe: Recipe, measurements: ArrayLike, prior: Prior | 
 def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
     """What healthy starts of the same motor tell of its next one: the prior of its nuisances then.
 
-    Start by start the posterior of the motor's own factors becomes their next prior; the supply is another one in each
-    start, and forgotten. Each posterior is taken for Gaussian, as in Laplace's method (MacKay 2003, ch. 27).
+    Start by start the posterior of the motor's factors becomes their next prior, taken for Gaussian (MacKay 2003, ch.
+    27); the supply differs in each start.
 
     Args:
         recipe: what the motors are drawn from.
@@ -141,11 +136,11 @@ def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
 
 
 class Excess(NamedTuple):
-    """How far a classifier's accuracy lies above the Bayes-optimal one on the same cases.
+    """A classifier's accuracy above the Bayes-optimal one on the same cases.
 
     Attributes:
-        excess: accuracy minus that of the most probable class; at most 0 on average for every honest classifier.
-        standard_error: of the excess, from the cases on which the two are not both right or both wrong.
+        excess: accuracy minus that of the most probable class; at most 0 on average.
+        standard_error: of the excess, from the cases on which the two differ.
     """
 
     excess: float
@@ -219,8 +214,7 @@ class SeverityPosterior(NamedTuple):
     Attributes:
         severity: grid of each case, over all that has weight, shape (n_cases, n_grid).
         weights: probability of each grid point, rows summing to 1, shape (n_cases, n_grid).
-        log_evidence: log probability density of each transient under this kind, the severity integrated out too,
-            shape (n_cases,).
+        log_evidence: log probability density of each transient under this kind, shape (n_cases,).
     """
 
     severity: FloatArray
@@ -255,14 +249,14 @@ class SeverityPosterior(NamedTuple):
 
 
 def severity_posterior(recipe: Recipe, prior: SeverityPrior, measurements: ArrayLike) -> SeverityPosterior:
-    """Posterior of the severity of one kind of fault, given that the motor has this kind (or, from 0, none).
+    """Posterior of the severity of one kind of fault, given that the motor has it (or, from 0, none).
 
     Laplace's method at Chebyshev nodes (Laplace 1774; Trefethen 2013, ch. 4).
 
     Args:
         recipe: nominal motor, tolerances, sensor, timing; its classes are not looked at.
         prior: kind and range of the severity.
-        measurements: shape (n_cases, n_channels, n_samples); fewer samples than the recipe's are its first ones.
+        measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
     """
     instance("prior", prior, SeverityPrior)
     observed = recipe_observed(recipe, measurements)
@@ -286,11 +280,7 @@ def severity_posterior(recipe: Recipe, prior: SeverityPrior, measurements: Array
 
 
 def _zoomed(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Grids of positions that hold all the mass of each case, however little room it takes, and the log density there.
-
-    Args:
-        coefficients: Chebyshev series of the log density, shape (n_nodes, n_cases).
-    """
+    """Grids of positions that hold all the mass of each case, and the log density there."""
     n_cases = coefficients.shape[1]
     low, high = np.full((n_cases, 1), -1.0), np.full((n_cases, 1), 1.0)
     share = np.linspace(0.0, 1.0, _GRID)

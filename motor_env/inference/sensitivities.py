@@ -1,7 +1,7 @@
-"""How the linear motor's measured response moves with its parameters: what every fit, bound and posterior stands on.
+"""How the linear motor's measured response moves with its parameters.
 
-`normal_equations` gives, for a batch, the weighted sum of squared residuals of a measured transient, its gradient and
-its Fisher information (Gauss 1809; Ljung 1999, ch. 10).
+`normal_equations` gives, for a batch, the weighted squares, gradient and Fisher information (Gauss 1809; Ljung 1999,
+ch. 10).
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class Coordinates:
 
     Attributes:
         nominal: the motor at z = 0.
-        names: the quantities that are free, of `QUANTITIES`; all others stay at their nominal values.
+        names: the free quantities, of `QUANTITIES`.
         scales: relative change of each for a unit of its coordinate, all > 0.
         logarithmic: whether factors are exponentials.
     """
@@ -313,11 +313,7 @@ def jacobian(
 ) -> tuple[FloatArray, FloatArray]:
     """Response of the nominal motor from rest, (n_channels, n_samples), and its derivative, with `size` behind that.
 
-    Args:
-        coordinates: what the derivative is taken with respect to.
-        voltage_v: nominal voltage, shape (n_samples,).
-        sensor: channels.
-        dt_s: sampling interval.
+    `voltage_v` is the nominal voltage, shape (n_samples,).
     """
     voltage = np.ascontiguousarray(voltage_v, dtype=np.float64)
     states, slopes = _state_slopes(coordinates, np.zeros(coordinates.size), dt_s, voltage)

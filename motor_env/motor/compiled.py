@@ -1,8 +1,6 @@
 """Functions compiled by numba, kept in its cache: never stale, and a broken cache costs time, never a command.
 
-numba itself notices only a change of the file in which a function stands. What is compiled also holds the helpers it
-calls and the constants it reads, wherever they come from: an edit of those would have no effect. Here a compiled
-function is kept under a digest of all of them.
+numba notices only a change of a function's own file; here it is kept under a digest of the helpers and constants, too.
 """
 
 from __future__ import annotations
@@ -167,10 +165,7 @@ def in_silence() -> Iterator[None]:
 
 
 class _Part(CPUDispatcher):
-    """A function that compiled ones call: it has no entry of its own to be called from Python.
-
-    To compile the entry takes a sixth of the time of such a function, and numba crashes where there is none.
-    """
+    """A function that compiled ones call: it has no entry of its own to be called from Python."""
 
     def __call__(self, *arguments: Any) -> Any:
         raise TypeError(f"{self.py_func.__name__} is called by compiled functions alone")

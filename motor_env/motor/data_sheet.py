@@ -85,8 +85,7 @@ _MotorTable = make_dataclass(
 class Tolerance:
     """Relative standard deviations of a healthy motor about its data sheet, and of the temperature in kelvin.
 
-    The defaults are for a motor whose sheet was measured on its own series. A sheet that guarantees +-10 % wants
-    0.05 there. The temperature moves R by 0.393 % a kelvin (copper) and the constants by -0.1 % a kelvin (magnets).
+    A sheet that guarantees +-10 % wants 0.05. Temperature moves R by 0.393 % a kelvin, the constants by -0.1 %.
     """
 
     supply: NotNegative = 0.01
@@ -118,9 +117,9 @@ class Motor:
         speed_noise_rad_s: standard deviation of a speed sample, where known.
         coulomb_friction_n_m: Coulomb friction torque.
         brush_drop_v: voltage drop of the brushes.
-        healthy: what healthy starts, or windows of logs, have taught; for a commissioned motor.
+        healthy: of a commissioned motor.
         notes: sentences for the reader of the file.
-        assumed: keys of the file's table `motor` whose values were not measured, each with its source.
+        assumed: keys whose values were not measured, each with its source.
     """
 
     name: str
@@ -175,8 +174,8 @@ def load_motor(name_or_path: str | Path) -> Motor:
     """Motor from a TOML file, or from the catalogue by name.
 
     Raises:
-        InputError: no such file or preset, not TOML, an unknown key, a value out of range, a quantity given twice
-            or not at all.
+        InputError: no such file or preset, not TOML, an unknown key, a value out of range, a quantity given twice or
+            not.
     """
     if str(name_or_path) in CATALOGUE:
         return Motor(str(name_or_path), "data_sheet", CATALOGUE[str(name_or_path)])
@@ -332,7 +331,7 @@ def assumptions(quantities: Sequence[str], *, has_voltage: bool) -> dict[str, st
 
 
 def usable_parameters(motor: Motor, *, needs_speed: bool) -> MotorParameters:
-    """The motor's parameters, for a simulation; a guess that spoils it is refused, one that does not is warned of.
+    """The motor's parameters for a simulation; warns of guesses that do not spoil it.
 
     Raises:
         ValueError: the voltage is unknown, or speeds are needed and the torque constant is a guess.

@@ -56,9 +56,9 @@ class FaultKind(str, metaclass=_Registry):
     Attributes:
         powers: power of (1 + severity) on each quantity, of `QUANTITY_FIELDS` or noise (the variance of the noise).
             Where all are negative, a quantity is multiplied by (1 - severity)^-power: the severity is what is lost.
-            None for a sensor's failure, which changes what is read (`motor_env.simulation.sensor_faults`).
-        verdict: the word for it, which kinds may share.
-        finding: one sentence for the reader of a diagnosis: what moved, and where to look.
+            None for a sensor's failure.
+        verdict: its word, which kinds may share.
+        finding: one sentence of a diagnosis: what moved, and where to look.
 
     Raises:
         ValueError: no such kind; the sentence lists those that exist.
@@ -158,14 +158,14 @@ def register_fault_kind(
     """Add a kind of fault; from then on it can stand wherever a kind stands (docs/howto/own-fault.md).
 
     Args:
-        name: a word of lower-case ASCII letters, digits and _, as it stands in recipes and labels.
+        name: a word of a-z, 0-9 and _.
         powers: see `FaultKind`; `{"friction": 1.0}` for a friction that is up by the severity.
         verdict: the word for it; its name by default.
         finding: what a diagnosis says; by default which quantities are up and down.
 
     Raises:
-        ValueError: a name or verdict that is no such word, or taken by another kind or verdict; no powers, or such of
-            unknown quantities; a finding that is not one line.
+        ValueError: a name or verdict that is no such word or taken; no powers, or of unknown quantities; a finding of
+            several lines.
     """
     known = [*QUANTITY_FIELDS, NOISE]
     words: dict[str, Any] = {"name": name, "verdict": name if verdict is None else verdict}
@@ -308,17 +308,16 @@ class Fault:
     Attributes:
         kind: bearing: friction B up by the severity. winding_contact: resistance R up by the severity (bad contact or
             brush). winding_short: a fraction of the turns equal to the severity is shorted. noise: the variance of
-            `noise_source` up by the severity. magnet: torque and back-EMF constant down by the severity. Those of
-            sensors (`SENSOR_KINDS`) change what is read: see `motor_env.simulation.sensor_faults`.
+            `noise_source` up by the severity. magnet: both constants down by the severity. `SENSOR_KINDS` change what
+            is read (`simulation.sensor_faults`).
         severity: relative size, 0.25 for 25 %; a float, or one entry a motor. Below 1 where something is lost.
-        onset_s: time of the onset, counted from the step of the supply; `ALWAYS` for a fault that was always there.
-            The fault acts in every sampling interval that begins at or after it.
+        onset_s: time from the supply's step to the onset; the fault acts in intervals that begin at or after it.
         growth_s: time over which the severity rises linearly from 0; 0 for an abrupt fault.
         noise_source: for kinds that change the noise only.
 
     Raises:
-        ValueError: a severity is negative (or not below 1 where something is lost), a time is not a number, or a
-            fault that is always there grows.
+        ValueError: a severity is negative (or not below 1 where something is lost), a time is not a number, or a fault
+            that is always there grows.
     """
 
     kind: FaultKind

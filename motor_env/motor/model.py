@@ -110,9 +110,9 @@ def doubled(exponential: Four, phi: Four) -> tuple[Four, Four]:
 def exponential_and_phis(a: float, b: float, c: float, d: float) -> tuple[Four, Four, Four]:
     """exp(X), phi1(X) = X^-1 (exp(X) - 1), phi2(X) = X^-1 (phi1(X) - 1) of X = [[a, b], [c, d]], row by row.
 
-    By series and doubling: phi1(X) = sum X^k / (k+1)!, phi2(X) = sum X^k / (k+2)!, exp(X) = 1 + X phi1(X),
-    phi1(2X) = (exp(X) + 1) phi1(X) / 2, phi2(2X) = (phi1(X)^2 + 2 phi2(X)) / 4 (Higham 2008, ch. 10.7).
-    No difference of nearly equal numbers, no division by a small eigenvalue: full accuracy for any step and damping.
+    By series and doubling: phi1(X) = sum X^k / (k+1)!, phi2(X) = sum X^k / (k+2)!, exp(X) = 1 + X phi1(X), phi1(2X) =
+    (exp(X) + 1) phi1(X) / 2, phi2(2X) = (phi1(X)^2 + 2 phi2(X)) / 4 (Higham 2008, ch. 10.7). Full accuracy for any step
+    and damping.
     """
     # The similarity diag(1, scale) evens out b and c, so that the norm is free of the units.
     scale = np.sqrt(abs(b / c)) if b != 0.0 and c != 0.0 else 1.0

@@ -1,7 +1,7 @@
 """Physical parameters of the motor, its supply and its sensors: frozen, validated, in SI units.
 
-Every numeric field of `MotorParameters` is a float, or an array whose shape is the batch: one entry a motor.
-The textbook motor (paper, part 2B; sign convention of both sources: motor operation) is
+A field of `MotorParameters` is a float, or an array: one entry a motor. The textbook motor (paper, part 2B; sign
+convention of both sources: motor operation) is
 
     L di/dt = V - R i - Kb w
     J dw/dt = Kt i - B w - Tload
@@ -151,8 +151,8 @@ class MotorParameters:
     Attributes:
         resistance_ohm: armature (terminal) resistance R.
         inductance_h: armature inductance L.
-        back_emf_constant_v_s_per_rad: back-EMF constant Kb; it stands in the electrical equation.
-        torque_constant_n_m_per_a: torque constant Kt; it stands in the torque equation.
+        back_emf_constant_v_s_per_rad: back-EMF constant Kb.
+        torque_constant_n_m_per_a: torque constant Kt.
         inertia_kg_m2: rotor inertia J.
         viscous_friction_n_m_s_per_rad: viscous friction B (0 is allowed).
 
@@ -209,9 +209,9 @@ class SensorParameters:
     """What is measured, and the standard deviation of its white noise.
 
     Attributes:
-        channels: measured channels, in the order in which they stand in every array.
+        channels: measured channels, in the order of every array.
         current_noise_a: standard deviation of a current sample.
-        speed_noise_rad_s: standard deviation of a speed sample; used where speed is measured.
+        speed_noise_rad_s: standard deviation of a speed sample.
     """
 
     channels: tuple[Channel, ...] = (Channel.CURRENT,)

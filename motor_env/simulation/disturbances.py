@@ -24,21 +24,21 @@ COLDEST_K, HOTTEST_K = -250.0, 900.0
 class Field:
     """Uniform priors (low, high) over departures from the textbook motor and over the current sensor's errors.
 
-    Torques are given relative to the nominal viscous friction torque at no-load speed, so that a recipe fits any motor.
+    Torques are relative to the nominal viscous friction torque at no-load speed.
 
     Attributes:
-        coulomb_ratio: Coulomb friction, one draw a motor; a bearing fault raises it with the viscous friction.
+        coulomb_ratio: Coulomb friction, one draw a motor; a bearing fault raises it.
         stribeck_ratio: breakaway torque above it, one a motor.
         brush_drop_v: voltage drop of the brushes, one a motor.
         supply_resistance_ohm: resistance of supply and leads, one a motor.
         commutation_ripple: relative ripple of the torque constant, one a motor.
         sensor_gain: factor of the current sensor, one a motor.
         sensor_offset_a: its offset, one a start.
-        temperature_rise_k: of winding and magnets above the data sheet's temperature, one a start.
+        temperature_rise_k: above the data sheet's temperature, one a start.
         load_ratio: load torque, one a start.
         ramp_s: rise time of the supply, one a start.
         ripple_v: amplitude of the supply's ripple, one a start.
-        trigger_jitter: delay of the step within its sampling interval, as a share of it, one a start.
+        trigger_jitter: delay of the step, as a share of the sampling interval, one a start.
         bearing_ripple_ratio: torque ripple of a bearing fault of severity 1, one a start.
         ripple_hz: frequency of the supply's ripple.
         sensor_lag_s: time constant of the current sensor.
@@ -119,10 +119,10 @@ class Duty:
     Attributes:
         profiles: of the voltage, each equally often. `steps`: random levels of one direction. `reversals`: one level,
             back and forth. `staircase`: up and down in four steps. `binary`: one of two levels at random. `sine`: both
-            directions. `speed_loop`: a controller follows random speeds of both directions; it takes the back-EMF
-            v - R i of the nominal motor for the speed, with i the current and its noise.
-        hold_s: time for which a level is held, log-uniform; a fourth of a period for the sine.
-        load_end_ratio: load torque at the end; it moves there in a straight line from the field's `load_ratio`.
+            directions. `speed_loop`: a controller follows random speeds of both directions, with the nominal back-EMF v
+            - R i for the speed.
+        hold_s: time of a level, log-uniform; a fourth of the sine's period.
+        load_end_ratio: load torque at the end, linear from the field's `load_ratio`.
         fan_ratio: load with the square of the speed, at no-load speed.
     """
 

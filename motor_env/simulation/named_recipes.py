@@ -66,7 +66,7 @@ def motor_recipe(
     Args:
         motor: data sheet, identified or commissioned motor.
         voltage_v: level of the supply; the file's nominal voltage by default.
-        timing: time axis; by default that of the starts it was commissioned on, else `settling_timing`.
+        timing: time axis; that of its commissioning by default, else `settling_timing`.
         classes: what may be wrong with it.
 
     Raises:
@@ -320,8 +320,8 @@ def recipe_from_dict(content: Mapping[str, Any]) -> Recipe:
 def load_recipe(name_or_path: str | Path, **changes: Any) -> Recipe:
     """A named recipe, or one from a TOML file, with fields replaced.
 
-    A file holds the recipe's fields by name, SI units in the names. `base = "bench"` starts from a named recipe:
-    tables then replace the entries that they name. `motor = "file.toml"` or a catalogue name stands for its table.
+    A file holds the recipe's fields; `base = "bench"` starts from a named recipe, and `motor` may be a motor file or
+    catalogue name.
 
     Raises:
         InputError: no such recipe or file, not TOML, an unknown key, a value out of range.

@@ -7,12 +7,12 @@ States: current i, speed w, angle phi, winding temperature above the start's. Wi
     dphi/dt      = w
     C d(dT)/dt   = i^2 R(T) - dT / Rth                      R(T) = R(start) (1 + 0.00393 dT)
 
-s is the sign, made smooth as x / sqrt(x^2 + e^2); the falling Stribeck part is that of Hess & Soom (1990), which needs
-no exponential and so lets the loop over cases vectorise. The supply Vs rises over `ramp_s` along
-3 r^2 - 2 r^3 and carries a ripple. Copper: R (1 + 0.00393 dT) (IEC 60028); ferrite and NdFeB magnets about -0.1 %/K.
+s is the sign, made smooth as x / sqrt(x^2 + e^2); the falling Stribeck part is that of Hess & Soom (1990). The supply
+Vs rises over `ramp_s` along 3 r^2 - 2 r^3 and carries a ripple. Copper: R (1 + 0.00393 dT) (IEC 60028); ferrite and
+NdFeB magnets about -0.1 %/K.
 
-The classical Runge-Kutta method takes `substeps` steps a sample, a number that follows from the nominal motor and not
-from the case, so that a case does not depend on its batch. Its error is measured against a stiff solver in the tests.
+The classical Runge-Kutta method takes `substeps` steps a sample, as the nominal motor needs, so that a case does not
+depend on its batch.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _MOST_STEPS = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """Departures from the textbook motor; floats, or one entry a case. The defaults are the textbook motor.
+    """Departures from the textbook motor (the defaults); floats, or one entry a case.
 
     Attributes:
         coulomb_friction_n_m: Tc.
@@ -63,7 +63,7 @@ class Effects:
         commutation_per_turn: n, ripples a turn.
         bearing_ripple_n_m: Tr, torque ripple of a damaged bearing.
         bearing_per_turn: q, ball passes a turn (outer race: (balls / 2)(1 - d/D cos phi)).
-        delay_s: delay of the supply's step after time 0; from 0 to below one sampling interval.
+        delay_s: delay of the supply's step, below one sampling interval.
         heat_capacity_j_per_k: C of the winding.
         thermal_resistance_k_per_w: Rth from the winding to the housing.
     """
@@ -123,8 +123,8 @@ class Sampling(NamedTuple):
         dt_s: sampling interval.
         steps: Runge-Kutta steps in one sample (`substeps`).
         is_current: whether a channel is the current (or the speed), shape (n_channels,).
-        out: filled with what is true at the end of each interval, shape (n_cases, n_channels, n_samples); with one
-            channel more, the voltage, for motors at work.
+        out: filled with the truth at the end of each interval, shape (n_cases, n_channels, n_samples); the voltage is
+            one channel more for motors at work.
     """
 
     dt_s: float
@@ -233,10 +233,7 @@ def _derivative(
 
 @njit(cache=True, error_model="numpy")  # a check for division by 0 would keep the loop from vectorising
 def step_lanes(p: Group) -> None:
-    """One step of the classical Runge-Kutta method (Kutta 1901) for a group of cases.
-
-    One record and constant offsets: the compiler sees that nothing overlaps, and runs the lanes side by side.
-    """
+    """One step of the classical Runge-Kutta method (Kutta 1901) for a group of cases."""
     for lane in range(LANES):
         i, w = p.current[lane], p.speed[lane]
         a, q = p.angle[lane], p.heat[lane]
@@ -331,8 +328,6 @@ def integrate_driven(
     groups: NDArray[np.void], sampling: Sampling, driving: Driving, noise: FloatArray
 ) -> None:
     """True current and speed at the end of each sampling interval, and the voltage that was applied in it.
-
-    Voltage and load are held over each sample, the voltage is the last channel.
 
     Args:
         groups: the cases (`groups_of`); of their supply the resistance and the ripple count alone.

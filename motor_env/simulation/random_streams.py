@@ -1,8 +1,8 @@
 """Counter-based random streams: the numbers of case n depend on (seed, stream, n) alone.
 
-Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) is a bijection of its 128-bit counter for each 64-bit key.
-The key is the seed; the counter holds the case (64 bits), the stream (32 bits) and the block (32 bits). So no two
-cases, streams or blocks of a seed share a counter, and results do not depend on the number of workers or shards.
+Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) is a bijection of its 128-bit counter for each 64-bit key. The key is
+the seed; the counter holds the case (64 bits), the stream (32 bits) and the block (32 bits). So results do not depend
+on the number of workers or shards.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def uniforms(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatAr
 def normals(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
     """Standard normal numbers, shape (n_cases, count): row n belongs to case `cases[n]` alone.
 
-    They are made in float32 (24 bits), as wherever the package makes noise.
+    They are made in float32 (24 bits).
 
     Raises:
         ValueError: the seed does not fit 64 bits, or a case is negative.

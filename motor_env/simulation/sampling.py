@@ -55,10 +55,7 @@ class Draw(NamedTuple):
 def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
     """Draw motors and faults of a recipe. Case n depends on (recipe, seed, n) alone.
 
-    Args:
-        recipe: what to draw from.
-        seed: the random seed.
-        cases: case numbers, shape (n_cases,).
+    `cases` are numbers, shape (n_cases,).
     """
     instance("recipe", recipe, Recipe)
     seed, numbers = whole("seed", seed, most=LARGEST_SEED), case_numbers(cases)
@@ -204,8 +201,7 @@ def measure_draw(
 ) -> NDArray[np.float32]:
     """Readings of drawn cases, float32, shape (n_cases, n_channels, n_samples).
 
-    Where columns are swapped, the first channel is that of a healthy motor of the same recipe: of the case of the same
-    number under the next seed.
+    Where columns are swapped, the first channel is that of a healthy case of the same number under the next seed.
     """
     faults = drawn.scenario.faults
     out = measure(

@@ -36,7 +36,7 @@ class Timing:
     Attributes:
         sampling_rate_hz: samples a second.
         duration_s: time sampled after the step.
-        quiet_s: time sampled before the step, on top of the duration.
+        quiet_s: time sampled before the step.
     """
 
     sampling_rate_hz: float = 10_000.0
@@ -103,7 +103,8 @@ def case_numbers(cases: ArrayLike) -> NDArray[np.int64]:
 _SEVERAL = "motors, supply, states and severities, where not of one motor,"
 
 
-def _check_faults(faults: tuple[Fault, ...]) -> None:
+def _check_motors(parameters: MotorParameters, faults: tuple[Fault, ...]) -> None:
+    instance("parameters", parameters, MotorParameters)
     instance("faults", faults, (tuple, list))
     for n, fault in enumerate(faults):
         instance(f"faults[{n}]", fault, Fault)
@@ -111,16 +112,16 @@ def _check_faults(faults: tuple[Fault, ...]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Everything that decides a transient except the random numbers of its noise; one motor or a batch.
+    """Everything that decides a transient but its random numbers; one motor or a batch.
 
     Attributes:
         parameters: the motor without its faults, one or a batch.
-        faults: the faults; in a batch a severity is an array, 0 for the motors that do not have the fault.
+        faults: in a batch a severity is an array, 0 for motors without the fault.
         supply: voltage step, one level or one a motor.
         sensor: channels and noise.
         timing: time axis.
         load_torque_n_m: constant load from the step on.
-        process_noise_std: standard deviation of the noise added to [current, speed] in each interval.
+        process_noise_std: of the noise added to [current, speed] in each interval.
     """
 
     parameters: MotorParameters
@@ -132,11 +133,10 @@ class Scenario:
     process_noise_std: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        instance("parameters", self.parameters, MotorParameters)
-        _check_faults(self.faults)
-        instance("supply", self.supply, SupplyParameters)
-        instance("sensor", self.sensor, SensorParameters)
-        instance("timing", self.timing, Timing)
+        _check_motors(self.parameters, self.faults)
+        for kind in (SupplyParameters, SensorParameters, Timing):
+            name = kind.__name__.removesuffix("Parameters").lower()
+            instance(name, getattr(self, name), kind)
         object.__setattr__(self, "load_torque_n_m", number("load_torque_n_m", self.load_torque_n_m))
         numbers("process_noise_std", self.process_noise_std, (N_STATES,), least=0.0)
         _ = self.batch_shape
@@ -160,7 +160,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class Transients:
-    """Simulated transients: what a sensor reads, and beside it the truth, which is for scoring alone.
+    """Simulated transients: readings, and the truth, which is for scoring alone.
 
     Attributes:
         time_s: shape (n_samples,); 0 is the step.
@@ -194,7 +194,7 @@ def simulate_states(
         parameters: the motor without its faults.
         voltage_v: voltage held in each interval, shape (n_samples,) or (n_cases, n_samples).
         dt_s: sampling interval.
-        faults: their onsets count from time 0; parameters are held within an interval.
+        faults: their onsets count from time 0.
         load_torque_n_m: scalar, or the shape of `voltage_v`.
         initial_state: current and speed before the first interval, shape (2,) or (n_cases, 2).
         process_noise: added to the state at the end of each interval, shape (n_cases, n_samples, 2).
@@ -206,8 +206,7 @@ def simulate_states(
     Raises:
         ValueError: a number is not finite, shapes do not fit, or the motor leaves the range of numbers.
     """
-    instance("parameters", parameters, MotorParameters)
-    _check_faults(faults)
+    _check_motors(parameters, faults)
     voltage = numbers("voltage_v", voltage_v, ("...", "n_samples"))
     require(
         voltage.ndim <= 2,
@@ -274,7 +273,7 @@ def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
     """Simulate a scenario; the noise of row n comes from the streams of case `cases[n]` alone.
 
     Args:
-        scenario: one motor (then every case is a repetition with noise of its own), or a batch of n_cases motors.
+        scenario: one motor, repeated with other noise, or a batch of n_cases motors.
         seed: the random seed.
         cases: case numbers, shape (n_cases,).
 

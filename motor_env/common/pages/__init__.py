@@ -49,17 +49,7 @@ def percent(share: float) -> str:
 
 
 class Axis(NamedTuple):
-    """An axis.
-
-    Attributes:
-        title: what is drawn, with its unit; empty for none.
-        low: where the axis begins.
-        high: where it ends.
-        ticks: values that get a grid line or a number.
-        number: text of a value.
-        is_log: whether the axis is logarithmic.
-        is_reversed: whether `low` lies at the right or at the top.
-    """
+    """An axis: title with unit, range, ticks and their text; `is_reversed` puts `low` at the right or at the top."""
 
     title: str
     low: float

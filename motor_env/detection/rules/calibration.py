@@ -68,13 +68,12 @@ class Request:
         """Threshold that meets the request.
 
         Args:
-            law: of the samples to an alarm, for a threshold; a higher one never alarms earlier.
+            law: of the samples to an alarm, for a threshold.
             low: threshold that is surely too low.
-            step: first step upwards from there; the steps grow by a half each.
+            step: first step upwards from there.
 
         Raises:
-            ValueError: the rule gives fewer false alarms at any threshold, or needs one that its equation cannot be
-                solved for.
+            ValueError: no threshold gives as many false alarms, or the equation cannot be solved for it.
         """
 
         def excess(threshold: float) -> float:
@@ -107,8 +106,7 @@ class Statistic(ABC):
 
         Args:
             state: as `start` gives it.
-            whitened: shape (n_streams, n_samples, n_channels). A channel that is NaN was not measured: the rule takes
-                no notice of it.
+            whitened: shape (n_streams, n_samples, n_channels). NaN is missing.
         """
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold | None:
@@ -149,13 +147,12 @@ def threshold_of(
 ) -> Threshold:
     """Exact threshold where theory gives it; else from simulated healthy runs of white noise, with its standard error.
 
-    For a probability it is an order statistic of the runs' largest values. For an average run length a pilot finds a
-    narrow range of thresholds, and every run goes on to its alarm at each of them; the mean run length, whose logarithm
-    is near linear in the threshold (Siegmund 1985), is solved for what is wanted.
+    For a probability: an order statistic of the runs' largest values. For an average run length: runs to their alarm at
+    a range of thresholds from a pilot; the logarithm of the mean is near linear in the threshold (Siegmund 1985).
 
     Args:
-        rule: the rule.
-        request: what the threshold is for.
+        rule: to be calibrated.
+        request: a run length or a probability.
         runs: healthy runs to simulate; None for as many as `Rule.threshold_for` says.
         n_channels: measured channels.
         seed: seed of the noise.
@@ -201,9 +198,8 @@ def recipe_thresholds(
 ) -> list[Threshold]:
     """Thresholds of several rules from the same simulated healthy motors of a recipe; one: `Rule.threshold_for`.
 
-    Monte Carlo critical values (Barnard 1963), with the standard error of an order statistic (Mosteller 1946).
-    Whitened to second order in the tolerances (`TolerantFilter`) the residual is white, but not quite normal, so no
-    threshold is exact; without tolerances it is white noise, and the rules' own thresholds are taken.
+    Monte Carlo critical values (Barnard 1963), with the standard error of an order statistic (Mosteller 1946); without
+    tolerances the rules' own thresholds.
 
     Args:
         rules: on the residual that `TolerantFilter.from_recipe(recipe).white` gives.
@@ -272,8 +268,7 @@ def run_lengths(
         runs: how many.
         n_channels: measured channels.
         seed: of the noise; run n depends on (seed, n) alone.
-        mean: of the samples, as a fault that is there from the first one makes it: scalar or shape (n,), beyond whose
-            end the last value stays; 0 while healthy.
+        mean: of the samples: scalar, or shape (n,), whose last value stays; 0 while healthy.
         most_samples: of all runs together.
 
     Raises:

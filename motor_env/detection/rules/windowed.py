@@ -22,9 +22,8 @@ from motor_env.motor.parameters import FloatArray, require
 class MOfN(ExactRule):
     """Alarm when at least M of the last N samples have a NIS above the threshold.
 
-    The statistic is the M-th largest NIS of the last N, which is above the threshold exactly then. M = N = 1 is the
-    plain NIS test, M = N = k the rule of k in a row. The threshold is exact: chi-square for a hit, Markov chain for
-    the rule (Brook & Evans 1972; the rule: Schwartz 1956).
+    The statistic is the M-th largest NIS of the last N (Schwartz 1956). The threshold is exact: chi-square for a hit,
+    Markov chain for the rule (Brook & Evans 1972).
 
     Attributes:
         needed: M.
@@ -197,8 +196,7 @@ _LEAST_BUFFER = 512  # samples that the GLR holds beside the longest age, so tha
 class WindowedNis(Rule):
     """Sum of the NIS over the last w samples (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4).
 
-    One look at it after w samples or more has the chi-square law with w degrees of freedom a channel; watching it all
-    along does not, and its threshold is simulated.
+    Chi-square at one look, with w degrees of freedom a channel; watched all along, its threshold is simulated.
 
     Attributes:
         window: w.
@@ -224,10 +222,8 @@ class Glr(Rule):
     """Generalised likelihood ratio of a fault of unknown size that began m samples ago, maximised over m and size.
 
     The statistic is the largest of x|x| + 2 ln m over the ages m, x = sum_i s_i r_i / sqrt(sum_i s_i^2), i = 1 .. m
-    samples since the onset, with the fault's signature s: the growth of the whitened innovation after an onset (Willsky
-    & Jones 1976; window-limited on a geometric grid of ages: Lai 1995). Without a signature the fault is a step of the
-    mean. With the term 2 ln m each octave of ages gives about as many false alarms as the next (Dumbgen & Spokoiny
-    2001).
+    samples since the onset, s the fault's signature in the whitened innovation (Willsky & Jones 1976; geometric grid of
+    ages: Lai 1995; the term 2 ln m evens out the ages' false alarms: Dumbgen & Spokoiny 2001).
 
     Attributes:
         shortest: least age of an onset that is scanned, in samples.
