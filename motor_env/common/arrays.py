@@ -85,8 +85,10 @@ def real(name: str, values: Any, shape: Shape | None = None, *, single: bool = F
 def spread(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """As `numbers`, of a shape that NumPy's rules spread over `shape`: a scalar, or the last axes."""
     array = numbers(name, values)
+    if not array.ndim:
+        return array
     lengths = zip(array.shape[::-1], shape[::-1], strict=False)
-    if array.ndim and (array.ndim > len(shape) or any(own not in (1, whole) for own, whole in lengths)):
+    if array.ndim > len(shape) or any(own not in (1, whole) for own, whole in lengths):
         raise ValueError(f"{name} must be a number or have shape {shape}, got {array.shape}")
     return array
 
@@ -130,7 +132,7 @@ def whole(name: str, value: Any, least: int = 0, most: int = _WHOLE) -> int:
 def wholes(name: str, values: Any, least: int = 0, most: int = _WHOLE) -> NDArray[np.int64]:
     """Whole numbers within the bounds, of any shape; else `ValueError` with the place of the first one that is none."""
     array = _array(name, values)
-    is_good = array.dtype.kind in "iu" and bool(((array >= least) & (array <= most)).all())
+    is_good = array.dtype.kind in "iu" and (not array.size or (array.min() >= least and array.max() <= most))
     for place, entry in enumerate(() if is_good else array.reshape(-1).tolist()):
         if type(entry) is not int or not least <= entry <= most:
             where = f" at [{place}]" if array.ndim else ""
@@ -177,7 +179,7 @@ def _unmasked(values: Any) -> Any:
     if isinstance(values, np.ma.MaskedArray):
         is_missing = np.ma.is_masked(values) and values.dtype.kind in "fiu"
         return np.ma.filled(values.astype(np.float64), np.nan) if is_missing else values.data
-    if isinstance(values, list | tuple) and not all(type(entry) is float for entry in values):
+    if isinstance(values, list | tuple) and set(map(type, values)) != {float}:
         return [_unmasked(entry) for entry in values]
     return values
 

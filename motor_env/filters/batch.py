@@ -5,6 +5,7 @@ Arrays have a time axis before the last one here: innovations are (..., n_sample
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -216,7 +217,8 @@ def run_filter(
     own_covariance = kalman.model.transition.ndim > 2 or bool(missing.any())
     rows = schedules(kalman, missing if own_covariance else np.zeros((1, *missing.shape[1:]), np.bool_))
     innovation, state = innovations_and_states(kalman, measured, nominal, rows.gain)
-    require(bool(np.isfinite(state[:, -1]).all()), _TOO_LARGE)
+    last = state[:, -1]
+    require(math.isfinite(np.vdot(last, last)), _TOO_LARGE)
     whitened, nis, log_likelihood = score(innovation, rows.innovation_covariance)
     lead = batch if own_covariance else ()
     _, n_samples, n_channels = innovation.shape
@@ -284,10 +286,8 @@ class FilterStream:
         """
         n, n_channels = self.n_streams, len(self.kalman.observation)
         measured = numbers("measurement", measurement, missing=True)
-        require(
-            measured.size == n * n_channels,
-            f"measurement must have shape ({n}, {n_channels}), got {measured.shape}",
-        )
+        if measured.size != n * n_channels:
+            raise ValueError(f"measurement must have shape ({n}, {n_channels}), got {measured.shape}")
         measured = measured.reshape(n, n_channels, 1)
         voltage_v = spread("voltage_v", voltage_v, (n,))
         load_torque_n_m = spread("load_torque_n_m", load_torque_n_m, (n,))

@@ -104,11 +104,12 @@ def _draw_severities(
     recipe: Recipe, seed: int, class_index: NDArray[np.int64], motor_id: NDArray[np.int64]
 ) -> dict[FaultKind, FloatArray]:
     """Severity of each fault kind that the recipe has, shape (n_cases,); one draw a motor where it is continuous."""
-    others = [kind for kind in recipe.kinds if kind not in BUILT_IN_KINDS]
+    kinds = recipe.kinds
+    others = [kind for kind in kinds if kind not in BUILT_IN_KINDS]
     columns = [*BUILT_IN_KINDS, *others]  # a case depends on its recipe, not on what else is registered
     u = uniforms(seed, Stream.SEVERITY, motor_id, len(columns))
     severities: dict[FaultKind, FloatArray] = {}
-    for kind in recipe.kinds:
+    for kind in kinds:
         low, high = np.array(
             [
                 next(((p.severity, p.largest_severity) for p in c.parts if p.kind == kind), (0.0, 0.0))
