@@ -49,7 +49,7 @@ class Uploads:
         """Keep a motor file or one healthy start; the answer says what is there to compare with.
 
         Raises:
-            InputError: too many, or not readable; the sentence speaks of the page's name.
+            InputError: too many, or not readable.
         """
         shown = display_name(name)
         if kind not in ("motor", "healthy"):
@@ -282,7 +282,7 @@ def recording_verdict(
         uploads: own motor and healthy starts that were handed in.
 
     Raises:
-        InputError: unknown motor, or not readable; the sentence speaks of the page's name.
+        InputError: unknown motor, or not readable.
     """
     known, healthy = uploads.reference(motor)
     shown = display_name(name)

@@ -50,7 +50,7 @@ def numbers(
         least: no value may be smaller.
 
     Raises:
-        ValueError: no real numbers, another shape, or a value that is not finite; the sentence says where.
+        ValueError: no real numbers, another shape, or a value that is not finite.
     """
     if type(values) is float and not shape and abs(values) <= LARGEST_NUMBER:
         return np.array(values)  # the quick way of a stream

@@ -101,7 +101,7 @@ def require_ours(folder: Path, name: str, mark: str, *, command: str) -> None:
     """Refuse a folder that is neither new nor empty, unless its file of that name holds the mark of a command.
 
     Raises:
-        InputError: it is another's; the sentence names the command.
+        InputError: it is another's.
     """
     try:
         free = not folder.exists() or not any(folder.iterdir())
@@ -152,8 +152,6 @@ def write_text(path: Path, text: str) -> None:
 @contextmanager
 def filling(folder: Path) -> Iterator[Path]:
     """A temporary folder in `folder`: what is in it moves to `folder` when the block ends well, and else is removed.
-
-    Files of the same names are replaced, and a folder that is not there yet appears at once.
 
     Raises:
         InputError: the folder cannot be made or written.

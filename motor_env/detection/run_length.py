@@ -1,9 +1,9 @@
 """Run lengths of decision rules: exact Markov chains and integral equations.
 
-Everything here is for independent standard normal input, which whitened innovations are while the belief holds (Kailath
-1968). A rule's state is a Markov chain: the average run length solves (1 - kernel) L = 1, and no alarm within n samples
-has the probability kernel^n 1 (Brook & Evans 1972). For a continuous state the kernel is an integral, at Gauss-Legendre
-nodes (Nystrom's method; Goel & Wu 1971, Crowder 1987).
+For independent standard normal input (whitened innovations: Kailath 1968). A rule's state is a Markov chain: the
+average run length solves (1 - kernel) L = 1, and no alarm within n samples has the probability kernel^n 1 (Brook &
+Evans 1972). For a continuous state the kernel is an integral, at Gauss-Legendre nodes (Nystrom's method; Goel & Wu
+1971, Crowder 1987).
 """
 
 from __future__ import annotations
@@ -204,13 +204,10 @@ class HitChain:
 def cusum_chain(reference: float, threshold: float, shift: float = 0.0) -> Chain:
     """Chain of the one-sided CUSUM S = max(0, S + r - k), alarm above h, for r normal with mean `shift`.
 
-    Integral equation of Page (1954), solved at Gauss-Legendre nodes (Goel & Wu 1971). State 0 is the atom S = 0.
-    For k = 0.5, h = 5 the average run length is 931.
+    Integral equation of Page (1954), solved at Gauss-Legendre nodes (Goel & Wu 1971). State 0 is the atom S = 0. For k
+    = 0.5, h = 5 the average run length is 931.
 
-    Args:
-        reference: k, half the shift looked for.
-        threshold: h.
-        shift: mean of the whitened innovation; 0 while healthy.
+    `reference` is k, half the shift looked for; `shift` is 0 while healthy.
     """
     return _normal_chain(lambda state: state + shift - reference, 0.0, threshold)
 
@@ -218,13 +215,10 @@ def cusum_chain(reference: float, threshold: float, shift: float = 0.0) -> Chain
 def shiryaev_roberts_chain(looked_for: float, log_threshold: float, shift: float = 0.0) -> Chain:
     """Chain of the Shiryaev-Roberts statistic R = (1 + R) L, alarm at log R above the threshold, from R = 0.
 
-    L is the likelihood ratio of a shift `looked_for` in standard normal samples (Shiryaev 1963, Roberts 1966;
-    integral equation: Moustakides, Polunchenko & Tartakovsky 2011, here for log R). State 0 is R = 0.
+    L is the likelihood ratio of a shift `looked_for` in standard normal samples (Shiryaev 1963, Roberts 1966; integral
+    equation: Moustakides, Polunchenko & Tartakovsky 2011, here for log R). State 0 is R = 0.
 
-    Args:
-        looked_for: shift d of the likelihood ratio, > 0.
-        log_threshold: threshold on log R.
-        shift: mean of the whitened innovation; 0 while healthy.
+    `shift` is the mean of the innovation, 0 while healthy.
     """
     drift = looked_for * (shift - 0.5 * looked_for)
     lowest = drift - 9.0 * looked_for

@@ -30,7 +30,7 @@ MEMORY = 200.0
 
 
 class AdaptiveResult(NamedTuple):
-    """Innovations and states, and the noise that the filter believed in after each sample.
+    """Innovations, states and the noise believed after each sample.
 
     Attributes:
         innovation: z - C x-, shape (n_cases, n_samples, n_channels).

@@ -209,7 +209,7 @@ def inverse_information(information: FloatArray, names: tuple[str, ...]) -> Floa
     """Inverse of positive definite matrices (..., size, size); scaled first, so that units do not matter.
 
     Raises:
-        ValueError: a direction is open; the sentence names the quantities.
+        ValueError: a direction is open.
     """
     root = np.sqrt(np.einsum("...ii->...i", information))
     seen = root.min(initial=np.inf) > 0.0

@@ -150,10 +150,7 @@ class Excess(NamedTuple):
 def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predicted: ArrayLike) -> Excess:
     """Compare a classifier with the limit, case by case (McNemar 1947).
 
-    Args:
-        probabilities: posterior probabilities of the cases, shape (n_cases, n_classes).
-        class_index: true classes, shape (n_cases,).
-        predicted: the classifier's, shape (n_cases,); -1 for none.
+    `probabilities` are posterior, shape (n_cases, n_classes); classes have shape (n_cases,), -1 for none predicted.
 
     Raises:
         ValueError: shapes do not fit, fewer than 2 cases, or a number that is no class.

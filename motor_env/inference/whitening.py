@@ -64,8 +64,8 @@ class MarginalWhitener:
     Recursive least squares (Plackett 1950); the nuisances are considered states (Schmidt 1966).
 
     Attributes:
-        slopes: change of the unit-variance residual for one standard deviation of each nuisance, G, shape (n_samples *
-            n_channels, n_nuisances): samples in time order, the channels of a sample side by side.
+        slopes: G, the residual's change for one standard deviation of each nuisance, shape (n_samples * n_channels,
+            n_nuisances), channels of a sample side by side.
         gain: recursive least-squares gain of each sample, of the same shape.
         scale: standard deviation of each residual given those before it, shape (n_samples * n_channels,).
     """
@@ -177,8 +177,8 @@ class MatchedTest:
         """Test for the fault on a motor drawn from the recipe's tolerances.
 
         Args:
-            recipe: what the healthy motors are drawn from; its classes are not looked at.
-            fault: what is looked for; it must be there from the beginning, and change the motor.
+            recipe: what the healthy motors are drawn from.
+            fault: there from the beginning, and of the motor.
 
         Raises:
             ValueError: the fault has an onset in mid-run, or leaves the motor as it is.

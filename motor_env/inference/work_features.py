@@ -73,7 +73,7 @@ def work_feature_names(recipe: Recipe) -> tuple[str, ...]:
 
 
 def work_features(recipe: Recipe, cases: FloatArray) -> FloatArray:
-    """Most probable coordinates, errors of the severities, log probabilities of the classes, and what is left over.
+    """Most probable coordinates, errors of severities, log probabilities of classes, and the misfit.
 
     Args:
         recipe: one with a table `duty` and faults that change the motor.

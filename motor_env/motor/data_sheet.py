@@ -108,9 +108,9 @@ class Motor:
     """A motor as its file describes it.
 
     Attributes:
-        name: name of the motor.
+        name: of the motor.
         kind: where the numbers come from.
-        parameters: the textbook parameters in SI units.
+        parameters: in SI units.
         nominal_voltage_v: voltage of the start, where known.
         tolerance: how far a healthy motor may be off the parameters.
         current_noise_a: standard deviation of a current sample, where known.
@@ -118,7 +118,7 @@ class Motor:
         coulomb_friction_n_m: Coulomb friction torque.
         brush_drop_v: voltage drop of the brushes.
         healthy: of a commissioned motor.
-        notes: sentences for the reader of the file.
+        notes: for the reader of the file.
         assumed: keys whose values were not measured, each with its source.
     """
 
@@ -282,7 +282,7 @@ def _friction(si: Mapping[str, float]) -> float:
 
 
 def save_motor(motor: Motor, path: str | Path) -> None:
-    """Write a motor file in SI units; `load_motor` reads the same motor back, to the last bit.
+    """Write a motor file in SI units; `load_motor` reads it back to the bit.
 
     Raises:
         InputError: the file cannot be written.

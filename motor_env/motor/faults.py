@@ -61,7 +61,7 @@ class FaultKind(str, metaclass=_Registry):
         finding: one sentence of a diagnosis: what moved, and where to look.
 
     Raises:
-        ValueError: no such kind; the sentence lists those that exist.
+        ValueError: no such kind.
     """
 
     BEARING: ClassVar[FaultKind]
@@ -134,12 +134,12 @@ class FaultKind(str, metaclass=_Registry):
         return np.array([self.powers.get(quantity, 0.0) for quantity in quantities])
 
     def log_size(self, severity: Floats) -> FloatArray:
-        """How far a fault moves along its direction: log(1 + s), or -log(1 - s) where the severity is what is lost."""
+        """How far a fault moves along its direction: log(1 + s), or -log(1 - s) of what is lost."""
         size: FloatArray = -np.log1p(-severity) if self.loses else np.log1p(severity)
         return size
 
     def severity(self, log_size: Floats) -> FloatArray:
-        """The severity that moves so far along the direction: the inverse of `log_size`."""
+        """The inverse of `log_size`."""
         severity: FloatArray = -np.expm1(-log_size) if self.loses else np.expm1(log_size)
         return severity
 
@@ -161,7 +161,7 @@ def register_fault_kind(
         name: a word of a-z, 0-9 and _.
         powers: see `FaultKind`; `{"friction": 1.0}` for a friction that is up by the severity.
         verdict: the word for it; its name by default.
-        finding: what a diagnosis says; by default which quantities are up and down.
+        finding: what a diagnosis says; by default what is up and down.
 
     Raises:
         ValueError: a name or verdict that is no such word or taken; no powers, or of unknown quantities; a finding of
@@ -316,8 +316,7 @@ class Fault:
         noise_source: for kinds that change the noise only.
 
     Raises:
-        ValueError: a severity is negative (or not below 1 where something is lost), a time is not a number, or a fault
-            that is always there grows.
+        ValueError: a severity out of range, a time that is no number, or growth without an onset.
     """
 
     kind: FaultKind

@@ -14,7 +14,7 @@ from motor_env.motor.toml_files import ArrayOf, Finite, NotNegative, Positive
 
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """How the healthy pieces were recorded and fitted, where they are starts.
+    """How healthy starts were recorded and fitted.
 
     Attributes:
         log_noise: mean logarithm of the current's noise in A.
@@ -25,7 +25,7 @@ class Starts:
         sampling_rate_hz: of the starts; None where unknown.
         duration_s: what the shortest start holds after its onset.
         quiet_s: what the shortest start holds before it.
-        ripple_hz: commutation ripple at the last speed; None where not every start shows it.
+        ripple_hz: commutation ripple at the last speed; None where not in every start.
         ripple_constant_v_s: K times the ripple's periods a turn, from that ripple; over volt where V is unknown.
         ripple_log_sd: standard deviation of the next start's logarithm of either.
         direction: sign of the current, where all starts have the same; else 0.
@@ -85,7 +85,7 @@ class ScoreCalibration:
 
 @dataclass(frozen=True, slots=True)
 class OperatingCondition:
-    """One way in which a healthy motor was driven, and what windows driven alike tell of the next one.
+    """One way in which a healthy motor was driven, and what it tells of the next window.
 
     Attributes:
         pieces: which of the healthy windows.
@@ -118,7 +118,7 @@ class OperatingCondition:
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """How the healthy pieces were recorded and fitted, where they are windows of the motor at work.
+    """How healthy windows of the motor at work were recorded and fitted.
 
     Attributes:
         window_s: their length.
@@ -132,7 +132,7 @@ class Windows:
         window_excess: factor (variance) by which windows scatter more than believed, at least their own errors.
         drives: its operating conditions; none where nothing but a fault moves the motor.
         alike: largest `condition_distance` of windows driven alike.
-        calibration: of the scores of `watch`; None for windows that were not compared with each other.
+        calibration: of the scores of `watch`; None for windows not compared.
         one_way: whether the motor turns one way only.
     """
 
@@ -174,7 +174,7 @@ class Healthy:
         quantities: their names (see `motor_env.motor.identifiable`).
         values: their geometric means over the pieces, SI, shape (n,).
         log_covariance: covariance of the logarithms of the *next* piece's quantities about these, shape (n, n).
-        temperature_k: how much warmer or colder than those a healthy motor may be, one standard deviation.
+        temperature_k: standard deviation of a healthy motor's temperature about those.
         temperature_c: temperature of the motor at those pieces, where known.
         own_friction: share of the drag that is own friction, the rest being a load; None if unknown.
         starts: of starts; None for windows.

@@ -163,10 +163,6 @@ def _all_exponentials(transition: FloatArray, dt_s: float, exponential: FloatArr
 def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
     """Exact zero-order hold: Ad = exp(A dt), Bd = dt phi1(A dt) B (Franklin, Powell & Workman 1998, ch. 4.3).
 
-    Args:
-        parameters: one motor, or a batch.
-        dt_s: sampling interval, > 0.
-
     Raises:
         ValueError: `dt_s` is not positive.
     """
@@ -225,10 +221,7 @@ def propagate(
 def load_torque(constant_n_m: Floats, fan_n_m_s2: Floats, speed_rad_s: Floats) -> Floats:
     """Torque of a load that is constant or varies with time, and of a fan, which opposes the motion.
 
-    Args:
-        constant_n_m: what does not depend on the speed.
-        fan_n_m_s2: torque over the square of the speed.
-        speed_rad_s: of the motor.
+    `fan_n_m_s2` is torque over the square of the speed.
     """
     torque: Floats = constant_n_m + fan_n_m_s2 * speed_rad_s * np.abs(speed_rad_s)
     return torque

@@ -64,12 +64,12 @@ def require(condition: bool, sentence: str) -> None:
 
 
 def require_finite(name: str, value: Floats) -> Floats:
-    """The value; `ValueError` naming the field and the value, unless every entry is finite."""
+    """The value; `ValueError` unless every entry is finite."""
     return _plain(value, numbers(name, value))
 
 
 def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, one: bool = False) -> Floats:
-    """The value; `ValueError` naming the field, the bound and the value, unless every entry is finite and positive.
+    """The value; `ValueError` unless every entry is finite and positive.
 
     With `one` it must be a single number.
     """
@@ -101,7 +101,7 @@ def _plain(given: Any, array: FloatArray) -> Floats:
 
 
 def require_plausible(value: object, place: str = "") -> None:
-    """Raise `ValueError` naming the place and the number, unless every number in a dataclass is within `LARGEST`.
+    """Raise `ValueError` unless every number in a dataclass is within `LARGEST`.
 
     What a motor has is 0 or at least `SMALLEST`.
     """
@@ -118,7 +118,7 @@ def require_plausible(value: object, place: str = "") -> None:
 
 
 def require_numbers(options: DataclassInstance) -> None:
-    """Raise `ValueError` naming the field and the value, unless each field of numbers in a dataclass holds such."""
+    """Raise `ValueError` unless each field of numbers in a dataclass holds such."""
     for f in fields(options):
         value, kind = getattr(options, f.name), str(f.type)
         several = kind.startswith("tuple[float")

@@ -148,9 +148,7 @@ class Duty:
     def profile(self, u: FloatArray, timing: Timing) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Voltage in each interval as a share of the supply's, and whether it is what a speed loop wants.
 
-        Args:
-            u: uniform numbers, shape (n_cases, N_UNIFORMS).
-            timing: time axis.
+        `u` are uniform numbers, shape (n_cases, N_UNIFORMS).
 
         Returns:
             Shapes (n_cases, n_samples) and (n_cases,).

@@ -61,7 +61,7 @@ def motor_recipe(
     timing: Timing | None = None,
     classes: tuple[FaultClass, ...] = PAPER_CLASSES,
 ) -> Recipe:
-    """Recipe of one motor: its parameters, its own nuisances, its noise, and the supply of its starts.
+    """Recipe of one motor: parameters, nuisances, noise, and supply of its starts.
 
     Args:
         motor: data sheet, identified or commissioned motor.
@@ -257,16 +257,15 @@ RECIPES: dict[str, Recipe] = {
         shifts=_WORK_SHIFTS,
     ),
 }
-"""Named recipes. `paper`: noise only. `bench`: every motor and every start differs by its tolerances. `bench-full`: the
-same with all fault kinds. `field`: temperature, supply, load, sensor errors, dry friction, brushes, trigger jitter.
-`operation`: motors that run, with a voltage and a load of its own in each case."""
+"""Named recipes. `paper`: noise only. `bench`: tolerances of motors and starts. `bench-full`: with all fault kinds.
+`field`: with all priors of `Field`. `operation`: motors at work."""
 
 
 def named_recipe(name: str, **changes: object) -> Recipe:
     """Recipe of that name, with fields replaced.
 
     Raises:
-        ValueError: no such recipe; the sentence lists those that exist.
+        ValueError: no such recipe.
     """
     if name not in RECIPES:
         raise ValueError(f"recipe must be one of {', '.join(sorted(RECIPES))}, got {reprlib.repr(name)}")

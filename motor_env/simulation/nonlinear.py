@@ -284,12 +284,7 @@ def integrate(
 ) -> None:
     """True current and speed of each case at the end of each sampling interval.
 
-    Args:
-        parameters: the motor with its faults, one or a batch.
-        effects: the departures from the textbook motor.
-        voltage_v: level of the supply.
-        sampling: what is filled.
-        n_quiet: samples before the step.
+    `parameters` hold the faults; `n_quiet` samples lie before the step of `voltage_v`.
 
     Raises:
         ValueError: a delay is not below one sampling interval.

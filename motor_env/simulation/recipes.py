@@ -68,14 +68,14 @@ LARGEST_SEVERITY = 10.0
 
 @dataclass(frozen=True, slots=True)
 class FaultClass:
-    """A class to be told: a fault kind at a level of severity, or healthy (kind None, severity 0).
+    """A class: a fault kind at a level of severity, or healthy (kind None, severity 0).
 
     Attributes:
         kind: the fault; None for healthy.
         severity: its level, or the smallest where `severity_to` is given.
         weight: how often it is drawn, relative to the others.
         severity_to: the largest severity, drawn uniformly; None for one level.
-        also: faults that come with it (joint faults); their weights are ignored.
+        also: joint faults that come with it; their weights are ignored.
 
     Raises:
         ValueError: a healthy class with a severity, a fault without one or beyond `LARGEST_SEVERITY`, a negative
@@ -179,7 +179,7 @@ class Recipe:
         name: as in files.
         motor: nominal motor.
         supply: nominal supply.
-        spread: nuisances: what differs from motor to motor and start to start.
+        spread: nuisances of motors and starts.
         classes: what can be wrong, and how often.
         sensor: channels and noise.
         timing: time axis.
@@ -306,7 +306,7 @@ class Recipe:
         )
 
     def require_motor_faults(self) -> None:
-        """Raise `ValueError` for failed sensors, of which what knows motors alone cannot judge."""
+        """Raise `ValueError` for failed sensors."""
         failed = [kind for kind in self.kinds if kind.is_sensor]
         require(
             not failed,
@@ -317,7 +317,7 @@ class Recipe:
         """The recipe under the conditions of one of its shifts.
 
         Raises:
-            ValueError: no such shift; the sentence lists those that exist.
+            ValueError: no such shift.
         """
         by_name = {shift.name: shift for shift in self.shifts}
         require(name in by_name, f"shift must be one of {', '.join(by_name) or '(none)'}, got {name!r}")

@@ -135,10 +135,7 @@ def surroundings(
 ) -> tuple[Effects, SensorChain]:
     """Effects and sensor of cases in the field.
 
-    Args:
-        recipe: one with a table `field`.
-        values: of the recipe's priors in their order, shape (n_cases, n_priors).
-        severities: of the faults, each of shape (n_cases,).
+    `values` are of the recipe's priors, shape (n_cases, n_priors).
     """
     field = recipe.field
     if field is None:

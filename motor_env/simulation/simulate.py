@@ -278,7 +278,7 @@ def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
         cases: case numbers, shape (n_cases,).
 
     Raises:
-        ValueError: the batch of the scenario is not n_cases long.
+        ValueError: the batch is not n_cases long.
     """
     instance("scenario", scenario, Scenario)
     seed = whole("seed", seed, most=LARGEST_SEED)

@@ -2,9 +2,8 @@
 
 Each rule has `statistic(whitened)`, `alarm_index(whitened, threshold)`, `stream()` with `update(sample)`, and
 `threshold_for(arl0=...)`, `threshold_for(false_alarm_probability=..., n_samples=...)` or
-`threshold_for(false_alarm_probability=..., recipe=...)`. They read whitened innovations, shape (..., n_samples,
-n_channels): `FilterResult.whitened` of a known motor, `TolerantFilter.white` of one known up to its tolerances.
-Rules on the NIS read all channels, the others the first one.
+`threshold_for(false_alarm_probability=..., recipe=...)`. They read `FilterResult.whitened`, or `TolerantFilter.white`
+of a motor known up to its tolerances; rules on the NIS all channels, others the first.
 """
 
 from motor_env.detection.rules.base import Rule, RuleStream, first_above
