@@ -14,15 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motor_env.inference.fit import Prior, inverse_information
-from motor_env.inference.parametrisation import Coordinates
-from motor_env.inference.posterior import class_probabilities
-from motor_env.inference.sensitivities import jacobian
-from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.inference.posterior import SeverityPrior, class_probabilities, severity_posterior
+from motor_env.inference.sensitivities import Coordinates, jacobian
 from motor_env.motor.faults import Fault
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, require
-from motor_env.simulation.drawing import draw
 from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.recipes import FaultClass, Recipe
+from motor_env.simulation.sampling import draw
 from motor_env.simulation.simulate import Timing, simulate
 
 _CHUNK = 2000

@@ -25,9 +25,9 @@ from motor_datasets.arrays import Dataset
 from motor_env.inference.fit import Prior, fit
 from motor_env.inference.posterior import class_coordinates, recipe_observed
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.drawing import apply_factors
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import FACTORS
+from motor_env.simulation.sampling import apply_factors
 from motor_env.simulation.simulate import simulate_states
 
 TASK = class_task(named_recipe("bench"), 2000, 1000)

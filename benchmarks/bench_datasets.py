@@ -23,8 +23,8 @@ from motor_datasets.layout import make_plan
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.model import discretize
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import RECIPES
+from motor_env.simulation.sampling import draw, measure_draw
 
 N_CASES = 1024
 N_CASES_TO_DISK = 20_000

@@ -19,16 +19,15 @@ from tables import keep_table
 
 from motor_classifiers.estimators.confirmation import class_filter
 from motor_env.detection.rules.cusum import Cusum
-from motor_env.filters.adaptive import MEMORY, AdaptiveResult, adaptive_filter
+from motor_env.filters.adaptive import MEMORY, AdaptiveResult, JointKind, adaptive_filter, joint_filter
 from motor_env.filters.batch import FilterResult, run_filter
 from motor_env.filters.consistency import check_consistency
-from motor_env.filters.joint import JointKind, joint_filter
 from motor_env.filters.kalman import KalmanFilter, schedule
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.drawing import draw
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.sampling import draw
 from motor_env.simulation.simulate import simulate, simulate_states
 
 IntArray = NDArray[np.int64]

@@ -11,13 +11,13 @@ from accuracy_limits import chunks, class_limits, cramer_rao_bound, severity_lim
 from cyclopts import run
 from tables import keep_table
 
-from motor_env.inference.severity import SeverityPrior
+from motor_env.inference.posterior import SeverityPrior
 from motor_env.inference.whitening import MatchedTest
 from motor_env.motor.faults import Fault, FaultKind
 from motor_env.motor.parameters import PAPER_MOTOR, Channel, SensorParameters
-from motor_env.simulation.drawing import draw
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe, Spread
+from motor_env.simulation.sampling import draw
 from motor_env.simulation.simulate import Timing, simulate
 
 SEED = 11

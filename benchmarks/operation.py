@@ -27,7 +27,7 @@ from motor_env.diagnosis.estimation.problem import motor_unknowns as motor_place
 from motor_env.diagnosis.estimation.terms import terms
 from motor_env.diagnosis.estimation.uncertainty import information_covariance, secants
 from motor_env.diagnosis.readers.recording import UnusableError
-from motor_env.filters.joint import joint_filter
+from motor_env.filters.adaptive import joint_filter
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
 
 QUANTITIES = ("R", "L", "K", "J", "B", "coulomb", "brush_drop", "load_constant", "load_square")

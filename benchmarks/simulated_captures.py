@@ -16,11 +16,11 @@ from scipy.signal import lfilter
 from motor_env.diagnosis.readers.recording import Recording, resampled as evened
 from motor_env.motor.faults import Fault, apply_faults
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
-from motor_env.simulation.drawing import apply_factors
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.named_recipes import BENCH_SPREAD
 from motor_env.simulation.nonlinear import Effects
 from motor_env.simulation.random_streams import Stream, normals
+from motor_env.simulation.sampling import apply_factors
 from motor_env.simulation.sensor import SensorChain
 from motor_env.simulation.simulate import Scenario, Timing, simulate_states
 

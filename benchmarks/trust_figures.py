@@ -28,8 +28,7 @@ from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measur
 from motor_classifiers.wrappers.outside import OutsideDetector
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
-from motor_env.inference.posterior import class_probabilities
-from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.inference.posterior import SeverityPrior, class_probabilities, severity_posterior
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Recipe

@@ -53,16 +53,15 @@ from .diagnosis.verdict.judgement import (
 )
 from .filters.adaptive import (
     adaptive_filter as adaptive_filter,
+    joint_filter as joint_filter,
 )
 from .filters.batch import (
+    FilterStream as FilterStream,
     filter_residuals as filter_residuals,
     run_filter as run_filter,
 )
 from .filters.consistency import (
     check_consistency as check_consistency,
-)
-from .filters.joint import (
-    joint_filter as joint_filter,
 )
 from .filters.kalman import (
     KalmanFilter as KalmanFilter,
@@ -70,15 +69,10 @@ from .filters.kalman import (
 from .filters.smoothing import (
     smooth as smooth,
 )
-from .filters.stream import (
-    FilterStream as FilterStream,
-)
 from .inference.posterior import (
+    SeverityPrior as SeverityPrior,
     class_probabilities as class_probabilities,
     excess_over_limit as excess_over_limit,
-)
-from .inference.severity import (
-    SeverityPrior as SeverityPrior,
     severity_posterior as severity_posterior,
 )
 from .motor.data_sheet import (
@@ -100,14 +94,14 @@ from .motor.parameters import (
     SensorParameters as SensorParameters,
     SupplyParameters as SupplyParameters,
 )
-from .simulation.drawing import (
-    draw as draw,
-)
-from .simulation.recipe_files import (
+from .simulation.named_recipes import (
     load_recipe as load_recipe,
 )
 from .simulation.recipes import (
     Recipe as Recipe,
+)
+from .simulation.sampling import (
+    draw as draw,
 )
 from .simulation.simulate import (
     Scenario as Scenario,

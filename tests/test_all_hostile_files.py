@@ -37,7 +37,7 @@ from motor_env import (
 )
 
 # Reaches in: a note of an unfinished data set holds its recipe.
-from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.named_recipes import recipe_to_dict
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 MOTOR = str(EXAMPLES / "motor.toml")

@@ -46,7 +46,7 @@ import pickle, sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from motor_env import FaultKind, load_recipe
-from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.inference.posterior import SeverityPrior, severity_posterior
 from motor_datasets import generate_arrays
 import numpy as np
 

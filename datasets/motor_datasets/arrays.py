@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from motor_env.common.arrays import whole
 from motor_env.motor.parameters import Channel, FloatArray
-from motor_env.simulation.failed_sensors import VOLTAGE
 from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.sensor_faults import VOLTAGE
 
 
 def at_least_one(name: str, value: Any) -> int:

@@ -69,11 +69,9 @@ def generate(
     from motor_datasets.folder import generate_dataset, seconds_per_case
     from motor_datasets.layout import make_plan
     from motor_datasets.remote import folder_of
-    from motor_env.motor.assumptions import usable_parameters
-    from motor_env.motor.data_sheet import load_motor
+    from motor_env.motor.data_sheet import load_motor, usable_parameters
     from motor_env.motor.parameters import Channel
-    from motor_env.simulation.named_recipes import changed_recipe
-    from motor_env.simulation.recipe_files import load_recipe
+    from motor_env.simulation.named_recipes import changed_recipe, load_recipe
 
     chosen = changed_recipe(
         load_recipe(recipe),
@@ -165,7 +163,7 @@ def describe(recipe: str, /, *, picture: Path | None = None, seed: console.Whole
         seed: Random seed of the examples.
     """
     from motor_datasets import describe as describing
-    from motor_env.simulation.recipe_files import load_recipe
+    from motor_env.simulation.named_recipes import load_recipe
 
     if "://" in recipe or Path(recipe).is_dir():
         require_extra("pyarrow", "datasets")

@@ -29,10 +29,9 @@ from motor_datasets.manifest import MANIFEST, Entry, Manifest, defect, read_mani
 from motor_datasets.parquet import to_table, write_table
 from motor_datasets.remote import Folder, folder_of, whole_file
 from motor_env.common.errors import InputError
-from motor_env.common.files import LARGEST_DATA_BYTES, read_file
-from motor_env.common.processes import end_with_parent
+from motor_env.common.files import LARGEST_DATA_BYTES, end_with_parent, read_file
 from motor_env.motor.parameters import require
-from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.named_recipes import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
 UNFINISHED = "unfinished.json"

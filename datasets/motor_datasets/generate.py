@@ -11,8 +11,8 @@ from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset, at_lea
 from motor_datasets.layout import split_of
 from motor_env.common.arrays import instance, whole, wholes
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.drawing import Draw, draw, measure_draw
 from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.sampling import Draw, draw, measure_draw
 
 _CASES_AT_ONCE = 4096  # bounds the memory of what only some recipes need; more gains nothing
 

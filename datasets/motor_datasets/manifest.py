@@ -15,7 +15,7 @@ from motor_datasets.remote import Folder
 from motor_env.common.errors import InputError
 from motor_env.common.files import LARGEST_DATA_BYTES, read_file, read_json
 from motor_env.motor.parameters import require
-from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
+from motor_env.simulation.named_recipes import recipe_from_dict, recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
 FORMAT = "motor-datasets"

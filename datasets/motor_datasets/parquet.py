@@ -18,7 +18,7 @@ from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, who
 from motor_datasets.remote import Folder
 from motor_env.common.arrays import is_one_of, shown
 from motor_env.common.errors import InputError, require_extra
-from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.named_recipes import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
 require_extra("pyarrow", "datasets")

@@ -49,7 +49,7 @@ class Uploads:
         """Keep a motor file or one healthy start; the answer says what is there to compare with.
 
         Raises:
-            InputError: too many, or not readable; the sentence speaks of the page's name.
+            InputError: too many, or not readable.
         """
         shown = display_name(name)
         if kind not in ("motor", "healthy"):
@@ -123,10 +123,10 @@ class Settings:
         motor: catalogue motor: what the filter believes.
         kind: fault kind, or healthy.
         severity_percent: of the fault.
-        noise_ma: standard deviation of a current sample; the filter believes the same.
-        resistance_percent: how far this motor's own resistance is from nominal: a tolerance, not a fault.
+        noise_ma: standard deviation of a current sample, known to the filter.
+        resistance_percent: this motor's tolerance, not a fault.
         friction_percent: the same for the friction.
-        false_alarm_percent: how often rule and diagnosis may call a healthy start faulty.
+        false_alarm_percent: of rule and diagnosis.
         rule: name of the rule, of `RULES`.
         seed: random number of the noise.
     """
@@ -257,7 +257,7 @@ def _rounded(values: FloatArray) -> list[float]:
 def verdict(settings: Settings) -> dict[str, Any]:
     """Diagnose the simulated start as `motor-env diagnose` does a recording.
 
-    It sees time, current and voltage, and the catalogue motor; not the fault, nor this motor's own tolerances.
+    It does not see the fault, nor this motor's own tolerances.
     """
     start = simulate_start(settings)
     seen = Recording(Path("simulated"), start.time_s, start.measurements[0, 0], start.voltage_v[0])
@@ -282,7 +282,7 @@ def recording_verdict(
         uploads: own motor and healthy starts that were handed in.
 
     Raises:
-        InputError: unknown motor, or not readable; the sentence speaks of the page's name.
+        InputError: unknown motor, or not readable.
     """
     known, healthy = uploads.reference(motor)
     shown = display_name(name)

@@ -127,7 +127,7 @@ def level_name(fault: Fault | None) -> str:
 def start_up(parameters: MotorParameters) -> StartUp:
     """Simulate the start under 12 V: peak, peak time, settling time and final values.
 
-    The states are exact at every microsecond; between two samples the peak is a parabola's, the settling a line's.
+    Exact at every microsecond; the peak is interpolated by a parabola, the settling by a line.
     """
     n_samples = round(_SETTLING_SPAN_S / FINE_DT_S)
     states = simulate_states(parameters, np.full(n_samples, VOLTAGE_V), FINE_DT_S)

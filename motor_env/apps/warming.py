@@ -1,7 +1,4 @@
-"""Compile ahead all that commands and environments use, so that nothing has to wait for it later.
-
-A part is a small call that has everything compiled which it needs.
-"""
+"""Compile ahead all that commands and environments use, so that nothing has to wait for it later."""
 
 from __future__ import annotations
 
@@ -20,16 +17,15 @@ from motor_env.diagnosis.identification import identify
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.envs.offline.behaviours import TASKS, Behaviour
 from motor_env.envs.offline.recording import episodes_of
-from motor_env.inference.features import physical_features
-from motor_env.inference.posterior import class_probabilities
-from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.inference.class_model import physical_features
+from motor_env.inference.posterior import SeverityPrior, class_probabilities, severity_posterior
 from motor_env.inference.work_features import work_features
 from motor_env.motor.compiled import in_silence
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
-from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import RECIPES
+from motor_env.simulation.sampling import draw, measure_draw
 from motor_env.simulation.simulate import simulate_states
 
 _LEVEL_V, _STEP_S, _NOISE = 12.0, 1e-3, np.array([0.02, 0.5])

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from cyclopts import App
 
 from motor_env import __version__
-from motor_env.cli import monitors, motors, programs, verdicts
+from motor_env.cli import motors, programs, verdicts
 from motor_env.common import console
 
 app = App(
@@ -21,8 +21,8 @@ for _command in (
     verdicts.trend,
     motors.identify,
     motors.commission,
-    monitors.watch,
-    monitors.export_c,
+    verdicts.watch,
+    verdicts.export_c,
     programs.reproduce,
     programs.lab,
     programs.examples,

@@ -1,7 +1,6 @@
 """Numbers and arrays of callers, checked once at the door: what cannot be used is refused in one sentence.
 
-Compiled loops check nothing: a NaN in them lasts for ever, and a wrong shape reads outside of an array. So every public
-entry takes its arguments through these functions before it changes anything.
+Compiled loops check nothing, so every public entry takes its arguments through these functions first.
 
 Example:
     >>> from motor_env.common.arrays import numbers
@@ -13,7 +12,6 @@ Example:
 
 from __future__ import annotations
 
-import operator
 import reprlib
 from collections.abc import Iterable
 from typing import Any
@@ -29,7 +27,7 @@ Shape = tuple[int | str, ...]
 
 _KINDS = {"b": "bools", "c": "complex numbers", "m": "durations", "M": "dates", "U": "text", "S": "text"}
 _WHOLE = 2**63 - 1
-_DOUBLE = np.dtype(np.float64)
+_DOUBLE, _SINGLE = np.dtype(np.float64), np.dtype(np.float32)
 
 
 def numbers(
@@ -52,12 +50,22 @@ def numbers(
         least: no value may be smaller.
 
     Raises:
-        ValueError: no real numbers, another shape, or a value that is not finite; the sentence says where.
+        ValueError: no real numbers, another shape, or a value that is not finite.
     """
     if type(values) is float and not shape and abs(values) <= LARGEST_NUMBER:
         return np.array(values)  # the quick way of a stream
     array = real(name, values, shape, single=single)
-    require_finite_entries(name, array, values, missing=missing)
+    # One quick pass: a number that is not finite stays in the sum, and a huge one makes it huge.
+    if not float(np.vdot(array, array)) <= LARGEST_NUMBER:
+        bad = ~(np.abs(array.astype(np.float64)) <= LARGEST_NUMBER)
+        bad &= ~(missing & np.isnan(array))
+        if bad.any():
+            place = np.unravel_index(int(bad.argmax()), array.shape)
+            where, found = f" at [{', '.join(map(str, place))}]" if place else "", f"{array[place]:g}"
+            bound = f" and at most {LARGEST_NUMBER:g}" if np.isfinite(array[place]) else ""
+            if np.ma.is_masked(values):
+                found = "a masked value"
+            raise ValueError(f"{name} must be finite{bound}, got {found}{where}")
     if least is not None and not (array >= least).all():
         raise ValueError(f"{name} must be >= {least:g}, got {array.min():g}")
     return array
@@ -65,36 +73,13 @@ def numbers(
 
 def real(name: str, values: Any, shape: Shape | None = None, *, single: bool = False) -> NDArray[np.float64]:
     """As `numbers`, with whatever values: for what finds out itself that one is not finite."""
-    array = _array(name, values)
-    if array.dtype.kind == "O":
-        array = _from_objects(name, array)
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f"{name} must be real numbers, got {_KINDS.get(array.dtype.kind, 'something else')}")
-    if array.dtype is not _DOUBLE and not (single and array.dtype == np.float32):
-        with np.errstate(over="ignore"):
-            array = array.astype(np.float64)
+    array = values if type(values) is np.ndarray else _array(name, values)
+    if array.dtype is not _DOUBLE and not (single and array.dtype == _SINGLE):
+        array = _doubles(name, array)
     if shape is not None and not (array.size and _fits(array.shape, shape)):
         wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" if shape else "() (one number)"
         raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
     return array if array.flags.carray else array.copy()
-
-
-def require_finite_entries(name: str, array: NDArray[Any], given: Any, *, missing: bool = False) -> None:
-    """Raise `ValueError` with place and value of the first entry that is not finite; with `missing` NaN may stand."""
-    flat = array.reshape(-1)
-    # One quick pass: a number that is not finite stays in the sum, and a huge one makes it huge.
-    if float(np.vdot(flat, flat)) <= LARGEST_NUMBER:
-        return
-    bad = ~(np.abs(array.astype(np.float64)) <= LARGEST_NUMBER)
-    if missing:
-        bad &= ~np.isnan(array)
-    if bad.any():
-        place = np.unravel_index(int(bad.argmax()), array.shape)
-        where = f" at [{', '.join(map(str, place))}]" if place else ""
-        masked = np.isnan(array[place]) and _is_masked(given)
-        found = "a masked value" if masked else f"{array[place]:g}"
-        bound = f" and at most {LARGEST_NUMBER:g}" if np.isfinite(array[place]) else ""
-        raise ValueError(f"{name} must be finite{bound}, got {found}{where}")
 
 
 def spread(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -112,21 +97,18 @@ def number(
     name: str,
     value: Any,
     *,
-    above: float | None = None,
-    least: float | None = None,
-    below: float | None = None,
-    most: float | None = None,
+    above: float = -np.inf,
+    least: float = -LARGEST_NUMBER,
+    below: float = np.inf,
+    most: float = LARGEST_NUMBER,
 ) -> float:
     """One finite number within the bounds that are given; else `ValueError`."""
-    found = value if isinstance(value, float) else float(numbers(name, value, ()))
+    found = value if isinstance(value, float) else float(real(name, value, ()))
+    if least <= found <= most and above < found < below:
+        return found
     bounds = ((">", above), (">=", least), ("<", below), ("<=", most))
-    holds = {">": operator.gt, ">=": operator.ge, "<": operator.lt, "<=": operator.le}
-    if not abs(found) <= LARGEST_NUMBER or any(
-        b is not None and not holds[sign](found, b) for sign, b in bounds
-    ):
-        wanted = " and ".join(f"{sign} {bound:g}" for sign, bound in bounds if bound is not None)
-        raise ValueError(f"{name} must be {wanted or 'finite'}, got {found:g}")
-    return found
+    wanted = " and ".join(f"{sign} {bound:g}" for sign, bound in bounds if abs(bound) < LARGEST_NUMBER)
+    raise ValueError(f"{name} must be {wanted or 'finite'}, got {found:g}")
 
 
 def instance(name: str, value: object, kind: type | tuple[type, ...]) -> None:
@@ -150,7 +132,7 @@ def whole(name: str, value: Any, least: int = 0, most: int = _WHOLE) -> int:
 def wholes(name: str, values: Any, least: int = 0, most: int = _WHOLE) -> NDArray[np.int64]:
     """Whole numbers within the bounds, of any shape; else `ValueError` with the place of the first one that is none."""
     array = _array(name, values)
-    is_good = array.dtype.kind in "iu" and bool(((array >= least) & (array <= most)).all())
+    is_good = array.dtype.kind in "iu" and (not array.size or (array.min() >= least and array.max() <= most))
     for place, entry in enumerate(() if is_good else array.reshape(-1).tolist()):
         if type(entry) is not int or not least <= entry <= most:
             where = f" at [{place}]" if array.ndim else ""
@@ -166,20 +148,6 @@ def flags(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return array
 
 
-def _array(name: str, values: Any) -> NDArray[Any]:
-    if type(values) is np.ndarray:
-        return values
-    try:
-        return np.asarray(_unmasked(values))
-    except (
-        TypeError,
-        ValueError,
-        OverflowError,
-        RuntimeError,
-    ):  # rows of several lengths, a tensor with gradients
-        raise ValueError(f"{name} must be numbers, in rows of one length, got {shown(values)}") from None
-
-
 def is_one_of(value: Any, words: Iterable[str]) -> bool:
     """Whether the value, whatever it is, is one of the words."""
     return isinstance(value, str) and value in set(words)
@@ -189,47 +157,55 @@ def shown(value: Any) -> str:
     """What a caller gave, in a few words of one line."""
     if isinstance(value, np.generic):
         value = value.item()
-    if isinstance(value, str | bytes | int | float | complex | None):
-        return reprlib.repr(value)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(shown, value[:4]))}{', ...' * (len(value) > 4)}]"
     if isinstance(value, np.ndarray):
         return shown(value.tolist()) if value.size < 4 else f"an array of shape {value.shape}"
-    return (
-        f"the type {value.__name__}" if isinstance(value, type) else f"a value of type {type(value).__name__}"
-    )
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(shown, value[:4]))}{', ...' * (len(value) > 4)}]"
+    if isinstance(value, str | bytes | int | float | complex | None):
+        return reprlib.repr(value)
+    kind = value if isinstance(value, type) else type(value)
+    return f"{'the type' if kind is value else 'a value of type'} {kind.__name__}"
+
+
+def _array(name: str, values: Any) -> NDArray[Any]:
+    try:
+        return np.asarray(_unmasked(values))
+    except (TypeError, ValueError, OverflowError, RuntimeError):  # ragged rows, a tensor with gradients
+        raise ValueError(f"{name} must be numbers, in rows of one length, got {shown(values)}") from None
 
 
 def _unmasked(values: Any) -> Any:
     """NaN in place of masked values, in lists too; whole numbers without a mask stay such."""
     if isinstance(values, np.ma.MaskedArray):
-        if not np.ma.is_masked(values):
-            return values.data
-        is_number = values.dtype.kind in "fiu"
-        return np.ma.filled(values.astype(np.float64), np.nan) if is_number else values.data
-    if isinstance(values, list | tuple):
+        is_missing = np.ma.is_masked(values) and values.dtype.kind in "fiu"
+        return np.ma.filled(values.astype(np.float64), np.nan) if is_missing else values.data
+    if isinstance(values, list | tuple) and set(map(type, values)) != {float}:
         return [_unmasked(entry) for entry in values]
     return values
 
 
-def _is_masked(values: Any) -> bool:
-    return np.ma.is_masked(values) or (isinstance(values, list | tuple) and any(map(_is_masked, values)))
-
-
-def _from_objects(name: str, array: NDArray[Any]) -> NDArray[np.float64]:
-    """From Python's own numbers, such as integers beyond 64 bits; None becomes NaN."""
-    try:
-        if not any(isinstance(entry, str | bytes | bool) for entry in array.flat):
-            return array.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise ValueError(f"{name} must be real numbers, got {shown(array)}")
+def _doubles(name: str, array: NDArray[Any]) -> NDArray[np.float64]:
+    """Float64 of real numbers, of Python's own among them, such as integers beyond 64 bits; None becomes NaN."""
+    is_object = array.dtype.kind == "O"
+    if array.dtype.kind in "fiu" or (
+        is_object and not any(isinstance(entry, str | bytes | bool) for entry in array.flat)
+    ):
+        try:
+            with np.errstate(over="ignore"):
+                return array.astype(np.float64)
+        except (TypeError, ValueError, OverflowError):
+            pass
+    kind = shown(array) if is_object else _KINDS.get(array.dtype.kind, "something else")
+    raise ValueError(f"{name} must be real numbers, got {kind}")
 
 
 def _fits(own: tuple[int, ...], wanted: Shape) -> bool:
-    if wanted[:1] == ("...",):
+    if wanted and wanted[0] == "...":
         wanted = wanted[1:]
-        own = own[len(own) - len(wanted) :] if len(own) >= len(wanted) else ()
-    return len(own) == len(wanted) and all(
-        isinstance(need, str) or has == need for has, need in zip(own, wanted, strict=True)
-    )
+        own = own[-len(wanted) :]
+    if len(own) != len(wanted):
+        return False
+    for has, need in zip(own, wanted, strict=True):  # noqa: SIM110  # a generator would take longer than the loop
+        if has != need and not isinstance(need, str):
+            return False
+    return True

@@ -136,11 +136,6 @@ def _sentence(error: Exception) -> str:
 def progress_bar(total: float | None, text: str, *columns: ProgressColumn) -> Iterator[Callable[..., None]]:
     """A bar with the time left, on standard error and only on a terminal.
 
-    Args:
-        total: amount of work; None while it is not known.
-        text: what is done.
-        *columns: what else to show.
-
     Yields:
         Function that takes `advance`, `completed`, `total` or `description`.
     """

@@ -11,11 +11,13 @@ Example:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
-from motor_env.common.arrays import LARGEST_NUMBER, instance, number, real, shown, whole
+from motor_env.common.arrays import LARGEST_NUMBER, instance, real, shown, whole
 
+_LEAST = 1e-300  # what is smaller is 0 to a fit
 _LONGEST = 1000  # characters: a value of a stranger's file may have thousands
 
 
@@ -39,26 +41,29 @@ def require_extra(module: str, extra: str) -> None:
         raise InputError(f"this needs {module}, which is not installed: pip install 'motor-env[{extra}]'")
 
 
-def require_options(
-    *,
-    false_alarm_rate: float = 0.01,
-    start: int | None = None,
-    temperature: float | None = None,
-    **positive: float | None,
-) -> None:
-    """Raise `InputError` unless the rate lies between 0 and 0.5, and the other options that are given are > 0."""
-    if not 0.0 < (rate := _number("false-alarm-rate", false_alarm_rate)) < 0.5:
-        raise InputError(f"false-alarm-rate must lie between 0 and 0.5, got {rate:g}")
-    if start is not None:
-        whole("start", start, least=-(2**63))  # how many there are, the recording tells
-    if temperature is not None:
-        number("temperature", temperature)
-    for name, value in positive.items():
-        if (
-            value is not None
-            and not 0.0 < (found := _number(name.replace("_", "-"), value)) <= LARGEST_NUMBER
-        ):
-            raise InputError(f"{name.replace('_', '-')} must be > 0, got {found:g}")
+def require_options(**options: Any) -> list[Any]:
+    """Return the options in their order, as plain numbers; None stays.
+
+    Raises:
+        InputError: a false-alarm rate that is not between 0 and 0.5, or another option that is not > 0; `start` and
+            `temperature` may have any sign.
+    """
+    found: list[Any] = []
+    for name, value in options.items():
+        word, plain = name.replace("_", "-"), value
+        if name == "start" and value is not None:
+            plain = whole("start", value, least=-(2**63))  # how many there are, the recording tells
+        elif value is not None or name == "false_alarm_rate":
+            plain = value if isinstance(value, float) else float(real(word, value, ()))
+            wanted, low, high = "be > 0", _LEAST, LARGEST_NUMBER
+            if name == "false_alarm_rate":
+                wanted, high = "lie between 0 and 0.5", math.nextafter(0.5, 0.0)
+            elif name == "temperature":
+                wanted, low = "be finite", -LARGEST_NUMBER
+            if not low <= plain <= high:
+                raise InputError(f"{word} must {wanted}, got {plain:g}")
+        found.append(plain)
+    return found
 
 
 def require_several(name: str, given: Any, kinds: tuple[type, ...]) -> None:
@@ -67,7 +72,3 @@ def require_several(name: str, given: Any, kinds: tuple[type, ...]) -> None:
         raise InputError(f"{name} must be a list, and not empty, got {shown(given)}")
     for n, one in enumerate(given):
         instance(f"{name}[{n}]", one, kinds)
-
-
-def _number(name: str, value: Any) -> float:
-    return float(real(name, value, ()))

@@ -3,15 +3,37 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import stat
 import tempfile
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from motor_env.common.errors import InputError
+
+
+def end_with_parent() -> None:
+    """For the start of a worker: it ends when its parent ends, however that was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        sentinel: int | None = getattr(parent, "sentinel", None)
+
+        def watch() -> None:
+            # Workers of joblib have no sentinel to wait for, and their parent may be gone already; those of a fork
+            # server have another process above them.
+            while sentinel is None and os.getppid() == parent.pid:
+                time.sleep(0.2)
+            if sentinel is not None:
+                parent.join()
+            os._exit(1)
+
+        threading.Thread(target=watch, daemon=True).start()
+
 
 LARGEST_NOTE_BYTES = 1_000_000
 """Largest file that people write by hand, or record of what was made: motors, recipes, cards, seeds, methods."""
@@ -79,7 +101,7 @@ def require_ours(folder: Path, name: str, mark: str, *, command: str) -> None:
     """Refuse a folder that is neither new nor empty, unless its file of that name holds the mark of a command.
 
     Raises:
-        InputError: it is another's; the sentence names the command.
+        InputError: it is another's.
     """
     try:
         free = not folder.exists() or not any(folder.iterdir())
@@ -130,8 +152,6 @@ def write_text(path: Path, text: str) -> None:
 @contextmanager
 def filling(folder: Path) -> Iterator[Path]:
     """A temporary folder in `folder`: what is in it moves to `folder` when the block ends well, and else is removed.
-
-    Files of the same names are replaced, and a folder that is not there yet appears at once.
 
     Raises:
         InputError: the folder cannot be made or written.

@@ -1,4 +1,4 @@
-"""Shared style of all figures: readable from the back row, no window, no global state of pyplot.
+"""Shared style of all figures: no window, no global state of pyplot.
 
 A figure is made and saved inside `drawing()`, which lends matplotlib this style for a while:
 
@@ -98,15 +98,7 @@ def subplots(
     sharex: bool = True,
     height_ratios: tuple[float, ...] | None = None,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with one column of axes, bound to no window.
-
-    Args:
-        rows: number of axes, one below the other.
-        width_in: width in inches.
-        height_in: height in inches; 2.7 a row unless given.
-        sharex: one time axis for all.
-        height_ratios: relative heights of the rows.
-    """
+    """A figure with one column of axes, bound to no window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -130,10 +122,7 @@ def end_label(axes: Axes, x: float, y: float, text: str, color: str, *, offset_p
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or SVG, by the ending of its name; the same figure gives the same bytes.
-
-    The file appears under its name only when it is complete.
-    """
+    """Write a figure as PNG or SVG, by the ending of its name; the same figure gives the same bytes."""
     metadata: dict[str, Any] = {"Date": None} if path.suffix == ".svg" else {"Software": None}
     with replacing(path) as unfinished:
         figure.savefig(unfinished, format=path.suffix.removeprefix("."), metadata=metadata)

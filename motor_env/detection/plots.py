@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from motor_env.common.arrays import instance, number, numbers
 from motor_env.detection.rules.base import Rule, first_above
-from motor_env.detection.rules.thresholds import Threshold
+from motor_env.detection.rules.calibration import Threshold
 from motor_env.motor.parameters import FloatArray
 
 
@@ -21,11 +21,7 @@ def plot_rules(
 ) -> Figure:
     """Whitened residual of one transient, and each rule's statistic and threshold, on one time axis (Shewhart 1931).
 
-    Args:
-        time_s: shape (n_samples,).
-        whitened: shape (n_samples, n_channels).
-        rules: by name, each with its threshold.
-        onset_s: true onset of the fault, if it is to be drawn.
+    `time_s` has shape (n_samples,), `whitened` (n_samples, n_channels); `onset_s` is drawn if given.
     """
     instance("rules", rules, Mapping)
     values = numbers("whitened", whitened, ("n_samples", "n_channels"), missing=True)
@@ -56,10 +52,7 @@ def plot_rules(
 def plot_bank(time_s: ArrayLike, probabilities: FloatArray, names: Sequence[str]) -> Figure:
     """Posterior of a bank over time (Magill 1965), as `ModelBank.probabilities` gives it for one transient.
 
-    Args:
-        time_s: shape (n_samples,).
-        probabilities: shape (n_samples, 1 + n_models), health first.
-        names: of health and the models.
+    `time_s` has shape (n_samples,), `probabilities` (n_samples, 1 + n_models), health first.
     """
     shares = numbers("probabilities", probabilities, ("n_samples", len(names)))
     time = 1e3 * numbers("time_s", time_s, (len(shares),))

@@ -1,10 +1,9 @@
 """Run lengths of decision rules: exact Markov chains and integral equations.
 
-Everything here is for independent standard normal input, which whitened innovations are while the belief holds
-(Kailath 1968). A rule's state is a Markov chain; one sample takes the function `f(state)` of "what is expected from
-here on" to `kernel f`. The average run length solves (1 - kernel) L = 1; the probability of no alarm within
-n samples is kernel^n 1 (Brook & Evans 1972). For a continuous state the kernel is an integral, at Gauss-Legendre nodes
-(Nystrom's method; Goel & Wu 1971, Crowder 1987).
+For independent standard normal input (whitened innovations: Kailath 1968). A rule's state is a Markov chain: the
+average run length solves (1 - kernel) L = 1, and no alarm within n samples has the probability kernel^n 1 (Brook &
+Evans 1972). For a continuous state the kernel is an integral, at Gauss-Legendre nodes (Nystrom's method; Goel & Wu
+1971, Crowder 1987).
 """
 
 from __future__ import annotations
@@ -44,8 +43,6 @@ class RunLaw(Protocol):
 @dataclass(frozen=True, slots=True)
 class Chain:
     """Transitions of a rule that has not alarmed yet (Brook & Evans 1972).
-
-    The alarm's probabilities stand beside the kernel: they may be far smaller than the rounding of 1 - kernel 1.
 
     Attributes:
         kernel: weights from each state to each state, shape (n_states, n_states); rows sum to less than 1. The first
@@ -92,7 +89,7 @@ class Chain:
 class TwoSided:
     """The first alarm of two mirrored CUSUMs.
 
-    When one of them alarms first, the other stands at 0, so its run begins anew there (van Dobben de Bruyn 1968).
+    When one alarms first, the other stands at 0 and begins anew (van Dobben de Bruyn 1968).
 
     Attributes:
         up: chain of the one that looks for a rise.
@@ -134,8 +131,8 @@ class HitChain:
     """Exact chain of "at least M hits among the last N samples", hits being independent (Brook & Evans 1972).
 
     The state is the last N - 1 hits as bits. With M = N the average run length is (1 - p^k) / (p^k (1 - p)) (Feller
-    1968, ch. XIII.7); 3 of 5 at p = 0.05 has 1608. Its memory is short, so its
-    probabilities settle within some N samples: they are iterated, and no matrix of 2^N columns is solved.
+    1968, ch. XIII.7); 3 of 5 at p = 0.05 has 1608. Its probabilities settle within some N samples, so they are
+    iterated.
 
     Attributes:
         probability: of a hit.
@@ -160,10 +157,7 @@ class HitChain:
         require(0.0 <= self.probability <= 1.0, f"probability must lie in 0 .. 1, got {self.probability:g}")
 
     def _hazards(self, n_samples: float) -> Iterator[tuple[float, float]]:
-        """Probability of no alarm so far and that of an alarm at the next sample, up to `n_samples`.
-
-        The last pair's hazard has settled where there are fewer.
-        """
+        """Probability of no alarm so far and that of an alarm at the next sample, up to `n_samples`."""
         p, hits = self.probability, np.zeros(1, dtype=np.int64)  # hits that each state holds
         for _ in range(self.among - 1):
             hits = np.concatenate([hits, hits + 1])
@@ -210,13 +204,10 @@ class HitChain:
 def cusum_chain(reference: float, threshold: float, shift: float = 0.0) -> Chain:
     """Chain of the one-sided CUSUM S = max(0, S + r - k), alarm above h, for r normal with mean `shift`.
 
-    Integral equation of Page (1954), solved at Gauss-Legendre nodes (Goel & Wu 1971). State 0 is the atom S = 0.
-    For k = 0.5, h = 5 the average run length is 931.
+    Integral equation of Page (1954), solved at Gauss-Legendre nodes (Goel & Wu 1971). State 0 is the atom S = 0. For k
+    = 0.5, h = 5 the average run length is 931.
 
-    Args:
-        reference: k, half the shift looked for.
-        threshold: h.
-        shift: mean of the whitened innovation; 0 while healthy.
+    `reference` is k, half the shift looked for; `shift` is 0 while healthy.
     """
     return _normal_chain(lambda state: state + shift - reference, 0.0, threshold)
 
@@ -224,13 +215,10 @@ def cusum_chain(reference: float, threshold: float, shift: float = 0.0) -> Chain
 def shiryaev_roberts_chain(looked_for: float, log_threshold: float, shift: float = 0.0) -> Chain:
     """Chain of the Shiryaev-Roberts statistic R = (1 + R) L, alarm at log R above the threshold, from R = 0.
 
-    L is the likelihood ratio of a shift `looked_for` in standard normal samples (Shiryaev 1963, Roberts 1966;
-    integral equation: Moustakides, Polunchenko & Tartakovsky 2011, here for log R). State 0 is R = 0.
+    L is the likelihood ratio of a shift `looked_for` in standard normal samples (Shiryaev 1963, Roberts 1966; integral
+    equation: Moustakides, Polunchenko & Tartakovsky 2011, here for log R). State 0 is R = 0.
 
-    Args:
-        looked_for: shift d of the likelihood ratio, > 0.
-        log_threshold: threshold on log R.
-        shift: mean of the whitened innovation; 0 while healthy.
+    `shift` is the mean of the innovation, 0 while healthy.
     """
     drift = looked_for * (shift - 0.5 * looked_for)
     lowest = drift - 9.0 * looked_for
@@ -267,11 +255,7 @@ def _normal_chain(
     std: float = 1.0,
     returns: bool = True,
 ) -> Chain:
-    """Chain of a statistic, normal after each sample with a mean that its state gives; alarm above `high`.
-
-    The integral is taken at Gauss-Legendre nodes between `low` and `high`. State 0 is the start; what falls below `low`
-    returns there, or leaves the chain without an alarm.
-    """
+    """Chain of a statistic, normal after each sample with a mean that its state gives; alarm above `high`."""
     stds = (high - low) / std
     require(
         _LEAST_NODES + _NODES_PER_STD * stds <= _MOST_NODES + 1,

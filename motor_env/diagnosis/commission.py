@@ -37,8 +37,7 @@ from motor_env.diagnosis.verdict.hypotheses import Fitted
 from motor_env.diagnosis.verdict.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.verdict.report_text import UNITS, describe_friction_share
 from motor_env.diagnosis.verdict.sensor_diagnosis import learn_signs
-from motor_env.motor.assumptions import lines as lines_of
-from motor_env.motor.data_sheet import Motor
+from motor_env.motor.data_sheet import Motor, lines as lines_of
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray

@@ -123,7 +123,7 @@ def diagnose(
         InputError: an option out of its range, an unknown regime, no such start, or too many of them; a file that
             cannot be read.
     """
-    require_options(
+    false_alarm_rate, start, temperature_c, voltage_v, periods_per_turn = require_options(
         false_alarm_rate=false_alarm_rate,
         start=start,
         temperature=temperature_c,

@@ -234,7 +234,7 @@ def identify(
         >>> print({name: float(f"{one['value']:.3g}") for name, one in found.parameters.items()})
         {'R': 2.18, 'L': 0.000238, 'K^2/J': 516.0, 'B/J': 1.48}
     """
-    require_options(
+    start, voltage_v, constant, periods_per_turn = require_options(
         start=start, voltage=voltage_v, torque_constant=constant, ripple_periods_per_turn=periods_per_turn
     )
     several = [recordings] if isinstance(recordings, Recording | str | Path) else recordings

@@ -86,7 +86,7 @@ def task_recipe(recipe: Any) -> Recipe:
     if name in TASKS:
         return TASKS[name]
     if name.endswith(".toml"):
-        from motor_env.simulation.recipe_files import load_recipe
+        from motor_env.simulation.named_recipes import load_recipe
 
         return load_recipe(recipe)
     require(
@@ -119,8 +119,8 @@ def with_motor(recipe: Recipe, motor: Any) -> Recipe:
         )
     if str(motor) in CATALOGUE:
         return replace(recipe, motor=read.parameters)
-    from motor_env.motor.assumptions import usable_parameters
-    from motor_env.simulation.motor_recipes import motor_recipe
+    from motor_env.motor.data_sheet import usable_parameters
+    from motor_env.simulation.named_recipes import motor_recipe
 
     require(read.nominal_voltage_v is not None, f"{motor}: motor.nominal_voltage_v is missing")
     usable_parameters(read, needs_speed=Channel.SPEED in recipe.sensor.channels)

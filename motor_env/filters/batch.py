@@ -1,16 +1,17 @@
-"""The Kalman filter over whole transients, one or a batch (paper, Table 1).
+"""The Kalman filter over whole transients, one or a batch, and sample by sample in service (paper, Table 1).
 
 Arrays have a time axis before the last one here: innovations are (..., n_samples, n_channels).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.common.arrays import numbers, real, require_finite_entries, shown, spread
+from motor_env.common.arrays import numbers, real, shown, spread, whole
 from motor_env.filters import kernels
 from motor_env.filters.kalman import KalmanFilter, require_belief, schedule, schedules, score
 from motor_env.motor.model import N_STATES, Input, propagate
@@ -24,16 +25,16 @@ _TOO_LARGE = (
 class FilterResult(NamedTuple):
     """What the filter makes of measurements.
 
-    The covariances and the gain depend on no data, so they are common to all cases: shape (n_samples, ...). Where
-    samples are missing, or each case has its own motor, the cases' axes stand in front: shape (..., n_samples, ...).
+    Covariances and gain are common to all cases, shape (n_samples, ...); where samples are missing, or each case has
+    its own motor, the cases' axes stand in front.
 
     Attributes:
         innovation: z - C x-, shape (..., n_samples, n_channels); NaN where a sample is missing.
         innovation_covariance: S, shape (n_samples, n_channels, n_channels).
-        whitened: innovation times the inverse of S's Cholesky factor, white and standard normal while the belief
-            holds, shape (..., n_samples, n_channels); NaN where a sample is missing.
-        nis: normalised innovation squared (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4), shape (..., n_samples), over
-            the channels measured; 0 where none was.
+        whitened: innovation over S's Cholesky factor, standard normal while the belief holds, shape (..., n_samples,
+            n_channels); NaN where a sample is missing.
+        nis: normalised innovation squared (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4), shape (..., n_samples); 0 where
+            none was measured.
         log_likelihood: of all samples measured, shape (...).
         state: estimate after the update, shape (..., n_samples, 2).
         covariance: its covariance P, shape (n_samples, 2, 2).
@@ -51,7 +52,7 @@ class FilterResult(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Innovations of a batch and nothing that costs more, in single or double precision.
+    """Innovations of a batch and nothing that costs more.
 
     Attributes:
         innovation: z - C x-, shape (..., n_samples, n_channels).
@@ -65,13 +66,11 @@ class Residuals(NamedTuple):
 
 
 def _series(
-    kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
+    kalman: KalmanFilter, measured: kernels.AnyFloat, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
 ) -> tuple[kernels.AnyFloat, tuple[int, ...], FloatArray]:
-    """Checked measurements, shape (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
-    n_channels = len(kalman.observation)
-    measured = real("measurements", measurements, ("...", n_channels, "n_samples"), single=True)
+    """Measurements as (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
     require(measured.ndim <= 3, f"measurements must have 2 or 3 axes, got shape {measured.shape}")
-    n_samples = measured.shape[-1]
+    n_channels, n_samples = measured.shape[-2:]
     voltage = numbers("voltage_v", voltage_v, ("...", n_samples))
     require(voltage.ndim <= 2, f"voltage_v must have 1 or 2 axes, got shape {voltage.shape}")
     batch = measured.shape[:-2]
@@ -98,8 +97,8 @@ def output_coordinates(
 ) -> tuple[FloatArray, FloatArray]:
     """Motion (a, b, d) and gains (g, h) of a state (p, q) whose p is the output `row` x (Luenberger 1967).
 
-    p <- a p + q + g e and q <- b p + d q + h e: three factors instead of six, and the output without any.
-    `forward` is A K of each sample, shape (n_samples, 2), and so are the gains.
+    p <- a p + q + g e and q <- b p + d q + h e. `forward` is A K of each sample, shape (n_samples, 2), and so are the
+    gains.
     """
     basis = np.array([row, [-row[1], row[0]]])
     moved = basis @ transition @ np.linalg.inv(basis)
@@ -123,8 +122,7 @@ def filter_residuals(
         measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples); float32 is read as it is.
         voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
         load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
-        dtype: precision of innovations and NIS. Covariances are in double precision always: they depend on no data,
-            so that costs nothing.
+        dtype: precision of innovations and NIS.
 
     Raises:
         ValueError: shapes do not fit, a sample is not finite (`run_filter` takes missing samples), or another dtype.
@@ -134,9 +132,12 @@ def filter_residuals(
         f"dtype must be float32 or float64, got {shown(dtype)}",
     )
     require_belief(kalman)
-    measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
+    n_channels = len(kalman.observation)
+    checked = real if n_channels == 1 else numbers
+    given = checked("measurements", measurements, ("...", n_channels, "n_samples"), single=True)
+    measured, batch, nominal = _series(kalman, given, voltage_v, load_torque_n_m)
     plan = schedule(kalman, measured.shape[-1])
-    n_cases, n_channels, n_samples = measured.shape
+    n_cases, _, n_samples = measured.shape
     # One block for both: two arrays of some megabytes would go back to the system after each call, and their pages
     # be zeroed anew in the next one, which took longer than to filter.
     block = np.empty(n_cases * n_samples * (n_channels + 1), dtype=dtype)
@@ -157,7 +158,6 @@ def filter_residuals(
             nis,
         )
     else:
-        require_finite_entries("measurements", measured.reshape(*batch, *measured.shape[1:]), measurements)
         kernels.filter_two_channels(
             transition.astype(dtype),
             observation.astype(dtype),
@@ -170,7 +170,7 @@ def filter_residuals(
         )
     # A sample that is not finite makes all later innovations of its case not finite.
     if not np.isfinite(innovation[:, -1]).all():
-        require_finite_entries("measurements", measured.reshape(*batch, *measured.shape[1:]), measurements)
+        numbers("measurements", measurements)
         raise ValueError(_TOO_LARGE)
     return Residuals(
         innovation.reshape(*batch, n_samples, n_channels),
@@ -201,8 +201,8 @@ def run_filter(
 
     Args:
         kalman: the belief, of one motor or of one for each case.
-        measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples). NaN is a missing sample: it
-            updates nothing. The answer is in double precision, also for float32.
+        measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples). NaN is missing and updates
+            nothing.
         voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
         load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
 
@@ -210,14 +210,15 @@ def run_filter(
         ValueError: shapes do not fit, or a measurement is infinite.
     """
     require_belief(kalman)
-    measured, batch, nominal = _series(kalman, measurements, voltage_v, load_torque_n_m)
-    whole = measured.reshape(*batch, *measured.shape[1:])
-    require_finite_entries("measurements", whole, measurements, missing=True)
+    shape = ("...", len(kalman.observation), "n_samples")
+    given = numbers("measurements", measurements, shape, missing=True, single=True)
+    measured, batch, nominal = _series(kalman, given, voltage_v, load_torque_n_m)
     missing = np.isnan(measured).swapaxes(1, 2)
     own_covariance = kalman.model.transition.ndim > 2 or bool(missing.any())
     rows = schedules(kalman, missing if own_covariance else np.zeros((1, *missing.shape[1:]), np.bool_))
     innovation, state = innovations_and_states(kalman, measured, nominal, rows.gain)
-    require(bool(np.isfinite(state[:, -1]).all()), _TOO_LARGE)
+    last = state[:, -1]
+    require(math.isfinite(np.vdot(last, last)), _TOO_LARGE)
     whitened, nis, log_likelihood = score(innovation, rows.innovation_covariance)
     lead = batch if own_covariance else ()
     _, n_samples, n_channels = innovation.shape
@@ -231,3 +232,71 @@ def run_filter(
         covariance=rows.covariance.reshape(*lead, n_samples, N_STATES, N_STATES),
         gain=rows.gain.reshape(*lead, n_samples, N_STATES, n_channels),
     )
+
+
+MOST_STREAMS = 10_000_000
+"""Motors side by side: some gigabytes of memory."""
+
+
+class StreamSample(NamedTuple):
+    """The filter's results for one sample of each stream.
+
+    Attributes:
+        innovation: shape (n_streams, n_channels).
+        whitened: the same, white and standard normal while the belief holds.
+        nis: shape (n_streams,).
+        state: updated estimate, shape (n_streams, 2).
+    """
+
+    innovation: FloatArray
+    whitened: FloatArray
+    nis: FloatArray
+    state: FloatArray
+
+
+class FilterStream:
+    """A filter in service: `update(sample)` gives what `run_filter` gives at that sample."""
+
+    def __init__(self, kalman: KalmanFilter, n_streams: int = 1) -> None:
+        require_belief(kalman)
+        n_streams = whole("n_streams", n_streams, 1, MOST_STREAMS)
+        self.kalman = kalman
+        self.n_streams = n_streams
+        self._transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
+        motors = len(self._transition)
+        require(
+            motors in (1, n_streams), f"n_streams must be {motors} as the belief's motors, got {n_streams}"
+        )
+        self._gain = kalman.model.gain.reshape(-1, N_STATES, len(Input))
+        self._state = np.tile(kalman.initial_state, (n_streams, 1))
+        self._covariance = kalman.initial_covariance[None]
+
+    def update(
+        self, measurement: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
+    ) -> StreamSample:
+        """Take one more sample (paper, Table 1).
+
+        Args:
+            measurement: shape (n_streams, n_channels), or anything that reshapes to it; NaN is missing.
+            voltage_v: voltage held in the interval that the sample ends, scalar or shape (n_streams,).
+            load_torque_n_m: load torque in that interval.
+
+        Raises:
+            ValueError: shapes do not fit or a number is not finite; the stream stands where it stood.
+        """
+        n, n_channels = self.n_streams, len(self.kalman.observation)
+        measured = numbers("measurement", measurement, missing=True)
+        if measured.size != n * n_channels:
+            raise ValueError(f"measurement must have shape ({n}, {n_channels}), got {measured.shape}")
+        measured = measured.reshape(n, n_channels, 1)
+        voltage_v = spread("voltage_v", voltage_v, (n,))
+        load_torque_n_m = spread("load_torque_n_m", load_torque_n_m, (n,))
+        inputs, nominal = np.empty((self.n_streams, 1, len(Input))), np.empty((self.n_streams, 1, N_STATES))
+        inputs[:, 0, Input.VOLTAGE] = voltage_v
+        inputs[:, 0, Input.LOAD_TORQUE] = load_torque_n_m
+        propagate(self._transition, self._gain, inputs, np.empty((0, 1, N_STATES)), self._state, nominal)
+        rows = schedules(self.kalman, np.isnan(measured).swapaxes(1, 2), self._covariance)
+        innovation, state = innovations_and_states(self.kalman, measured, nominal, rows.gain)
+        self._state, self._covariance = state[:, 0], rows.covariance[:, 0]
+        scores = score(innovation, rows.innovation_covariance)
+        return StreamSample(innovation[:, 0], scores.whitened[:, 0], scores.nis[:, 0], self._state.copy())

@@ -1,4 +1,4 @@
-"""Tests of a filter's consistency with its measurements, to be made before a rule on its residual is trusted.
+"""Tests of a filter's consistency with its measurements.
 
 If the belief holds, whitened innovations are independent standard normal: their mean is 0, the sum of their squares is
 chi-square, their correlation from sample to sample is none (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4; portmanteau
@@ -22,7 +22,7 @@ _LEVEL = 0.01 / 3.0  # of each test
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Three tests of whitened innovations; each p-value is two-sided where that makes sense.
+    """Three tests of whitened innovations.
 
     Attributes:
         n_values: innovations tested.

@@ -1,8 +1,8 @@
 """The Kalman filter (paper, Table 1): its belief, which is never the truth, its update and its gains.
 
-`measurement_update` is the update of the adaptive and of the joint filters, whose noise or motion the data change.
-Batches and streams run the same equations compiled for two states (`kernels.covariance_step`). What the paper calls R
-is `measurement_covariance`, its Q `process_covariance`, its H `observation`.
+Adaptive and joint filters use `measurement_update`; batches and streams the same equations compiled for two states
+(`kernels.covariance_step`). What the paper calls R is `measurement_covariance`, its Q `process_covariance`, its H
+`observation`.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ from motor_env.motor.model import N_STATES, DiscreteModel, Input, discretize
 from motor_env.motor.parameters import SMALLEST, FloatArray, MotorParameters, SensorParameters, require
 
 DEFAULT_PROCESS_NOISE_STD = (1e-5, 1e-3)
-"""Process noise of the belief in [A, rad/s] an interval. The paper prints none. It is small on purpose: process noise
-absorbs a fault (with Q = diag(1e-4, 0.1) the innovation hardly shows a bearing fault of 10 %)."""
+"""Process noise of the belief in [A, rad/s] an interval (the paper prints none); small, since it absorbs a fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +29,7 @@ class KalmanFilter:
     """What the filter assumes: a motor's model, sensor, noise and starting point.
 
     Attributes:
-        model: discrete model of the healthy motor; or of a batch of motors, one for each case.
+        model: discrete model of the healthy motor, or of one for each case.
         observation: C, shape (n_channels, 2).
         process_covariance: Q, shape (2, 2).
         measurement_covariance: covariance of the measurement noise (the paper's R), shape (n_channels, n_channels).
@@ -38,8 +37,8 @@ class KalmanFilter:
         initial_covariance: its covariance, shape (2, 2).
 
     Raises:
-        ValueError: a shape that does not fit, a number that is not finite, a covariance that is not symmetric or not
-            positive semi-definite, or measurement noise that is not positive definite.
+        ValueError: shapes do not fit, a number is not finite, a covariance is not symmetric and positive semi-definite,
+            or measurement noise is not positive definite.
     """
 
     model: DiscreteModel
@@ -85,13 +84,10 @@ class KalmanFilter:
         initial_state: ArrayLike = (0.0, 0.0),
         initial_std: tuple[float, float] = (0.0, 0.0),
     ) -> Self:
-        """Filter (Kalman 1960) for a motor believed to be `parameters`, starting from rest unless told otherwise.
-
-        A batch of motors gives a filter with a model for each case: some ten times slower than a common one.
+        """Filter (Kalman 1960) for a motor believed to be `parameters`; of a batch, with a model for each case.
 
         Raises:
-            ValueError: a sensor without noise (a filter needs a measurement variance > 0), or what `KalmanFilter`
-                refuses.
+            ValueError: a sensor without noise, or what `KalmanFilter` refuses.
         """
         require_noise(sensor)
         return cls(
@@ -161,8 +157,7 @@ def gain_and_covariance(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gain K, innovation covariance S and updated covariance for a predicted covariance (paper, Table 1).
 
-    The covariance is updated in the Joseph form, (I - K C) P (I - K C)' + K R K', which stays symmetric and positive
-    where the paper's (I - K C) P loses both to rounding (Bucy & Joseph 1968).
+    Joseph form: (I - K C) P (I - K C)' + K R K' stays symmetric and positive under rounding (Bucy & Joseph 1968).
 
     Args:
         covariance: predicted P-, shape (..., n_states, n_states).
@@ -247,7 +242,7 @@ def schedules(
 ) -> Schedule:
     """Schedules of rows of samples, shapes (n_rows, ...); `missing` is (n_rows, n_samples, n_channels) (Kalman 1960).
 
-    Each row has its own motor where the belief has as many, and may begin with a covariance of its own, (n_rows, 2, 2).
+    `initial` has a covariance for each row, (n_rows, 2, 2); each has its own motor where the belief has as many.
     """
     # A channel that is not there has a zero row and unit noise, so that it has no gain and changes nothing.
     m, observation, noise = missing.shape[2], np.zeros((2, N_STATES)), np.eye(2)
@@ -287,11 +282,18 @@ def checked_series(
 
 
 @contextmanager
-def sample_named(k: int, measured: FloatArray, voltage_v: FloatArray) -> Iterator[None]:
-    """`ValueError` naming sample `k` and what was given there, where the estimate leaves the range of numbers."""
+def sample_named(measured: FloatArray, voltage_v: FloatArray) -> Iterator[Iterator[int]]:
+    """Numbers of the samples; `ValueError` naming the one at which the estimate leaves the range of numbers."""
+    k = 0
+
+    def count() -> Iterator[int]:
+        nonlocal k
+        for k in range(len(voltage_v)):  # noqa: UP028  # the loop keeps the number
+            yield k
+
     try:
         with np.errstate(over="raise", invalid="raise", divide="raise"):
-            yield
+            yield count()
     except (FloatingPointError, np.linalg.LinAlgError, OverflowError, ValueError):
         case = int(np.argmax(np.abs(np.nan_to_num(measured[:, :, k])).max(axis=1)))
         raise ValueError(

@@ -1,13 +1,10 @@
 """States in hindsight: the fixed-interval smoother (Rauch, Tung & Striebel 1965), on what the filter left.
 
-The filter's estimate at a sample knows the samples up to it; the smoothed one knows them all. It is for looking back
-at a recording: nothing that decides while samples come in may use it.
+It is for looking back: nothing that decides while samples come in may use it.
 
-Rauch's own recursion inverts the predicted covariance, which fades to nothing where there is little process noise
-(without any, a dozen samples of the paper's motor were enough for errors of 1e-6, and a long run gave NaN). So the
-states come from the adjoint of the filter (Bryson & Frazier 1963 in the form of Bierman 1973) and the covariances from
-the information that the later samples hold (Fraser & Potter 1969): the same answer, and nothing is inverted that may
-vanish.
+Rauch's recursion inverts the predicted covariance, which fades without process noise. So states come from the adjoint
+of the filter (Bryson & Frazier 1963; Bierman 1973), covariances from the information of the later samples (Fraser &
+Potter 1969).
 """
 
 from __future__ import annotations
@@ -16,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motor_env.common.arrays import instance, numbers, require_finite_entries
+from motor_env.common.arrays import instance, numbers
 from motor_env.filters.batch import FilterResult
 from motor_env.filters.kalman import KalmanFilter, masked_sensor, require_belief
 from motor_env.motor.compiled import compiled, inlined, njit
@@ -51,11 +48,7 @@ def _congruence(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
 
 @inlined
 def _less(x: FloatArray, y: FloatArray, w: FloatArray, out: FloatArray) -> None:
-    """(I + x y)^-1 x: what an information y leaves of a covariance x, or a covariance y of an information x.
-
-    Computed as W (x + x y x) W' with W = (I + x y)^-1, put into `w`: a sum of positive terms, as Joseph's form is for
-    the filter.
-    """
+    """(I + x y)^-1 x: what an information y leaves of a covariance x, or a covariance y of an information x."""
     p00, p01 = 1.0 + x[0, 0] * y[0, 0] + x[0, 1] * y[1, 0], x[0, 0] * y[0, 1] + x[0, 1] * y[1, 1]
     p10, p11 = x[1, 0] * y[0, 0] + x[1, 1] * y[1, 0], 1.0 + x[1, 0] * y[0, 1] + x[1, 1] * y[1, 1]
     scale = 1.0 / (p00 * p11 - p01 * p10)
@@ -76,10 +69,7 @@ def _smoothed_covariance(
     smoothed: FloatArray,
     room: FloatArray,
 ) -> None:
-    """Covariance of each sample given the later ones too, whose information goes from the last to the first.
-
-    `forward` is A', `information` C' R^-1 C of each sample, over the channels measured, `room` zeros, shape (3, 2, 2).
-    """
+    """Covariance of each sample given the later ones too, whose information goes from the last to the first."""
     later, now, w = room[0], room[1], room[2]
     for k in range(len(covariance) - 1, -1, -1):
         _less(covariance[k], later, w, smoothed[k])
@@ -100,10 +90,7 @@ def _smoothed_states(
     state: FloatArray,
     out: FloatArray,
 ) -> None:
-    """States x - P l of cases with one covariance: l <- A' (l - C' (S^-1 e + K' l)), from the last to the first.
-
-    `weighted` is S^-1 e, shape (n_cases, n_samples, n_channels), 0 where nothing was measured.
-    """
+    """States x - P l of cases with one covariance: l <- A' (l - C' (S^-1 e + K' l)), from the last to the first."""
     for n in range(len(state)):
         l0 = l1 = 0.0
         for k in range(state.shape[1] - 1, -1, -1):
@@ -146,11 +133,11 @@ def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
     """Smoothed states and covariances (Rauch, Tung & Striebel 1965; Bierman 1973; Fraser & Potter 1969).
 
     Args:
-        kalman: the belief that the filter ran with.
-        result: of `run_filter`; missing samples, a motor for each case and a held gain are as they were there.
+        kalman: the filter's belief.
+        result: of `run_filter`.
 
     Raises:
-        ValueError: the result is of another belief: its shapes do not fit, or it holds what `run_filter` does not give.
+        ValueError: the result is of another belief.
     """
     require_belief(kalman)
     instance("result", result, FilterResult)
@@ -177,6 +164,6 @@ def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
         forward, room = np.ascontiguousarray(a.T), np.zeros((3, 2, 2))
         _smoothed_covariance(forward, q, information[n], filtered, spread[n], room)
         _smoothed_states(a, c, weighted[cases], gain[n], filtered, state[cases], out[cases])
-    require_finite_entries("states of the result", out, out)
-    require_finite_entries("covariances of the result", spread, spread)
+    numbers("states of the result", out)
+    numbers("covariances of the result", spread)
     return Smoothed(out.reshape(result.state.shape), spread.reshape(result.covariance.shape))

@@ -1,18 +1,69 @@
-"""One class of a recipe as a function: what is read of a motor at given nuisances."""
+"""One class of a recipe as a function of its nuisances, and the residuals of its best fit as features."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from motor_env.inference.posterior import variance_factor
+from motor_env.inference.fit import Prior, fit
+from motor_env.inference.posterior import recipe_observed, variance_factor
+from motor_env.inference.sensitivities import Coordinates, fitted_residuals
 from motor_env.motor.faults import Fault
 from motor_env.motor.parameters import Channel, FloatArray, SupplyParameters
-from motor_env.simulation.drawing import apply_factors, driven, surroundings
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
+from motor_env.simulation.sampling import apply_factors, driven, surroundings
 from motor_env.simulation.simulate import Scenario
+
+FEATURE_FREE = ("resistance", "friction", "supply", "constants", "inertia")
+"""What the features' fit frees: the faults' quantities first, then the nuisances."""
+
+FEATURE_NAMES = (
+    *(f"log_{name}" for name in FEATURE_FREE),
+    *(f"log_std_{name}" for name in FEATURE_FREE[:2]),
+    "reduced_chi2",
+    "residual_mean",
+    "residual_late_mean",
+    "residual_lag1",
+    "residual_largest",
+)
+"""Names of the columns of `physical_features`."""
+_FAULT_STD = 0.3  # of the prior on log R and log B
+
+
+def physical_features(recipe: Recipe, measurements: ArrayLike) -> FloatArray:
+    """Most probable factors, their errors, and statistics of the residual of each transient (Isermann 1984).
+
+    R and B have a prior of 30 %; the supply, K and J have their tolerances as prior; L is nominal.
+
+    Args:
+        recipe: nominal motor and supply, tolerances, sensor and timing.
+        measurements: shape (n_cases, n_channels, n_samples).
+
+    Returns:
+        Shape (n_cases, len(FEATURE_NAMES)), columns as named there. Residuals are in units of the noise.
+    """
+    observed = recipe_observed(recipe, measurements)
+    tolerances = [max(getattr(recipe.spread, name), 1e-6) for name in FEATURE_FREE[2:]]
+    coordinates = Coordinates.from_names(recipe.motor, FEATURE_FREE)
+    fitted = fit(observed, coordinates, Prior.from_std([_FAULT_STD, _FAULT_STD, *tolerances]))
+    residual = fitted_residuals(observed, coordinates, fitted.values).reshape(observed.n_cases, -1)
+    late = residual[:, -max(1, residual.shape[1] // 5) :]
+    lag1 = (residual[:, 1:] * residual[:, :-1]).mean(axis=1)
+    return np.column_stack(
+        [
+            fitted.values,
+            np.log(fitted.std[:, :2]),
+            fitted.chi2 / observed.n_values,
+            residual.mean(axis=1),
+            late.mean(axis=1),
+            lag1,
+            np.abs(residual).max(axis=1),
+        ]
+    )
+
 
 _LARGEST_NORMAL = 6.77  # of the streams of random numbers
 
@@ -21,14 +72,12 @@ _LARGEST_NORMAL = 6.77  # of the streams of random numbers
 class ClassModel:
     """One class of a recipe: what is read, as a function of its nuisances.
 
-    The coordinates are the standard normal ones of `FACTORS`; then, uniform in 0 .. 1, the recipe's priors that have a
-    range, and the severities that have one.
+    Coordinates: standard normal ones of `FACTORS`, then, uniform in 0 .. 1, priors and severities that have a range.
 
     Attributes:
         recipe: what motors are drawn from.
         fault_class: the class.
-        voltage_v: what was applied to a motor at work, shape (n_samples,), or (n, n_samples) for as many coordinates;
-            None for starts.
+        voltage_v: of a motor at work, shape (n_samples,) or (n, n_samples); None for starts.
     """
 
     recipe: Recipe

@@ -1,7 +1,7 @@
 """Parameters from measured transients: maximum likelihood or maximum a posteriori, and their covariance.
 
-The noise is white and Gaussian, so maximum likelihood is weighted least squares, found by Gauss-Newton steps with
-Levenberg-Marquardt damping where a step fails (Levenberg 1944; Marquardt 1963) for a whole batch at once.
+Weighted least squares by Gauss-Newton steps with Levenberg-Marquardt damping (Levenberg 1944; Marquardt 1963), a batch
+at once.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.common.arrays import numbers
-from motor_env.inference.parametrisation import Coordinates
 from motor_env.inference.sensitivities import (
+    Coordinates,
     NormalEquations,
     Observed,
     common_equations,
@@ -79,7 +79,7 @@ class Fit(NamedTuple):
     Attributes:
         values: coordinates, shape (n, size).
         factors: factors on the nominal values, shape (n, size).
-        covariance: of the coordinates, the inverse information (prior included), shape (n, size, size).
+        covariance: inverse information (prior included), shape (n, size, size).
         information: shape (n, size, size).
         chi2: sum of squared residuals in units of the noise, shape (n,); near n_values for a right model.
         objective: chi2 plus the prior's squares, shape (n,).
@@ -138,9 +138,9 @@ def fit(
 
     Args:
         observed: the measured transients.
-        coordinates: what is free; all else is believed to be nominal.
-        prior: what is known beforehand, nothing by default; its mean is where the fit begins.
-        max_iterations: of each case; a case that needs more is marked as not converged.
+        coordinates: what is free.
+        prior: nothing by default; the fit begins at its mean.
+        max_iterations: beyond them a case has not converged.
 
     Raises:
         ValueError: the samples and the prior together leave a direction open.
@@ -209,7 +209,7 @@ def inverse_information(information: FloatArray, names: tuple[str, ...]) -> Floa
     """Inverse of positive definite matrices (..., size, size); scaled first, so that units do not matter.
 
     Raises:
-        ValueError: a direction is open; the sentence names the quantities.
+        ValueError: a direction is open.
     """
     root = np.sqrt(np.einsum("...ii->...i", information))
     seen = root.min(initial=np.inf) > 0.0

@@ -1,25 +1,24 @@
-"""The Bayes-optimal posterior over the classes of a recipe: what no classifier can beat on average.
+"""The Bayes-optimal posterior over the classes of a recipe, and over a severity: the bound of every classifier.
 
 For each class the nuisance factors are integrated out by Laplace's method (Laplace 1774; MacKay 2003, ch. 27): a fit
-of the factors under their Gaussian prior, and the volume of the peak from its curvature. Only the recipe, the measured
-samples and the nominal voltage enter.
+under their Gaussian prior, and the peak's volume from its curvature.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-from motor_env.common.arrays import instance, numbers, wholes
+from motor_env.common.arrays import instance, number, numbers, real, wholes
 from motor_env.inference.fit import Prior, fit
-from motor_env.inference.parametrisation import Coordinates
-from motor_env.inference.sensitivities import Observed, fitted_residuals
-from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
+from motor_env.inference.sensitivities import Coordinates, Observed, fitted_residuals
+from motor_env.motor.faults import SENSOR_KINDS, FaultKind, NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
+from motor_env.simulation.recipes import FACTORS, LARGEST_SEVERITY, FaultClass, Recipe
 
 
 def class_coordinates(recipe: Recipe, fault_class: FaultClass) -> Coordinates:
@@ -41,12 +40,10 @@ def variance_factor(fault_class: FaultClass) -> float:
 def recipe_observed(recipe: Recipe, measurements: ArrayLike) -> Observed:
     """The measured transients as the recipe sees them; the first part of a transient is taken for a shorter one.
 
-    Args:
-        recipe: what the cases were drawn from.
-        measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
+    `measurements` has shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
     """
     instance("recipe", recipe, Recipe)
-    measured = numbers("measurements", measurements, ("...", len(recipe.sensor.channels), "n_samples"))
+    measured = real("measurements", measurements, ("...", len(recipe.sensor.channels), "n_samples"))
     most = recipe.timing.n_samples
     require(
         measured.shape[-1] <= most, f"measurements must have at most {most} samples, got {measured.shape[-1]}"
@@ -58,11 +55,11 @@ def recipe_observed(recipe: Recipe, measurements: ArrayLike) -> Observed:
 def class_log_evidence(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
     """Log probability density of each transient under each class (Laplace 1774), shape (n_cases, n_classes).
 
-    Exact for a recipe without spread: then it is the plain likelihood. A process noise fault leaves no trace here.
+    Exact for a recipe without spread. A process noise fault leaves no trace here.
 
     Args:
         recipe: what the cases were drawn from.
-        measurements: shape (n_cases, n_channels, n_samples); fewer samples than the recipe's are its first ones.
+        measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
         prior: of the nuisances, in the coordinates of `class_coordinates`, such as `prior_from_starts` gives; standard
             normal by default.
 
@@ -70,9 +67,8 @@ def class_log_evidence(recipe: Recipe, measurements: ArrayLike, prior: Prior | N
         ValueError: shapes do not fit, a value is not finite, the recipe's sensor has no noise, or one of its sensors
             fails.
     """
-    instance("recipe", recipe, Recipe)
-    recipe.require_motor_faults()
     observed = recipe_observed(recipe, measurements)
+    recipe.require_motor_faults()
     if prior is not None:
         instance("prior", prior, Prior)
         prior.require_shape(observed.n_cases, class_coordinates(recipe, FaultClass()).size)
@@ -101,10 +97,9 @@ def class_evidence(
 
 def class_probabilities(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
     """Posterior of each class (Bayes 1763), shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
-    instance("recipe", recipe, Recipe)
+    evidence = class_log_evidence(recipe, measurements, prior)
     with np.errstate(divide="ignore"):  # a class that is never drawn
-        log_prior = np.log(recipe.class_probabilities)
-    joint = class_log_evidence(recipe, measurements, prior) + log_prior
+        joint = evidence + np.log(recipe.class_probabilities)
     posterior: FloatArray = np.exp(joint - logsumexp(joint, axis=1, keepdims=True))
     return posterior
 
@@ -112,8 +107,8 @@ def class_probabilities(recipe: Recipe, measurements: ArrayLike, prior: Prior | 
 def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
     """What healthy starts of the same motor tell of its next one: the prior of its nuisances then.
 
-    Start by start the posterior of the motor's own factors becomes their next prior; the supply is another one in each
-    start, and forgotten. Each posterior is taken for Gaussian, as in Laplace's method (MacKay 2003, ch. 27).
+    Start by start the posterior of the motor's factors becomes their next prior, taken for Gaussian (MacKay 2003, ch.
+    27); the supply differs in each start.
 
     Args:
         recipe: what the motors are drawn from.
@@ -141,11 +136,11 @@ def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
 
 
 class Excess(NamedTuple):
-    """How far a classifier's accuracy lies above the Bayes-optimal one on the same cases.
+    """A classifier's accuracy above the Bayes-optimal one on the same cases.
 
     Attributes:
-        excess: accuracy minus that of the most probable class; at most 0 on average for every honest classifier.
-        standard_error: of the excess, from the cases on which the two are not both right or both wrong.
+        excess: accuracy minus that of the most probable class; at most 0 on average.
+        standard_error: of the excess, from the cases on which the two differ.
     """
 
     excess: float
@@ -155,10 +150,7 @@ class Excess(NamedTuple):
 def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predicted: ArrayLike) -> Excess:
     """Compare a classifier with the limit, case by case (McNemar 1947).
 
-    Args:
-        probabilities: posterior probabilities of the cases, shape (n_cases, n_classes).
-        class_index: true classes, shape (n_cases,).
-        predicted: the classifier's, shape (n_cases,); -1 for none.
+    `probabilities` are posterior, shape (n_cases, n_classes); classes have shape (n_cases,), -1 for none predicted.
 
     Raises:
         ValueError: shapes do not fit, fewer than 2 cases, or a number that is no class.
@@ -177,3 +169,125 @@ def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predict
     best = likely.argmax(axis=1) == truth
     difference = (chosen == truth).astype(np.float64) - best
     return Excess(float(difference.mean()), float(difference.std(ddof=1) / np.sqrt(len(difference))))
+
+
+_NODES = 12
+_GRID = 201
+_ZOOMS = 4
+_NEGLIGIBLE = 30.0  # a log density this far below the largest adds nothing
+
+
+@dataclass(frozen=True, slots=True)
+class SeverityPrior:
+    """A kind of fault whose severity is uniform between two bounds.
+
+    Raises:
+        ValueError: bounds out of order, negative, or not below 1 where something is lost; the kind is that of a sensor.
+    """
+
+    kind: FaultKind
+    smallest: float = 0.0
+    largest: float = 0.30
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", FaultKind(self.kind))
+        require(self.kind not in SENSOR_KINDS, f"kind must be a fault of the motor or noise, got {self.kind}")
+        for name in ("smallest", "largest"):
+            number(name, getattr(self, name))
+        require(
+            0.0 <= self.smallest < self.largest <= LARGEST_SEVERITY,
+            f"severity of {self.kind} must range from >= 0 to more, got {self.smallest:g} to {self.largest:g}",
+        )
+        self.kind.require_severity(self.largest)
+
+    def at(self, position: FloatArray) -> FloatArray:
+        """Severities at positions from -1 (smallest) to 1 (largest)."""
+        return self.smallest + 0.5 * (position + 1.0) * (self.largest - self.smallest)
+
+
+class SeverityPosterior(NamedTuple):
+    """Posterior of the severity of each case.
+
+    Attributes:
+        severity: grid of each case, over all that has weight, shape (n_cases, n_grid).
+        weights: probability of each grid point, rows summing to 1, shape (n_cases, n_grid).
+        log_evidence: log probability density of each transient under this kind, shape (n_cases,).
+    """
+
+    severity: FloatArray
+    weights: FloatArray
+    log_evidence: FloatArray
+
+    @property
+    def mean(self) -> FloatArray:
+        """Posterior mean, shape (n_cases,): the estimate with the smallest mean squared error."""
+        mean: FloatArray = (self.weights * self.severity).sum(axis=1)
+        return mean
+
+    @property
+    def std(self) -> FloatArray:
+        """Posterior standard deviation, shape (n_cases,)."""
+        off = np.square(self.severity - self.mean[:, None])
+        deviation: FloatArray = np.sqrt((self.weights * off).sum(axis=1))
+        return deviation
+
+    def quantile(self, probability: float) -> FloatArray:
+        """Severity below which the posterior holds the probability, shape (n_cases,)."""
+        probability = number("probability", probability, above=0.0, below=1.0)
+        # Half of a point's weight lies on either side of it.
+        cumulated = np.cumsum(self.weights, axis=1) - 0.5 * self.weights
+        rows = zip(cumulated, self.severity, strict=True)
+        return np.array([np.interp(probability, row, severity) for row, severity in rows])
+
+    def interval(self, coverage: float = 0.90) -> FloatArray:
+        """Bounds between equal tails, shape (n_cases, 2)."""
+        tail = 0.5 * (1.0 - number("coverage", coverage, above=0.0, below=1.0))
+        return np.column_stack([self.quantile(tail), self.quantile(1.0 - tail)])
+
+
+def severity_posterior(recipe: Recipe, prior: SeverityPrior, measurements: ArrayLike) -> SeverityPosterior:
+    """Posterior of the severity of one kind of fault, given that the motor has it (or, from 0, none).
+
+    Laplace's method at Chebyshev nodes (Laplace 1774; Trefethen 2013, ch. 4).
+
+    Args:
+        recipe: nominal motor, tolerances, sensor, timing; its classes are not looked at.
+        prior: kind and range of the severity.
+        measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
+    """
+    instance("prior", prior, SeverityPrior)
+    observed = recipe_observed(recipe, measurements)
+    # Chebyshev's points of the second kind: they hold the ends.
+    nodes = np.cos(np.pi * np.arange(_NODES) / (_NODES - 1))[::-1]
+    at_nodes = [
+        class_evidence(
+            recipe, observed, FaultClass(prior.kind, float(severity)) if severity else FaultClass()
+        )
+        for severity in prior.at(nodes)
+    ]
+    fitted = np.polynomial.chebyshev.chebfit(nodes, np.stack(at_nodes), deg=_NODES - 1)
+    position, log_density = _zoomed(np.asarray(fitted, dtype=np.float64))
+    # Trapezoid's rule; the prior's density over positions from -1 to 1 is 1/2.
+    ends = np.where(np.arange(_GRID) % (_GRID - 1) == 0, 0.5, 1.0)
+    mass = 0.5 * (position[:, 1:2] - position[:, :1]) * ends
+    largest = log_density.max(axis=1, keepdims=True)
+    density = np.exp(log_density - largest) * mass
+    total = density.sum(axis=1, keepdims=True)
+    return SeverityPosterior(prior.at(position), density / total, (largest + np.log(total))[:, 0])
+
+
+def _zoomed(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Grids of positions that hold all the mass of each case, and the log density there."""
+    n_cases = coefficients.shape[1]
+    low, high = np.full((n_cases, 1), -1.0), np.full((n_cases, 1), 1.0)
+    share = np.linspace(0.0, 1.0, _GRID)
+    for _ in range(_ZOOMS):
+        position = low + (high - low) * share
+        log_density = np.polynomial.chebyshev.chebval(position, coefficients[..., None], tensor=False)
+        has_mass = log_density > log_density.max(axis=1, keepdims=True) - _NEGLIGIBLE
+        # A neighbour on either side, since the peak may lie between two points.
+        first = np.maximum(has_mass.argmax(axis=1) - 1, 0)
+        last = np.minimum(_GRID - has_mass[:, ::-1].argmax(axis=1), _GRID - 1)
+        low = np.take_along_axis(position, first[:, None], axis=1)
+        high = np.take_along_axis(position, last[:, None], axis=1)
+    return position, log_density

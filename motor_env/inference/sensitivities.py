@@ -1,7 +1,7 @@
-"""How the linear motor's measured response moves with its parameters: what every fit, bound and posterior stands on.
+"""How the linear motor's measured response moves with its parameters.
 
-`normal_equations` gives, for a batch, the weighted sum of squared residuals of a measured transient, its gradient and
-its Fisher information (Gauss 1809; Ljung 1999, ch. 10).
+`normal_equations` gives, for a batch, the weighted squares, gradient and Fisher information (Gauss 1809; Ljung 1999,
+ch. 10).
 """
 
 from __future__ import annotations
@@ -13,11 +13,166 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.common.arrays import instance, numbers
-from motor_env.inference.kernels import fill_normal_equations, fill_sensitivities
-from motor_env.inference.parametrisation import Coordinates, model_slopes
-from motor_env.motor.model import N_STATES
-from motor_env.motor.parameters import FloatArray, SensorParameters, require
+from motor_env.motor.compiled import njit
+from motor_env.motor.model import N_STATES, Input, discretize
+from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters, SensorParameters, require
 from motor_env.simulation.simulate import simulate_states
+
+
+@njit(cache=True)
+def fill_sensitivities(
+    transition: FloatArray,
+    gain: FloatArray,
+    transition_slope: FloatArray,
+    gain_slope: FloatArray,
+    voltage: FloatArray,
+    states: FloatArray,
+    slopes: FloatArray,
+) -> None:
+    """One motor's states, (2, n_samples), and their derivatives, (size, 2, n_samples), by the exact recursion.
+
+    s[k+1] = A s[k] + A' x[k] + B' u[k], from rest and without a load.
+    """
+    a00, a01, a10, a11 = transition[0, 0], transition[0, 1], transition[1, 0], transition[1, 1]
+    b0, b1 = gain[0, 0], gain[1, 0]
+    x0, x1 = 0.0, 0.0
+    for k in range(states.shape[1]):
+        x0, x1 = a00 * x0 + a01 * x1 + b0 * voltage[k], a10 * x0 + a11 * x1 + b1 * voltage[k]
+        states[0, k], states[1, k] = x0, x1
+    for j in range(slopes.shape[0]):
+        d00, d01 = transition_slope[j, 0, 0], transition_slope[j, 0, 1]
+        d10, d11 = transition_slope[j, 1, 0], transition_slope[j, 1, 1]
+        e0, e1 = gain_slope[j, 0, 0], gain_slope[j, 1, 0]
+        x0, x1, s0, s1 = 0.0, 0.0, 0.0, 0.0
+        for k in range(states.shape[1]):
+            f0 = d00 * x0 + d01 * x1 + e0 * voltage[k]
+            f1 = d10 * x0 + d11 * x1 + e1 * voltage[k]
+            s0, s1 = a00 * s0 + a01 * s1 + f0, a10 * s0 + a11 * s1 + f1
+            slopes[j, 0, k], slopes[j, 1, k] = s0, s1
+            x0, x1 = states[0, k], states[1, k]
+
+
+@njit(cache=True)
+def fill_normal_equations(
+    rows: NDArray[np.int64],
+    transition: FloatArray,
+    gain: FloatArray,
+    transition_slope: FloatArray,
+    gain_slope: FloatArray,
+    voltage: FloatArray,
+    measurements: FloatArray,
+    observation: FloatArray,
+    chi2: FloatArray,
+    gradient: FloatArray,
+    information: FloatArray,
+) -> None:
+    """Weighted squares, J'r and J'J of each row; `observation` is C divided by the noise, as `measurements` are."""
+    n_channels, n_samples, size = measurements.shape[1], measurements.shape[2], gradient.shape[1]
+    states, slopes = np.empty((N_STATES, n_samples)), np.empty((size, N_STATES, n_samples))
+    residual = np.empty(n_samples)
+    jacobian = np.empty((size, n_samples))
+    for n in range(rows.shape[0]):
+        row = rows[n]
+        fill_sensitivities(
+            transition[n], gain[n], transition_slope[n], gain_slope[n], voltage, states, slopes
+        )
+        chi2[n] = 0.0
+        gradient[n] = 0.0
+        information[n] = 0.0
+        for m in range(n_channels):
+            c0, c1 = observation[m, 0], observation[m, 1]
+            for k in range(n_samples):
+                residual[k] = measurements[row, m, k] - c0 * states[0, k] - c1 * states[1, k]
+            for j in range(size):
+                for k in range(n_samples):
+                    jacobian[j, k] = c0 * slopes[j, 0, k] + c1 * slopes[j, 1, k]
+            chi2[n] += np.dot(residual, residual)
+            gradient[n] += np.dot(jacobian, residual)
+            information[n] += np.dot(jacobian, jacobian.T)
+
+
+_FIELDS: dict[str, tuple[str, ...]] = {"supply": (), **QUANTITY_FIELDS}
+
+QUANTITIES = tuple(_FIELDS)
+"""What a fit can free: a factor on the supply, or on a parameter; `constants` is one common factor on Kt and Kb."""
+
+# Of a relative change: truncation and rounding of a central difference are both near 1e-10.
+_DIFFERENCE = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinates:
+    """Coordinates z of motors around a nominal one.
+
+    A factor is exp(scale z) where `logarithmic`, else 1 + scale z; z = 0 is the nominal motor.
+
+    Attributes:
+        nominal: the motor at z = 0.
+        names: the free quantities, of `QUANTITIES`.
+        scales: relative change of each for a unit of its coordinate, all > 0.
+        logarithmic: whether factors are exponentials.
+    """
+
+    nominal: MotorParameters
+    names: tuple[str, ...]
+    scales: tuple[float, ...]
+    logarithmic: bool = True
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.names if name not in _FIELDS]
+        require(
+            not unknown, f"free must be among {', '.join(QUANTITIES)}, got {', '.join(map(repr, unknown))}"
+        )
+        require(
+            len(set(self.names)) == len(self.names), f"free must be distinct, got {', '.join(self.names)}"
+        )
+        require(
+            len(self.names) == len(self.scales) and all(scale > 0.0 for scale in self.scales),
+            f"scales must be one positive number for each of {', '.join(self.names)}, got {self.scales}",
+        )
+
+    @classmethod
+    def from_names(cls, nominal: MotorParameters, names: tuple[str, ...]) -> Coordinates:
+        """Natural logarithms of the factors."""
+        return cls(nominal, tuple(names), (1.0,) * len(names))
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return len(self.names)
+
+    def factors(self, values: FloatArray) -> FloatArray:
+        """Factors on the nominal values, shape (..., size), for coordinates of that shape."""
+        scaled = values * np.asarray(self.scales)
+        factors: FloatArray = np.exp(scaled) if self.logarithmic else 1.0 + scaled
+        return factors
+
+    def motors(self, values: FloatArray) -> tuple[MotorParameters, FloatArray]:
+        """Motors and supply factors, both of batch shape (...), for coordinates of shape (..., size)."""
+        factors = dict(zip(self.names, np.moveaxis(self.factors(values), -1, 0), strict=True))
+        supply = factors.pop("supply", np.ones(values.shape[:-1]))
+        by_field = {field: factor for name, factor in factors.items() for field in _FIELDS[name]}
+        return self.nominal.scaled(**by_field), supply
+
+
+Model = tuple[FloatArray, FloatArray]
+"""A and B of x[k+1] = A x[k] + B [v[k], load[k]], v nominal: the supply's factor is in B; shapes (n, 2, 2)."""
+
+
+def model_slopes(coordinates: Coordinates, values: FloatArray, dt_s: float) -> tuple[Model, Model]:
+    """Exact discrete models at the coordinates (n, size), and their derivatives, each (n, size, 2, 2)."""
+    steps = _DIFFERENCE / np.asarray(coordinates.scales)
+    size = coordinates.size
+    shifted = values[:, None, :] + np.concatenate([np.zeros((1, size)), np.diag(steps), -np.diag(steps)])
+    motors, supply = coordinates.motors(shifted)
+    model = discretize(motors, dt_s)
+    transition = np.broadcast_to(model.transition, (*supply.shape, N_STATES, N_STATES)).copy()
+    gain = np.broadcast_to(model.gain, (*supply.shape, N_STATES, len(Input))).copy()
+    gain[..., Input.VOLTAGE] *= supply[..., None]
+    steps = 2.0 * steps[:, None, None]
+    centre = np.ascontiguousarray(transition[:, 0]), np.ascontiguousarray(gain[:, 0])
+    up, down = slice(1, 1 + size), slice(1 + size, None)
+    return centre, ((transition[:, up] - transition[:, down]) / steps, (gain[:, up] - gain[:, down]) / steps)
 
 
 class NormalEquations(NamedTuple):
@@ -158,11 +313,7 @@ def jacobian(
 ) -> tuple[FloatArray, FloatArray]:
     """Response of the nominal motor from rest, (n_channels, n_samples), and its derivative, with `size` behind that.
 
-    Args:
-        coordinates: what the derivative is taken with respect to.
-        voltage_v: nominal voltage, shape (n_samples,).
-        sensor: channels.
-        dt_s: sampling interval.
+    `voltage_v` is the nominal voltage, shape (n_samples,).
     """
     voltage = np.ascontiguousarray(voltage_v, dtype=np.float64)
     states, slopes = _state_slopes(coordinates, np.zeros(coordinates.size), dt_s, voltage)

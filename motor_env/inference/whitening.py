@@ -1,9 +1,8 @@
 """Residuals of a motor known only up to its tolerances: whitened with S + J P J', and the matched test on them.
 
 A residual that is white with unit variance for the nominal motor is, to first order, r = G z + e for a motor whose
-nuisance coordinates are z ~ N(0, 1): its covariance is 1 + G G'. The Cholesky factor of that covariance makes it white
-again, and it is causal: sample k is divided by what samples 0 .. k leave unknown. It is computed as the recursive
-least squares that it is (Plackett 1950), in one pass and without a matrix of samples by samples.
+nuisance coordinates are z ~ N(0, 1): its covariance is 1 + G G'. Its Cholesky factor makes it white again, causally: by
+recursive least squares (Plackett 1950), in one pass.
 """
 
 from __future__ import annotations
@@ -62,11 +61,11 @@ def _whiten(
 class MarginalWhitener:
     """Takes the nuisances' share out of residuals, sample by sample, and leaves them white with unit variance.
 
-    Recursive least squares (Plackett 1950); the nuisances are states that a filter only considers (Schmidt 1966).
+    Recursive least squares (Plackett 1950); the nuisances are considered states (Schmidt 1966).
 
     Attributes:
-        slopes: change of the unit-variance residual for one standard deviation of each nuisance, G, shape
-            (n_samples * n_channels, n_nuisances): samples in time order, the channels of a sample side by side.
+        slopes: G, the residual's change for one standard deviation of each nuisance, shape (n_samples * n_channels,
+            n_nuisances), channels of a sample side by side.
         gain: recursive least-squares gain of each sample, of the same shape.
         scale: standard deviation of each residual given those before it, shape (n_samples * n_channels,).
     """
@@ -87,7 +86,7 @@ class MarginalWhitener:
     def whiten(self, residual: ArrayLike) -> FloatArray:
         """White residuals, in the shape given: (..., n_samples, n_channels), the layout of `FilterResult.whitened`.
 
-        A value that is NaN was not measured: it stays NaN, and teaches nothing about the nuisances.
+        NaN is missing: it stays NaN, and teaches nothing about the nuisances.
 
         Raises:
             ValueError: the last two axes do not hold as many values as the slopes.
@@ -118,8 +117,6 @@ def innovation_slopes(recipe: Recipe, belief: KalmanFilter) -> FloatArray:
     """Change of the filter's whitened innovations for one standard deviation of each of the recipe's nuisances.
 
     Their covariance is 1 + G G' with these slopes as G (Kay 1993, ch. 10).
-
-    The filter is linear in what is measured, so its answer to the motor's slopes is the slope of its answer.
 
     Returns:
         Shape (n_samples, n_channels, n_nuisances); the nuisances of the recipe that have a spread.
@@ -158,9 +155,8 @@ class StatisticLaw(NamedTuple):
 class MatchedTest:
     """The most powerful test of a known fault, nuisances marginalised (Neyman & Pearson 1933).
 
-    The statistic is linear in what is measured: whitened with S + J P J', projected on the fault's signature. To first
-    order in the tolerances it is standard normal for healthy motors. A motor's response is not quite linear in its
-    parameters, so thresholds and powers come from `law`, which is exact to the quadrature's error.
+    The statistic: whitened with S + J P J', projected on the fault's signature; for healthy motors standard normal to
+    first order in the tolerances. Thresholds and powers come from `law`, exact to the quadrature's error.
 
     Attributes:
         recipe: nominal motor, tolerances, sensor, timing.
@@ -180,11 +176,9 @@ class MatchedTest:
     def from_recipe(cls, recipe: Recipe, fault: Fault) -> Self:
         """Test for the fault on a motor drawn from the recipe's tolerances.
 
-        The filter has no process noise: its innovations are the differences from the nominal trajectory.
-
         Args:
-            recipe: what the healthy motors are drawn from; its classes are not looked at.
-            fault: what is looked for; it must be there from the beginning, and change the motor.
+            recipe: what the healthy motors are drawn from.
+            fault: there from the beginning, and of the motor.
 
         Raises:
             ValueError: the fault has an onset in mid-run, or leaves the motor as it is.
@@ -225,8 +219,7 @@ class MatchedTest:
     def law(self, *, faulty: bool = False) -> StatisticLaw:
         """Distribution of the statistic over the recipe's motors, healthy or with the fault.
 
-        Along the direction of the nuisances that moves the statistic most it is sampled, fitted by a polynomial and
-        integrated on a fine grid; across it Gauss-Hermite nodes suffice.
+        A polynomial on a fine grid along the direction that moves the statistic most, Gauss-Hermite nodes across it.
         """
         slopes = np.moveaxis(self.whitener.slopes.reshape(*self.signature.shape, -1), -1, 0)
         gradient = self._project(slopes) if len(slopes) else np.zeros(0)

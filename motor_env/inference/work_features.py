@@ -1,8 +1,8 @@
-"""Features of a motor at work: what a record tells of its severities when the motor is made linear around a fit.
+"""Features of a motor at work: severities from a fit of each record.
 
 Readings depend on the coordinates of `ClassModel`, the severity of each kind among them. Damped Gauss-Newton steps
-(Levenberg 1944; Marquardt 1963), all cases side by side, give the most probable coordinates and their covariance. A
-class is then a point among the severities, and its distance from the estimate (Mahalanobis 1936) a probability.
+(Levenberg 1944; Marquardt 1963) give the most probable ones and their covariance; the distance of a class's severities
+(Mahalanobis 1936) gives its probability.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def work_feature_names(recipe: Recipe) -> tuple[str, ...]:
 
 
 def work_features(recipe: Recipe, cases: FloatArray) -> FloatArray:
-    """Most probable coordinates, errors of the severities, log probabilities of the classes, and what is left over.
+    """Most probable coordinates, errors of severities, log probabilities of classes, and the misfit.
 
     Args:
         recipe: one with a table `duty` and faults that change the motor.
@@ -102,8 +102,7 @@ class WorkFit(NamedTuple):
 
     Attributes:
         values: most probable coordinates, the severities last, shape (n_cases, size).
-        simulated: where the motor was made linear for them: the best of those simulated, all within their box, shape
-            (n_cases, size).
+        simulated: point of linearisation, within the box, shape (n_cases, size).
         covariance: theirs, shape (n_cases, size, size).
         chi2: mean square of what is left over, shape (n_cases,).
         positions: severities of each class in the same coordinates, shape (n_classes, n_kinds).
@@ -139,10 +138,10 @@ def work_fit(
     """Fit cases, all side by side.
 
     Args:
-        recipe: as of `work_features`, or one of starts with a table `field`.
-        cases: as of `work_features`.
+        recipe: with a table `duty`, or of starts with a table `field`.
+        cases: shape (n_cases, n_channels, n_samples).
         begin: first coordinates, shape (n_cases, size); the middle of the prior by default.
-        enough: gain of the objective with which a fit ends, see `most_probable`.
+        enough: see `most_probable`.
     """
     fault = any_fault(recipe)
     model = ClassModel(recipe, fault)
@@ -182,7 +181,7 @@ class Fit(NamedTuple):
     """Motors at their most probable coordinates.
 
     Attributes:
-        at: of those simulated, all within the box, the most probable ones, shape (n, size).
+        at: the most probable ones simulated, shape (n, size).
         information: of the readings alone, of a motor linear there, shape (n, size, size).
         pull: slope of the log likelihood there, shape (n, size).
         left: what is left over there, in units of the noise, shape (n, n_values).
@@ -217,7 +216,7 @@ def most_probable(
         precision: inverse variances of the prior, shape (size,).
         box: smallest and largest coordinates that can be simulated, shape (2, size).
         damping: of the first step, relative to the information.
-        enough: a fit ends where a linear motor promises no larger gain of the objective, -2 times the log density.
+        enough: predicted gain of -2 times the log density with which a fit ends.
     """
     n, size = begin.shape
     noise = model.whole_noise

@@ -1,8 +1,6 @@
 """Functions compiled by numba, kept in its cache: never stale, and a broken cache costs time, never a command.
 
-numba itself notices only a change of the file in which a function stands. What is compiled also holds the helpers it
-calls and the constants it reads, wherever they come from: an edit of those would have no effect. Here a compiled
-function is kept under a digest of all of them.
+numba notices only a change of a function's own file; here it is kept under a digest of the helpers and constants, too.
 """
 
 from __future__ import annotations
@@ -13,9 +11,9 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from enum import EnumType
-from functools import cache
+from functools import cache, wraps
 from types import ModuleType
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numba
 import numpy as np
@@ -23,6 +21,28 @@ from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  # it has no types
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@cache
+def _controller() -> Any:
+    import scipy.linalg  # noqa: F401  # it finds what has been loaded
+
+    return ThreadpoolController()
+
+
+def on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
+    """The function, with NumPy's and SciPy's linear algebra on one thread while it runs."""
+
+    @wraps(function)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> T:
+        with _controller().limit(limits=1):
+            return function(*args, **kwargs)
+
+    return alone
 
 
 @cache
@@ -145,10 +165,7 @@ def in_silence() -> Iterator[None]:
 
 
 class _Part(CPUDispatcher):
-    """A function that compiled ones call: it has no entry of its own to be called from Python.
-
-    To compile the entry takes a sixth of the time of such a function, and numba crashes where there is none.
-    """
+    """A function that compiled ones call: it has no entry of its own to be called from Python."""
 
     def __call__(self, *arguments: Any) -> Any:
         raise TypeError(f"{self.py_func.__name__} is called by compiled functions alone")

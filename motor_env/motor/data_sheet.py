@@ -20,7 +20,8 @@ resistance = 0.02
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from pathlib import Path
 from types import NoneType
@@ -84,8 +85,7 @@ _MotorTable = make_dataclass(
 class Tolerance:
     """Relative standard deviations of a healthy motor about its data sheet, and of the temperature in kelvin.
 
-    The defaults are for a motor whose sheet was measured on its own series. A sheet that guarantees +-10 % wants
-    0.05 there. The temperature moves R by 0.393 % a kelvin (copper) and the constants by -0.1 % a kelvin (magnets).
+    A sheet that guarantees +-10 % wants 0.05. Temperature moves R by 0.393 % a kelvin, the constants by -0.1 %.
     """
 
     supply: NotNegative = 0.01
@@ -108,18 +108,18 @@ class Motor:
     """A motor as its file describes it.
 
     Attributes:
-        name: name of the motor.
+        name: of the motor.
         kind: where the numbers come from.
-        parameters: the textbook parameters in SI units.
+        parameters: in SI units.
         nominal_voltage_v: voltage of the start, where known.
         tolerance: how far a healthy motor may be off the parameters.
         current_noise_a: standard deviation of a current sample, where known.
         speed_noise_rad_s: standard deviation of a speed sample, where known.
         coulomb_friction_n_m: Coulomb friction torque.
         brush_drop_v: voltage drop of the brushes.
-        healthy: what healthy starts, or windows of logs, have taught; for a commissioned motor.
-        notes: sentences for the reader of the file.
-        assumed: keys of the file's table `motor` whose values were not measured, each with its source.
+        healthy: of a commissioned motor.
+        notes: for the reader of the file.
+        assumed: keys whose values were not measured, each with its source.
     """
 
     name: str
@@ -174,8 +174,8 @@ def load_motor(name_or_path: str | Path) -> Motor:
     """Motor from a TOML file, or from the catalogue by name.
 
     Raises:
-        InputError: no such file or preset, not TOML, an unknown key, a value out of range, a quantity given twice
-            or not at all.
+        InputError: no such file or preset, not TOML, an unknown key, a value out of range, a quantity given twice or
+            not.
     """
     if str(name_or_path) in CATALOGUE:
         return Motor(str(name_or_path), "data_sheet", CATALOGUE[str(name_or_path)])
@@ -282,7 +282,7 @@ def _friction(si: Mapping[str, float]) -> float:
 
 
 def save_motor(motor: Motor, path: str | Path) -> None:
-    """Write a motor file in SI units; `load_motor` reads the same motor back, to the last bit.
+    """Write a motor file in SI units; `load_motor` reads it back to the bit.
 
     Raises:
         InputError: the file cannot be written.
@@ -311,3 +311,46 @@ def to_toml(motor: Motor) -> str:
         tables |= {f"healthy.{name}": part for name, part in parts.items() if part is not None}
         tables |= {f"healthy.windows.{name}": part for name, part in below.items() if part}
     return toml_text(top, tables)
+
+
+_K = ("torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad")
+_J, _B, _V = "rotor_inertia_kg_m2", "viscous_friction_n_m_s_per_rad", "nominal_voltage_v"
+_GUESS = "a guess, 1/100 of the voltage: the current alone tells K^2/J and B/J, not K, J and B"
+
+
+def assumptions(quantities: Sequence[str], *, has_voltage: bool) -> dict[str, str]:
+    """Key and source of each value of a motor file that starts with these quantities do not tell."""
+    assumed: dict[str, str] = {}
+    if not any(name in ("K", "K/V") for name in quantities):
+        assumed |= dict.fromkeys(_K, _GUESS)
+        assumed[_J] = "follows from the guess of the torque constant and the measured K^2/J"
+        assumed[_B] = "follows from that inertia and the measured B/J"
+    if not has_voltage:
+        assumed[_V] = "unknown: the supply counts as 1 V, and R, L, K, J and B are per volt"
+    return assumed
+
+
+def usable_parameters(motor: Motor, *, needs_speed: bool) -> MotorParameters:
+    """The motor's parameters for a simulation; warns of guesses that do not spoil it.
+
+    Raises:
+        ValueError: the voltage is unknown, or speeds are needed and the torque constant is a guess.
+    """
+    require(
+        _V not in motor.assumed,
+        f"{motor.name}: its voltage is unknown, so that nothing of it can be simulated: commission or identify it with"
+        " --voltage",
+    )
+    if _K[0] in motor.assumed:
+        told = (
+            f"{motor.name}: torque constant, inertia and friction are assumed ({motor.assumed[_K[0]]}); commission or"
+            " identify it with a speed, or with --torque-constant"
+        )
+        require(not needs_speed, told)
+        warnings.warn(f"{told}. Currents are right, speeds and torques are not", stacklevel=3)
+    return motor.parameters
+
+
+def lines(assumed: Mapping[str, str]) -> list[str]:
+    """One line for each assumed value."""
+    return [f"  assumed: {key}, {source}" for key, source in assumed.items()]

@@ -18,8 +18,6 @@ def exponentials_and_phis(
 ) -> None:
     """exp(X) and phi1(X) of the first `count` matrices: to the bit what `exponential_and_phi` gives for each.
 
-    The compiler computes several of them with one instruction, so that one takes a fifth of the time.
-
     Args:
         count: of matrices.
         x: their entries row by row, shape (4, n); they are changed.

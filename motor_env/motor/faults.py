@@ -1,25 +1,19 @@
-"""Faults as values: what is wrong, how much, since when, and what that does to the parameters."""
+"""Faults: their kinds (what scales which parameter), and faults as values: how much, since when, with what effect."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from types import MappingProxyType
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from motor_env.common.arrays import real, shown
-from motor_env.motor.fault_kinds import (
-    BUILT_IN_KINDS,
-    ENTRY_POINTS,
-    HEALTHY,
-    NOISE,
-    SENSOR_KINDS,
-    FaultKind,
-    motor_kinds,
-    register_fault_kind,
-)
+from motor_env.common.arrays import instance, number, real, shown
 from motor_env.motor.parameters import (
     QUANTITY_FIELDS,
     FloatArray,
@@ -29,23 +23,272 @@ from motor_env.motor.parameters import (
     require_positive,
 )
 
-__all__ = [
-    # Of kinds.
-    "BUILT_IN_KINDS",
-    "ENTRY_POINTS",
-    "HEALTHY",
-    "SENSOR_KINDS",
-    "FaultKind",
-    "motor_kinds",
-    "register_fault_kind",
-    # Of faults.
-    "ALWAYS",
-    "Fault",
-    "NoiseSource",
-    "apply_fault",
-    "apply_faults",
-    "noise_variance_factor",
-]
+HEALTHY = "healthy"
+"""The label of a motor without a fault."""
+
+ENTRY_POINTS = "motor_env.fault_kinds"
+"""Entry points of installed packages whose modules register kinds: they are loaded when kinds are first asked for."""
+
+NOISE = "noise"
+"""The quantity that a fault of a sensor changes: the variance of the noise."""
+
+SENSOR = "sensor"
+"""The verdict of all kinds that change what is read and not the motor."""
+
+_RESERVED = (HEALTHY, "no_reference", "other", "unusable", SENSOR)  # verdicts that are no registered kind's
+_LARGEST_POWER = 100.0
+_WORD = re.compile("[a-z][a-z0-9_]{0,39}")
+_KINDS: dict[str, FaultKind] = {}
+
+
+class _Registry(type):
+    def __iter__(cls) -> Iterator[Any]:
+        """All kinds: those of the package, then those registered from outside."""
+        _load_entry_points()
+        return iter(_KINDS.values())
+
+
+class FaultKind(str, metaclass=_Registry):
+    """Kind of fault: a string that knows which parameters it changes.
+
+    `FaultKind("bearing")` looks a kind up, and iterating over `FaultKind` gives all.
+
+    Attributes:
+        powers: power of (1 + severity) on each quantity, of `QUANTITY_FIELDS` or noise (the variance of the noise).
+            Where all are negative, a quantity is multiplied by (1 - severity)^-power: the severity is what is lost.
+            None for a sensor's failure.
+        verdict: its word, which kinds may share.
+        finding: one sentence of a diagnosis: what moved, and where to look.
+
+    Raises:
+        ValueError: no such kind.
+    """
+
+    BEARING: ClassVar[FaultKind]
+    WINDING_CONTACT: ClassVar[FaultKind]
+    WINDING_SHORT: ClassVar[FaultKind]
+    NOISE: ClassVar[FaultKind]
+    MAGNET: ClassVar[FaultKind]
+
+    powers: Mapping[str, float]
+    verdict: str
+    finding: str
+
+    def __new__(cls, name: str) -> Self:
+        """The registered kind of that name."""
+        instance("kind", name, str)
+        require(name in _KINDS or name in cls, f"kind must be one of {', '.join(_KINDS)}, got {name[:40]!r}")
+        return _KINDS[name]  # type: ignore[return-value]  # there are no subclasses
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Unpickled in another process, a kind registers itself there."""
+        if self.is_sensor:
+            return FaultKind, (str(self),)
+        return register_fault_kind, (str(self), dict(self.powers), self.verdict, self.finding)
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """A kind is one for the whole process: nothing changes it."""
+        raise AttributeError(f"a fault kind cannot be changed: {name} of {self}")
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """In a file it is one of the names."""
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_after_validator_function(cls, core_schema.str_schema())
+
+    @property
+    def motor_powers(self) -> dict[str, float]:
+        """Its powers on the motor's quantities: none where only the noise changes."""
+        return {quantity: power for quantity, power in self.powers.items() if quantity != NOISE}
+
+    @property
+    def changes_noise(self) -> bool:
+        """Whether it changes the variance of a noise source."""
+        return NOISE in self.powers
+
+    @property
+    def is_sensor(self) -> bool:
+        """Whether a sensor failed: it changes what is read, and nothing else."""
+        return self.verdict == SENSOR
+
+    @property
+    def loses(self) -> bool:
+        """Whether the severity is a share that is lost, below 1."""
+        return bool(self.powers) and all(power < 0.0 for power in self.powers.values())
+
+    def factor(self, quantity: str, severity: Floats) -> Floats:
+        """What a fault multiplies a quantity by."""
+        power = self.powers.get(quantity, 0.0)
+        if power == 0.0:
+            return 1.0
+        base = 1.0 - severity if self.loses else 1.0 + severity
+        size = base * base ** (abs(power) - 1.0)  # to the last bit for the powers 1 and 2
+        return size if self.loses or power > 0.0 else 1.0 / size
+
+    def direction(self, quantities: Iterable[str]) -> FloatArray:
+        """How the logarithms of the quantities move with a unit of `log_size`, shape (n,)."""
+        return np.array([self.powers.get(quantity, 0.0) for quantity in quantities])
+
+    def log_size(self, severity: Floats) -> FloatArray:
+        """How far a fault moves along its direction: log(1 + s), or -log(1 - s) of what is lost."""
+        size: FloatArray = -np.log1p(-severity) if self.loses else np.log1p(severity)
+        return size
+
+    def severity(self, log_size: Floats) -> FloatArray:
+        """The inverse of `log_size`."""
+        severity: FloatArray = -np.expm1(-log_size) if self.loses else np.expm1(log_size)
+        return severity
+
+    def require_severity(self, severity: Floats) -> None:
+        """Raise `ValueError` unless a fault of this kind can be so large."""
+        largest = severity if isinstance(severity, float) else float(np.max(severity, initial=0.0))
+        if self.is_sensor and not self.endswith(_WITHOUT_END) and largest > 1.0:
+            raise ValueError(f"severity of {self} must be <= 1, got {largest:g}")
+        if largest >= 1.0 and self.loses:
+            raise ValueError(f"severity of {self} must be < 1, got {largest:g}")
+
+
+def register_fault_kind(
+    name: str, powers: Mapping[str, float], verdict: str | None = None, finding: str | None = None
+) -> FaultKind:
+    """Add a kind of fault; from then on it can stand wherever a kind stands (docs/howto/own-fault.md).
+
+    Args:
+        name: a word of a-z, 0-9 and _.
+        powers: see `FaultKind`; `{"friction": 1.0}` for a friction that is up by the severity.
+        verdict: the word for it; its name by default.
+        finding: what a diagnosis says; by default what is up and down.
+
+    Raises:
+        ValueError: a name or verdict that is no such word or taken; no powers, or of unknown quantities; a finding of
+            several lines.
+    """
+    known = [*QUANTITY_FIELDS, NOISE]
+    words: dict[str, Any] = {"name": name, "verdict": name if verdict is None else verdict}
+    for field, word in words.items():
+        require(
+            isinstance(word, str) and _WORD.fullmatch(word) is not None and word not in _RESERVED,
+            f"{field} of a fault kind must be a word of a-z, 0-9 and _, and none of {', '.join(_RESERVED)},"
+            f" got {shown(word)}",
+        )
+    instance("powers", powers, Mapping)
+    given: Mapping[str, Any] = powers
+    for quantity, power in given.items():
+        require(quantity in known, f"powers of {name} must be of {', '.join(known)}, got {quantity!r}")
+        size = number(f"power of {quantity}", power, least=-_LARGEST_POWER, most=_LARGEST_POWER)
+        require(size != 0.0, f"power of {quantity} must be other than 0, got {power!r}")
+    require(bool(powers), f"powers of {name} must name a quantity of {', '.join(known)}, got none")
+    kind = str.__new__(FaultKind, name)
+    said: Any = _moved_words(powers) if finding is None else finding
+    vars(kind).update(powers=MappingProxyType(dict(powers)), verdict=verdict or name, finding=said)
+    require(
+        isinstance(said, str) and said.isprintable(),
+        f"finding of {name} must be one line of text, got {said!r:.60}",
+    )
+    for other in _KINDS.values():  # a word is the verdict of one kind or family alone
+        for one, family in ((kind, other), (other, kind)):
+            require(
+                str(one) != family.verdict or one.verdict == family.verdict,
+                f"{one} is the name of a fault kind of verdict {one.verdict}, and cannot be the verdict of {family}",
+            )
+    old = _KINDS.setdefault(name, kind)
+    require(vars(old) == vars(kind), f"fault kind {name} is registered already, with {dict(old.powers)}")
+    return old
+
+
+def _moved_words(powers: Mapping[str, float]) -> str:
+    up = [quantity for quantity, power in powers.items() if power > 0.0]
+    down = [quantity for quantity in powers if quantity not in up]
+    parts = [f"{' and '.join(names)} {way}" for names, way in ((up, "up"), (down, "down")) if names]
+    return f"{', '.join(parts)}, and nothing else moved"
+
+
+@cache
+def _load_entry_points() -> None:
+    """Import the modules that installed packages name for their kinds."""
+    from importlib.metadata import entry_points
+
+    for entry_point in entry_points(group=ENTRY_POINTS):
+        entry_point.load()
+
+
+def motor_kinds() -> tuple[FaultKind, ...]:
+    """The kinds that change the motor's parameters."""
+    return tuple(kind for kind in FaultKind if kind.motor_powers)
+
+
+FaultKind.BEARING = register_fault_kind(  # paper, part 4
+    "bearing",
+    {"friction": 1.0},
+    finding="friction is up and nothing else moved: look at the bearings, the lubricant and the load",
+)
+FaultKind.WINDING_CONTACT = register_fault_kind(  # the paper's numbers: a bad contact or brush
+    "winding_contact",
+    {"resistance": 1.0},
+    verdict="winding",
+    finding="resistance is up and nothing else moved: look at brushes, commutator and connections, and at the"
+    " winding's temperature",
+)
+FaultKind.WINDING_SHORT = register_fault_kind(  # a share of the turns is shorted (Isermann 2006, table 7.1.3)
+    "winding_short",
+    {"resistance": -1.0, "inductance": -2.0, "constants": -1.0},
+    verdict="winding",
+    finding="resistance, inductance and flux are down together: look for shorted turns",
+)
+FaultKind.NOISE = register_fault_kind("noise", {NOISE: 1.0})  # paper, part 3B
+FaultKind.MAGNET = register_fault_kind(  # demagnetised: less flux, so both constants fall
+    "magnet",
+    {"constants": -1.0},
+    finding="torque and back-EMF constant are down and nothing else moved: look at the magnets and their temperature",
+)
+BUILT_IN_KINDS = tuple(_KINDS.values())
+"""The kinds of the package. Their order is that of the random numbers of a case: new ones stand at the end."""
+
+
+def _sensor(name: str, finding: str) -> FaultKind:
+    kind = str.__new__(FaultKind, name)
+    vars(kind).update(powers=MappingProxyType({}), verdict=SENSOR, finding=finding)
+    return _KINDS.setdefault(name, kind)
+
+
+_WITHOUT_END = ("gain", "offset")  # a severity of these may be above 1
+_DEAD = "look at its supply, cable and connector, and at the channel of the recorder"
+_SCALE = "look at {}, and at the range that the recorder was set to"
+_REVERSED = "{} reads with the wrong sign: look at the direction of {}, and at the order of its leads"
+_STUCK = "{} no longer moves: look at its cable, and whether the recorder repeats the last sample"
+_CLIPPED = "{} stands at the end of its range: choose a larger range, {}"
+SENSOR_KINDS = (
+    _sensor("current_dead", f"the current's sensor shows nothing: {_DEAD}; or the circuit is open"),
+    _sensor("current_gain", f"the current's scale is wrong: {_SCALE.format('probe and shunt')}"),
+    _sensor("current_offset", "the current is off by a constant: balance its sensor while the motor stands"),
+    _sensor("current_polarity", _REVERSED.format("the current", "the probe")),
+    _sensor("current_stuck", _STUCK.format("the current")),
+    _sensor("current_clipped", _CLIPPED.format("the current", "or look at the limit of the supply")),
+    _sensor("speed_dead", f"the speed's sensor shows nothing: {_DEAD}"),
+    _sensor("speed_gain", f"the speed's scale is wrong: {_SCALE.format('pulses a turn, gear and coupling')}"),
+    _sensor("speed_polarity", _REVERSED.format("the speed", "the encoder's channels or of the tachometer")),
+    _sensor("speed_stuck", _STUCK.format("the speed")),
+    _sensor("speed_clipped", _CLIPPED.format("the speed", "or look at the counter of the encoder")),
+    _sensor(
+        "voltage_gain",
+        "the motor has another voltage than was recorded: look at the divider, or at battery and supply where the"
+        " voltage is a command",
+    ),
+    _sensor(
+        "voltage_polarity",
+        "the voltage reads with the wrong sign, or the motor's leads are exchanged: look at the direction of both",
+    ),
+    _sensor(
+        "swapped",
+        "a column is that of another quantity or of another motor: look at the order of the channels",
+    ),
+)
+"""What fails before motors do: kinds of the verdict `sensor`."""
+
 
 ALWAYS = -math.inf
 """The onset of a fault that is there from the beginning."""
@@ -58,9 +301,6 @@ class NoiseSource(StrEnum):
     PROCESS = "process"
 
 
-_SOURCES = tuple(NoiseSource)
-
-
 @dataclass(frozen=True, slots=True)
 class Fault:
     """A fault: its kind, its severity, when it begins and how it grows.
@@ -68,17 +308,15 @@ class Fault:
     Attributes:
         kind: bearing: friction B up by the severity. winding_contact: resistance R up by the severity (bad contact or
             brush). winding_short: a fraction of the turns equal to the severity is shorted. noise: the variance of
-            `noise_source` up by the severity. magnet: torque and back-EMF constant down by the severity. Those of
-            sensors (`SENSOR_KINDS`) change what is read: see `motor_env.simulation.failed_sensors`.
+            `noise_source` up by the severity. magnet: both constants down by the severity. `SENSOR_KINDS` change what
+            is read (`simulation.sensor_faults`).
         severity: relative size, 0.25 for 25 %; a float, or one entry a motor. Below 1 where something is lost.
-        onset_s: time of the onset, counted from the step of the supply; `ALWAYS` for a fault that was always there.
-            The fault acts in every sampling interval that begins at or after it.
+        onset_s: time from the supply's step to the onset; the fault acts in intervals that begin at or after it.
         growth_s: time over which the severity rises linearly from 0; 0 for an abrupt fault.
         noise_source: for kinds that change the noise only.
 
     Raises:
-        ValueError: a severity is negative (or not below 1 where something is lost), a time is not a number, or a
-            fault that is always there grows.
+        ValueError: a severity out of range, a time that is no number, or growth without an onset.
     """
 
     kind: FaultKind
@@ -88,24 +326,23 @@ class Fault:
     noise_source: NoiseSource = NoiseSource.MEASUREMENT
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", FaultKind(self.kind))
-        if str(self.noise_source) not in _SOURCES:
-            raise ValueError(
-                f"noise_source must be one of {', '.join(_SOURCES)}, got {shown(self.noise_source)}"
-            )
-        object.__setattr__(self, "noise_source", NoiseSource(str(self.noise_source)))
+        kind, source = self.kind, self.noise_source
+        onset_s = self.onset_s if type(self.onset_s) is float else float(real("onset_s", self.onset_s, ()))
         severity = require_positive("severity", self.severity, zero_allowed=True)
-        object.__setattr__(self, "severity", severity)
-        self.kind.require_severity(severity)
-        onset_s = float(real("onset_s", self.onset_s, ()))
-        require(not math.isnan(onset_s), "onset_s must be a number, got nan")
-        object.__setattr__(self, "onset_s", onset_s)
         growth_s = require_positive("growth_s", self.growth_s, zero_allowed=True, one=True)
-        object.__setattr__(self, "growth_s", growth_s)
-        require(
-            self.growth_s == 0.0 or math.isfinite(self.onset_s),
-            f"growth_s must be 0 for a fault that is always there, got {self.growth_s:g}",
-        )
+        if type(kind) is not FaultKind:
+            kind = FaultKind(kind)
+        if type(source) is not NoiseSource:
+            if str(source) not in list(NoiseSource):
+                raise ValueError(f"noise_source must be one of {', '.join(NoiseSource)}, got {shown(source)}")
+            source = NoiseSource(str(source))
+        kind.require_severity(severity)
+        if math.isnan(onset_s):
+            raise ValueError("onset_s must be a number, got nan")
+        if growth_s and math.isinf(onset_s):
+            raise ValueError(f"growth_s must be 0 for a fault that is always there, got {growth_s:g}")
+        for name, value in zip(self.__slots__, (kind, severity, onset_s, growth_s, source), strict=True):
+            object.__setattr__(self, name, value)
 
     @property
     def is_constant(self) -> bool:

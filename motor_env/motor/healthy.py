@@ -14,10 +14,10 @@ from motor_env.motor.toml_files import ArrayOf, Finite, NotNegative, Positive
 
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """How the healthy pieces were recorded and fitted, where they are starts.
+    """How healthy starts were recorded and fitted.
 
     Attributes:
-        log_noise: mean logarithm of the noise of the current in A.
+        log_noise: mean logarithm of the current's noise in A.
         log_noise_sd: standard deviation of the next start's logarithm of the noise.
         model: extensions of the textbook model that the fits used.
         model_low: smallest value of each extension over the starts.
@@ -25,11 +25,11 @@ class Starts:
         sampling_rate_hz: of the starts; None where unknown.
         duration_s: what the shortest start holds after its onset.
         quiet_s: what the shortest start holds before it.
-        ripple_hz: commutation ripple at the last speed; None where not every start shows it.
+        ripple_hz: commutation ripple at the last speed; None where not in every start.
         ripple_constant_v_s: K times the ripple's periods a turn, from that ripple; over volt where V is unknown.
         ripple_log_sd: standard deviation of the next start's logarithm of either.
-        direction: sign of the current, where all starts have the same; 0 where they do not, or none was learned.
-        turned: columns of a `Recording` that read with the other sign than the voltage, as they are wired.
+        direction: sign of the current, where all starts have the same; else 0.
+        turned: columns that read with the other sign than the voltage.
     """
 
     log_noise: Finite
@@ -62,7 +62,7 @@ class ScoreCalibration:
         covariance: of what is whitened by the fit's own error, shape (4, 4).
         degrees_of_freedom: of the tails (Student's t).
         drift_covariance: of how far a healthy motor may drift, shape (4, 4).
-        tails_hold: whether these windows, each judged by the others, alarm no more often than the tails allow.
+        tails_hold: whether these windows, each judged by the others, keep the rate of the tails.
     """
 
     windows: Annotated[int, Field(ge=2)]
@@ -85,12 +85,11 @@ class ScoreCalibration:
 
 @dataclass(frozen=True, slots=True)
 class OperatingCondition:
-    """One way in which a healthy motor was driven, and what windows driven alike tell of the next one.
+    """One way in which a healthy motor was driven, and what it tells of the next window.
 
     Attributes:
         pieces: which of the healthy windows.
-        moved: how voltage, current and speed were distributed and moved in them, or in some of many, shape
-            (n, 3, 17), see `condition_features`.
+        moved: `condition_features` of them, or of some of many, shape (n, 3, 17).
         values: geometric means of R, K, J and B over them, SI, shape (4,).
         log_covariance: of the logarithms of the next window's, shape (4, 4).
         degrees_of_freedom: of that covariance (Student t).
@@ -119,7 +118,7 @@ class OperatingCondition:
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """How the healthy pieces were recorded and fitted, where they are windows of the motor at work.
+    """How healthy windows of the motor at work were recorded and fitted.
 
     Attributes:
         window_s: their length.
@@ -130,12 +129,11 @@ class Windows:
         speed_rad_s: effective speed, at which the drag over the speed is the quantity B.
         rms_volts: least and largest effective voltage of a window; None where none was commissioned.
         peaks: largest voltage, current and speed of the windows; None where they are not known.
-        window_excess: by which factor windows scatter more than is believed of them: what they have taught, or
-            their own errors where these are larger (variance).
-        drives: how it was driven; none where nothing but a fault moves the motor.
-        alike: how far from a window of a drive one may be that is driven alike, see `condition_distance`.
-        calibration: of the scores of `watch`; None for windows that were not compared with each other.
-        one_way: whether the motor turns one way only: all that brakes is friction then.
+        window_excess: factor (variance) by which windows scatter more than believed, at least their own errors.
+        drives: its operating conditions; none where nothing but a fault moves the motor.
+        alike: largest `condition_distance` of windows driven alike.
+        calibration: of the scores of `watch`; None for windows not compared.
+        one_way: whether the motor turns one way only.
     """
 
     window_s: Positive
@@ -158,7 +156,7 @@ class Fleet:
     """From which sisters the healthy motor was learned.
 
     Attributes:
-        motors: number of them.
+        motors: their number.
         log_within: covariance of the logarithms from record to record of one motor, shape (n, n).
     """
 
@@ -172,17 +170,17 @@ class Healthy:
 
     Attributes:
         pieces: number of healthy starts, or of windows.
-        degrees_of_freedom: of the spread below (Student t); it counts the pieces and the prior.
+        degrees_of_freedom: of the spread below (Student t), from pieces and prior.
         quantities: their names (see `motor_env.motor.identifiable`).
         values: their geometric means over the pieces, SI, shape (n,).
         log_covariance: covariance of the logarithms of the *next* piece's quantities about these, shape (n, n).
-        temperature_k: how much warmer or colder than those a healthy motor may be, one standard deviation.
+        temperature_k: standard deviation of a healthy motor's temperature about those.
         temperature_c: temperature of the motor at those pieces, where known.
-        own_friction: share of the drag that is the motor's own friction, the rest being a load; None if not told.
-        starts: how starts were recorded and fitted; None for windows.
-        windows: how windows were recorded and fitted; None for starts.
-        fleet: sisters that it was learned from; the covariance is then that of another healthy motor, without the
-            errors of fits. None where the pieces are its own.
+        own_friction: share of the drag that is own friction, the rest being a load; None if unknown.
+        starts: of starts; None for windows.
+        windows: of windows; None for starts.
+        fleet: motors that it was learned from: the covariance is then of another healthy motor, without errors of fits;
+            None where the pieces are its own.
     """
 
     pieces: Annotated[int, Field(ge=1)]

@@ -1,8 +1,7 @@
-"""Which combinations of the parameters a recording can tell: all are products of powers, so linear in logarithms.
+"""Which products of powers of the parameters a recording can tell.
 
-From the current alone, R, L, K^2/J and B/J (K^2 = Kt Kb): scaling K by a, and J and B by a^2, leaves the current as
-it is. With the speed, R, L, K, J and B (Kt and Kb being one number in SI units). With the voltage unknown, ratios per
-volt: every one of the parameters over V.
+From the current alone, R, L, K^2/J and B/J (K^2 = Kt Kb): scaling K by a, and J and B by a^2, leaves the current as it
+is. With the speed, R, L, K, J and B . With the voltage unknown, each parameter over V.
 """
 
 from __future__ import annotations

@@ -110,9 +110,9 @@ def doubled(exponential: Four, phi: Four) -> tuple[Four, Four]:
 def exponential_and_phis(a: float, b: float, c: float, d: float) -> tuple[Four, Four, Four]:
     """exp(X), phi1(X) = X^-1 (exp(X) - 1), phi2(X) = X^-1 (phi1(X) - 1) of X = [[a, b], [c, d]], row by row.
 
-    By series and doubling: phi1(X) = sum X^k / (k+1)!, phi2(X) = sum X^k / (k+2)!, exp(X) = 1 + X phi1(X),
-    phi1(2X) = (exp(X) + 1) phi1(X) / 2, phi2(2X) = (phi1(X)^2 + 2 phi2(X)) / 4 (Higham 2008, ch. 10.7).
-    No difference of nearly equal numbers, no division by a small eigenvalue: full accuracy for any step and damping.
+    By series and doubling: phi1(X) = sum X^k / (k+1)!, phi2(X) = sum X^k / (k+2)!, exp(X) = 1 + X phi1(X), phi1(2X) =
+    (exp(X) + 1) phi1(X) / 2, phi2(2X) = (phi1(X)^2 + 2 phi2(X)) / 4 (Higham 2008, ch. 10.7). Full accuracy for any step
+    and damping.
     """
     # The similarity diag(1, scale) evens out b and c, so that the norm is free of the units.
     scale = np.sqrt(abs(b / c)) if b != 0.0 and c != 0.0 else 1.0
@@ -162,10 +162,6 @@ def _all_exponentials(transition: FloatArray, dt_s: float, exponential: FloatArr
 
 def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
     """Exact zero-order hold: Ad = exp(A dt), Bd = dt phi1(A dt) B (Franklin, Powell & Workman 1998, ch. 4.3).
-
-    Args:
-        parameters: one motor, or a batch.
-        dt_s: sampling interval, > 0.
 
     Raises:
         ValueError: `dt_s` is not positive.
@@ -225,10 +221,7 @@ def propagate(
 def load_torque(constant_n_m: Floats, fan_n_m_s2: Floats, speed_rad_s: Floats) -> Floats:
     """Torque of a load that is constant or varies with time, and of a fan, which opposes the motion.
 
-    Args:
-        constant_n_m: what does not depend on the speed.
-        fan_n_m_s2: torque over the square of the speed.
-        speed_rad_s: of the motor.
+    `fan_n_m_s2` is torque over the square of the speed.
     """
     torque: Floats = constant_n_m + fan_n_m_s2 * speed_rad_s * np.abs(speed_rad_s)
     return torque

@@ -1,7 +1,7 @@
 """Physical parameters of the motor, its supply and its sensors: frozen, validated, in SI units.
 
-Every numeric field of `MotorParameters` is a float, or an array whose shape is the batch: one entry a motor.
-The textbook motor (paper, part 2B; sign convention of both sources: motor operation) is
+A field of `MotorParameters` is a float, or an array: one entry a motor. The textbook motor (paper, part 2B; sign
+convention of both sources: motor operation) is
 
     L di/dt = V - R i - Kb w
     J dw/dt = Kt i - B w - Tload
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.common.arrays import LARGEST_NUMBER, instance, numbers, real, shown
+from motor_env.common.arrays import LARGEST_NUMBER, instance, is_one_of, numbers, real, shown
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -64,16 +64,16 @@ def require(condition: bool, sentence: str) -> None:
 
 
 def require_finite(name: str, value: Floats) -> Floats:
-    """The value; `ValueError` naming the field and the value, unless every entry is finite."""
+    """The value; `ValueError` unless every entry is finite."""
     return _plain(value, numbers(name, value))
 
 
 def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, one: bool = False) -> Floats:
-    """The value; `ValueError` naming the field, the bound and the value, unless every entry is finite and positive.
+    """The value; `ValueError` unless every entry is finite and positive.
 
     With `one` it must be a single number.
     """
-    if type(value) is float and 0.0 < value <= LARGEST_NUMBER:
+    if type(value) is float and (0.0 < value <= LARGEST_NUMBER or (zero_allowed and value == 0.0)):
         return value
     array = real(name, value, () if one else None)
     good = (array <= LARGEST_NUMBER) & ((array >= 0.0) if zero_allowed else (array > 0.0))
@@ -84,6 +84,15 @@ def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, on
     return _plain(value, array)
 
 
+def common_shape(name: str, *values: Any) -> tuple[int, ...]:
+    """The one shape of what differs from motor to motor, `()` or `(1,)` for one motor; `ValueError` for several."""
+    shapes = {getattr(value, "shape", ()) for value in values}
+    several = shapes - {(), (1,)}
+    if len(several) > 1:
+        raise ValueError(f"{name} must have one shape, got {sorted(several)}")
+    return several.pop() if several else max(shapes)
+
+
 def _plain(given: Any, array: FloatArray) -> Floats:
     """A number as it was given, if arithmetic keeps it exact; else what was made of it: a float, or an array."""
     if isinstance(given, float) or (isinstance(given, int) and abs(given) < 2**53):
@@ -92,7 +101,7 @@ def _plain(given: Any, array: FloatArray) -> Floats:
 
 
 def require_plausible(value: object, place: str = "") -> None:
-    """Raise `ValueError` naming the place and the number, unless every number in a dataclass is within `LARGEST`.
+    """Raise `ValueError` unless every number in a dataclass is within `LARGEST`.
 
     What a motor has is 0 or at least `SMALLEST`.
     """
@@ -109,7 +118,7 @@ def require_plausible(value: object, place: str = "") -> None:
 
 
 def require_numbers(options: DataclassInstance) -> None:
-    """Raise `ValueError` naming the field and the value, unless each field of numbers in a dataclass holds such."""
+    """Raise `ValueError` unless each field of numbers in a dataclass holds such."""
     for f in fields(options):
         value, kind = getattr(options, f.name), str(f.type)
         several = kind.startswith("tuple[float")
@@ -142,8 +151,8 @@ class MotorParameters:
     Attributes:
         resistance_ohm: armature (terminal) resistance R.
         inductance_h: armature inductance L.
-        back_emf_constant_v_s_per_rad: back-EMF constant Kb; it stands in the electrical equation.
-        torque_constant_n_m_per_a: torque constant Kt; it stands in the torque equation.
+        back_emf_constant_v_s_per_rad: back-EMF constant Kb.
+        torque_constant_n_m_per_a: torque constant Kt.
         inertia_kg_m2: rotor inertia J.
         viscous_friction_n_m_s_per_rad: viscous friction B (0 is allowed).
 
@@ -159,26 +168,21 @@ class MotorParameters:
     viscous_friction_n_m_s_per_rad: Floats
 
     def __post_init__(self) -> None:
-        lengths = set()
-        for field in fields(self):
-            zero_allowed = field.name == "viscous_friction_n_m_s_per_rad"
-            value = require_positive(field.name, getattr(self, field.name), zero_allowed=zero_allowed)
-            object.__setattr__(self, field.name, value)
-            if isinstance(value, np.ndarray):
-                lengths.add(value.shape)
-        if len(lengths - {(1,)}) > 1:
-            raise ValueError(f"all fields of a batch must have one shape, got {sorted(lengths)}")
+        for name in self.__slots__:
+            zero_allowed = name == "viscous_friction_n_m_s_per_rad"
+            value = require_positive(name, getattr(self, name), zero_allowed=zero_allowed)
+            object.__setattr__(self, name, value)
+        _ = self.batch_shape
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
         """Common shape of the fields: `()` for one motor, `(n_motors,)` for a batch."""
-        return np.broadcast_shapes(*(np.shape(getattr(self, field.name)) for field in fields(self)))
+        return common_shape("all fields of a batch", *(getattr(self, name) for name in self.__slots__))
 
     def scaled(self, **factors: Floats) -> Self:
         """Parameters with the named fields multiplied by the given factors."""
-        known = [field.name for field in fields(self)]
-        for name in factors.keys() - set(known):
-            raise ValueError(f"factors must be of {', '.join(known)}, got {name:.60}")
+        for name in factors.keys() - set(self.__slots__):
+            raise ValueError(f"factors must be of {', '.join(self.__slots__)}, got {name:.60}")
         return replace(self, **{name: getattr(self, name) * factor for name, factor in factors.items()})
 
     def motor(self, index: int) -> Self:
@@ -205,9 +209,9 @@ class SensorParameters:
     """What is measured, and the standard deviation of its white noise.
 
     Attributes:
-        channels: measured channels, in the order in which they stand in every array.
+        channels: measured channels, in the order of every array.
         current_noise_a: standard deviation of a current sample.
-        speed_noise_rad_s: standard deviation of a speed sample; used where speed is measured.
+        speed_noise_rad_s: standard deviation of a speed sample.
     """
 
     channels: tuple[Channel, ...] = (Channel.CURRENT,)
@@ -215,11 +219,9 @@ class SensorParameters:
     speed_noise_rad_s: float = 1.0
 
     def __post_init__(self) -> None:
-        known = [channel.value for channel in Channel]
         instance("channels", self.channels, (tuple, list))
-        given: tuple[Any, ...] = self.channels
-        strange = [channel for channel in given if not (isinstance(channel, str) and channel in known)]
-        require(not strange, f"channels must be of {', '.join(known)}, got {shown(strange)}")
+        strange = [channel for channel in self.channels if not is_one_of(channel, Channel)]
+        require(not strange, f"channels must be of {', '.join(Channel)}, got {shown(strange)}")
         object.__setattr__(self, "channels", tuple(Channel(channel) for channel in self.channels))
         require(len(self.channels) > 0, "channels must name at least one of current, speed, got none")
         require(

@@ -83,12 +83,12 @@ def read_toml(path: Path, missing: str) -> dict[str, Any]:
 def from_dict(cls: type[T], content: Mapping[str, Any], whole: str) -> T:
     """The dataclass that a dictionary of strings, numbers, lists and dictionaries describes.
 
-    Types are strict: `true` is no number. What is left out has its default.
+    Types are strict; what is left out has its default.
 
     Args:
         cls: the dataclass; those in its fields are checked with it.
         content: what a TOML or JSON file holds.
-        whole: what to call the file where the fault is in no part of it.
+        whole: what to call the file as a whole.
 
     Raises:
         ValueError: an unknown key, a value of another type or out of its range.

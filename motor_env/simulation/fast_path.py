@@ -1,7 +1,6 @@
 """Measured transients by the million: the motor, its noise and its sensor in one compiled pass, in float32.
 
-`simulate` returns everything there is to know about a few transients in float64; `measure` returns the sensors'
-readings alone, the same to float32, some ten times as fast.
+`measure` gives the readings of `simulate` alone, to float32, some ten times as fast.
 """
 
 from __future__ import annotations
@@ -14,11 +13,18 @@ from motor_env.motor.compiled import njit
 from motor_env.motor.faults import NoiseSource, apply_faults, noise_variance_factor
 from motor_env.motor.model import State, discretize, steady_state
 from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, require
-from motor_env.simulation.driven import Driving, integrate_driven
-from motor_env.simulation.failed_sensors import VOLTAGE, fail_after_noise, fail_before_noise
-from motor_env.simulation.nonlinear import Effects, Sampling, groups_of, integrate, substeps
+from motor_env.simulation.nonlinear import (
+    Driving,
+    Effects,
+    Sampling,
+    groups_of,
+    integrate,
+    integrate_driven,
+    substeps,
+)
 from motor_env.simulation.random_streams import Stream, normals, uniforms, whole_blocks
 from motor_env.simulation.sensor import SensorChain, read_sensors
+from motor_env.simulation.sensor_faults import VOLTAGE, fail_after_noise, fail_before_noise
 from motor_env.simulation.simulate import LARGEST_SEED, Scenario, scenario_states
 
 
@@ -30,11 +36,7 @@ def _step_response(
     is_current: NDArray[np.bool_],
     out: NDArray[np.float32],
 ) -> None:
-    """Start from standstill under a constant input: x[k] = rest + A^k (0 - rest), by doubling.
-
-    The deviation d from the rest obeys d[k+m] = A^m d[k]: what is known of it is doubled with A^m, m = 1, 2, 4, ...,
-    in loops without a dependence, where d[k+1] = A d[k] would wait for each product.
-    """
+    """Start from standstill under a constant input: x[k] = rest + A^k (0 - rest), by doubling."""
     n_channels, n_samples = out.shape[1], out.shape[2]
     n_driven = n_samples - n_quiet
     currents, speeds = np.empty(n_driven + 1), np.empty(n_driven + 1)
@@ -81,15 +83,15 @@ def measure(
         cases: case numbers, shape (n_cases,).
         effects: departures from the textbook motor; then the faults must have been there always.
         chain: errors of the current sensor.
-        nominal: decides the integration step where there are effects; the scenario's motor where it is one.
-        driving: what drives and loads a motor at work, together with effects; the scenario's supply is not used.
+        nominal: decides the integration step of effects; the scenario's motor by default.
+        driving: of a motor at work, with effects, in place of the scenario's supply.
         out: filled where given.
 
     Returns:
-        Shape (n_cases, n_channels, n_samples), float32; the applied voltage is one channel more where there is driving.
+        Shape (n_cases, n_channels, n_samples), float32; with driving, the voltage is one channel more.
 
     Raises:
-        ValueError: the batch is not n_cases long, or effects are asked together with an onset or process noise.
+        ValueError: the batch is not n_cases long, or effects with an onset or process noise.
     """
     numbers, timing, sensor = scenario.checked_cases(cases), scenario.timing, scenario.sensor
     seed = whole("seed", seed, most=LARGEST_SEED)

@@ -7,12 +7,12 @@ States: current i, speed w, angle phi, winding temperature above the start's. Wi
     dphi/dt      = w
     C d(dT)/dt   = i^2 R(T) - dT / Rth                      R(T) = R(start) (1 + 0.00393 dT)
 
-s is the sign, made smooth as x / sqrt(x^2 + e^2); the falling Stribeck part is that of Hess & Soom (1990), which needs
-no exponential and so lets the loop over cases vectorise. The supply Vs rises over `ramp_s` along
-3 r^2 - 2 r^3 and carries a ripple. Copper: R (1 + 0.00393 dT) (IEC 60028); ferrite and NdFeB magnets about -0.1 %/K.
+s is the sign, made smooth as x / sqrt(x^2 + e^2); the falling Stribeck part is that of Hess & Soom (1990). The supply
+Vs rises over `ramp_s` along 3 r^2 - 2 r^3 and carries a ripple. Copper: R (1 + 0.00393 dT) (IEC 60028); ferrite and
+NdFeB magnets about -0.1 %/K.
 
-The classical Runge-Kutta method takes `substeps` steps a sample, a number that follows from the nominal motor and not
-from the case, so that a case does not depend on its batch. Its error is measured against a stiff solver in the tests.
+The classical Runge-Kutta method takes `substeps` steps a sample, as the nominal motor needs, so that a case does not
+depend on its batch.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.motor.compiled import njit
+from motor_env.motor.model import load_in_kernel
 from motor_env.motor.parameters import (
     COPPER_PER_KELVIN,
     MAGNET_PER_KELVIN,
+    FloatArray,
     Floats,
     MotorParameters,
     require,
@@ -44,7 +46,7 @@ _MOST_STEPS = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """Departures from the textbook motor; floats, or one entry a case. The defaults are the textbook motor.
+    """Departures from the textbook motor (the defaults); floats, or one entry a case.
 
     Attributes:
         coulomb_friction_n_m: Tc.
@@ -61,7 +63,7 @@ class Effects:
         commutation_per_turn: n, ripples a turn.
         bearing_ripple_n_m: Tr, torque ripple of a damaged bearing.
         bearing_per_turn: q, ball passes a turn (outer race: (balls / 2)(1 - d/D cos phi)).
-        delay_s: delay of the supply's step after time 0; from 0 to below one sampling interval.
+        delay_s: delay of the supply's step, below one sampling interval.
         heat_capacity_j_per_k: C of the winding.
         thermal_resistance_k_per_w: Rth from the winding to the housing.
     """
@@ -121,8 +123,8 @@ class Sampling(NamedTuple):
         dt_s: sampling interval.
         steps: Runge-Kutta steps in one sample (`substeps`).
         is_current: whether a channel is the current (or the speed), shape (n_channels,).
-        out: filled with what is true at the end of each interval, shape (n_cases, n_channels, n_samples); with one
-            channel more, the voltage, for motors at work.
+        out: filled with the truth at the end of each interval, shape (n_cases, n_channels, n_samples); the voltage is
+            one channel more for motors at work.
     """
 
     dt_s: float
@@ -231,10 +233,7 @@ def _derivative(
 
 @njit(cache=True, error_model="numpy")  # a check for division by 0 would keep the loop from vectorising
 def step_lanes(p: Group) -> None:
-    """One step of the classical Runge-Kutta method (Kutta 1901) for a group of cases.
-
-    One record and constant offsets: the compiler sees that nothing overlaps, and runs the lanes side by side.
-    """
+    """One step of the classical Runge-Kutta method (Kutta 1901) for a group of cases."""
     for lane in range(LANES):
         i, w = p.current[lane], p.speed[lane]
         a, q = p.angle[lane], p.heat[lane]
@@ -285,12 +284,7 @@ def integrate(
 ) -> None:
     """True current and speed of each case at the end of each sampling interval.
 
-    Args:
-        parameters: the motor with its faults, one or a batch.
-        effects: the departures from the textbook motor.
-        voltage_v: level of the supply.
-        sampling: what is filled.
-        n_quiet: samples before the step.
+    `parameters` hold the faults; `n_quiet` samples lie before the step of `voltage_v`.
 
     Raises:
         ValueError: a delay is not below one sampling interval.
@@ -298,3 +292,69 @@ def integrate(
     largest, dt_s = float(np.max(effects.delay_s)), sampling.dt_s
     require(largest < dt_s, f"delay_s must be < one sampling interval ({dt_s:g} s), got {largest:g}")
     _integrate(groups_of(parameters, effects, voltage_v, len(sampling.out)), sampling, n_quiet)
+
+
+LOOP_GAIN, LOOP_INTEGRAL = 0.5, 0.05
+"""Gains of the speed loop on a back-EMF in volts, and of its sum over the samples."""
+
+
+class Driving(NamedTuple):
+    """What drives and loads drawn cases.
+
+    Attributes:
+        voltage_v: applied voltage, or the back-EMF that a speed loop wants, shape (n_cases or 1, n_samples).
+        is_loop: whether a loop makes the voltage of it, shape (n_cases,).
+        resistance_ohm: that the loop believes in.
+        limit_v: largest voltage that the loop can apply, shape (n_cases,).
+        load_rise_n_m: what the load gains over the record, shape (n_cases,).
+        fan_n_m_s2: load over the square of the speed, shape (n_cases,).
+    """
+
+    voltage_v: FloatArray
+    is_loop: NDArray[np.bool_]
+    resistance_ohm: float
+    limit_v: FloatArray
+    load_rise_n_m: FloatArray
+    fan_n_m_s2: FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def integrate_driven(
+    groups: NDArray[np.void], sampling: Sampling, driving: Driving, noise: FloatArray
+) -> None:
+    """True current and speed at the end of each sampling interval, and the voltage that was applied in it.
+
+    Args:
+        groups: the cases (`groups_of`); of their supply the resistance and the ripple count alone.
+        sampling: what is filled.
+        driving: voltage and load.
+        noise: of the current that a speed loop sees, shape (n_cases, n_samples); no rows without a loop.
+    """
+    dt_s, steps, is_current, out = sampling
+    wanted, limit = driving.voltage_v, driving.limit_v
+    n_cases, last, n_samples = out.shape[0], out.shape[1] - 1, out.shape[2]
+    for first in range(0, n_cases, LANES):
+        p = groups[first // LANES]
+        lanes = min(LANES, n_cases - first)
+        still, integral = p.dry.copy(), np.zeros(LANES)
+        p.step[:] = dt_s / steps
+        for k in range(n_samples):
+            for lane in range(lanes):
+                n, current, speed = first + lane, p.current[lane], p.speed[lane]
+                volts = wanted[n if wanted.shape[0] > 1 else 0, k]
+                if driving.is_loop[n] and k > 0:
+                    error = volts - (
+                        out[n, last, k - 1] - driving.resistance_ohm * (current + noise[n, k - 1])
+                    )
+                    integral[lane] = min(max(integral[lane] + LOOP_INTEGRAL * error, -limit[n]), limit[n])
+                    volts = min(max(volts + LOOP_GAIN * error + integral[lane], -limit[n]), limit[n])
+                out[n, last, k] = volts
+                p.voltage[lane] = out[n, last, k]  # what is applied is what is recorded
+                share = (k + 0.5) / n_samples
+                load = load_in_kernel(share * driving.load_rise_n_m[n], driving.fan_n_m_s2[n], abs(speed))
+                p.dry[lane] = still[lane] + load
+            for _ in range(steps):
+                step_lanes(p)
+            for lane in range(lanes):
+                for c in range(last):
+                    out[first + lane, c, k] = p.current[lane] if is_current[c] else p.speed[lane]

@@ -1,8 +1,8 @@
 """Counter-based random streams: the numbers of case n depend on (seed, stream, n) alone.
 
-Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) is a bijection of its 128-bit counter for each 64-bit key.
-The key is the seed; the counter holds the case (64 bits), the stream (32 bits) and the block (32 bits). So no two
-cases, streams or blocks of a seed share a counter, and results do not depend on the number of workers or shards.
+Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) is a bijection of its 128-bit counter for each 64-bit key. The key is
+the seed; the counter holds the case (64 bits), the stream (32 bits) and the block (32 bits). So results do not depend
+on the number of workers or shards.
 """
 
 from __future__ import annotations
@@ -176,7 +176,8 @@ def _fill_normals(seed: np.uint64, stream: np.uint32, cases: NDArray[np.uint64],
 def _filled(fill: Any, seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
     require(0 <= seed < 2**64, f"seed must be in 0 .. 2^64 - 1, got {seed}")
     array = np.asarray(cases)
-    require(bool(np.all(array >= 0)), f"cases must be >= 0, got {np.min(array, initial=0)}")
+    if array.min(initial=0) < 0:
+        raise ValueError(f"cases must be >= 0, got {array.min()}")
     out = np.empty((array.size, count))
     fill(np.uint64(seed), np.uint32(stream), np.ascontiguousarray(array, dtype=np.uint64), out)
     return out
@@ -194,7 +195,7 @@ def uniforms(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatAr
 def normals(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
     """Standard normal numbers, shape (n_cases, count): row n belongs to case `cases[n]` alone.
 
-    They are made in float32 (24 bits), as wherever the package makes noise.
+    They are made in float32 (24 bits).
 
     Raises:
         ValueError: the seed does not fit 64 bits, or a case is negative.

@@ -21,10 +21,9 @@ from motor_env.motor.parameters import (
     require_plausible,
     require_positive,
 )
-from motor_env.simulation.disturbances import PRIORS, Field, Range
-from motor_env.simulation.duty import DUTY_PRIORS, Duty
-from motor_env.simulation.failed_sensors import VOLTAGE
+from motor_env.simulation.disturbances import DUTY_PRIORS, PRIORS, Duty, Field, Range
 from motor_env.simulation.nonlinear import substeps
+from motor_env.simulation.sensor_faults import VOLTAGE
 from motor_env.simulation.simulate import Timing
 
 # A normal number of the streams stays below 6.77, so a factor 1 + 0.14 z stays positive.
@@ -36,8 +35,7 @@ MOST_STARTS = 1_000_000_000
 class Spread:
     """Relative standard deviations of the five nuisance factors, each 1 + sd z with independent standard normal z.
 
-    Each factor multiplies the nominal value, or the faulty one. `constants` is one common factor on Kt and Kb
-    (both are the same flux linkage).
+    `constants` is one common factor on Kt and Kb.
     """
 
     supply: float = 0.0
@@ -70,18 +68,18 @@ LARGEST_SEVERITY = 10.0
 
 @dataclass(frozen=True, slots=True)
 class FaultClass:
-    """A class to be told: a fault kind at a level of severity, or healthy (kind None, severity 0).
+    """A class: a fault kind at a level of severity, or healthy (kind None, severity 0).
 
     Attributes:
         kind: the fault; None for healthy.
         severity: its level, or the smallest where `severity_to` is given.
-        weight: how often the class is drawn, relative to the others; 0 for never.
-        severity_to: the largest severity, drawn uniformly, from 0 on where `severity` is 0; None for one level.
-        also: faults that come with it (joint faults); their weights are ignored.
+        weight: how often it is drawn, relative to the others.
+        severity_to: the largest severity, drawn uniformly; None for one level.
+        also: joint faults that come with it; their weights are ignored.
 
     Raises:
-        ValueError: a healthy class with a severity, a fault without one or beyond `LARGEST_SEVERITY`, or a
-            weight that is negative.
+        ValueError: a healthy class with a severity, a fault without one or beyond `LARGEST_SEVERITY`, a negative
+            weight.
     """
 
     kind: FaultKind | None = None
@@ -178,16 +176,16 @@ class Recipe:
     """Distribution of motors, faults and measurements, from which cases are drawn.
 
     Attributes:
-        name: name of the recipe.
+        name: as in files.
         motor: nominal motor.
         supply: nominal supply.
-        spread: nuisances: what differs from motor to motor and start to start.
+        spread: nuisances of motors and starts.
         classes: what can be wrong, and how often.
         sensor: channels and noise.
         timing: time axis.
-        field: departures from the textbook motor and errors of the sensor; None for the textbook motor.
-        duty: voltage profiles and loads of a motor at work, beside a field; None for starts at a step of the supply.
-        starts_per_motor: starts of each motor; its parameters and fault stay, supply and temperature change.
+        field: departures from the textbook motor, errors of the sensor; None for none.
+        duty: voltage profiles and loads of a motor at work, beside a field; None for starts.
+        starts_per_motor: starts of each motor; parameters and fault stay.
         healthy_starts: how many of them, the first, are healthy (commissioning).
         shifts: tests under other conditions.
     """
@@ -251,10 +249,9 @@ class Recipe:
         }  # fmt: skip
         for name, kind in kinds.items():
             instance(name, getattr(self, name), kind)
-        for each in self.classes:
-            instance("each of classes", each, FaultClass)
-        for other in self.shifts:
-            instance("each of shifts", other, Shift)
+        for name, kind in (("classes", FaultClass), ("shifts", Shift)):
+            for each in getattr(self, name):
+                instance(f"each of {name}", each, kind)
         require(
             np.shape(self.supply.voltage_v) == (), "supply of a recipe must have one voltage_v, got a batch"
         )
@@ -309,7 +306,7 @@ class Recipe:
         )
 
     def require_motor_faults(self) -> None:
-        """Raise `ValueError` for failed sensors, of which what knows motors alone cannot judge."""
+        """Raise `ValueError` for failed sensors."""
         failed = [kind for kind in self.kinds if kind.is_sensor]
         require(
             not failed,
@@ -320,7 +317,7 @@ class Recipe:
         """The recipe under the conditions of one of its shifts.
 
         Raises:
-            ValueError: no such shift; the sentence lists those that exist.
+            ValueError: no such shift.
         """
         by_name = {shift.name: shift for shift in self.shifts}
         require(name in by_name, f"shift must be one of {', '.join(by_name) or '(none)'}, got {name!r}")

@@ -21,10 +21,10 @@ class SensorChain:
     Attributes:
         gain: factor on the current.
         offset_a: added after the gain.
-        lag_s: time constant of a first-order lag, exact for a current held over each sample.
+        lag_s: time constant of a first-order lag.
         range_a: the reading saturates at plus and minus this value; 0 for no limit.
         adc_bits: bits of the converter over -range .. range; 0 for none.
-        missing_fraction: share of samples that are lost, of every channel together; they read NaN.
+        missing_fraction: share of samples that read NaN, in all channels.
     """
 
     gain: Floats = 1.0

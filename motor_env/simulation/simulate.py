@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -17,11 +17,12 @@ from motor_env.motor.parameters import (
     MotorParameters,
     SensorParameters,
     SupplyParameters,
+    common_shape,
     require,
     require_positive,
 )
-from motor_env.simulation.failed_sensors import fail_after_noise, fail_before_noise
 from motor_env.simulation.random_streams import Stream, normals, whole_blocks
+from motor_env.simulation.sensor_faults import fail_after_noise, fail_before_noise
 
 LARGEST_SEED = 2**64 - 1
 MOST_SAMPLES = 10_000_000
@@ -35,7 +36,7 @@ class Timing:
     Attributes:
         sampling_rate_hz: samples a second.
         duration_s: time sampled after the step.
-        quiet_s: time sampled before the step, on top of the duration.
+        quiet_s: time sampled before the step.
     """
 
     sampling_rate_hz: float = 10_000.0
@@ -43,11 +44,9 @@ class Timing:
     quiet_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = require_positive(
-                f.name, getattr(self, f.name), zero_allowed=f.name == "quiet_s", one=True
-            )
-            object.__setattr__(self, f.name, value)
+        for name in self.__slots__:
+            value = require_positive(name, getattr(self, name), zero_allowed=name == "quiet_s", one=True)
+            object.__setattr__(self, name, value)
         samples = self.sampling_rate_hz * (self.duration_s + self.quiet_s)
         require(
             samples <= MOST_SAMPLES,
@@ -101,13 +100,11 @@ def case_numbers(cases: ArrayLike) -> NDArray[np.int64]:
     return found
 
 
-def require_one_batch(*shapes: tuple[int, ...]) -> None:
-    """Raise `ValueError` unless all that differs from motor to motor has one shape."""
-    several = {shape for shape in shapes if shape not in ((), (1,))}
-    require(len(several) <= 1, f"motors, supply and severities must be as many, got shapes {sorted(several)}")
+_SEVERAL = "motors, supply, states and severities, where not of one motor,"
 
 
-def _check_faults(faults: tuple[Fault, ...]) -> None:
+def _check_motors(parameters: MotorParameters, faults: tuple[Fault, ...]) -> None:
+    instance("parameters", parameters, MotorParameters)
     instance("faults", faults, (tuple, list))
     for n, fault in enumerate(faults):
         instance(f"faults[{n}]", fault, Fault)
@@ -115,16 +112,16 @@ def _check_faults(faults: tuple[Fault, ...]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Everything that decides a transient except the random numbers of its noise; one motor or a batch.
+    """Everything that decides a transient but its random numbers; one motor or a batch.
 
     Attributes:
         parameters: the motor without its faults, one or a batch.
-        faults: the faults; in a batch a severity is an array, 0 for the motors that do not have the fault.
+        faults: in a batch a severity is an array, 0 for motors without the fault.
         supply: voltage step, one level or one a motor.
         sensor: channels and noise.
         timing: time axis.
         load_torque_n_m: constant load from the step on.
-        process_noise_std: standard deviation of the noise added to [current, speed] in each interval.
+        process_noise_std: of the noise added to [current, speed] in each interval.
     """
 
     parameters: MotorParameters
@@ -136,24 +133,20 @@ class Scenario:
     process_noise_std: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        instance("parameters", self.parameters, MotorParameters)
-        _check_faults(self.faults)
-        instance("supply", self.supply, SupplyParameters)
-        instance("sensor", self.sensor, SensorParameters)
-        instance("timing", self.timing, Timing)
+        _check_motors(self.parameters, self.faults)
+        for kind in (SupplyParameters, SensorParameters, Timing):
+            name = kind.__name__.removesuffix("Parameters").lower()
+            instance(name, getattr(self, name), kind)
         object.__setattr__(self, "load_torque_n_m", number("load_torque_n_m", self.load_torque_n_m))
         numbers("process_noise_std", self.process_noise_std, (N_STATES,), least=0.0)
-        require_one_batch(
-            self.parameters.batch_shape,
-            np.shape(self.supply.voltage_v),
-            *(np.shape(fault.severity) for fault in self.faults),
-        )
+        _ = self.batch_shape
 
     @property
     def batch_shape(self) -> tuple[int, ...]:
         """`()` for one motor, `(n_motors,)` for a batch."""
-        severities = (np.shape(fault.severity) for fault in self.faults)
-        return np.broadcast_shapes(self.parameters.batch_shape, np.shape(self.supply.voltage_v), *severities)
+        severities = (fault.severity for fault in self.faults)
+        motors = (getattr(self.parameters, name) for name in self.parameters.__slots__)
+        return common_shape(_SEVERAL, *motors, self.supply.voltage_v, *severities)
 
     def checked_cases(self, cases: ArrayLike) -> NDArray[np.int64]:
         """Case numbers as an array; `ValueError` unless they number as many as the motors."""
@@ -167,7 +160,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class Transients:
-    """Simulated transients: what a sensor reads, and beside it the truth, which is for scoring alone.
+    """Simulated transients: readings, and the truth, which is for scoring alone.
 
     Attributes:
         time_s: shape (n_samples,); 0 is the step.
@@ -201,7 +194,7 @@ def simulate_states(
         parameters: the motor without its faults.
         voltage_v: voltage held in each interval, shape (n_samples,) or (n_cases, n_samples).
         dt_s: sampling interval.
-        faults: their onsets count from time 0; parameters are held within an interval.
+        faults: their onsets count from time 0.
         load_torque_n_m: scalar, or the shape of `voltage_v`.
         initial_state: current and speed before the first interval, shape (2,) or (n_cases, 2).
         process_noise: added to the state at the end of each interval, shape (n_cases, n_samples, 2).
@@ -213,8 +206,7 @@ def simulate_states(
     Raises:
         ValueError: a number is not finite, shapes do not fit, or the motor leaves the range of numbers.
     """
-    instance("parameters", parameters, MotorParameters)
-    _check_faults(faults)
+    _check_motors(parameters, faults)
     voltage = numbers("voltage_v", voltage_v, ("...", "n_samples"))
     require(
         voltage.ndim <= 2,
@@ -225,10 +217,9 @@ def simulate_states(
     added = np.zeros((n_samples, N_STATES))
     if process_noise is not None:
         added = numbers("process_noise", process_noise, ("...", n_samples, N_STATES))
-    parts = [voltage.shape[:-1], parameters.batch_shape, begin.shape[:-1], added.shape[:-2]]
-    parts += [np.shape(fault.severity) for fault in faults]
-    require_one_batch(*parts)
-    batch = np.broadcast_shapes(*parts)
+    motors = (getattr(parameters, name) for name in parameters.__slots__)
+    severities = (fault.severity for fault in faults)
+    batch = common_shape(_SEVERAL, voltage[..., 0], begin[..., 0], added[..., 0, 0], *motors, *severities)
     require(len(batch) <= 1, f"motors must be one, or of shape (n_cases,), got {batch}")
     n_cases = int(np.prod(batch))
     inputs = np.empty((int(np.prod(voltage.shape[:-1])), n_samples, len(Input)))
@@ -282,12 +273,12 @@ def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
     """Simulate a scenario; the noise of row n comes from the streams of case `cases[n]` alone.
 
     Args:
-        scenario: one motor (then every case is a repetition with noise of its own), or a batch of n_cases motors.
+        scenario: one motor, repeated with other noise, or a batch of n_cases motors.
         seed: the random seed.
         cases: case numbers, shape (n_cases,).
 
     Raises:
-        ValueError: the batch of the scenario is not n_cases long.
+        ValueError: the batch is not n_cases long.
     """
     instance("scenario", scenario, Scenario)
     seed = whole("seed", seed, most=LARGEST_SEED)

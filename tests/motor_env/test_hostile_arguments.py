@@ -755,6 +755,19 @@ ROWS = [
         "diagnose", "regime", lambda v: str(diagnose(STARTUP, "paper", regime=v)), "auto", also=("bogus",)
     ),
     Row.of("diagnose", "columns", lambda v: str(diagnose(STARTUP, "paper", columns=v)), (), "empty list"),
+    *(
+        Row.of("diagnose", name, lambda v, n=name: str(diagnose(STARTUP, "paper", **{n: v})), good, *allows)
+        for name, good, *allows in (
+            ("false_alarm_rate", 0.01),
+            ("voltage_v", 12.0, "None"),
+            ("temperature_c", 25.0, "None"),
+            ("periods_per_turn", 14.0, "None"),
+        )
+    ),
+    *(
+        Row.of("identify", name, lambda v, n=name: str(identify(STARTUP, **{n: v})), good, "None")
+        for name, good in (("start", 1), ("voltage_v", 12.0), ("constant", 0.02), ("periods_per_turn", 14.0))
+    ),
     Row.of("identify", "recordings", lambda v: str(identify(v)), STARTUP, also=([1], [None])),
     Row.of(
         "commission", "recordings", without(commission, ["a.csv"]), ["a.csv"], also=([], [1], "abc", b"abc")
@@ -883,11 +896,14 @@ def test_a_complaint_knows_the_words_of_others() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(3600)
+@pytest.mark.timeout(1200)
 def test_compiled_code_stays_within_its_arrays(tmp_path: Path) -> None:
-    """The tests of the rooms with compiled loops, each read of an array checked; compiled anew, so it takes minutes."""
+    """This table, the filters, the rules and the simulation, each read of an array checked; compiled anew: minutes."""
     here = Path(__file__).parent
-    rooms = [here / room for room in ("filters", "detection", "motor", "simulation", "inference")]
+    rooms = [
+        here / f"{name}.py"
+        for name in ("filters/test_kalman", "detection/test_rules", "simulation/test_fast_path")
+    ]
     found = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-m", "not long", *rooms, __file__],
         env=os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)},

@@ -15,13 +15,10 @@ from motor_classifiers.model_files.persistence import check_saveable, save_model
 from motor_datasets.loaders import load
 from motor_env.common.console import progress_bar
 from motor_env.common.errors import InputError
-from motor_env.motor.assumptions import usable_parameters
-from motor_env.motor.data_sheet import Motor, load_motor
+from motor_env.motor.data_sheet import Motor, load_motor, usable_parameters
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import Channel
-from motor_env.simulation.motor_recipes import motor_recipe, settling_timing
-from motor_env.simulation.named_recipes import changed_recipe
-from motor_env.simulation.recipe_files import load_recipe
+from motor_env.simulation.named_recipes import changed_recipe, load_recipe, motor_recipe, settling_timing
 from motor_env.simulation.recipes import FaultClass, Recipe
 
 

@@ -20,12 +20,12 @@ from motor_env.detection.rules import Cusum, Rule, nis_rule
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
-from motor_env.inference.features import FEATURE_NAMES, physical_features
+from motor_env.inference.class_model import FEATURE_NAMES, physical_features
 from motor_env.inference.whitening import MatchedTest
 from motor_env.inference.work_features import work_feature_names, work_features
 from motor_env.motor.parameters import FloatArray, require
-from motor_env.simulation.drawing import draw
 from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.sampling import draw
 from motor_env.simulation.simulate import simulate
 
 _FAMILY_SEED = 0xFA317  # of the noise-free signal family; no data set is drawn with it
@@ -150,7 +150,7 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
 class PhysicalFeatures(TransformerMixin, BaseEstimator):
     """Most probable parameters of each transient, their errors, and what the fit leaves over.
 
-    The columns are named in `motor_env.inference.features.FEATURE_NAMES`; of motors at work by `work_feature_names`.
+    The columns are named in `motor_env.inference.class_model.FEATURE_NAMES`; of motors at work by `work_feature_names`.
 
     Args:
         recipe: nominal motor, tolerances, supply, sensor and timing; without one, the paper's motor at 10 kHz.

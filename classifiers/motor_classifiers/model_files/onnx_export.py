@@ -20,7 +20,7 @@ from motor_classifiers.estimators.networks.posterior import Posterior
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.training import one_thread
 from motor_env.common.files import replacing
-from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.named_recipes import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
 INPUT = "transients"

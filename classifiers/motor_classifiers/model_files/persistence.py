@@ -36,7 +36,7 @@ from motor_classifiers.wrappers.fitted import innermost
 from motor_env.common.errors import InputError
 from motor_env.common.files import LARGEST_DATA_BYTES, read_file, replacing
 from motor_env.motor.parameters import require
-from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
+from motor_env.simulation.named_recipes import recipe_from_dict, recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
 FORMAT = "motor-classifiers"

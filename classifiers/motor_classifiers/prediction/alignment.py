@@ -10,7 +10,7 @@ from motor_env.diagnosis.estimation.starts.start_identification import identify
 from motor_env.diagnosis.readers.alignment import Alignment, align
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
 from motor_env.diagnosis.readers.start import prepare
-from motor_env.inference.features import FEATURE_NAMES, physical_features
+from motor_env.inference.class_model import FEATURE_NAMES, physical_features
 from motor_env.inference.posterior import variance_factor
 from motor_env.motor.model import State
 from motor_env.motor.parameters import Channel, FloatArray

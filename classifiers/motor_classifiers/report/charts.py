@@ -9,7 +9,7 @@ import numpy as np
 
 from motor_classifiers.scoring.calibration import Reliability
 from motor_classifiers.scoring.metrics import Score
-from motor_env.common.pages.svg import Axis, Chart, percent, round_ticks
+from motor_env.common.pages import Axis, Chart, percent, round_ticks
 
 
 def interval_chart(

@@ -19,10 +19,9 @@ from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.results import as_csv, family, result_rows
 from motor_classifiers.scoring.score import SIGNIFICANCE, ClassResult, Results
 from motor_env.common.files import write_text
-from motor_env.common.pages.html import render
-from motor_env.common.pages.svg import Axis
+from motor_env.common.pages import Axis, render
 from motor_env.motor.faults import HEALTHY
-from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.named_recipes import recipe_to_dict
 
 
 def readable(name: str) -> str:

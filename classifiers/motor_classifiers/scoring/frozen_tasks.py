@@ -27,14 +27,13 @@ from motor_classifiers.scoring.task import (
 )
 from motor_datasets.arrays import Dataset
 from motor_env.common.errors import InputError
-from motor_env.inference.severity import SeverityPrior, severity_posterior
+from motor_env.inference.posterior import SeverityPrior, severity_posterior
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, SupplyParameters
-from motor_env.simulation.drawing import apply_factors, draw
-from motor_env.simulation.named_recipes import named_recipe
+from motor_env.simulation.named_recipes import named_recipe, recipe_to_dict
 from motor_env.simulation.random_streams import Stream, uniforms
-from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
+from motor_env.simulation.sampling import apply_factors, draw
 from motor_env.simulation.simulate import Timing, simulate
 
 

@@ -23,10 +23,9 @@ from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_classifiers.scoring.task import ClassTask
 from motor_env import __version__
 from motor_env.common.errors import InputError
-from motor_env.common.files import replacing
-from motor_env.common.processes import end_with_parent
+from motor_env.common.files import end_with_parent, replacing
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.named_recipes import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
 
 LIMIT = "limit"

@@ -25,8 +25,8 @@ from motor_env.inference.class_model import ClassModel
 from motor_env.inference.posterior import variance_factor
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.disturbances import PRIORS, Field
-from motor_env.simulation.drawing import apply_factors
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe, Spread
+from motor_env.simulation.sampling import apply_factors
 
 SEED = 0xFA318  # of the clouds and of the threshold; no data set is drawn with it
 CLOUD = 6_000  # starts behind the clouds

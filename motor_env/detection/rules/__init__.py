@@ -2,18 +2,15 @@
 
 Each rule has `statistic(whitened)`, `alarm_index(whitened, threshold)`, `stream()` with `update(sample)`, and
 `threshold_for(arl0=...)`, `threshold_for(false_alarm_probability=..., n_samples=...)` or
-`threshold_for(false_alarm_probability=..., recipe=...)`. They read whitened innovations, shape (..., n_samples,
-n_channels): `FilterResult.whitened` of a known motor, `TolerantFilter.white` of one known up to its tolerances.
-Rules on the NIS read all channels, the others the first one.
+`threshold_for(false_alarm_probability=..., recipe=...)`. They read `FilterResult.whitened`, or `TolerantFilter.white`
+of a motor known up to its tolerances; rules on the NIS all channels, others the first.
 """
 
 from motor_env.detection.rules.base import Rule, RuleStream, first_above
-from motor_env.detection.rules.calibration import recipe_thresholds, run_lengths
+from motor_env.detection.rules.calibration import Threshold, recipe_thresholds, run_lengths
 from motor_env.detection.rules.cusum import Cusum, ModelBank, ShiryaevRoberts, Sprt
-from motor_env.detection.rules.nis import MOfN, in_a_row, nis_rule
-from motor_env.detection.rules.thresholds import Threshold
 from motor_env.detection.rules.tolerant import TolerantFilter
-from motor_env.detection.rules.windowed import Glr, WindowedNis
+from motor_env.detection.rules.windowed import Glr, MOfN, WindowedNis, in_a_row, nis_rule
 
 __all__ = [
     "Cusum",

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from motor_env.common.arrays import flags, instance, number, numbers, whole
 from motor_env.detection.rules import calibration
-from motor_env.detection.rules.thresholds import LONGEST, Request, Statistic, Threshold
+from motor_env.detection.rules.calibration import LONGEST, Request, Statistic, Threshold
 from motor_env.detection.run_length import RunLaw
-from motor_env.filters.stream import MOST_STREAMS
+from motor_env.filters.batch import MOST_STREAMS
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import LARGEST_SEED
@@ -32,10 +32,8 @@ def checked_shift(shift: float) -> float:
 class Rule(Statistic):
     """A decision rule on whitened innovations, which are white and standard normal while the motor is healthy.
 
-    That they are: Kailath 1968; that faults show in them: Mehra & Peschon 1971.
-
-    A rule is a value: it holds settings and no running state. `start` and `scan` define it; the batch and the stream
-    both call them, so they cannot disagree.
+    White: Kailath 1968; faults show in them: Mehra & Peschon 1971. A rule holds settings and no running state; `start`
+    and `scan` define both the batch and the stream.
     """
 
     __slots__ = ()
@@ -65,22 +63,22 @@ class Rule(Statistic):
     ) -> Threshold:
         """Threshold for a wanted rate of false alarms: exact where theory gives it, else by calibrated simulation.
 
-        Give `arl0`, or `false_alarm_probability` with `n_samples` or a `recipe`. The recipe's healthy motors are known
-        only up to their tolerances: its threshold is for the residuals of `TolerantFilter.from_recipe(recipe)`.
+        Give `arl0`, or `false_alarm_probability` with `n_samples` or a `recipe`, whose threshold is for the residuals
+        of `TolerantFilter.from_recipe(recipe)`.
 
         Args:
-            arl0: average number of samples between false alarms.
+            arl0: average samples between false alarms.
             false_alarm_probability: probability of a false alarm in a transient.
             n_samples: length of the transient; that of the recipe where there is one.
             n_channels: measured channels; those of the recipe where there is one.
-            recipe: what healthy motors are drawn from; its fault classes are not looked at.
-            runs: healthy runs of a calibrating simulation, where one is needed; by default 100,000 transients, and
-                10,000 runs to an alarm (or as many as make 3e8 samples, at least 1,000).
-            seed: of that simulation. It is the same each time, so that a threshold is a number and not a draw.
+            recipe: what healthy motors are drawn from.
+            runs: healthy runs to simulate where needed; by default 100,000 transients, or 1,000 to 10,000 runs to an
+                alarm.
+            seed: of that simulation.
 
         Raises:
-            ValueError: both or none is given, a recipe comes with `arl0`, `n_samples` or `n_channels`, the rule has no
-                threshold of that kind, or there are too few runs.
+            ValueError: both or none is given, a recipe comes with `arl0`, `n_samples` or `n_channels`, no such
+                threshold, or too few runs.
         """
         seed = whole("seed", seed, most=LARGEST_SEED)
         n_channels = whole("n_channels", n_channels, 1, _MOST_CHANNELS)
@@ -103,7 +101,7 @@ class Rule(Statistic):
         """First sample at which the statistic is above the threshold, -1 where there is none; shape (...).
 
         Args:
-            whitened: innovations in standard deviations, shape (..., n_samples, n_channels): the channel comes last.
+            whitened: shape (..., n_samples, n_channels).
             threshold: of the statistic.
         """
         limit = threshold.value if isinstance(threshold, Threshold) else threshold

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from motor_env.common.arrays import instance, number, numbers
 from motor_env.detection.rules import kernels
 from motor_env.detection.rules.base import ExactRule, Rule, checked_shift
-from motor_env.detection.rules.thresholds import Request, Threshold
+from motor_env.detection.rules.calibration import Request, Threshold
 from motor_env.detection.run_length import RunLaw, TwoSided, cusum_chain, shiryaev_roberts_chain, sprt_chain
 from motor_env.motor.parameters import FloatArray, require
 
@@ -34,8 +34,8 @@ def _keep_shift(rule: Rule, shift: float) -> None:
 class Cusum(ExactRule):
     """CUSUM: S = max(0, S + r - d/2), for a shift d of the mean that begins at an unknown time (Page 1954).
 
-    With the true shift it has the least worst-case delay for its ARL0 (Moustakides 1986). The two-sided rule runs one
-    for each sign and takes the larger. Exact thresholds by integral equation (Goel & Wu 1971).
+    With the true shift it has the least worst-case delay for its ARL0 (Moustakides 1986). Exact thresholds by integral
+    equation (Goel & Wu 1971).
 
     Attributes:
         shift: d, the shift looked for, in standard deviations of the innovation; > 0.
@@ -70,8 +70,8 @@ class Cusum(ExactRule):
 class ShiryaevRoberts(ExactRule):
     """Shiryaev-Roberts: R = (1 + R) L, with L the likelihood ratio of a shift d; the statistic is log R.
 
-    Optimal on average over onsets long after the start (Shiryaev 1963, Roberts 1966, Pollak & Tartakovsky 2009). That
-    ARL0 >= threshold is a loose bound; here it is solved exactly by integral equation.
+    Optimal on average over onsets long after the start (Shiryaev 1963, Roberts 1966, Pollak & Tartakovsky 2009). Exact
+    thresholds by integral equation.
 
     Attributes:
         shift: d, > 0.
@@ -101,13 +101,12 @@ class ShiryaevRoberts(ExactRule):
 class Sprt(ExactRule):
     """Wald's sequential probability ratio test of a shift d, there from the start (Wald 1945).
 
-    The statistic is the log-likelihood ratio; at `lower` the motor is accepted as healthy, and the test begins anew
-    (`restart`) or stays silent.
+    The statistic is the log-likelihood ratio; at `lower` the motor is accepted as healthy.
 
     Attributes:
         shift: d, > 0.
         lower: log(missed / (1 - false alarms)) in Wald's approximation; < 0.
-        restart: whether an accepted test begins anew. Without, the average time to a false alarm is infinite.
+        restart: whether an accepted test begins anew; else it stays silent.
     """
 
     shift: float
@@ -145,12 +144,11 @@ class Sprt(ExactRule):
 
 @dataclass(frozen=True, slots=True)
 class ModelBank(Rule):
-    """Multiple models with an onset: each model j is a shift d_j of the whitened innovation that begins at any sample.
+    """Multiple models with an onset: model j is a shift d_j of the whitened innovation from any sample on.
 
-    With a hazard rho of an onset in each sample the odds of model j against health obey
-    O_j = (O_j + rho w_j) L_j / (1 - rho) (Shiryaev 1963; multiple models: Magill 1965, Willsky 1976). The statistic is
-    the log of the summed odds over rho for rho -> 0, a mixture of Shiryaev-Roberts statistics; `probabilities` gives
-    the posterior for a chosen hazard. Each model has the same weight.
+    With a hazard rho of an onset in each sample the odds of model j against health obey O_j = (O_j + rho w_j) L_j / (1
+    - rho) (Shiryaev 1963; multiple models: Magill 1965, Willsky 1976). The statistic is the log of the summed odds over
+    rho for rho -> 0, a mixture of Shiryaev-Roberts statistics of equal weight.
 
     Attributes:
         shifts: d_j in standard deviations of the innovation; either sign.

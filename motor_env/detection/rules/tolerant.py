@@ -8,10 +8,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motor_env.common.arrays import instance, numbers
-from motor_env.filters.batch import run_filter
+from motor_env.common.arrays import instance, numbers, real
+from motor_env.filters.batch import FilterStream, run_filter
 from motor_env.filters.kalman import KalmanFilter
-from motor_env.filters.stream import FilterStream
 from motor_env.inference.posterior import class_coordinates
 from motor_env.inference.whitening import MarginalWhitener, noise_free_innovations
 from motor_env.motor.parameters import FloatArray, require
@@ -66,7 +65,7 @@ class TolerantFilter:
             measurements: whole transients, shape (..., n_channels, n_samples).
         """
         shape = ("...", len(self.belief.observation), len(self.voltage_v))
-        measured = numbers("measurements", measurements, shape, missing=True, single=True)
+        measured = real("measurements", measurements, shape, single=True)
         innovation = run_filter(self.belief, measured, self.voltage_v).whitened
         return self.whitener.whiten(innovation - self.bias)
 
@@ -78,12 +77,7 @@ class TolerantFilter:
 class TolerantStream:
     """A tolerant filter in service: `update(sample)` gives what `TolerantFilter.white` gives at that sample.
 
-    What it knows about each motor's place within the tolerances is a mean and a covariance, updated value by value
-    (recursive least squares: Plackett 1950).
-
-    Attributes:
-        tolerant: the filter.
-        n_streams: motors followed side by side.
+    Each motor's place within the tolerances has a mean and a covariance (recursive least squares: Plackett 1950).
     """
 
     def __init__(self, tolerant: TolerantFilter, n_streams: int) -> None:
@@ -122,8 +116,8 @@ def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, Floa
     """Mean of the whitened innovation over the recipe's healthy motors, and its slopes, to second order.
 
     With tolerances z ~ N(0, 1) the innovation is r = G z + z'Hz / 2 + e. The products z_i z_j and (z_i^2 - 1) / sqrt(2)
-    are uncorrelated with z and with each other and have unit variance, so their slopes stand beside G as if they were
-    further tolerances (second-order filter: Athans, Wishner & Bertolini 1968).
+    are uncorrelated with z and with each other and have unit variance: further tolerances (second-order filter: Athans,
+    Wishner & Bertolini 1968).
 
     Returns:
         Mean, shape (n_samples, n_channels); slopes, shape (n_samples, n_channels, n_slopes).

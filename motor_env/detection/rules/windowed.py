@@ -1,17 +1,191 @@
-"""Rules that look back over a window: summed NIS, and the generalised likelihood ratio with a scanned onset."""
+"""Rules over a window: hits of the NIS, its sum, and the generalised likelihood ratio with a scanned onset."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from motor_env.common.arrays import instance, numbers, whole
-from motor_env.detection.rules import glr_kernels, kernels
-from motor_env.detection.rules.base import Rule
+from motor_env.detection.rules import kernels
+from motor_env.detection.rules.base import ExactRule, Rule
 from motor_env.detection.rules.cusum import first_channel
+from motor_env.detection.run_length import HitChain, RunLaw
+from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray, require
+
+
+@dataclass(frozen=True, slots=True)
+class MOfN(ExactRule):
+    """Alarm when at least M of the last N samples have a NIS above the threshold.
+
+    The statistic is the M-th largest NIS of the last N (Schwartz 1956). The threshold is exact: chi-square for a hit,
+    Markov chain for the rule (Brook & Evans 1972).
+
+    Attributes:
+        needed: M.
+        among: N.
+    """
+
+    needed: int = 3
+    among: int = 5
+    method: ClassVar[str] = "exact: chi-square and Markov chain of the last hits"
+
+    def __post_init__(self) -> None:
+        checked = HitChain(0.5, self.needed, self.among)
+        object.__setattr__(self, "needed", checked.needed)
+        object.__setattr__(self, "among", checked.among)
+
+    def start(self, n_streams: int) -> FloatArray:
+        """A ring of the last N squares, none so far, and the place of the oldest."""
+        return np.zeros((n_streams, self.among + 1))
+
+    def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
+        """M-th largest of the last N squares."""
+        squares: FloatArray = kernels.square(whitened)
+        return squares if self.among == 1 else kernels.m_of_n(squares, self.needed, state)
+
+    @property
+    def lowest(self) -> tuple[float, float]:
+        """No square is below 0."""
+        return 0.0, 1.0
+
+    def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
+        """By the chain of the last hits, for innovations whose mean has the length `shift`."""
+        if not shift:
+            return HitChain(float(chdtrc(n_channels, max(threshold, 0.0))), self.needed, self.among)
+        from scipy.stats import ncx2  # it takes long to import, and the tail of this law stands nowhere else
+
+        return HitChain(float(ncx2.sf(max(threshold, 0.0), n_channels, shift**2)), self.needed, self.among)
+
+
+def nis_rule() -> MOfN:
+    """Rule that alarms when the NIS of one sample is above a threshold (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4)."""
+    return MOfN(1, 1)
+
+
+def in_a_row(count: int) -> MOfN:
+    """`count` samples in a row with a NIS above the threshold (paper, Figure 1: confirmation; Feller 1968)."""
+    return MOfN(count, count)
+
+
+@njit(cache=True)
+def glr(
+    series: FloatArray,
+    ages: NDArray[np.int64],
+    shape: FloatArray,
+    bonus: FloatArray,
+    two_sided: bool,
+    state: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Largest x|x| + bonus over the ages, or x^2 + bonus; x = sum of shape * sample over the root of that of shape^2.
+
+    Willsky & Jones 1976; the grid of ages: Lai 1995.
+    The state holds the last samples (their running sums for a step: `shape` is empty), then how many it holds and how
+    many there have been. When it is full, all but the last that are needed are dropped.
+    """
+    longest, room = ages[-1], state.shape[1] - 2
+    of_steps = len(shape) == 0
+    energy = np.cumsum(shape * shape)
+    best, total = np.empty(room), np.empty(room)
+    for n in range(series.shape[0]):
+        recent = state[n]
+        stored, n_past = int(recent[room]), int(recent[room + 1])
+        begin = 0
+        while begin < series.shape[1]:
+            if stored == room:
+                base = recent[room - longest - 1] if of_steps else 0.0
+                for i in range(longest + 1):
+                    recent[i] = recent[room - longest - 1 + i] - base
+                stored = longest + 1
+            count = min(series.shape[1] - begin, room - stored)
+            for i in range(count):
+                value = series[n, begin + i]
+                value = 0.0 if np.isnan(value) else value
+                recent[stored + i] = recent[stored + i - 1] + value if of_steps else value
+            best[:count] = -np.inf
+            if of_steps and count == 1:  # in service: the slices of a block would cost more than the sums
+                best[0] = glr_of_one(recent, stored, n_past, ages, bonus, two_sided)
+            else:
+                glr_of_block(
+                    recent, stored, n_past, count, ages, shape, energy, bonus, two_sided, total, best
+                )
+            out[n, begin : begin + count] = best[:count]
+            stored, n_past, begin = stored + count, n_past + count, begin + count
+        recent[room], recent[room + 1] = stored, n_past
+
+
+@njit(cache=True)
+def glr_of_block(
+    recent: FloatArray,
+    stored: int,
+    n_past: int,
+    count: int,
+    ages: NDArray[np.int64],
+    shape: FloatArray,
+    energy: FloatArray,
+    bonus: FloatArray,
+    two_sided: bool,
+    total: FloatArray,
+    best: FloatArray,
+) -> None:
+    """Raise the best statistics of the `count` samples from place `stored` on, age by age."""
+    last = stored + count
+    for j in range(len(ages)):
+        age = ages[j]
+        first = max(0, age - n_past - 1)
+        if first >= count:
+            break
+        if len(shape) == 0:
+            difference(recent[stored + first : last], recent[stored + first - age : last - age], total)
+            weight = 1.0 / age
+        elif energy[age - 1] > 0.0:
+            for i in range(first, count):
+                total[i - first] = np.dot(shape[:age], recent[stored + i + 1 - age : stored + i + 1])
+            weight = 1.0 / energy[age - 1]
+        else:
+            continue
+        raise_best(total, weight, bonus[j], two_sided, best[first:count])
+
+
+@njit(cache=True)
+def glr_of_one(
+    sums: FloatArray, stored: int, n_past: int, ages: NDArray[np.int64], bonus: FloatArray, two_sided: bool
+) -> float:
+    """The statistic of a step after one more sample."""
+    best = -np.inf
+    for j in range(len(ages)):
+        age = ages[j]
+        if age > n_past + 1:
+            break
+        total = sums[stored] - sums[stored - age]
+        value = total * (total if two_sided else abs(total)) * (1.0 / age) + bonus[j]
+        best = value if value > best else best
+    return best
+
+
+# Each a plain loop over contiguous values, so that it vectorises.
+
+
+@njit(cache=True)
+def difference(later: FloatArray, earlier: FloatArray, total: FloatArray) -> None:
+    """Differences of running sums."""
+    for i in range(len(later)):
+        total[i] = later[i] - earlier[i]
+
+
+@njit(cache=True)
+def raise_best(total: FloatArray, weight: float, bonus: float, two_sided: bool, best: FloatArray) -> None:
+    """Raise the best to weighted squares where they are larger; one-sided with the sign of what is squared."""
+    for i in range(len(best)):
+        size = abs(total[i])
+        value, stored = size * (size if two_sided else total[i]) * weight + bonus, best[i]
+        best[i] = value if value > stored else stored
+
 
 _LONGEST = 1_000_000
 _AGE_RATIO = 1.15
@@ -22,8 +196,7 @@ _LEAST_BUFFER = 512  # samples that the GLR holds beside the longest age, so tha
 class WindowedNis(Rule):
     """Sum of the NIS over the last w samples (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4).
 
-    One look at it after w samples or more has the chi-square law with w degrees of freedom a channel; watching it all
-    along does not, and its threshold is simulated.
+    Chi-square at one look, with w degrees of freedom a channel; watched all along, its threshold is simulated.
 
     Attributes:
         window: w.
@@ -49,10 +222,8 @@ class Glr(Rule):
     """Generalised likelihood ratio of a fault of unknown size that began m samples ago, maximised over m and size.
 
     The statistic is the largest of x|x| + 2 ln m over the ages m, x = sum_i s_i r_i / sqrt(sum_i s_i^2), i = 1 .. m
-    samples since the onset, with the fault's signature s: the growth of the whitened innovation after an onset (Willsky
-    & Jones 1976; window-limited on a geometric grid of ages: Lai 1995). Without a signature the fault is a step of the
-    mean. With the term 2 ln m each octave of ages gives about as many false alarms as the next (Dumbgen & Spokoiny
-    2001).
+    samples since the onset, s the fault's signature in the whitened innovation (Willsky & Jones 1976; geometric grid of
+    ages: Lai 1995; the term 2 ln m evens out the ages' false alarms: Dumbgen & Spokoiny 2001).
 
     Attributes:
         shortest: least age of an onset that is scanned, in samples.
@@ -102,7 +273,5 @@ class Glr(Rule):
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
         """Largest value over the ages that fit into the samples so far; minus infinity before there is one."""
         answer, ages = np.empty(whitened.shape[:2]), self.ages
-        glr_kernels.glr(
-            first_channel(whitened), ages, self._shape(), 2.0 * np.log(ages), self.two_sided, state, answer
-        )
+        glr(first_channel(whitened), ages, self._shape(), 2.0 * np.log(ages), self.two_sided, state, answer)
         return answer

@@ -11,7 +11,7 @@ from scipy.signal import dlsim
 
 from motor_env.common.errors import InputError
 from motor_env.common.files import filling, require_ours, write_text
-from motor_env.common.pages.html import render
+from motor_env.common.pages import render
 from motor_env.diagnosis.embedded.arithmetic import (
     LARGEST,
     NOTHING_BITS,

@@ -17,8 +17,8 @@ from motor_env.diagnosis.estimation.terms import NOISES, SHAPES
 from motor_env.diagnosis.estimation.uncertainty import covariance
 from motor_env.diagnosis.readers.noise import PeriodicLine, constant_lines, explainable, periodic_lines
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
+from motor_env.motor.compiled import on_one_thread
 from motor_env.motor.parameters import FloatArray
-from motor_env.motor.threads import on_one_thread
 
 FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's
 UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the inductance"

@@ -20,8 +20,8 @@ from motor_env.diagnosis.estimation.problem import STEP, Problem, Solution, moto
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.estimation.terms import NOISES, terms
 from motor_env.diagnosis.estimation.uncertainty import capped, information_covariance, secants
+from motor_env.motor.compiled import on_one_thread
 from motor_env.motor.parameters import FloatArray
-from motor_env.motor.threads import on_one_thread
 
 LOAD = ("load_constant", "load_walk")
 _MOTOR = ("R", "K", "J", "drag")

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from motor_env.common.errors import InputError, require_extra
-from motor_env.common.processes import end_with_parent
+from motor_env.common.files import end_with_parent
 from motor_env.diagnosis.estimation import parameter_index as places
 from motor_env.diagnosis.estimation.preprocessing import from_recordings
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified

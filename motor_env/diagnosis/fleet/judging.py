@@ -14,8 +14,7 @@ from scipy.special import stdtrit
 
 from motor_env.common.console import ExitStatus, worst
 from motor_env.common.errors import InputError, require_options
-from motor_env.common.pages.html import render
-from motor_env.common.pages.svg import Axis, Chart
+from motor_env.common.pages import Axis, Chart, render
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.fleet.fits import Map
 from motor_env.diagnosis.fleet.initial_fit import Reading

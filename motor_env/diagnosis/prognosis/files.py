@@ -14,8 +14,7 @@ import numpy as np
 
 from motor_env.common.console import printable
 from motor_env.common.errors import InputError, require_several
-from motor_env.common.pages.html import render
-from motor_env.common.pages.svg import Axis, Chart, round_ticks
+from motor_env.common.pages import Axis, Chart, render, round_ticks
 from motor_env.diagnosis.batch import explain_failure
 from motor_env.diagnosis.estimation.starts.start_identification import identify
 from motor_env.diagnosis.prognosis.estimates import (

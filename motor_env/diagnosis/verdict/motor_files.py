@@ -13,8 +13,7 @@ from motor_env.diagnosis.estimation import parameter_index as places
 from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
 from motor_env.diagnosis.estimation.starts.start_prior import hides_inductance
-from motor_env.motor.assumptions import assumptions
-from motor_env.motor.data_sheet import Motor
+from motor_env.motor.data_sheet import Motor, assumptions
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray, MotorParameters
 

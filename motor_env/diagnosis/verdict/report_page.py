@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from motor_env.common.console import printable
-from motor_env.common.pages.html import render
-from motor_env.common.pages.svg import Axis, Chart, round_ticks
+from motor_env.common.pages import Axis, Chart, render, round_ticks
 from motor_env.diagnosis.estimation import parameter_index as places
 from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified

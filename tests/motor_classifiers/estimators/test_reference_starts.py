@@ -23,8 +23,8 @@ from motor_env import MotorParameters, Recipe, Timing, class_probabilities, load
 from motor_env.inference.posterior import prior_from_starts
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.drawing import apply_factors
 from motor_env.simulation.recipes import FaultClass, Spread
+from motor_env.simulation.sampling import apply_factors
 
 BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 

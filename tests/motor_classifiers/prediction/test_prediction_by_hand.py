@@ -28,7 +28,7 @@ from motor_classifiers.wrappers.outside import OUTSIDE
 from motor_env import Channel, FaultKind, Recipe, Recording, Timing, load_recipe, simulate_states
 from motor_env.common.console import ExitStatus
 from motor_env.diagnosis.readers.recording import UnusableError
-from motor_env.inference.features import FEATURE_NAMES
+from motor_env.inference.class_model import FEATURE_NAMES
 from motor_env.motor.faults import SENSOR_KINDS
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass

@@ -22,7 +22,7 @@ from motor_classifiers.scoring.calibration import Reliability
 from motor_classifiers.scoring.metrics import Score
 from motor_classifiers.scoring.score import Results
 from motor_classifiers.scoring.task import class_task
-from motor_env.common.pages.svg import Axis
+from motor_env.common.pages import Axis
 
 
 def shapes(chart: str, tag: str, style: str | None = None) -> list[list[float]]:

@@ -25,7 +25,7 @@ from motor_env import (
     trend,
     watch,
 )
-from motor_env.cli import main, monitors as of_streams, motors, options, verdicts as of_verdicts
+from motor_env.cli import main, motors, options, verdicts as of_streams, verdicts as of_verdicts
 
 # Reaches in: stand-ins are patched in where commands look their work up, and answer in its types.
 from motor_env.diagnosis import identification as identifying

@@ -27,9 +27,9 @@ from motor_env.diagnosis.verdict.verdict_texts import VERDICT_TEXTS
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.named_recipes import RECIPES, changed_recipe
 from motor_env.simulation.recipes import FaultClass
+from motor_env.simulation.sampling import draw, measure_draw
 
 folder = os.environ.get("MOTOR_ENV_RECORDINGS")
 RECORDINGS = Path(folder or "recordings")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR, Channel, MotorParameters, SensorParameters, discretize, joint_filter
-from motor_env.filters.joint import FREE, JointKind, coulomb_unit_n_m, parameter_test_threshold
+from motor_env.filters.adaptive import FREE, JointKind, coulomb_unit_n_m, parameter_test_threshold
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray
 
 # Reaches in: the reference is the Runge-Kutta integrator at ten times its steps, which no public name lets choose.

@@ -21,10 +21,11 @@ from motor_env import (
     simulate,
     simulate_states,
 )
-from motor_env.inference.features import FEATURE_FREE, FEATURE_NAMES, physical_features
+from motor_env.inference.class_model import FEATURE_FREE, FEATURE_NAMES, physical_features
 from motor_env.inference.fit import Prior, fit
-from motor_env.inference.parametrisation import QUANTITIES, Coordinates
 from motor_env.inference.sensitivities import (
+    QUANTITIES,
+    Coordinates,
     NormalEquations,
     Observed,
     common_equations,

@@ -32,10 +32,10 @@ from motor_env.inference.posterior import (
 from motor_env.inference.sensitivities import fitted_residuals
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import FaultClass
 
 # Reaches in: `Draw` is the type of what the public `draw` returns.
-from motor_env.simulation.drawing import Draw
-from motor_env.simulation.recipes import FaultClass
+from motor_env.simulation.sampling import Draw
 
 BENCH_1KHZ = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 ALL_KINDS = (

@@ -21,11 +21,11 @@ from motor_env import FaultKind, Recipe, Timing, class_probabilities, draw, load
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.posterior import class_log_evidence
 from motor_env.motor.parameters import FloatArray
-
-# Reaches in: what a draw measures, and the numbers of each stream behind it, show in no public name.
-from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipes import FACTORS, FaultClass
+
+# Reaches in: what a draw measures, and the numbers of each stream behind it, show in no public name.
+from motor_env.simulation.sampling import measure_draw
 
 BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 FIELD = replace(

@@ -20,8 +20,7 @@ from motor_env import (
     simulate,
     simulate_states,
 )
-from motor_env.inference.posterior import class_log_evidence
-from motor_env.inference.severity import SeverityPosterior
+from motor_env.inference.posterior import SeverityPosterior, class_log_evidence
 from motor_env.motor.faults import BUILT_IN_KINDS, apply_fault
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass

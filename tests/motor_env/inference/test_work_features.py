@@ -10,10 +10,10 @@ from motor_env import FaultKind, draw, load_recipe
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.work_features import work_feature_names, work_features, work_probabilities
 from motor_env.motor.parameters import FloatArray
+from motor_env.simulation.recipes import FACTORS, FaultClass
 
 # Reaches in: `motor_datasets` keeps what is measured, not the draw; these tests compare the two.
-from motor_env.simulation.drawing import measure_draw
-from motor_env.simulation.recipes import FACTORS, FaultClass
+from motor_env.simulation.sampling import measure_draw
 
 OPERATION = load_recipe("operation")
 DRAWN = draw(OPERATION, 5, np.arange(150))

@@ -5,8 +5,7 @@ import pytest
 
 from motor_env import PAPER_MOTOR, Fault, FaultKind, Motor, MotorParameters
 from motor_env.motor import identifiable
-from motor_env.motor.assumptions import assumptions, usable_parameters
-from motor_env.motor.data_sheet import Tolerance
+from motor_env.motor.data_sheet import Tolerance, assumptions, usable_parameters
 from motor_env.motor.faults import apply_fault, motor_kinds
 from motor_env.motor.parameters import FloatArray
 

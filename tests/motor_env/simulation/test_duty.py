@@ -11,10 +11,9 @@ from scipy.integrate import solve_ivp
 
 from motor_env import Channel, SensorParameters, Timing, draw
 from motor_env.motor.faults import apply_faults
-from motor_env.simulation.drawing import Draw, measure_draw
-from motor_env.simulation.duty import N_UNIFORMS, PROFILES, Duty
-from motor_env.simulation.named_recipes import named_recipe
-from motor_env.simulation.recipe_files import recipe_to_dict
+from motor_env.simulation.disturbances import N_UNIFORMS, PROFILES, Duty
+from motor_env.simulation.named_recipes import named_recipe, recipe_to_dict
+from motor_env.simulation.sampling import Draw, measure_draw
 
 OPERATION = named_recipe("operation")
 SILENT = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.0, 0.0)

@@ -24,9 +24,9 @@ from motor_env.envs.setup import make_setup
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import SENSOR_KINDS, apply_fault
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.drawing import draw, measure_draw
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.recipes import FaultClass
+from motor_env.simulation.sampling import draw, measure_draw
 
 SENSOR = SensorParameters(("current", "speed"), 0.02, 1.0)  # type: ignore[arg-type]  # names do as well
 TIMING = Timing(5_000.0, 0.1, 0.02)

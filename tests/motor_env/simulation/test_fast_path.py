@@ -19,11 +19,11 @@ from motor_env import (
     simulate,
 )
 from motor_env.motor.parameters import FloatArray
-from motor_env.simulation.drawing import measure_draw
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.named_recipes import RECIPES
 from motor_env.simulation.nonlinear import Effects, Sampling, integrate, substeps
 from motor_env.simulation.random_streams import Stream, uniforms
+from motor_env.simulation.sampling import measure_draw
 from motor_env.simulation.sensor import SensorChain
 
 BOTH = SensorParameters(channels=(Channel.SPEED, Channel.CURRENT))

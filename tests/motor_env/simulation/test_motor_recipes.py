@@ -9,8 +9,8 @@ import pytest
 from motor_env import PAPER_MOTOR, InputError, Motor, Timing, draw, load_motor
 from motor_env.motor.data_sheet import Tolerance, save_motor
 from motor_env.motor.healthy import Healthy, Starts, Windows
-from motor_env.simulation.drawing import measure_draw
-from motor_env.simulation.motor_recipes import motor_recipe, settling_timing
+from motor_env.simulation.named_recipes import motor_recipe, settling_timing
+from motor_env.simulation.sampling import measure_draw
 
 SHEET = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
 STARTS = Starts(

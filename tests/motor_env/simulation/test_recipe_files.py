@@ -6,8 +6,7 @@ import pytest
 from hostile import refused
 
 from motor_env import Channel, FaultKind, load_recipe
-from motor_env.simulation.named_recipes import RECIPES
-from motor_env.simulation.recipe_files import recipe_from_dict, recipe_to_dict
+from motor_env.simulation.named_recipes import RECIPES, recipe_from_dict, recipe_to_dict
 
 EXAMPLE = """
 base = "bench"

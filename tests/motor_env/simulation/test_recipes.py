@@ -12,11 +12,10 @@ from motor_env import PAPER_MOTOR, FaultKind, Recipe, SensorParameters, Timing, 
 from motor_env.motor.faults import apply_faults
 from motor_env.simulation import recipes
 from motor_env.simulation.disturbances import PER_MOTOR, PRIORS, Field
-from motor_env.simulation.drawing import apply_factors, measure_draw
-from motor_env.simulation.named_recipes import RECIPES, changed_recipe, named_recipe
+from motor_env.simulation.named_recipes import RECIPES, changed_recipe, named_recipe, recipe_to_dict
 from motor_env.simulation.random_streams import Stream, normals, uniforms
-from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import FACTORS, FaultClass, Shift, Spread
+from motor_env.simulation.sampling import apply_factors, measure_draw
 from motor_env.simulation.simulate import MOST_SAMPLES
 
 

@@ -10,9 +10,8 @@ from hostile import refused, refused_or_same
 from strange_toml import MOTORS, PARAMETERS, RECIPES, strange
 
 from motor_env import Recipe, draw, load_motor, load_recipe
-from motor_env.simulation.drawing import measure_draw
-from motor_env.simulation.motor_recipes import motor_recipe
-from motor_env.simulation.named_recipes import changed_recipe
+from motor_env.simulation.named_recipes import changed_recipe, motor_recipe
+from motor_env.simulation.sampling import measure_draw
 
 N_MUTATIONS = 300
 N_QUICK = 40

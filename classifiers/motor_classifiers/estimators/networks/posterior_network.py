@@ -33,7 +33,7 @@ from motor_classifiers.estimators.networks.training import Batch, Loss, OnStep, 
 from motor_classifiers.estimators.reference_starts import split_starts
 from motor_classifiers.estimators.state import Arrays, State, module_arrays, part_of, plain_parameters
 from motor_datasets.arrays import Dataset
-from motor_env.inference.severity import SeverityPrior
+from motor_env.inference.posterior import SeverityPrior
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import torch
 
-from motor_env.inference.severity import SeverityPrior
+from motor_env.inference.posterior import SeverityPrior
 from motor_env.motor.faults import FaultKind
 from motor_env.simulation.recipes import FaultClass, Recipe
 

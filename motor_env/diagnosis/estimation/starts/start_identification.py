@@ -24,8 +24,8 @@ from motor_env.diagnosis.estimation.uncertainty import (
 from motor_env.diagnosis.readers.noise import constant_lines
 from motor_env.diagnosis.readers.start import Start
 from motor_env.motor import identifiable as quantities
+from motor_env.motor.compiled import on_one_thread
 from motor_env.motor.parameters import FloatArray, MotorParameters
-from motor_env.motor.threads import on_one_thread
 
 _WILD_SPREADS = 10.0
 _USUAL_LAG = 0.03  # L/R over the mechanical time constant, where brushed motors have 0.01 to 0.1

@@ -1,8 +1,6 @@
 """What failed sensors make of readings: the motor is as it was, and something else is recorded.
 
-What stands between the motor and the converter acts before the noise: a sensor that shows a share of the quantity, all
-of it too large, off by a constant, or reversed. What the converter and the recorder do acts after it: readings that
-stop at the end of a range, or stay what they were.
+Dead, scaled, offset and reversed sensors act before the noise; clipped and stuck readings after it.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 import pytest
 
-from motor_env.common.pages.svg import Axis, Chart, percent, round_ticks
+from motor_env.common.pages import Axis, Chart, percent, round_ticks
 
 
 def test_places_on_plain_logarithmic_and_reversed_axes() -> None:

@@ -16,15 +16,13 @@ from motor_env.motor.parameters import (
     MotorParameters,
     SupplyParameters,
 )
-from motor_env.simulation.disturbances import PER_MOTOR
-from motor_env.simulation.driven import Driving
-from motor_env.simulation.duty import N_UNIFORMS
-from motor_env.simulation.failed_sensors import SWAPPED
+from motor_env.simulation.disturbances import N_UNIFORMS, PER_MOTOR
 from motor_env.simulation.fast_path import measure
-from motor_env.simulation.nonlinear import Effects
+from motor_env.simulation.nonlinear import Driving, Effects
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe
 from motor_env.simulation.sensor import SensorChain
+from motor_env.simulation.sensor_faults import SWAPPED
 from motor_env.simulation.simulate import LARGEST_SEED, Scenario, case_numbers
 
 
@@ -57,10 +55,7 @@ class Draw(NamedTuple):
 def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
     """Draw motors and faults of a recipe. Case n depends on (recipe, seed, n) alone.
 
-    Args:
-        recipe: what to draw from.
-        seed: the random seed.
-        cases: case numbers, shape (n_cases,).
+    `cases` are numbers, shape (n_cases,).
     """
     instance("recipe", recipe, Recipe)
     seed, numbers = whole("seed", seed, most=LARGEST_SEED), case_numbers(cases)
@@ -109,11 +104,12 @@ def _draw_severities(
     recipe: Recipe, seed: int, class_index: NDArray[np.int64], motor_id: NDArray[np.int64]
 ) -> dict[FaultKind, FloatArray]:
     """Severity of each fault kind that the recipe has, shape (n_cases,); one draw a motor where it is continuous."""
-    others = [kind for kind in recipe.kinds if kind not in BUILT_IN_KINDS]
+    kinds = recipe.kinds
+    others = [kind for kind in kinds if kind not in BUILT_IN_KINDS]
     columns = [*BUILT_IN_KINDS, *others]  # a case depends on its recipe, not on what else is registered
     u = uniforms(seed, Stream.SEVERITY, motor_id, len(columns))
     severities: dict[FaultKind, FloatArray] = {}
-    for kind in recipe.kinds:
+    for kind in kinds:
         low, high = np.array(
             [
                 next(((p.severity, p.largest_severity) for p in c.parts if p.kind == kind), (0.0, 0.0))
@@ -139,10 +135,7 @@ def surroundings(
 ) -> tuple[Effects, SensorChain]:
     """Effects and sensor of cases in the field.
 
-    Args:
-        recipe: one with a table `field`.
-        values: of the recipe's priors in their order, shape (n_cases, n_priors).
-        severities: of the faults, each of shape (n_cases,).
+    `values` are of the recipe's priors, shape (n_cases, n_priors).
     """
     field = recipe.field
     if field is None:
@@ -206,8 +199,7 @@ def measure_draw(
 ) -> NDArray[np.float32]:
     """Readings of drawn cases, float32, shape (n_cases, n_channels, n_samples).
 
-    Where columns are swapped, the first channel is that of a healthy motor of the same recipe: of the case of the same
-    number under the next seed.
+    Where columns are swapped, the first channel is that of a healthy case of the same number under the next seed.
     """
     faults = drawn.scenario.faults
     out = measure(
