@@ -26,6 +26,7 @@ Observation = NDArray[np.float32]
 Info = dict[str, Any]
 EVERYWHERE = np.ones(1, dtype=np.bool_)
 RENDER_MODES = ("rgb_array", "human")
+DOUBLE, LONG = np.dtype(np.float64), np.dtype(np.int64)
 
 
 def observation_space(setup: Setup) -> spaces.Space[Observation]:
@@ -255,13 +256,15 @@ def whole_action(action: Any, count: int) -> int:
     Raises:
         ValueError: there is no such action.
     """
+    if type(action) is int and 0 <= action < count:
+        return action
     try:
-        which = operator.index(action)
+        number = -1 if type(action) in _NO_INDICES else operator.index(action)
     except TypeError:  # 1.9 and "1" are not 1
-        which = -1
-    if not 0 <= which < count or type(action) in _NO_INDICES:
+        number = -1
+    if not 0 <= number < count:
         return whole("action", action, most=count - 1)  # has the sentence
-    return which
+    return number
 
 
 _NO_INDICES = (bool, MaskedArray)  # though Python takes them for such
@@ -281,12 +284,12 @@ def whole_actions(actions: Any, num_envs: int, count: int) -> NDArray[np.int64]:
             raise ValueError(f"{wanted}: {error}") from None
     if actions.shape != (num_envs,):
         raise ValueError(f"{wanted}, got shape {actions.shape}")
-    return readable(actions, np.int64)
+    return readable(actions, LONG)
 
 
-def readable(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
+def readable(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
     """The array as a compiled step reads it; for one that is read-only or lies askew it would be compiled anew."""
-    return array if array.dtype == dtype and array.flags.carray else np.array(array, dtype=dtype, order="C")
+    return array if array.dtype == dtype and array.flags.carray else array.astype(dtype, order="C")
 
 
 def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
@@ -295,16 +298,23 @@ def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
     Raises:
         ValueError: it has another shape, or a number that is not finite.
     """
-    wanted = f"action must be finite and have shape {shape}"
-    if type(action) is not np.ndarray or action.dtype.kind not in "iuf":
-        try:
-            action = numbers("action", action)
-        except ValueError as error:
-            raise ValueError(f"{wanted}: {error}") from None
-    if action.shape != shape:
-        raise ValueError(f"{wanted}, got shape {action.shape}")
-    given: FloatArray = readable(action, np.float64)
+    if type(action) is not np.ndarray or action.shape != shape or action.dtype.kind not in "iuf":
+        action = _as_numbers(action, shape)
+    checked: FloatArray = readable(action, DOUBLE)
     # numpy takes a microsecond for what a single environment's few numbers need
-    if not (all(map(math.isfinite, given.tolist())) if given.ndim == 1 else np.isfinite(given).all()):
-        raise ValueError(f"{wanted}, got {given[~np.isfinite(given)][0]:g} in it")
-    return given
+    if not (all(map(math.isfinite, checked.tolist())) if checked.ndim == 1 else np.isfinite(checked).all()):
+        entry = checked[~np.isfinite(checked)][0]
+        raise ValueError(f"action must be finite and have shape {shape}, got {entry:g} in it")
+    return checked
+
+
+def _as_numbers(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
+    """The action as an array of that shape, or the sentence about it."""
+    wanted = f"action must be finite and have shape {shape}"
+    try:
+        array = numbers("action", action)
+    except ValueError as error:
+        raise ValueError(f"{wanted}: {error}") from None
+    if array.shape != shape:
+        raise ValueError(f"{wanted}, got shape {array.shape}")
+    return array

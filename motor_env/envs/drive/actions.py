@@ -15,14 +15,17 @@ from motor_env.motor.parameters import FloatArray
 RUN, LIMP, STOP = -1.0, 0.25, 1.0
 """Second entry of a command, whose first is the voltage in units of its limit."""
 DECISIONS = np.array([RUN, LIMP, STOP])
-_WIDTH = {Control.VOLTAGE_AND_DECISION: 2, Control.VOLTAGE_LIMP_STOP: 3}
+
+
+def _width(control: Control) -> int:
+    return 2 if control is Control.VOLTAGE_AND_DECISION else 3
 
 
 def action_space(control: Control) -> spaces.Space[Any]:
     """Actions of one sub-environment."""
     if control is Control.DECISION:
         return spaces.Discrete(len(DECISIONS))
-    return spaces.Box(-1.0, 1.0, (_WIDTH[control],), dtype=np.float32)
+    return spaces.Box(-1.0, 1.0, (_width(control),), dtype=np.float32)
 
 
 def command(control: Control, action: Any) -> FloatArray:
@@ -33,7 +36,10 @@ def command(control: Control, action: Any) -> FloatArray:
     """
     if control is Control.DECISION:
         return _decided(np.array([whole_action(action, len(DECISIONS))]))
-    return _from_numbers(finite_action(action, (_WIDTH[control],))[None])
+    shape = (
+        (2,) if control is Control.VOLTAGE_AND_DECISION else (3,)
+    )  # `_width` would cost a hundredth of a step
+    return _from_numbers(finite_action(action, shape)[None])
 
 
 def commands(control: Control, actions: Any, count: int) -> FloatArray:
@@ -49,7 +55,7 @@ def commands(control: Control, actions: Any, count: int) -> FloatArray:
                 f"actions must be in 0 .. {len(DECISIONS) - 1}, got {whole.min()} .. {whole.max()}"
             )
         return _decided(whole)
-    return _from_numbers(finite_action(actions, (count, _WIDTH[control])))
+    return _from_numbers(finite_action(actions, (count, _width(control))))
 
 
 def as_actions(control: Control, given: FloatArray) -> NDArray[Any]:
