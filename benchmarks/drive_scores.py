@@ -18,8 +18,8 @@ from planned_drive import PlannedDrive
 from tables import keep_table
 
 from motor_env.envs import DriveVectorEnv, Lqg, parts_of, returns_of
-from motor_env.envs.baselines.evaluation import interval
-from motor_env.envs.baselines.policies import Player
+from motor_env.envs.policies.evaluation import interval
+from motor_env.envs.policies.rule_policies import Player
 from motor_env.motor.parameters import FloatArray
 
 LEVELS = 8

@@ -15,8 +15,8 @@ from maintain_bounds import clairvoyant_value, maintenance_bound
 from tables import keep_table
 
 from motor_env.envs import MaintainOptions, MaintainVectorEnv, PlannedUpkeep, ReplaceFrom
-from motor_env.envs.baselines.evaluation import interval, returns_of
-from motor_env.envs.baselines.policies import Policy
+from motor_env.envs.policies.evaluation import interval, returns_of
+from motor_env.envs.policies.rule_policies import Policy
 
 TASKS = {"Maintain-v0": MaintainOptions(), "MaintainUnknownRate-v0": MaintainOptions(rate_spread=0.5)}
 TUNED = {

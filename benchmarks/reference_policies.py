@@ -32,7 +32,7 @@ from motor_env.envs import (
     WorthTest,
     baseline_features,
 )
-from motor_env.envs.baselines.policies import Player
+from motor_env.envs.policies.rule_policies import Player
 
 Make = Callable[[Any], Player]
 """A policy from its vector environment."""

@@ -27,9 +27,9 @@ from cyclopts import run
 from numpy.typing import NDArray
 from reference_policies import REFERENCES
 
-from motor_env.envs.baselines.evaluation import interval, returns_of
-from motor_env.envs.baselines.policies import Player
 from motor_env.envs.offline.behaviours import Uniform
+from motor_env.envs.policies.evaluation import interval, returns_of
+from motor_env.envs.policies.rule_policies import Player
 from motor_env.motor.parameters import FloatArray
 
 RESULTS = Path(__file__).resolve().parent / "results" / "reference"

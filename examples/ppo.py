@@ -35,7 +35,7 @@ from motor_env.envs import (
     WorthTest,
     run_episodes,
 )
-from motor_env.envs.baselines.evaluation import interval, joined
+from motor_env.envs.policies.evaluation import interval, joined
 from motor_env.envs.vector import MotorVectorEnv
 
 OBSERVED = ("innovation_current", "voltage")

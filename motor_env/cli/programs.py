@@ -99,7 +99,7 @@ def offline(
     """
     require_extra("minari", "minari")  # before anything is compiled
     from motor_env.envs.offline.behaviours import Behaviour
-    from motor_env.envs.offline.recording import record
+    from motor_env.envs.offline_data import record
 
     with console.working("recording episodes"):
         name = record(task, Behaviour(behaviour), out, episodes=episodes, seed=seed)

@@ -10,9 +10,9 @@ import numpy as np
 from gymnasium import spaces
 
 from motor_env.envs import stepping
-from motor_env.envs.base import Info, MotorEnv, Observation, finite_action
 from motor_env.envs.options import LARGEST_REWARD, LARGEST_V, MonitorOptions
 from motor_env.envs.setup import Setup
+from motor_env.envs.single import Info, MotorEnv, Observation, finite_action
 from motor_env.envs.vector import MotorVectorEnv
 from motor_env.motor.parameters import require, require_positive
 from motor_env.simulation.recipes import Recipe

@@ -8,8 +8,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from motor_env.envs.base import finite_action, whole_action, whole_actions
 from motor_env.envs.drive.options import Control
+from motor_env.envs.single import finite_action, whole_action, whole_actions
 from motor_env.motor.parameters import FloatArray
 
 RUN, LIMP, STOP = -1.0, 0.25, 1.0

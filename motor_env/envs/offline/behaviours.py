@@ -12,11 +12,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from motor_env.detection.rules import Cusum
-from motor_env.envs.baselines.policies import Observations, Player, RulePolicy, baseline_features
-from motor_env.envs.baselines.posterior_policies import BayesPolicy
-from motor_env.envs.baselines.probing import Bursts, OnDemand, OpenLoop, WorthTest
-from motor_env.envs.drive.policies import Lqg
-from motor_env.envs.maintain.policies import PlannedUpkeep, ReplaceFrom
+from motor_env.envs.drive.lqg import Lqg
+from motor_env.envs.maintain.replacement import PlannedUpkeep, ReplaceFrom
+from motor_env.envs.policies.posterior_policies import BayesPolicy
+from motor_env.envs.policies.probing import Bursts, OnDemand, OpenLoop, WorthTest
+from motor_env.envs.policies.rule_policies import Observations, Player, RulePolicy, baseline_features
 
 
 class Behaviour(StrEnum):

@@ -34,11 +34,11 @@ from motor_env.envs import (
     score,
     sweep,
 )
-from motor_env.envs.baselines.belief import final_worth, worth
-from motor_env.envs.baselines.evaluation import Runs, interval, joined
-from motor_env.envs.baselines.policies import ThresholdPolicy, column
-from motor_env.envs.baselines.posterior_policies import signatures
-from motor_env.envs.baselines.probing import Bursts, OpenLoop
+from motor_env.envs.policies.evaluation import Runs, interval, joined
+from motor_env.envs.policies.fault_posterior import final_worth, worth
+from motor_env.envs.policies.posterior_policies import signatures
+from motor_env.envs.policies.probing import Bursts, OpenLoop
+from motor_env.envs.policies.rule_policies import ThresholdPolicy, column
 from motor_env.envs.setup import converged_gain, make_setup
 from motor_env.envs.tasks import EASY, HARD, MEDIUM, SMALL
 from motor_env.motor.faults import apply_faults

@@ -24,7 +24,7 @@ from motor_env.envs import (
 from motor_env.envs.maintain import kernel, picture
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, make_tables
 from motor_env.envs.maintain.picture import Logbook
-from motor_env.envs.maintain.policies import _STDS as STDS  # the grid of the plan, filled by hand
+from motor_env.envs.maintain.replacement import _STDS as STDS  # the grid of the plan, filled by hand
 
 SPREAD = MaintainOptions(rate_spread=0.5)
 

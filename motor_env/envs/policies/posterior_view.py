@@ -9,8 +9,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorWrapper
 from numpy.typing import NDArray
 
-from motor_env.envs.baselines.belief import ProbeBelief
-from motor_env.envs.baselines.policies import Actions, Observations, Policy
+from motor_env.envs.policies.fault_posterior import ProbeBelief
+from motor_env.envs.policies.rule_policies import Actions, Observations, Policy
 from motor_env.envs.vector import MotorVectorEnv, Step
 from motor_env.motor.parameters import require
 

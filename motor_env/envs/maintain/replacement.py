@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.baselines.policies import Actions, Observations, Policy
 from motor_env.envs.maintain.kernel import FEATURES, INSPECT, REPLACE, RUN
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
+from motor_env.envs.policies.rule_policies import Actions, Observations, Policy
 from motor_env.motor.parameters import FloatArray
 
 _STDS = np.array(

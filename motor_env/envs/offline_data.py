@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from motor_env.common.errors import InputError, require_extra
 from motor_env.common.files import filling
-from motor_env.envs.baselines.policies import Player
 from motor_env.envs.offline.behaviours import TASKS, Behaviour, Uniform
+from motor_env.envs.policies.rule_policies import Player
 from motor_env.motor.parameters import FloatArray
 
 _AT_ONCE = 100

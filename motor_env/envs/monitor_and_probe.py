@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from motor_env.envs.base import MotorEnv
+from motor_env.envs.single import MotorEnv
 from motor_env.envs.vector import MotorVectorEnv
 
 

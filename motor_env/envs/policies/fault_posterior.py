@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel
-from motor_env.envs.baselines.hypotheses import (
+from motor_env.envs.options import MonitorOptions
+from motor_env.envs.policies.hypotheses import (
     N_HYPOTHESIS,
     StepModel,
     kind_matrix,
     known_faults,
     step_models,
 )
-from motor_env.envs.baselines.policies import Actions, Observations, column
-from motor_env.envs.options import MonitorOptions
+from motor_env.envs.policies.rule_policies import Actions, Observations, column
 from motor_env.envs.setup import INNOVATION_BOUND, Setup
 from motor_env.motor.compiled import njit
 from motor_env.motor.parameters import FloatArray

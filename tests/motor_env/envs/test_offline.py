@@ -10,7 +10,7 @@ import pytest
 
 from motor_env.cli import main
 from motor_env.envs.offline.behaviours import TASKS, Behaviour
-from motor_env.envs.offline.recording import episodes_of
+from motor_env.envs.offline_data import episodes_of
 
 minari = pytest.importorskip("minari", reason="data sets for learning offline need the extra minari")
 

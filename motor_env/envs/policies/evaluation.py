@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.base import Info
-from motor_env.envs.baselines.policies import Actions, Player, Policy, ThresholdPolicy
 from motor_env.envs.layout import BoolArray
+from motor_env.envs.policies.rule_policies import Actions, Player, Policy, ThresholdPolicy
+from motor_env.envs.single import Info
 from motor_env.envs.vector import MotorVectorEnv, StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 

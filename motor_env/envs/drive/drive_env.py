@@ -10,15 +10,15 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from motor_env.envs import rendering
-from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv
 from motor_env.envs.drive import kernel
 from motor_env.envs.drive.actions import action_space, command, commands
 from motor_env.envs.drive.drawing import BEARING
+from motor_env.envs.drive.drive_setup import DriveSetup, make_setup
 from motor_env.envs.drive.lanes import PARTS, empty_lanes
 from motor_env.envs.drive.options import LABELS, DriveOptions
-from motor_env.envs.drive.setup import DriveSetup, make_setup
 from motor_env.envs.layout import FAULT_ACTIVE, BoolArray
 from motor_env.envs.rendering import GRID, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Frame, write, write_figures
+from motor_env.envs.single import EVERYWHERE, Info, Observation, StreamEnv
 from motor_env.envs.vector import StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 

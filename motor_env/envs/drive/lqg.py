@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from motor_env.envs.baselines.policies import Observations
 from motor_env.envs.drive.actions import LIMP, RUN, STOP, as_actions
+from motor_env.envs.drive.drive_setup import DriveSetup, drive_filter, faulty, speed_feedback
 from motor_env.envs.drive.options import LABELS, DriveOptions
-from motor_env.envs.drive.setup import DriveSetup, drive_filter, faulty, speed_feedback
+from motor_env.envs.policies.rule_policies import Observations
 from motor_env.envs.setup import converged_gain
 from motor_env.motor.model import Input, discretize, load_torque
 from motor_env.motor.parameters import FloatArray, MotorParameters

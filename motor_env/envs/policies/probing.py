@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.baselines.belief import ProbeBelief, final_worth
-from motor_env.envs.baselines.policies import Actions, Observations, ThresholdPolicy, declarations
+from motor_env.envs.policies.fault_posterior import ProbeBelief, final_worth
+from motor_env.envs.policies.rule_policies import Actions, Observations, ThresholdPolicy, declarations
 from motor_env.envs.setup import Setup
 from motor_env.motor.parameters import FloatArray, require
 

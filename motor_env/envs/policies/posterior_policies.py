@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.envs.baselines.belief import final_worth, onset_law
-from motor_env.envs.baselines.hypotheses import kind_matrix, known_faults
-from motor_env.envs.baselines.policies import Actions, Observations, ThresholdPolicy, column, declarations
+from motor_env.envs.policies.fault_posterior import final_worth, onset_law
+from motor_env.envs.policies.hypotheses import kind_matrix, known_faults
+from motor_env.envs.policies.rule_policies import Actions, Observations, ThresholdPolicy, column, declarations
 from motor_env.envs.setup import Setup
 from motor_env.motor.compiled import njit
 from motor_env.motor.faults import apply_faults
