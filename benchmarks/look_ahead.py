@@ -7,8 +7,8 @@ from looks import LOG_ODDS
 from pairs import PLACES, Pair
 from scipy.ndimage import map_coordinates
 
-from motor_env.envs.policies.hypotheses import kind_matrix, known_faults
-from motor_env.envs.policies.probing import Probing, WorthTest, winding_of
+from motor_env.envs.policies.fault_posterior import kind_matrix, known_faults
+from motor_env.envs.policies.posterior_policies import Probing, WorthTest, winding_of
 from motor_env.envs.policies.rule_policies import Actions
 from motor_env.motor.parameters import FloatArray
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from motor_env.envs import Lqg
-from motor_env.envs.drive.actions import LIMP, RUN, STOP, as_actions
+from motor_env.envs.drive.drive_env import LIMP, RUN, STOP, as_actions
 from motor_env.envs.drive.drive_setup import DriveSetup
 from motor_env.envs.drive.lqg import LEAST, named
 from motor_env.envs.policies.rule_policies import Observations

@@ -27,7 +27,7 @@ from cyclopts import run
 from numpy.typing import NDArray
 from reference_policies import REFERENCES
 
-from motor_env.envs.offline.behaviours import Uniform
+from motor_env.envs.offline_data import Uniform
 from motor_env.envs.policies.evaluation import interval, returns_of
 from motor_env.envs.policies.rule_policies import Player
 from motor_env.motor.parameters import FloatArray

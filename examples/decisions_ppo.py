@@ -32,7 +32,7 @@ from motor_env.envs import (
     ReplaceFrom,
     returns_of,
 )
-from motor_env.envs.drive.actions import LIMP, RUN, STOP
+from motor_env.envs.drive.drive_env import LIMP, RUN, STOP
 from motor_env.envs.policies.evaluation import interval
 
 HOLD, MEMORY = 10, 0.9  # steps between two decisions of a drive; what is left of the mean after these

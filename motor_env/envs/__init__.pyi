@@ -26,6 +26,11 @@ from .maintain.replacement import (
 from .monitor_and_probe import (
     MonitorEnv as MonitorEnv,
     MonitorVectorEnv as MonitorVectorEnv,
+    ProbeContinuousEnv as ProbeContinuousEnv,
+    ProbeContinuousVectorEnv as ProbeContinuousVectorEnv,
+    ProbeEnv as ProbeEnv,
+    ProbeOptions as ProbeOptions,
+    ProbeVectorEnv as ProbeVectorEnv,
 )
 from .options import (
     MonitorOptions as MonitorOptions,
@@ -42,13 +47,9 @@ from .policies.fault_posterior import (
 )
 from .policies.posterior_policies import (
     BayesPolicy as BayesPolicy,
-)
-from .policies.posterior_view import (
+    OnDemand as OnDemand,
     PosteriorView as PosteriorView,
     Summarised as Summarised,
-)
-from .policies.probing import (
-    OnDemand as OnDemand,
     WorthTest as WorthTest,
 )
 from .policies.rule_policies import (
@@ -58,11 +59,4 @@ from .policies.rule_policies import (
     Random as Random,
     RulePolicy as RulePolicy,
     baseline_features as baseline_features,
-)
-from .probe import (
-    ProbeContinuousEnv as ProbeContinuousEnv,
-    ProbeContinuousVectorEnv as ProbeContinuousVectorEnv,
-    ProbeEnv as ProbeEnv,
-    ProbeOptions as ProbeOptions,
-    ProbeVectorEnv as ProbeVectorEnv,
 )

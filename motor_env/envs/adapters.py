@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from motor_env.common.arrays import shown
 from motor_env.common.errors import require_extra
-from motor_env.envs.policies.posterior_view import PosteriorView
+from motor_env.envs.policies.posterior_policies import PosteriorView
 from motor_env.envs.vector import MotorVectorEnv
 from motor_env.motor.parameters import require
 

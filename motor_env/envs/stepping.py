@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from motor_env.envs import kernel, layout
 from motor_env.envs.compiling import fixed_tuple
-from motor_env.envs.episode_sampling import begin_state, draw_episode, set_motor
+from motor_env.envs.episode_sampling import begin_noise, begin_state, draw_episode, refill, set_motor
 from motor_env.envs.kernel import LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Block, Constants, Model, block_of
 from motor_env.envs.layout import BoolArray, Lanes, TaskNumbers, unpack_task
-from motor_env.envs.noise import begin_noise, refill
 from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import FloatArray
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from motor_env.envs.drive.actions import LIMP, RUN, STOP, as_actions
+from motor_env.envs.drive.drive_env import LIMP, RUN, STOP, as_actions
 from motor_env.envs.drive.drive_setup import DriveSetup, drive_filter, faulty, speed_feedback
 from motor_env.envs.drive.options import LABELS, DriveOptions
 from motor_env.envs.policies.rule_policies import Observations

@@ -9,8 +9,7 @@ from enum import StrEnum
 import numpy as np
 
 from motor_env.common.arrays import shown
-from motor_env.envs.options import settle_choice, settle_numbers
-from motor_env.envs.tasks import described
+from motor_env.envs.options import described, settle_choice, settle_numbers
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import load_torque
 from motor_env.motor.parameters import (

@@ -9,17 +9,243 @@ signatures agree.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any, NamedTuple
 
-from motor_env.envs.policies.fault_posterior import final_worth, onset_law
-from motor_env.envs.policies.hypotheses import kind_matrix, known_faults
-from motor_env.envs.policies.rule_policies import Actions, Observations, ThresholdPolicy, column, declarations
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorWrapper
+from numpy.typing import NDArray
+
+from motor_env.envs.policies.fault_posterior import (
+    ProbeBelief,
+    final_worth,
+    kind_matrix,
+    known_faults,
+    onset_law,
+)
+from motor_env.envs.policies.rule_policies import (
+    Actions,
+    Observations,
+    Policy,
+    ThresholdPolicy,
+    column,
+    declarations,
+)
 from motor_env.envs.setup import Setup
+from motor_env.envs.vector import MotorVectorEnv, Step
 from motor_env.motor.compiled import njit
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.model import State
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.simulate import simulate_states
+
+
+class Bursts(NamedTuple):
+    """An open-loop probe: bursts of steps in which the voltage is moved; times in steps.
+
+    Attributes:
+        start: of the first burst.
+        period: from burst to burst.
+        length: of a burst; at most `period`.
+        half_period: steps before the voltage changes sides; `length` or more: one pulse, always to the same side.
+    """
+
+    start: int
+    period: int
+    length: int
+    half_period: int = 1
+
+    def actions(self, n_steps: int) -> Actions:
+        """The action of every step of an episode, with offsets 1 and 2 as the two sides, 1 first."""
+        require(1 <= self.length <= self.period, f"length must be from 1 to {self.period}, got {self.length}")
+        since = np.arange(n_steps) - self.start
+        within = since % self.period
+        side = (within // self.half_period) % 2
+        moved = (since >= 0) & (within < self.length)
+        return np.where(moved, 1 + side, 0)
+
+
+class WorthTest(ThresholdPolicy):
+    """Declares a kind once the reward that it expects from this, under the posterior, reaches a threshold.
+
+    At the last step whatever is worth more than silence.
+
+    Args:
+        setup: see `ProbeBelief`.
+        threshold: worth of a declaration.
+    """
+
+    def __init__(self, setup: Setup, threshold: float) -> None:
+        self.belief, self.threshold = ProbeBelief(setup), threshold
+        self._declarations = declarations(setup)
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self.belief.start(count)
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """The worth of a declaration, and its kind."""
+        self.belief.watch(observations)
+        return self._statistic()
+
+    def _statistic(self) -> tuple[FloatArray, Actions]:
+        options, belief = self.belief.setup.options, self.belief
+        value = final_worth(options, belief.steps >= options.n_steps - 1, belief.quiet, belief.kinds)
+        return value, self._declarations[belief.kinds.argmax(axis=1)]
+
+
+class Probing(ThresholdPolicy):
+    """Moves the voltage, and leaves the decision to a test."""
+
+    def __init__(self, test: ThresholdPolicy) -> None:
+        self.test, self.threshold = test, test.threshold
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self.test.start(count)
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """What the test says."""
+        return self.test.judge(observations)
+
+
+class OpenLoop(Probing):
+    """A test under voltages that were chosen beforehand.
+
+    Args:
+        test: decides.
+        schedule: action of every step.
+    """
+
+    def __init__(self, test: ThresholdPolicy, schedule: Actions) -> None:
+        super().__init__(test)
+        self._schedule, self._step = schedule, -1
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self._step = -1
+
+    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
+        """What the test says."""
+        self._step += 1
+        return super().judge(observations)
+
+    def probe(self) -> Actions:
+        """The action that is due."""
+        return np.full(self.count, self._schedule[self._step])
+
+
+def winding_of(setup: Setup) -> int:
+    """Number of the kind that a probe looks for."""
+    kinds = setup.kinds
+    require("winding" in kinds, f"a probe needs a recipe with winding faults, got {', '.join(kinds)}")
+    return kinds.index("winding")
+
+
+class OnDemand(Probing):
+    """Moves the voltage while a winding fault is likely enough: on-off control of Banerjee & Veeravalli (2012).
+
+    Each step changes sides. Left alone, the probability of a fault grows with the hazard until it is worth a look.
+
+    Args:
+        test: decides.
+        above: probability of a winding fault from which on the voltage is moved.
+    """
+
+    test: WorthTest
+
+    def __init__(self, test: WorthTest, above: float) -> None:
+        super().__init__(test)
+        self.above, self._winding = above, winding_of(test.belief.setup)
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self._side: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
+
+    def probe(self) -> Actions:
+        """Move where a winding fault is likely enough."""
+        moves = self.test.belief.kinds[:, self._winding] >= self.above
+        actions = np.where(moves, 1 + self._side, 0)
+        self._side = np.where(moves, 1 - self._side, self._side)
+        return actions
+
+
+class PosteriorView(VectorWrapper[Any, Any, Any]):
+    """Vector environment that shows the summary of `ProbeBelief`, and pays the reward that it expects.
+
+    Both follow from what the vector observes and from the actions, so an agent can have them. The expected reward is
+    the true one on average, without the noise of luck; the returns of an episode are not those of the truth.
+
+    Args:
+        envs: a vector of a task that `ProbeBelief` knows, with the autoreset mode SameStep.
+
+    Raises:
+        ValueError: the vector has another autoreset mode, or its task another posterior.
+    """
+
+    def __init__(self, envs: MotorVectorEnv) -> None:
+        require(
+            envs.autoreset_mode is AutoresetMode.SAME_STEP,
+            f"autoreset_mode of the vector must be SameStep, got {envs.autoreset_mode.value}",
+        )
+        super().__init__(envs)
+        self.autoreset_mode, self.belief = envs.autoreset_mode, ProbeBelief(envs.setup)
+        self.belief.start(self.num_envs)
+        shape = self.belief.summary().shape
+        self.observation_space = spaces.Box(-4.0, 4.0, shape, dtype=np.float32)
+        self.single_observation_space = spaces.Box(-4.0, 4.0, shape[1:], dtype=np.float32)
+
+    def reset(self, **given: Any) -> tuple[Observations, dict[str, Any]]:
+        """Begin episodes everywhere."""
+        _, info = self.env.reset(**given)
+        self.belief.start(self.num_envs)
+        return self.belief.summary(), info
+
+    def step(self, actions: Actions) -> Step:
+        """Learn from what followed."""
+        declares = self.belief.setup.declarations[actions] > 0
+        said = self.belief.expected_reward(actions)
+        waited = self.belief.expected_reward(np.where(declares, 0, actions))
+        observations, _, terminated, truncated, info = self.env.step(actions)
+        over = terminated | truncated
+        if over.any():
+            observations = observations.copy()
+            observations[over] = np.stack(info["final_obs"][over])
+        self.belief.update(observations)
+        last = self.belief.summary()
+        self.belief.restart(over)
+        for n in np.flatnonzero(over):
+            info["final_obs"][n] = last[n]
+        summary = self.belief.summary() if over.any() else last
+        return summary, np.where(terminated & declares, said, waited), terminated, truncated, info
+
+
+class Summarised(Policy):
+    """Policy of an environment, from one that was learned in a `PosteriorView` of it.
+
+    Args:
+        belief: of the environment's setup.
+        choose: actions for summaries of shape (count, n_columns).
+    """
+
+    def __init__(self, belief: ProbeBelief, choose: Any) -> None:
+        self.belief, self._choose = belief, choose
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        super().start(count)
+        self.belief.start(count)
+
+    def act(self, observations: Observations) -> Actions:
+        """What is chosen."""
+        self.belief.watch(observations)
+        actions: NDArray[np.int64] = self._choose(self.belief.summary()).astype(np.int64)
+        return actions
+
 
 LONGEST_AGE_S = 20e-3
 LARGEST_EXPONENT = 600.0

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.detection.rules import Rule, RuleStream
+from motor_env.envs.options import task_recipe
 from motor_env.envs.setup import EVIDENCE_SCALE, Setup, bank_kinds
-from motor_env.envs.tasks import task_recipe
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe

@@ -34,13 +34,12 @@ from motor_env.envs import (
     score,
     sweep,
 )
+from motor_env.envs.options import EASY, HARD, MEDIUM, SMALL
 from motor_env.envs.policies.evaluation import Runs, interval, joined
 from motor_env.envs.policies.fault_posterior import final_worth, worth
-from motor_env.envs.policies.posterior_policies import signatures
-from motor_env.envs.policies.probing import Bursts, OpenLoop
+from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop, signatures
 from motor_env.envs.policies.rule_policies import ThresholdPolicy, column
 from motor_env.envs.setup import converged_gain, make_setup
-from motor_env.envs.tasks import EASY, HARD, MEDIUM, SMALL
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass

@@ -39,7 +39,7 @@ from motor_env.envs import (
     baseline_features,
     parts_of,
 )
-from motor_env.envs.policies.probing import Bursts, OpenLoop
+from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop
 
 KEPT = Path(__file__).with_name("env_streams.json")
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))

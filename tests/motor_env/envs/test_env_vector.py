@@ -25,7 +25,7 @@ from motor_env.envs import (
     ProbeVectorEnv,
     kernel,
 )
-from motor_env.envs.tasks import TASKS
+from motor_env.envs.options import TASKS
 from motor_env.motor.faults import BUILT_IN_KINDS, FaultKind, apply_faults
 from motor_env.simulation.recipes import FaultClass
 

@@ -21,9 +21,9 @@ from motor_env.envs import (
     rendering,
     returns_of,
 )
-from motor_env.envs.maintain import kernel, picture
+from motor_env.envs.maintain import kernel, maintain_env
+from motor_env.envs.maintain.maintain_env import Logbook
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, make_tables
-from motor_env.envs.maintain.picture import Logbook
 from motor_env.envs.maintain.replacement import _STDS as STDS  # the grid of the plan, filled by hand
 
 SPREAD = MaintainOptions(rate_spread=0.5)
@@ -225,7 +225,7 @@ def test_the_logbook_stands_where_its_values_are(monkeypatch: pytest.MonkeyPatch
     """Ten days of constant severities: rows of their lines, columns of the deeds, cost."""
     book = Logbook(MaintainOptions(days=10))
     figures: list[Any] = []
-    monkeypatch.setattr(picture, "write_figures", lambda _, text, *__, **___: figures.append(text))
+    monkeypatch.setattr(maintain_env, "write_figures", lambda _, text, *__, **___: figures.append(text))
     row = dict(zip(kernel.FEATURES, (0.6, 0.9, 0.05, 0.04, 1.0, 0.0, 1.0), strict=True))
     deeds = (kernel.RUN, kernel.RUN, kernel.INSPECT, kernel.REPLACE, kernel.REPLACE)
     for day, deed in enumerate(deeds):
