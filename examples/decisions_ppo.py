@@ -29,7 +29,7 @@ from motor_env.envs import (
     MaintainVectorEnv,
     PlannedUpkeep,
     Policy,
-    ReplaceFrom,
+    ThresholdReplacement,
     returns_of,
 )
 from motor_env.envs.drive.drive_env import LIMP, RUN, STOP
@@ -174,7 +174,7 @@ TASKS = {
         2000,
         maintained_returns,
         {
-            "threshold": lambda seed: upkeep_returns(lambda _: ReplaceFrom("risk", 0.01), seed),
+            "threshold": lambda seed: upkeep_returns(lambda _: ThresholdReplacement("risk", 0.01), seed),
             "plan": lambda seed: upkeep_returns(PlannedUpkeep, seed),
         },
     ),

@@ -21,7 +21,7 @@ from .maintain.options import (
 )
 from .maintain.replacement import (
     PlannedUpkeep as PlannedUpkeep,
-    ReplaceFrom as ReplaceFrom,
+    ThresholdReplacement as ThresholdReplacement,
 )
 from .monitor_and_probe import (
     MonitorEnv as MonitorEnv,
@@ -47,10 +47,10 @@ from .policies.fault_posterior import (
 )
 from .policies.posterior_policies import (
     BayesPolicy as BayesPolicy,
-    OnDemand as OnDemand,
+    BeliefPolicy as BeliefPolicy,
+    EventTriggeredProbing as EventTriggeredProbing,
+    ExpectedRewardTest as ExpectedRewardTest,
     PosteriorView as PosteriorView,
-    Summarised as Summarised,
-    WorthTest as WorthTest,
 )
 from .policies.rule_policies import (
     BankPolicy as BankPolicy,

@@ -16,12 +16,16 @@ from numba import types
 from numba.extending import intrinsic
 
 from motor_env.envs import layout
-from motor_env.envs.kernel import LANES, NEVER, ROW_LENGTH, ROWS, Block
 from motor_env.envs.layout import (
     CASE_HIGH,
     CASE_LOW,
+    LANES,
+    NEVER,
+    ROW_LENGTH,
+    ROWS,
     SEED_HIGH,
     SEED_LOW,
+    Block,
     Lanes,
     TaskNumbers,
     WordArray,

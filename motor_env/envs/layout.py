@@ -1,4 +1,4 @@
-"""Lanes and tasks: the arrays that the compiled step reads and writes, beside the fields of the kernel.
+"""Blocks, lanes and tasks: the arrays that the compiled step reads and writes, by name.
 
 A call from Python to compiled code costs 0.1 us an array, and ten times that for a named tuple. So a step is called
 with few arrays, of which `unpack_task` and `Lanes` make the tuples that the compiled functions pass around.
@@ -6,19 +6,205 @@ with few arrays, of which `unpack_task` and `Lanes` make the tuples that the com
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import from_dtype, types
+from numba.core.cgutils import gep_inbounds
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
+from numba.np.numpy_support import as_dtype
 from numpy.typing import NDArray
 
 from motor_env.common.arrays import shown, whole
-from motor_env.envs import kernel
-from motor_env.envs.compiling import record_maker
 from motor_env.motor.compiled import inlined
 from motor_env.motor.parameters import FloatArray, MotorParameters, require
 from motor_env.simulation.random_streams import philox
 from motor_env.simulation.recipes import FACTORS
+
+
+@intrinsic(prefer_literal=True)
+def fixed_tuple(context: Any, array: Any, length: Any) -> Any:
+    """So many numbers of a contiguous array as a tuple, one load each.
+
+    numba's own `to_fixed_tuple` copies the whole tuple for each number: two microseconds for seventy of them.
+    """
+    made = types.UniTuple(array.dtype, length.literal_value)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        numbers = make_array(array)(context, builder, arguments[0]).data
+        values = [builder.load(gep_inbounds(builder, numbers, k)) for k in range(made.count)]
+        return context.make_tuple(builder, made, values)
+
+    return made(array, length), generate
+
+
+def record_maker(type_of: Callable[[np.dtype[Any]], np.dtype[np.void]], length: int) -> Any:
+    """A compiled function (array, number): a record of so many numbers in a contiguous array, which is not copied.
+
+    An array of records would cost 0.1 us a call more than one of numbers.
+
+    Args:
+        type_of: gives the record's type for that of the array.
+        length: of a record, in numbers.
+    """
+
+    @intrinsic
+    def record(context: Any, array: Any, number: Any) -> Any:
+        made = from_dtype(type_of(as_dtype(array.dtype)))
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            numbers = make_array(array)(context, builder, arguments[0]).data
+            first = builder.mul(arguments[1], arguments[1].type(length))
+            return builder.bitcast(gep_inbounds(builder, numbers, first), context.get_value_type(made))
+
+        return made(array, number), generate
+
+    return record
+
+
+LANES = 64
+ROWS = 4
+"""Normals of a lane that are made at a time: those that one counter gives."""
+
+MAX_BANK = 5
+Block = Any
+"""A record of `block_type`."""
+
+_MOTOR = ("m00", "m01", "m10", "m11", "d0", "d1", "b0", "b1", "sigma_current", "sigma_speed")
+"""The motor as it is now, as its difference to the belief's."""
+ROW_LENGTH = len(_MOTOR)
+_STATE = ("current", "speed", "error_current", "error_speed", "carry")
+"""The true one, what the filter's estimate lacks, and what rounding took from the error of the speed."""
+_STATISTICS = ("fast_current", "slow_current", "fast_speed", "slow_speed", "excess")  # running
+_TIMES = ("time", "next_change", "delay", "cost")  # in samples, and what a sample costs
+_MEASURED = ("measured_current", "measured_speed", "estimated_current", "estimated_speed")  # the last sample
+_STEP = ("innovation_current", "innovation_speed", "voltage")  # the last step; the innovation is white
+_EPISODE = ("onset", "level", "kind", "supply")
+_FOR_BANK = ("old_current", "old_speed", "mismatch_0", "mismatch_1", "noise_current", "noise_speed", "power")
+_LOOP = ("drive", "held")  # what a speed loop adds to the voltage, and the speed that it holds
+_FIELDS = (*_MOTOR, *_STATE, *_STATISTICS, *_TIMES, *_MEASURED, *_STEP, *_EPISODE, *_FOR_BANK, *_LOOP)
+_BANK = ("evidence", "bank_current", "bank_speed")
+EVIDENCE = len(_FIELDS)  # its first row
+N_FIELDS = EVIDENCE + len(_BANK) * MAX_BANK
+
+
+@cache
+def block_type(precision: str) -> np.dtype[np.void]:
+    """A block of lanes, whose fields are rows of `LANES` numbers; `rows` are all of them.
+
+    The bank has a row for each of its filters: its evidence, and the errors of its current and speed. With these end
+    the `N_FIELDS` rows that are 0 at the begin of an episode. Then come the normals of the sample (`normal_current`,
+    `normal_speed`), those made ahead (`noise`), and those made last (`latest`).
+    """
+    rows: dict[str, tuple[int, ...]] = dict.fromkeys(
+        (*_FIELDS, *_BANK, "normal_current", "normal_speed"), (LANES,)
+    )
+    rows |= dict.fromkeys(_BANK, (MAX_BANK, LANES)) | dict.fromkeys(("noise", "latest"), (ROWS, LANES))
+    fields: Any = dict(np.dtype([(name, precision, rows[name]) for name in rows]).fields or {})
+    fields["rows"] = np.dtype((precision, (N_FIELDS + 2 + 2 * ROWS, LANES))), 0
+    block: np.dtype[np.void] = np.dtype(fields)
+    return block
+
+
+BLOCK = block_type("float64").itemsize // 8
+"""Numbers of a block."""
+block_of = record_maker(lambda numbers: block_type(numbers.name), BLOCK)
+"""Block of that number in a flat array, by name."""
+
+FIELD, SCALE, BOUND, OFFSET = range(4)  # a row of the observed features
+FEATURE_LENGTH = 4
+NEVER = 2.0**50  # the same in both precisions
+
+
+class Constants(NamedTuple):
+    """The belief, the statistics' memories and the rewards, common to all lanes."""
+
+    f00: float  # transition of the belief, whose rows of the speed hold F - I
+    f01: float
+    f10: float
+    f11: float
+    g0: float  # its gain of the voltage
+    g1: float
+    k00: float  # gain of the filter
+    k01: float
+    k10: float
+    k11: float
+    w00: float  # what whitens the innovation, a lower triangle
+    w10: float
+    w11: float
+    c0: float  # 1 where a sensor reads that state
+    c1: float
+    memory_fast: float  # share of a running statistic that is left after a sample
+    memory_slow: float
+    into_fast: float  # share of a new sample in it
+    into_slow: float
+    into_excess: float
+    n_channels: float
+    horizon: float  # in samples, as `growth`
+    delay_cost: float  # a sample, as the prices of probe and energy
+    correct: float
+    silent: float
+    false_alarm: float
+    wrong_kind: float
+    miss: float
+    rest_voltage: float
+    rest_current: float
+    probe_cost: float
+    energy_cost: float
+    growth: float
+    n_levels: float
+    zero: float  # typed as the state is: a literal would make float64 of float32
+    half: float
+    one: float
+    full: float  # whether the voltage may move, or a bank follows
+    loop_p: float  # gains of the speed loop
+    loop_i: float
+    confirm: float  # how often in a row a kind has to be chosen
+
+
+N_CONSTANTS, FULL = len(Constants._fields), Constants._fields.index("full")
+
+
+class Model(NamedTuple):
+    """A filter of the bank, and its difference to the belief in transition, voltage gain and drift."""
+
+    t00: float  # its transition
+    t01: float
+    t10: float
+    t11: float
+    m00: float  # differences
+    m01: float
+    m10: float
+    m11: float
+    b0: float
+    b1: float
+    d0: float
+    d1: float
+
+
+MODEL_LENGTH = len(Model._fields)
+
+FEATURES = (
+    "measured_current",
+    "measured_speed",
+    "estimated_current",
+    "estimated_speed",
+    "innovation_current",
+    "innovation_speed",
+    "fast_current",
+    "slow_current",
+    "fast_speed",
+    "slow_speed",
+    "excess",
+    "voltage",
+    "time",
+)
+"""What can be observed of every task; then comes the evidence of each filter of the bank."""
+FIELD_OF_FEATURE = (*map(_FIELDS.index, FEATURES), *range(EVIDENCE, EVIDENCE + MAX_BANK))
+
 
 _CACHE_LINE = 64  # bytes
 _SIZES = ("n_classes", "n_observed", "n_levels")
@@ -66,11 +252,11 @@ class TaskNumbers(NamedTuple):
     """What is common to all lanes.
 
     Attributes:
-        constants: shape (kernel.N_CONSTANTS,).
-        bank: models of the other filters, zeros where there is none, shape (kernel.MAX_BANK, kernel.MODEL_LENGTH).
-        features: field, scale, bound and offset of each observed feature, shape (n_observed, kernel.FEATURE_LENGTH).
+        constants: shape (N_CONSTANTS,).
+        bank: models of the other filters, zeros where there is none, shape (MAX_BANK, MODEL_LENGTH).
+        features: field, scale, bound and offset of each observed feature, shape (n_observed, FEATURE_LENGTH).
         motors: where all motors of a class are alike, them at each level of their fault, shape (n_classes, levels + 1,
-            kernel.ROW_LENGTH).
+            ROW_LENGTH).
         prior: a `PRIOR`, float64, shape (N_PRIOR,).
         classes: a `CLASS` each, float64, shape (n_classes, CLASS_LENGTH).
     """
@@ -112,13 +298,13 @@ def unpack_task(numbers: FloatArray, prior: FloatArray) -> TaskNumbers:
     """The task of `pack_task`."""
     p = prior_of(prior, 0)
     n_classes, n_observed, n_motors = int(p.n_classes), int(p.n_observed), int(p.n_levels) + 1
-    bank = kernel.N_CONSTANTS + kernel.MAX_BANK * kernel.MODEL_LENGTH
-    view = bank + n_observed * kernel.FEATURE_LENGTH
+    bank = N_CONSTANTS + MAX_BANK * MODEL_LENGTH
+    view = bank + n_observed * FEATURE_LENGTH
     return TaskNumbers(
-        numbers[: kernel.N_CONSTANTS],
-        numbers[kernel.N_CONSTANTS : bank].reshape((kernel.MAX_BANK, kernel.MODEL_LENGTH)),
-        numbers[bank:view].reshape((n_observed, kernel.FEATURE_LENGTH)),
-        numbers[view:].reshape((n_classes, n_motors, kernel.ROW_LENGTH)),
+        numbers[:N_CONSTANTS],
+        numbers[N_CONSTANTS:bank].reshape((MAX_BANK, MODEL_LENGTH)),
+        numbers[bank:view].reshape((n_observed, FEATURE_LENGTH)),
+        numbers[view:].reshape((n_classes, n_motors, ROW_LENGTH)),
         prior[:N_PRIOR],
         prior[N_PRIOR:].reshape((n_classes, CLASS_LENGTH)),
     )
@@ -201,10 +387,10 @@ def random_uniforms(stream: np.uint32, block: int, words: WordArray, n: int) -> 
 
 def empty_lanes(blocks: int, lanes: int, precision: str) -> Lanes:
     """Lanes that run no episode yet."""
-    state = aligned_zeros((blocks * kernel.BLOCK,), precision)
-    by_name = state.view(kernel.block_type(precision))
-    by_name["onset"] = by_name["next_change"] = kernel.NEVER  # lanes that fill the last block
+    state = aligned_zeros((blocks * BLOCK,), precision)
+    by_name = state.view(block_type(precision))
+    by_name["onset"] = by_name["next_change"] = NEVER  # lanes that fill the last block
     marks = np.zeros((ROW + 1, lanes), dtype=np.int32)
-    marks[ROW] = kernel.ROWS
+    marks[ROW] = ROWS
     words, flags = empty_streams(lanes)
     return Lanes(state, words, marks, flags, np.zeros((lanes, DRAWN_LENGTH)))

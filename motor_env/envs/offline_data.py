@@ -20,8 +20,14 @@ from motor_env.common.errors import InputError, require_extra
 from motor_env.common.files import filling
 from motor_env.detection.rules import Cusum
 from motor_env.envs.drive.lqg import Lqg
-from motor_env.envs.maintain.replacement import PlannedUpkeep, ReplaceFrom
-from motor_env.envs.policies.posterior_policies import BayesPolicy, Bursts, OnDemand, OpenLoop, WorthTest
+from motor_env.envs.maintain.replacement import PlannedUpkeep, ThresholdReplacement
+from motor_env.envs.policies.posterior_policies import (
+    BayesPolicy,
+    Bursts,
+    EventTriggeredProbing,
+    ExpectedRewardTest,
+    OpenLoop,
+)
 from motor_env.envs.policies.rule_policies import Observations, Player, RulePolicy, baseline_features
 from motor_env.motor.parameters import FloatArray
 
@@ -73,7 +79,7 @@ class Task:
 
 
 def _bursts(envs: Any) -> Player:
-    return OpenLoop(WorthTest(envs.setup, 0.93), Bursts(20, 10, 2).actions(envs.options.n_steps))
+    return OpenLoop(ExpectedRewardTest(envs.setup, 0.93), Bursts(20, 10, 2).actions(envs.options.n_steps))
 
 
 TASKS = {
@@ -82,10 +88,12 @@ TASKS = {
         lambda envs: BayesPolicy(envs.setup, 0.9609),
         {"observe": baseline_features("medium")},
     ),
-    "Probe-v0": Task(_bursts, lambda envs: OnDemand(WorthTest(envs.setup, 0.97), 0.08)),
-    "Maintain-v0": Task(lambda envs: ReplaceFrom("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)),
+    "Probe-v0": Task(_bursts, lambda envs: EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.97), 0.08)),
+    "Maintain-v0": Task(
+        lambda envs: ThresholdReplacement("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)
+    ),
     "MaintainUnknownRate-v0": Task(
-        lambda envs: ReplaceFrom("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)
+        lambda envs: ThresholdReplacement("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)
     ),
     "Drive-v0": Task(lambda envs: Lqg(envs.setup), lambda envs: Lqg(envs.setup, levels=4)),
 }

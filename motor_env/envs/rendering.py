@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from motor_env.envs.kernel import MAX_BANK
+from motor_env.envs.layout import MAX_BANK
 from motor_env.envs.setup import Setup, bank_kinds
 from motor_env.motor.parameters import FloatArray
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from motor_env.envs import kernel
+from motor_env.envs import layout
 from motor_env.envs.episode_sampling import make_prior, motor_table
 from motor_env.envs.layout import TaskNumbers
 from motor_env.envs.options import Drive, MonitorOptions, Start
@@ -103,7 +103,7 @@ def make_setup(options: MonitorOptions) -> Setup:
         options.dt_s,
         initial_state=rest if options.start is Start.RUNNING else np.zeros(2),
     )
-    features = (*kernel.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)))
+    features = (*layout.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)))
     unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
     names = [name for name in features if name not in unmeasured]
     for name in options.observe:
@@ -122,7 +122,7 @@ def make_setup(options: MonitorOptions) -> Setup:
             options,
             belief,
             rest,
-            np.vstack([kernel.FIELD_OF_FEATURE[: len(features)], view])[:, chosen].T,
+            np.vstack([layout.FIELD_OF_FEATURE[: len(features)], view])[:, chosen].T,
             right,
         ),
         rest=rest,
@@ -140,11 +140,11 @@ def _numbers(
     options: MonitorOptions, belief: KalmanFilter, rest: FloatArray, view: FloatArray, right: list[int]
 ) -> TaskNumbers:
     bank, constants = make_bank(options, belief.model, rest), _constants(options, belief, float(rest[0]))
-    evidence = np.arange(kernel.EVIDENCE, kernel.EVIDENCE + kernel.MAX_BANK)
-    bank[~np.isin(evidence, view[:, kernel.FIELD])] = 0.0  # what nobody sees need not run
-    constants[kernel.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
+    evidence = np.arange(layout.EVIDENCE, layout.EVIDENCE + layout.MAX_BANK)
+    bank[~np.isin(evidence, view[:, layout.FIELD])] = 0.0  # what nobody sees need not run
+    constants[layout.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
     prior, classes = make_prior(options, belief, rest, right, len(view))
-    motors = np.zeros((len(classes), options.n_levels + 1, kernel.ROW_LENGTH))
+    motors = np.zeros((len(classes), options.n_levels + 1, layout.ROW_LENGTH))
     numbers = TaskNumbers(constants, bank, view, motors, prior, classes)
     return numbers._replace(motors=motor_table(numbers))
 
@@ -168,8 +168,8 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: floa
         *(whitening[0, 0], whitening[1, 0], whitening[1, 1]),
         *(float(channel in channels) for channel in State),
     ]
-    numbers = kernel.Constants(
-        **dict(zip(kernel.Constants._fields, filters, strict=False)),
+    numbers = layout.Constants(
+        **dict(zip(layout.Constants._fields, filters, strict=False)),
         memory_fast=fast,
         memory_slow=slow,
         into_fast=math.sqrt(1.0 - fast**2),
@@ -228,13 +228,13 @@ def _drift(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> F
 
 def bank_kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
     """Kinds of the recipe with a filter of their own: the first few of those that change the motor."""
-    return tuple(kind for kind in recipe.kinds if kind.motor_powers)[: kernel.MAX_BANK]
+    return tuple(kind for kind in recipe.kinds if kind.motor_powers)[: layout.MAX_BANK]
 
 
 def make_bank(options: MonitorOptions, belief: DiscreteModel, rest: FloatArray) -> FloatArray:
     """Models of the other filters, one for each kind that changes the motor: its smallest severity."""
     recipe = options.task
-    rows = np.zeros((kernel.MAX_BANK, kernel.MODEL_LENGTH))
+    rows = np.zeros((layout.MAX_BANK, layout.MODEL_LENGTH))
     for row, kind in zip(rows, bank_kinds(recipe), strict=False):
         smallest = min(c.severity or c.largest_severity for c in recipe.classes if c.kind == kind)
         model = discretize(apply_fault(recipe.motor, Fault(kind, smallest)), options.dt_s)

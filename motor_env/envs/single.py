@@ -13,9 +13,8 @@ from numpy.ma import MaskedArray
 from numpy.typing import NDArray
 
 from motor_env.common.arrays import is_one_of, numbers, shown, whole, wholes
-from motor_env.envs import kernel, layout, stepping
-from motor_env.envs.kernel import ROWS
-from motor_env.envs.layout import WordArray, empty_lanes, pack_task
+from motor_env.envs import layout, stepping
+from motor_env.envs.layout import ROWS, WordArray, empty_lanes, pack_task
 from motor_env.envs.options import MonitorOptions, Options, with_changes
 from motor_env.envs.rendering import Scope, Window
 from motor_env.envs.setup import Setup, make_bank, make_setup
@@ -151,7 +150,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         if self.render_mode is not None:  # the picture shows the evidence of all kinds
             bank = make_bank(options, self.setup.belief.model, self.setup.rest)
             constants = numbers.constants.copy()
-            constants[kernel.FULL] = 1.0
+            constants[layout.FULL] = 1.0
             numbers = numbers._replace(bank=bank, constants=constants)
         lanes = empty_lanes(1, 1, options.precision)
         self._state, self._words, self._marks, _, self._drawn = lanes
@@ -217,8 +216,8 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         return observation, reward, self._over, False, info
 
     def _now(self, field: str) -> Any:
-        """A field of the lane, see `kernel.block_type`."""
-        block = self._state.view(kernel.block_type(self.options.precision))[0]
+        """A field of the lane, see `layout.block_type`."""
+        block = self._state.view(layout.block_type(self.options.precision))[0]
         return block[field][..., 0].tolist()
 
     def _verdict(self, declared: int) -> tuple[str, bool]:

@@ -12,10 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel, layout
-from motor_env.envs.compiling import fixed_tuple
 from motor_env.envs.episode_sampling import begin_noise, begin_state, draw_episode, refill, set_motor
-from motor_env.envs.kernel import LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Block, Constants, Model, block_of
-from motor_env.envs.layout import BoolArray, Lanes, TaskNumbers, unpack_task
+from motor_env.envs.layout import (
+    LANES,
+    MODEL_LENGTH,
+    N_CONSTANTS,
+    ROWS,
+    Block,
+    BoolArray,
+    Constants,
+    Lanes,
+    Model,
+    TaskNumbers,
+    block_of,
+    fixed_tuple,
+    unpack_task,
+)
 from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import FloatArray
 
@@ -33,7 +45,7 @@ def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, firs
             set_motor(s, j, task, lanes, first + j, level)
             s.level[j], s.delay[j] = level, p.delay_cost
             due = s.onset[j] + np.floor(p.growth * level / p.n_levels)
-            s.next_change[j] = due if level < p.n_levels else kernel.NEVER
+            s.next_change[j] = due if level < p.n_levels else layout.NEVER
             lanes.flags[layout.FAULT_ACTIVE, first + j] = True
         if s.time[j] < p.horizon:
             quiet = min(quiet, min(s.next_change[j], p.horizon) - s.time[j])
@@ -108,7 +120,7 @@ def _step_block(
 def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: int) -> None:
     """Let lane j of a block, lane n of all, begin its next episode; its noise goes on at that row."""
     layout.begin_episode(lanes.words, lanes.flags, n)
-    for f in range(kernel.N_FIELDS):
+    for f in range(layout.N_FIELDS):
         s.rows[f, j] = 0.0
     onset = draw_episode(task, lanes, n)
     s.onset[j] = s.next_change[j] = onset
@@ -118,7 +130,7 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
     error_current, error_speed = s.error_current[j], s.error_speed[j]
     s.estimated_current[j] = current - error_current
     s.estimated_speed[j] = speed - error_speed
-    for m in range(kernel.MAX_BANK):
+    for m in range(layout.MAX_BANK):
         s.bank_current[m, j], s.bank_speed[m, j] = error_current, error_speed
     p = Constants(*fixed_tuple(task.constants, N_CONSTANTS))
     channels = int(p.n_channels)
@@ -145,8 +157,8 @@ def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays
 def _observe_block(s: Block, view: FloatArray, observation: Float32Array, first: int, width: int) -> None:
     """Write the observed features of a block, scaled and clipped, one row a feature."""
     for m in range(view.shape[0]):
-        scale, bound, offset = view[m, kernel.SCALE], view[m, kernel.BOUND], view[m, kernel.OFFSET]
-        values, row = s.rows[int(view[m, kernel.FIELD])], observation[m, first : first + LANES]
+        scale, bound, offset = view[m, layout.SCALE], view[m, layout.BOUND], view[m, layout.OFFSET]
+        values, row = s.rows[int(view[m, layout.FIELD])], observation[m, first : first + LANES]
         for j in range(width):
             value = (values[j] + offset) * scale
             value = -bound if value < -bound else value

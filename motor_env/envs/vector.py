@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from motor_env.common.arrays import is_one_of, shown
 from motor_env.envs import layout, stepping
-from motor_env.envs.kernel import LANES, ROWS
-from motor_env.envs.layout import WordArray, empty_lanes, pack_task
+from motor_env.envs.layout import LANES, ROWS, WordArray, empty_lanes, pack_task
 from motor_env.envs.options import MonitorOptions, Options, with_changes
 from motor_env.envs.setup import Setup, make_setup
 from motor_env.envs.single import (

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 
 from motor_env.envs import layout
-from motor_env.envs.compiling import fixed_tuple
 from motor_env.envs.drive.drive_setup import LANES, N_CONSTANTS, PARTS, Block, Lanes, Task
-from motor_env.envs.layout import BoolArray, Float32Array, WordArray, random_uniforms
+from motor_env.envs.layout import BoolArray, Float32Array, WordArray, fixed_tuple, random_uniforms
 from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.exponentials import exponentials_and_phis
 from motor_env.motor.model import load_in_kernel

@@ -22,7 +22,7 @@ def _feature(observations: Observations, name: str) -> FloatArray:
 
 
 @dataclass
-class ReplaceFrom(Policy):
+class ThresholdReplacement(Policy):
     """Replaces the bearing once a feature reaches a threshold.
 
     Attributes:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs import kernel
+from motor_env.envs import layout
 from motor_env.envs.options import Drive, MonitorOptions, Start
 from motor_env.envs.policies.rule_policies import Actions, Observations, column
 from motor_env.envs.setup import INNOVATION_BOUND, Setup, converged_gain
@@ -272,7 +272,7 @@ class ProbeBelief:
         self.setup = setup
         self._whole, self._split = step_models(setup, faults)
         self._innovation, self._voltage = column(setup, "innovation_current"), column(setup, "voltage")
-        view = setup.view[:, kernel.FEATURES.index("voltage")].astype(np.float64)
+        view = setup.view[:, layout.FEATURES.index("voltage")].astype(np.float64)
         self._to_volt, self._rest_volt = 1.0 / view[0], view[2]
         self._n_ages = max(3, round(LONGEST_AGE_S / (options.dt_s * options.samples_per_step)))
         prior = recipe.class_probabilities[faults]

@@ -65,7 +65,7 @@ class Bursts(NamedTuple):
         return np.where(moved, 1 + side, 0)
 
 
-class WorthTest(ThresholdPolicy):
+class ExpectedRewardTest(ThresholdPolicy):
     """Declares a kind once the reward that it expects from this, under the posterior, reaches a threshold.
 
     At the last step whatever is worth more than silence.
@@ -145,7 +145,7 @@ def winding_of(setup: Setup) -> int:
     return kinds.index("winding")
 
 
-class OnDemand(Probing):
+class EventTriggeredProbing(Probing):
     """Moves the voltage while a winding fault is likely enough: on-off control of Banerjee & Veeravalli (2012).
 
     Each step changes sides. Left alone, the probability of a fault grows with the hazard until it is worth a look.
@@ -155,9 +155,9 @@ class OnDemand(Probing):
         above: probability of a winding fault from which on the voltage is moved.
     """
 
-    test: WorthTest
+    test: ExpectedRewardTest
 
-    def __init__(self, test: WorthTest, above: float) -> None:
+    def __init__(self, test: ExpectedRewardTest, above: float) -> None:
         super().__init__(test)
         self.above, self._winding = above, winding_of(test.belief.setup)
 
@@ -224,7 +224,7 @@ class PosteriorView(VectorWrapper[Any, Any, Any]):
         return summary, np.where(terminated & declares, said, waited), terminated, truncated, info
 
 
-class Summarised(Policy):
+class BeliefPolicy(Policy):
     """Policy of an environment, from one that was learned in a `PosteriorView` of it.
 
     Args:

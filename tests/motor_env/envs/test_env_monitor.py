@@ -21,7 +21,7 @@ from motor_env import (
     simulate_states,
 )
 from motor_env.envs import MonitorEnv, MonitorVectorEnv
-from motor_env.envs.kernel import LANES, block_type
+from motor_env.envs.layout import LANES, block_type
 from motor_env.envs.options import MEDIUM
 from motor_env.envs.setup import converged_gain
 from motor_env.envs.single import Info

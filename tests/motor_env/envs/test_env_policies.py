@@ -17,18 +17,18 @@ from motor_env import Cusum, FaultKind, Recipe, discretize
 from motor_env.envs import (
     BankPolicy,
     BayesPolicy,
+    EventTriggeredProbing,
+    ExpectedRewardTest,
     MonitorOptions,
     MonitorVectorEnv,
     Never,
-    OnDemand,
     ProbeBelief,
     ProbeOptions,
     ProbeVectorEnv,
     Random,
     RulePolicy,
-    WorthTest,
     baseline_features,
-    kernel,
+    layout,
     returns_of,
     run_episodes,
     score,
@@ -87,7 +87,7 @@ def test_a_sweep_gives_what_every_threshold_gives_alone(name: str) -> None:
             OpenLoop(RatioTest(setup, 0.0), Bursts(5, 8, 3).actions(envs.options.n_steps)),
             (1.0, 4.0, 9.0),
         ),
-        "on demand": lambda: (OnDemand(WorthTest(setup, 0.0), 0.05), (0.2, 0.8, 0.97)),
+        "on demand": lambda: (EventTriggeredProbing(ExpectedRewardTest(setup, 0.0), 0.05), (0.2, 0.8, 0.97)),
     }
     policy, thresholds = cases[name]()
     swept = sweep(envs, policy, thresholds, 7)
@@ -137,7 +137,7 @@ def test_likelihood_ratio_is_that_of_plant_and_filter_simulated_sample_by_sample
     seen = (rng.normal(size=steps) + means).astype(np.float32)
     belief = ProbeBelief(setup)
     belief.start(1)
-    voltage = kernel.FEATURES.index("voltage")
+    voltage = layout.FEATURES.index("voltage")
     for step in range(steps):
         observation = np.zeros((1, len(setup.chosen)), dtype=np.float32)
         observation[0, column(setup, "innovation_current")] = seen[step]
@@ -226,9 +226,9 @@ def test_posterior_stays_finite_when_a_fault_is_far_beyond_doubt() -> None:
 def test_what_a_policy_gets_that_knows_the_class_is_just_below_its_bound() -> None:
     classes = (FaultClass(weight=1.0), FaultClass(FaultKind.WINDING_CONTACT, 0.02))
     envs = ProbeVectorEnv(1000, **PROBE | {"recipe": replace(SMALL, classes=classes), "mean_onset_s": 0.03})
-    policy = LookAhead(WorthTest(envs.setup, 0.95), 0.0)
+    policy = LookAhead(ExpectedRewardTest(envs.setup, 0.95), 0.0)
     mean, half_width = interval(run_episodes(envs, policy, 3).returns)
-    asks = OnDemand(WorthTest(envs.setup, 0.95), 0.08)
+    asks = EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.95), 0.08)
     assert mean > run_episodes(envs, asks, 3).returns.mean()
     bound = bounds.upper_bound(envs.options)
     assert mean - half_width < bound < mean + half_width + 0.03

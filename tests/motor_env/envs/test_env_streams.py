@@ -28,14 +28,14 @@ from motor_env.envs import (
     BankPolicy,
     BayesPolicy,
     DriveVectorEnv,
+    EventTriggeredProbing,
+    ExpectedRewardTest,
     Lqg,
     MaintainOptions,
     MonitorVectorEnv,
-    OnDemand,
     PlannedUpkeep,
     ProbeVectorEnv,
     RulePolicy,
-    WorthTest,
     baseline_features,
     parts_of,
 )
@@ -257,7 +257,8 @@ POLICIES: dict[str, Callable[[], Any]] = {
         OpenLoop(RatioTest(envs.setup, 0.0), Bursts(5, 8, 3).actions(50)),
     ),
     "on demand": lambda: judged(
-        envs := ProbeVectorEnv(4, horizon_s=0.1), OnDemand(WorthTest(envs.setup, 0.0), 0.05)
+        envs := ProbeVectorEnv(4, horizon_s=0.1),
+        EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.0), 0.05),
     ),
     "lqg": lambda: driven(lambda envs: Lqg(envs.setup)),
     "reconfigured": lambda: driven(lambda envs: Lqg(envs.setup, levels=3)),

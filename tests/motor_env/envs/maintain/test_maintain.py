@@ -17,7 +17,7 @@ from motor_env.envs import (
     MaintainOptions,
     MaintainVectorEnv,
     PlannedUpkeep,
-    ReplaceFrom,
+    ThresholdReplacement,
     rendering,
     returns_of,
 )
@@ -111,7 +111,7 @@ def test_the_plan_beats_every_threshold_and_stays_below_the_bound() -> None:
         envs = MaintainVectorEnv(500, options)
         planned = returns_of(envs, PlannedUpkeep(options), seed=1)
         for feature, threshold in (("age", 0.2), ("mean", 0.84), ("risk", 0.01), ("age", np.inf)):
-            gained = planned - returns_of(envs, ReplaceFrom(feature, threshold), seed=1)
+            gained = planned - returns_of(envs, ThresholdReplacement(feature, threshold), seed=1)
             assert gained.mean() > 1.96 * gained.std() / len(gained) ** 0.5, feature
         bound = maintenance_bound(options)
         assert planned.mean() - 2.6 * planned.std() / len(planned) ** 0.5 < bound < clairvoyant_value(options)
