@@ -101,7 +101,7 @@ def test_a_sweep_gives_what_every_threshold_gives_alone(name: str) -> None:
 
 def test_random_takes_every_action_as_often() -> None:
     envs = ProbeVectorEnv(3000, **PROBE)
-    policy = Random(envs.setup, np.random.default_rng(1))
+    policy = Random(envs.single_action_space, 1)
     policy.start(3000)
     counts = np.bincount(policy.act(envs.reset(seed=1)[0]), minlength=5)
     assert (abs(counts - 600.0) < 4.0 * np.sqrt(600.0)).all()
