@@ -1,4 +1,4 @@
-"""What detection is worth to a controller: scores of the baselines of a drive for docs/results/decisions.md.
+"""What detection is worth to a controller: scores of the policies of a drive for docs/results/decisions.md.
 
 python benchmarks/drive_scores.py --task Drive-v0       # some two minutes of one core
 

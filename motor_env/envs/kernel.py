@@ -1,12 +1,8 @@
-"""The step of the environments, compiled once for all: plant, filter, statistics, cost, reward, end.
+"""Equations of a sample of Monitor and Probe, compiled: plant, filter, statistics, cost, verdict.
 
-`advance` is the one place where a sample is made: it takes one lane (one sub-environment) from sample k to k + 1. The
-single environment runs it over one lane, a vector over blocks of `LANES` lanes. The matrices come from
-`motor_env.motor.model.discretize`, the gain from `motor_env.filters.kalman`; the kernel multiplies and adds.
-
-State lies in blocks, see `block_type`: all lanes of a block stand side by side at distances that the
-compiler knows, so that it computes several lanes with one instruction, and a block fits into the first-level cache.
-The same source serves float32 and float64: whichever the arrays are.
+`advance` takes one lane (one sub-environment) from sample k to k + 1; `stepping` runs it over one lane or many blocks.
+The matrices come from `motor_env.motor.model.discretize`, the gain from `motor_env.filters.kalman`. The same source
+serves float32 and float64.
 """
 
 from __future__ import annotations
@@ -19,21 +15,19 @@ from motor_env.motor.compiled import inlined
 def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full: bool) -> None:
     """One sample of lane j of the block s: plant, measurement, filter, statistics, cost of waiting.
 
-    States, measurements and the voltage u stand as deviations from the point at which the belief would rest. What the
-    filter's estimate lacks to the truth, e = x - xhat, is a state in its own right, and the motor stands as its
-    difference M, B, D to the belief (F, G): the innovation is small beside the state, and as the difference of two
-    large numbers it would lose its digits in float32. The rows of the speed hold F - I: it moves by a hair a sample,
-    so what rounding takes from its error is carried over to the next (Kahan 1965).
+    States, measurements and the voltage u are deviations from the rest point of the healthy model (F, G). The error of
+    the estimate, e = x - xhat, is a state in its own right, and the motor is its difference M, B, D to (F, G): as the
+    difference of two large numbers the innovation would lose its digits in float32. The rows of the speed hold F - I,
+    and what rounding takes from its error is carried over to the next sample (Kahan 1965).
 
     m[k] = M x[k] + B u[k] + D; x[k+1] = F x[k] + G u[k] + m[k]; e = F e[k] + m[k]; with the sensor's noise v the
     innovation is C (e + v), and e[k+1] = e - K (e + v) with the gain to which the filter converges. Exponentially
     weighted means of the whitened innovation are scaled to a standard deviation of 1.
 
-    What a speed loop adds to the voltage, d, the filter is not told: it is a part of m.
+    The filter does not know what a speed loop adds to the voltage, d: it is a part of m.
 
-    `kept` is 0 on the first sample of a step, 1 after that.
-    `with_speed` (a speed sensor is there) and `full` (the voltage may move, or a bank follows) are literals where this
-    is called, so the compiler leaves out what is not needed.
+    `kept` is 0 on the first sample of a step, 1 after that. `with_speed` (there is a speed sensor) and `full` (the
+    voltage may move, or a bank follows) are literals at each call, so the compiler leaves out what is not needed.
     """
     x0, x1 = s.current[j], s.speed[j]
     m0 = s.m00[j] * x0 + s.m01[j] * x1 + s.d0[j]
@@ -88,7 +82,7 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
 
 @inlined
 def hold_speed(s: Block, j: int, p: Constants) -> None:
-    """The speed loop of lane j after a sample: a PI controller in its incremental form, which begins without a jump."""
+    """Update the speed loop of lane j: a PI controller in incremental form, which begins without a jump."""
     speed = s.speed[j]
     away = p.loop_p * (speed - s.old_speed[j]) + p.loop_i * (speed - s.held[j])
     s.drive[j] -= away
@@ -96,10 +90,10 @@ def hold_speed(s: Block, j: int, p: Constants) -> None:
 
 @inlined
 def weigh(s: Block, j: int, m: int, p: Constants, t: Model) -> None:
-    """Filter m of the bank after a sample of lane j: the cumulative sum of its log-likelihood ratio to the belief.
+    """Update filter m of the bank: the CUSUM of its log-likelihood ratio to the healthy filter.
 
-    Each filter believes in one fault. Where its sum falls to 0 it starts anew from the belief's estimate, as though
-    the fault set in now (Page 1954, with a signal that depends on the onset: Willsky & Jones 1976).
+    Each filter assumes one fault. Where its sum falls to 0 it restarts from the healthy estimate, as though the fault
+    set in now (Page 1954, with a signal that depends on the onset: Willsky & Jones 1976).
     """
     u = s.voltage[j]
     x0, x1 = s.old_current[j], s.old_speed[j]
@@ -121,10 +115,10 @@ def weigh(s: Block, j: int, m: int, p: Constants, t: Model) -> None:
 
 @inlined
 def settle(s: Block, j: int, p: Constants, samples: int, declared: int) -> float:
-    """Verdict on the last step of lane j's episode, which took so many samples; at the horizon the cost comes on top.
+    """Reward of the verdict at the end of lane j's episode, whose last step took `samples`.
 
-    A declaration ends the episode and is judged by what had been observed before it: a fault that had acted on no
-    observed sample cannot be declared rightly. The horizon ends it with a miss, or with the reward of silence.
+    A declaration is judged by what had been observed before it: a fault that had acted on no observed sample cannot be
+    declared rightly. The horizon ends an episode with a miss, or with the reward of silence.
     """
     onset = s.onset[j]
     if declared == 0:

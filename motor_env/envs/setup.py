@@ -1,4 +1,4 @@
-"""From options to the numbers that the compiled step needs."""
+"""Numbers of the compiled step of Monitor and Probe, from their options."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ SLOW_MEMORY_S = 10e-3
 
 
 class Setup(NamedTuple):
-    """What the compiled step needs to know about the task.
+    """A task as the compiled step, the policies and the scores read it.
 
     Attributes:
-        options: what it was made from.
+        options: of the task.
         kinds: verdicts that can be declared, in the order of the actions.
-        belief: the filter, whose gain stands among the numbers.
-        numbers: what the compiled step is told of the task.
-        rest: the point at which the belief would rest, from which the kernel counts: current and speed.
+        belief: the filter of the healthy motor.
+        numbers: of the compiled step.
+        rest: current and speed at which the healthy motor rests; the kernel counts from there.
         view: scale, bound and offset of every feature, shape (3, n_features).
-        chosen: numbers of the observed features.
+        chosen: indices of the observed features.
         observed: their names.
-        offsets_v: what each discrete action adds to the supply's voltage.
-        declarations: number of the verdict that it declares, 0 for none.
+        offsets_v: voltage offset of each discrete action.
+        declarations: number of the verdict that each action declares, 0 for none.
         labels: label kind of every class of the recipe.
-        right_declarations: number of the kind that is right for every class, counted from 1; 0 for healthy.
+        right_declarations: number of the right verdict of every class, 0 for healthy.
     """
 
     options: MonitorOptions
@@ -58,7 +58,7 @@ class Setup(NamedTuple):
 
 
 class LinearBelief(NamedTuple):
-    """What a filter of more states than current and speed believes, by the names of `KalmanFilter`."""
+    """Model of a filter with more states than current and speed, by the names of `KalmanFilter`."""
 
     model: DiscreteModel
     observation: FloatArray
@@ -67,7 +67,7 @@ class LinearBelief(NamedTuple):
 
 
 def converged_gain(belief: KalmanFilter | LinearBelief) -> tuple[FloatArray, FloatArray]:
-    """Gain and innovation covariance to which the filter converges: the solution of its Riccati equation."""
+    """Steady-state gain and innovation covariance of the filter, by its Riccati equation."""
     solution = solve_discrete_are(
         belief.model.transition.T,
         belief.observation.T,
@@ -82,7 +82,7 @@ def converged_gain(belief: KalmanFilter | LinearBelief) -> tuple[FloatArray, Flo
 
 
 def make_setup(options: MonitorOptions) -> Setup:
-    """Everything that follows from the options.
+    """Derive the setup from the options.
 
     Raises:
         ValueError: the recipe has no fault, or failed sensors, or a feature cannot be observed with its sensor.
@@ -201,7 +201,7 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: floa
 
 
 def _loop_gains(options: MonitorOptions) -> tuple[float, float]:
-    """Gains of the speed loop: its zero cancels the motor's slow pole, and what is left decays in the loop's time."""
+    """Gains of the speed loop: its zero cancels the motor's slow pole."""
     supply, slow_s = options.task.supply.voltage_v, options.task.motor.mechanical_time_constant_s
     no_load = steady_state(options.task.motor, float(supply), 0.0)[State.SPEED]
     gain = float(supply) / no_load / options.loop_time_s
@@ -215,7 +215,7 @@ def transition_row(model: DiscreteModel) -> FloatArray:
 
 
 def _drift(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> FloatArray:
-    """Where a motor goes in one sample from the belief's point of rest: A rest + B (V, load) - rest, shape (2,)."""
+    """Movement in one sample from the rest point: A rest + B (V, load) - rest, shape (2,)."""
     voltage = float(options.task.supply.voltage_v)
     away: FloatArray = (
         model.transition @ rest
@@ -227,12 +227,12 @@ def _drift(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> F
 
 
 def bank_kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
-    """Kinds of the recipe with a filter of their own: the first few of those that change the motor."""
+    """Kinds of the recipe with a filter in the bank: the first `MAX_BANK` of those that change the motor."""
     return tuple(kind for kind in recipe.kinds if kind.motor_powers)[: layout.MAX_BANK]
 
 
 def make_bank(options: MonitorOptions, belief: DiscreteModel, rest: FloatArray) -> FloatArray:
-    """Models of the other filters, one for each kind that changes the motor: its smallest severity."""
+    """Models of the bank of filters: each kind that changes the motor, at its smallest severity."""
     recipe = options.task
     rows = np.zeros((layout.MAX_BANK, layout.MODEL_LENGTH))
     for row, kind in zip(rows, bank_kinds(recipe), strict=False):

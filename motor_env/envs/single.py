@@ -1,10 +1,10 @@
-"""What the single environments share: episodes, the compiled step, observations, info."""
+"""Base of the single environments: episodes, the compiled step, observations, info; checks of actions."""
 
 from __future__ import annotations
 
 import math
 import operator
-from typing import Any, Generic, cast
+from typing import Any, Generic, NoReturn, cast
 
 import gymnasium as gym
 import numpy as np
@@ -41,13 +41,13 @@ def discrete_actions(setup: Setup) -> spaces.Discrete:
 
 
 def reward_parts(options: MonitorOptions) -> tuple[str, ...]:
-    """Names under which the info has what a reward is made of: their sum is the reward."""
+    """Names of the parts of a reward in the info; their sum is the reward."""
     parts = ("reward_verdict", "reward_delay", "reward_probe", "reward_energy")
     return parts if options.moves_voltage else parts[:2]
 
 
 class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
-    """An environment that runs a stream of episodes: the seed and the index of the stream say which.
+    """An environment that runs the stream of episodes (seed, index).
 
     Args:
         options: the task; the defaults of `options_type` unless given.
@@ -79,7 +79,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         self.observation_space, self.action_space = self._set_up()
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
-        """Make the lane of `options`; the spaces."""
+        """Make the lane of `options`; return observation and action space."""
         raise NotImplementedError
 
     def _begin(self) -> tuple[Observation, Info]:
@@ -92,8 +92,8 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         """Begin an episode.
 
         Args:
-            seed: begins the stream of episodes anew; without it the next episode of the stream begins.
-            options: `{"index": n}` takes the stream of sub-environment n of a vector with that seed; only with a seed.
+            seed: begins the stream anew; without it the next episode of the stream begins.
+            options: `{"index": n}`, with a seed: the stream of sub-environment n of a vector with that seed.
 
         Raises:
             ValueError: the seed is no whole number in 0 .. 2^64 - 1, an option is unknown or out of range.
@@ -112,7 +112,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         return self._begin()
 
     def render(self) -> Any:
-        """The screen as an array of shape (height, width, 3), or None where it went to the window.
+        """Draw the screen: an array of shape (height, width, 3), or None where it went to the window.
 
         Raises:
             DependencyNotInstalled: a window is wanted and pygame is not there.
@@ -138,7 +138,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
 
 
 class MotorEnv(StreamEnv[MonitorOptions]):
-    """A motor under the filter, with a list of actions: apply a voltage, or declare a kind."""
+    """Base of Monitor and Probe: discrete actions that apply a voltage, or declare a kind."""
 
     options_type = MonitorOptions
 
@@ -221,7 +221,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         return block[field][..., 0].tolist()
 
     def _verdict(self, declared: int) -> tuple[str, bool]:
-        """How the episode ended, in words, and whether well."""
+        """Verdict of the episode in words, and whether it is right."""
         onset = self._now("onset")
         if declared == 0:
             missed = onset < self.options.n_samples
@@ -233,7 +233,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         return f"{kind}: {'right' if right else 'wrong kind'}", right
 
     def _show(self) -> None:
-        """Let the scope see the sample; in a window, draw it."""
+        """Add the sample to the scope; in a window, draw it."""
         scope, rest = self._screen, self.setup.rest
         scope.add(
             self._now("measured_current") + rest[State.CURRENT],
@@ -270,7 +270,7 @@ _NO_INDICES = (bool, MaskedArray)  # though Python takes them for such
 
 
 def whole_actions(actions: Any, num_envs: int, count: int) -> NDArray[np.int64]:
-    """Actions of a discrete space of `count`, one for each sub-environment, as an array; NumPy's may be beyond it.
+    """Actions of a discrete space, one for each sub-environment, as an array; the compiled step checks NumPy's range.
 
     Raises:
         ValueError: no integers, or of another shape.
@@ -286,8 +286,13 @@ def whole_actions(actions: Any, num_envs: int, count: int) -> NDArray[np.int64]:
     return readable(actions, LONG)
 
 
+def refuse_actions(actions: NDArray[np.int64], count: int) -> NoReturn:
+    """Raise the `ValueError` about actions outside 0 .. count - 1."""
+    raise ValueError(f"actions must be in 0 .. {count - 1}, got {actions.min()} .. {actions.max()}")
+
+
 def readable(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """The array as a compiled step reads it; for one that is read-only or lies askew it would be compiled anew."""
+    """Copy an array that is read-only or not contiguous, for which a compiled step would be compiled anew."""
     return array if array.dtype == dtype and array.flags.carray else array.astype(dtype, order="C")
 
 

@@ -1,4 +1,7 @@
-"""From the options of the drive to the numbers of its compiled step, and the filters of its motors."""
+"""Constants and lanes of the compiled step of the drive, and the filters of its motors.
+
+A block is a record whose fields are rows of `LANES` numbers, as in `motor_env.envs.layout`.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +24,15 @@ from motor_env.motor.parameters import FloatArray, MotorParameters
 
 LANES = 64
 PARTS = ("tracking", "heat", "wear", "limp", "stop", "failure")
-"""What a reward is made of."""
+"""Parts of a reward."""
 TRUTH = ("current", "speed", "load", "temperature", "severity", "kind", "onset", "growth")
 _BELIEF = ("estimated_current", "estimated_speed", "step", "integral")
 _MOTOR = ("a00", "a01", "a10", "a11", "b0", "b1", "e0", "e1")
 _MEASURED = ("measured_current", "measured_speed", "estimated_load", "innovation_current", "innovation_speed")
-_SEEN = (*_MEASURED, "slow_current", "slow_speed", "voltage", "estimated_temperature", "scale", "time")
+_OBSERVED = (*_MEASURED, "slow_current", "slow_speed", "voltage", "estimated_temperature", "scale", "time")
 _WORK = ("share", "aim", "asked", "torque", "worn")
 Block = Any
-"""A record of `block_type`, or of `WORK`."""
+"""A record of `block_type`, or of `work_type`."""
 
 
 class Task(NamedTuple):
@@ -111,41 +114,31 @@ N_CONSTANTS = len(Task._fields)
 
 
 class Lanes(NamedTuple):
-    """Everything that changes, and where the profile is observed.
+    """State of all lanes, and where the profile is observed."""
 
-    Attributes:
-        ahead: steps ahead at which the profile is observed.
-        state: blocks, see `block_type`.
-        work: one record of `WORK`, room for a step of a block.
-        words: of what the random numbers depend on, shape (4, n_lanes).
-        flags: shape (4, n_lanes).
-        profile: speeds, shape (n_lanes, n_steps and what is seen beyond).
-    """
-
-    ahead: NDArray[np.int64]
-    state: NDArray[np.void]
-    work: NDArray[np.void]
-    words: WordArray
-    flags: BoolArray
-    profile: FloatArray
+    ahead: NDArray[np.int64]  # steps ahead at which the profile is observed
+    state: NDArray[np.void]  # blocks, see `block_type`
+    work: NDArray[np.void]  # one record of `work_type`
+    words: WordArray  # as in `motor_env.envs.layout`, shape (4, n_lanes)
+    flags: BoolArray  # shape (4, n_lanes)
+    profile: FloatArray  # speeds, shape (n_lanes, n_steps and those observed beyond)
 
 
 @cache
 def block_type(n_ahead: int) -> np.dtype[np.void]:
-    """A block of lanes: the truth, what the filter believes, the motor as it is now, what is observed.
+    """A block of lanes: truth, filter, motor, observation.
 
-    `asked` is the profile as it is observed, of which `profile` is the first row. `observed` are all rows that are, and
-    `everything` is all of the block.
+    `asked` is the observed profile, `profile` its first row, `observed` all observed rows, `everything` all rows.
     """
-    rows = (*TRUTH, *_BELIEF, *_MOTOR, *_SEEN)
-    row, n_rows, seen = 8 * LANES, len(rows) + n_ahead, len(rows) - len(_SEEN)
-    wide = {"asked": (len(rows), n_ahead), "observed": (seen, n_rows - seen), "everything": (0, n_rows)}
+    rows = (*TRUTH, *_BELIEF, *_MOTOR, *_OBSERVED)
+    row, n_rows, first = 8 * LANES, len(rows) + n_ahead, len(rows) - len(_OBSERVED)
+    wide = {"asked": (len(rows), n_ahead), "observed": (first, n_rows - first), "everything": (0, n_rows)}
     return np.dtype(
         {
             "names": [*rows, "profile", *wide],
             "formats": [(np.float64, (LANES,))] * (len(rows) + 1)
             + [(np.float64, (height, LANES)) for _, height in wide.values()],
-            "offsets": [*range(0, row * len(rows) + 1, row), *(row * first for first, _ in wide.values())],
+            "offsets": [*range(0, row * len(rows) + 1, row), *(row * begin for begin, _ in wide.values())],
             "itemsize": row * n_rows,
         }
     )
@@ -153,7 +146,7 @@ def block_type(n_ahead: int) -> np.dtype[np.void]:
 
 @cache
 def work_type(n_rows: int) -> np.dtype[np.void]:
-    """Room for a step of a block of so many rows: actions, costs, noise, motors with a fault; `kept` is a copy."""
+    """Work space of a step of a block of so many rows; `kept` is a copy of the block."""
     return np.dtype(
         [
             *((name, np.float64, (LANES,)) for name in _WORK),
@@ -173,7 +166,7 @@ def work_type(n_rows: int) -> np.dtype[np.void]:
 
 
 def empty_lanes(ahead: NDArray[np.int64], n_steps: int, count: int) -> Lanes:
-    """Lanes that run no episode yet."""
+    """Lanes before their first episode."""
     blocks = -(-count // LANES)
     block = block_type(len(ahead))
     state = aligned_zeros((blocks,), block)
@@ -188,27 +181,19 @@ _INNOVATIONS = ("innovation_current", "innovation_speed", "slow_current", "slow_
 
 
 class DriveSetup(NamedTuple):
-    """What follows from the options.
+    """Setup of a drive."""
 
-    Attributes:
-        options: what it was made from.
-        task: constants of the compiled step.
-        ahead: steps ahead at which the profile is observed.
-        view: unit, least and most of each observed number, shape (3, n_observed).
-        observed: their names.
-    """
-
-    options: DriveOptions
-    task: Task
-    ahead: NDArray[np.int64]
-    view: FloatArray
-    observed: tuple[str, ...]
+    options: DriveOptions  # of the task
+    task: Task  # constants of the compiled step
+    ahead: NDArray[np.int64]  # steps ahead at which the profile is observed
+    view: FloatArray  # unit, least and most of each observed number, shape (3, n_observed)
+    observed: tuple[str, ...]  # their names
 
 
 def drive_filter(options: DriveOptions, motor: MotorParameters) -> LinearBelief:
-    """Filter that believes in a driven motor: current, speed, and the unknown load as a third state.
+    """Filter of a driven motor, with the unknown load as a third state.
 
-    The fan's torque is linear in it, at the middle of the profile's speeds; what runs the filter takes it as it is.
+    The fan's torque is linearised at the middle of the profile's speeds.
     """
     model = discretize(motor, options.period_s)
     by_load = model.gain[:, Input.LOAD_TORQUE]
@@ -230,7 +215,7 @@ SPEED_WEIGHT, INTEGRAL_WEIGHT = 1.0, 3000.0  # on squared rad/s and rad beside s
 
 
 def speed_feedback(options: DriveOptions, motor: MotorParameters) -> FloatArray:
-    """Linear-quadratic gain with integral action: voltage for current, speed, and integral of the speed's error."""
+    """Linear-quadratic gain: voltage for current, speed, and integral of the speed's error."""
     model = drive_filter(options, motor).model
     a, b = np.eye(3), np.zeros((3, 1))
     a[:2, :2], b[:2, 0] = model.transition[:2, :2], model.gain[:, Input.VOLTAGE]
@@ -241,17 +226,17 @@ def speed_feedback(options: DriveOptions, motor: MotorParameters) -> FloatArray:
 
 
 def _rounded(*values: float) -> list[float]:
-    """Twelve digits: linear algebra rounds otherwise on other processors, and an id's steps are the same to the bit."""
+    """Round to twelve digits: linear algebra differs between processors, and an id's steps are the same to the bit."""
     return [float(f"{value:.12g}") for value in values]
 
 
 def faulty(options: DriveOptions, label: str, severity: float) -> MotorParameters:
-    """The driven motor with a fault; the healthy one where the severity is 0."""
+    """The driven motor with a fault; severity 0: the healthy one."""
     return apply_fault(options.driven, Fault(label, severity)) if severity > 0.0 else options.driven  # type: ignore[arg-type]
 
 
 def make_setup(options: DriveOptions) -> DriveSetup:
-    """Everything that follows from the options."""
+    """Derive the setup from the options."""
     current, top = options.current_limit_a, options.top_speed_rad_s
     bound = {
         "measured_current": (current, -MARGIN, MARGIN),

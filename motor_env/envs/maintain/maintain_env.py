@@ -1,4 +1,4 @@
-"""The maintenance task: one motor, or many in one compiled step."""
+"""The maintenance task: one motor, or many in one compiled step; a logbook as its screen."""
 
 from __future__ import annotations
 
@@ -15,7 +15,15 @@ from motor_env.envs.maintain import kernel
 from motor_env.envs.maintain.kernel import AT_ONCE, FEATURES, INSPECT, PARTS, REPLACE, RUN
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
 from motor_env.envs.rendering import GRID, LEFT, RIGHT, TOP, WIDTH, Frame, write, write_figures
-from motor_env.envs.single import EVERYWHERE, Info, Observation, StreamEnv, whole_action, whole_actions
+from motor_env.envs.single import (
+    EVERYWHERE,
+    Info,
+    Observation,
+    StreamEnv,
+    refuse_actions,
+    whole_action,
+    whole_actions,
+)
 from motor_env.envs.vector import StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
@@ -35,18 +43,14 @@ _DEEDS = {
 
 
 class Logbook:
-    """Remembers an episode and draws it; the screen is as wide as the whole of it.
-
-    Args:
-        options: of the environment.
-    """
+    """Keeps an episode and draws it, with the truth, which the agent does not observe."""
 
     def __init__(self, options: MaintainOptions) -> None:
         self.options = options
         self.clear()
 
     def clear(self) -> None:
-        """A new episode begins."""
+        """Begin an episode."""
         self._rows: list[tuple[float, ...]] = []
         self._deeds: list[tuple[int, int]] = []
         self._cost = 0.0
@@ -54,7 +58,7 @@ class Logbook:
     def add(
         self, observation: NDArray[np.float32], action: int, *, severity: float, failed: bool, **_: float
     ) -> None:
-        """One more day: what was seen, what was done, and the truth, which only the picture shows."""
+        """Add a day: observation, action, truth."""
         feature = dict(zip(FEATURES, observation.tolist(), strict=True))
         if failed:
             action = RUN
@@ -67,7 +71,7 @@ class Logbook:
         self._rows.append((severity / self.options.limit, *(feature[name] for name in names)))
 
     def draw(self) -> Frame:
-        """The screen, shape (400, 640, 3)."""
+        """Draw the screen, shape (400, 640, 3)."""
         frame = rendering.blank_screen(_HEIGHT)
         severity = frame[TOP:_MIDDLE, LEFT : WIDTH - RIGHT]
         risk = frame[_MIDDLE + _GAP : _HEIGHT - 30, LEFT : WIDTH - RIGHT]
@@ -106,7 +110,7 @@ class Logbook:
 
 
 IMPOSSIBLE = 1e-100
-"""A probability that counts as 0: a processor takes a hundred times as long for the tiniest numbers."""
+"""A probability that counts as 0: a processor takes a hundred times as long for denormal numbers."""
 _ACTIONS = kernel.REPLACE + 1
 
 
@@ -134,7 +138,7 @@ def _chances(options: MaintainOptions, tables: Tables) -> kernel.Chances:
 
 
 def _motors(chances: kernel.Chances, count: int) -> kernel.Motors:
-    """So many motors that run no episode yet."""
+    """Motors before their first episode."""
     width = min(count, kernel.MOTORS)
     words, flags = empty_streams(count)
     return kernel.Motors(
@@ -163,18 +167,18 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
 
     ## Description
     The motor starts once a day. The severity of its bearing fault (extra friction) grows by a Wiener process with
-    drift, and each start's current tells it with an error. At the limit the bearing fails in service. A new bearing
-    has severity 0, and with `rate_spread` a rate of wear of its own.
+    drift; each start gives a noisy estimate of it. At the limit the bearing fails in service. A new bearing has
+    severity 0, and with `rate_spread` a rate of wear of its own.
 
     ## Action space
     `Discrete(3)`: 0 runs the motor for a day, 1 inspects the bearing (the motor stands still for the day, and its
     severity is known after it), 2 replaces the bearing and runs.
 
     ## Observation space
-    `Box`, float32, shape (7,). `estimate`: severity by the last start or inspection; `mean` and `std`: mean and
-    standard deviation of the severity, given all that was seen; `risk`: probability that the bearing fails today;
-    `rate`: mean rate of wear, given all that was seen; `age`: days since the bearing was new; `days_left`. Severities
-    are divided by the limit, times by the episode's length, the rate by `drift_per_day`.
+    `Box`, float32, shape (7,). `estimate`: severity by the last start or inspection; `mean`, `std`: of its posterior;
+    `risk`: probability that the bearing fails today; `rate`: posterior mean of the rate of wear; `age`: days since the
+    bearing was new; `days_left`. Severities are divided by the limit, times by the episode's length, the rate by
+    `drift_per_day`.
 
     ## Reward
     Minus the day's cost, in planned replacements: see `MaintainOptions`. A failure costs 5, a planned replacement 1, an
@@ -184,13 +188,8 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
     After `days` days, as `terminated`. `truncated` is always False: what is left of a bearing then has no value.
 
     ## Info
-    The truth, for those who score: `severity`, `drift_per_day`, `failed`. And what the reward is made of:
-    `reward_failure`, `reward_replacement`, `reward_inspection`.
-
-    Args:
-        options: the task; `MaintainOptions()` unless given.
-        render_mode: see the metadata.
-        changes: single options by name, on top.
+    The truth, for scoring: `severity`, `drift_per_day`, `failed`. The parts of the reward: `reward_failure`,
+    `reward_replacement`, `reward_inspection`.
     """
 
     observed = FEATURES
@@ -280,5 +279,5 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
         observation, parts = self._empty(), np.empty((len(PARTS), self.num_envs))
         n_over = kernel.step(array, self._next_step, parts, observation, *self._arrays)
         if n_over < 0:
-            raise ValueError(f"actions must be in 0 .. {_ACTIONS - 1}, got {array.min()} .. {array.max()}")
+            refuse_actions(array, _ACTIONS)
         return observation.T, parts.sum(axis=0), parts, n_over

@@ -1,13 +1,12 @@
-"""What can be known of a probed motor: likelihood and posterior of every fault and onset, whatever voltage was applied.
+"""Likelihood and posterior of every fault and onset of a known motor, whatever voltage was applied.
 
-A motor whose own parameters are known is deterministic but for the sensor's noise. Under the hypothesis (class c, onset
-k) plant and filter follow from the voltages that were applied, so the mean of the innovation is known, and the
-observed one is that plus white noise of standard deviation 1. The logarithm of the likelihood ratio to a healthy motor
-grows by mean (innovation - mean / 2) a step. Its sum over the prior is the posterior (Shiryaev 1963). Its maximum over
-onset and severity is the generalised likelihood ratio of a kind (Lorden 1971).
+Under the hypothesis (class c, onset k) plant and filter are deterministic but for the sensor's noise, so the innovation
+is a known mean plus white noise of standard deviation 1. The log-likelihood ratio to a healthy motor grows by
+mean (innovation - mean / 2) a step. Its sum over the prior is the posterior (Shiryaev 1963), its maximum over onset and
+severity the generalised likelihood ratio of a kind (Lorden 1971).
 
-The innovation is that of a whole step, its mean over the root of its number of samples: all that an agent sees. An
-onset is taken in the middle of a step. Onsets older than `LONGEST_AGE_S` are kept together: what they show agrees.
+The innovation is the sum over a step, over the root of its number of samples. An onset is taken in the middle of a
+step. Onsets older than `LONGEST_AGE_S` share one hypothesis.
 """
 
 from __future__ import annotations
@@ -31,28 +30,20 @@ N_HYPOTHESIS = 4  # state of a hypothesis: mean of the true state, mean of the f
 
 
 class StepModel(NamedTuple):
-    """Linear step of a hypothesis: state' = transition state + gain u + drift, innovation = row state + feed u + bias.
+    """Linear step of a hypothesis: x' = transition x + gain u + drift, innovation = row x + feed u + bias."""
 
-    Attributes:
-        transition: shape (..., 4, 4).
-        gain: shape (..., 4).
-        drift: shape (..., 4).
-        row: shape (..., 4).
-        feed_bias: feed and bias, shape (..., 2).
-    """
-
-    transition: FloatArray
-    gain: FloatArray
+    transition: FloatArray  # shape (..., 4, 4)
+    gain: FloatArray  # shape (..., 4), as drift and row
     drift: FloatArray
     row: FloatArray
-    feed_bias: FloatArray
+    feed_bias: FloatArray  # shape (..., 2)
 
 
 def known_faults(setup: Setup) -> list[int]:
-    """Classes of the recipe that have a fault, if the motor is one whose posterior is known.
+    """Classes of the recipe that have a fault.
 
     Raises:
-        ValueError: the task is another one; the sentence says why.
+        ValueError: the task has no exact posterior; the sentence says why.
     """
     options, recipe = setup.options, setup.options.task
     require(not recipe.spread.std.any(), f"recipe {recipe.name} must have no spread for the exact posterior")
@@ -76,7 +67,7 @@ def kind_matrix(setup: Setup, classes: list[int]) -> FloatArray:
 
 
 def sample_model(setup: Setup, fault_class: int | None) -> FloatArray:
-    """One sample of a hypothesis as a matrix on (state, u, 1), with the whitened innovation as its last row: (5, 6)."""
+    """Matrix of one sample on (state, u, 1); its last row is the whitened innovation: shape (5, 6)."""
     options, recipe = setup.options, setup.options.task
     gain, covariance = converged_gain(setup.belief)
     faults = () if fault_class is None else recipe.classes[fault_class].faults
@@ -98,7 +89,7 @@ def sample_model(setup: Setup, fault_class: int | None) -> FloatArray:
 
 
 def step_of(samples: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Samples in a row under one voltage: state rows (4, 6) on (state, u, 1), and row of the step's innovation (6,)."""
+    """Samples in a row under one voltage: state rows (4, 6) and innovation row (6,), on (state, u, 1)."""
     total, state = np.zeros(6), np.eye(6)
     for sample in samples:
         total += sample[4] @ state
@@ -107,7 +98,7 @@ def step_of(samples: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 
 def step_models(setup: Setup, classes: list[int]) -> tuple[StepModel, StepModel]:
-    """The step of every class after its onset, and the one in which the onset falls; entry 0 is the healthy motor."""
+    """Step of every class after its onset, and step in which the onset falls; entry 0 is the healthy motor."""
     n = setup.options.samples_per_step
     healthy = sample_model(setup, None)
     whole, split = [], []
@@ -129,26 +120,17 @@ LONGEST_AGE_S = 40e-3
 
 
 class Hypotheses(NamedTuple):
-    """What is thought of every class and onset: the newest onset has age 0, the last age gathers the old ones.
+    """Hypotheses of every class and onset: the newest onset has age 0, the last age gathers the old ones."""
 
-    Attributes:
-        ratio: log-likelihood ratio to a healthy motor, shape (n_lanes, n_classes, n_ages).
-        weight: the same plus the logarithm of the onset's prior; -inf where there is no onset yet.
-        states: mean of the motor's state and of the filter's estimate, shape (n_lanes, n_classes, n_ages, 4).
-    """
-
-    ratio: FloatArray
-    weight: FloatArray
-    states: FloatArray
+    ratio: FloatArray  # log-likelihood ratio to a healthy motor, shape (n_lanes, n_classes, n_ages)
+    weight: FloatArray  # the same plus the logarithm of the onset's prior; -inf where there is no onset yet
+    states: FloatArray  # mean of the motor's state and of the filter's estimate, shape (n_lanes, n_classes, n_ages, 4)
 
 
 def worth(options: MonitorOptions, quiet: FloatArray, kinds: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What to expect from declaring the likeliest kind, and from being silent at the horizon.
+    """Expected reward of declaring the likeliest kind, and of silence at the horizon, each of shape (count,).
 
-    Args:
-        options: of the task.
-        quiet: probability that nothing has happened yet, shape (count,).
-        kinds: of each kind, shape (count, n_kinds).
+    `quiet` is the probability that no fault has set in, shape (count,), `kinds` that of each kind, (count, n_kinds).
     """
     faulty = kinds.sum(axis=1)
     right = kinds.max(axis=1)
@@ -162,20 +144,20 @@ def worth(options: MonitorOptions, quiet: FloatArray, kinds: FloatArray) -> tupl
 def final_worth(
     options: MonitorOptions, at_end: NDArray[np.bool_] | bool, quiet: FloatArray, kinds: FloatArray
 ) -> FloatArray:
-    """Worth of declaring the likeliest kind; at the horizon inf where silence is worth less, and else -inf."""
+    """Expected reward of declaring the likeliest kind; at the horizon inf where silence is worth less, else -inf."""
     value, silence = worth(options, quiet, kinds)
     return np.where(at_end, np.where(value > silence, np.inf, -np.inf), value)
 
 
 def onset_law(options: MonitorOptions) -> tuple[float, int]:
-    """Probability that a coming fault waits for one more sample, and the first sample that it may come with."""
+    """Probability that the onset is one sample later, and the first sample at which it may be."""
     mean = options.mean_onset_s / options.dt_s
     return mean / (1.0 + mean), round(options.earliest_onset_s / options.dt_s)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _mean_and_move(model: StepModel, c: int, u: float, s: FloatArray) -> float:
-    """Mean of the innovation of a step of class c from state s, which moves. It is clipped as an observation is."""
+    """Mean innovation of a step of class c, clipped as an observation is; moves the state s."""
     s0, s1, s2, s3 = s[0], s[1], s[2], s[3]
     row = model.row[c]
     mean = row[0] * s0 + row[1] * s1 + row[2] * s2 + row[3] * s3
@@ -189,7 +171,7 @@ def _mean_and_move(model: StepModel, c: int, u: float, s: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _age(ratio: FloatArray, weight: FloatArray, states: FloatArray, begun: int) -> None:
-    """Make room for a hypothesis of age 0; where all ages are in use, the two oldest become one."""
+    """Shift all ages by one; where all are in use, the two oldest become one."""
     n_ages = ratio.shape[0]
     newest_free = begun
     if begun == n_ages:
@@ -215,17 +197,17 @@ def _update(
     whole: StepModel,
     split: StepModel,
 ) -> None:
-    """One more step of every lane.
+    """Update every lane by one step: `hypotheses`, `begun` and `healthy` change in place.
 
     Args:
-        hypotheses: changed in place.
-        begun: number of ages in use in every lane, changed in place.
-        healthy: state without a fault, shape (n_lanes, 4), changed in place.
+        hypotheses: of all lanes.
+        begun: number of ages in use in every lane.
+        healthy: state without a fault, shape (n_lanes, 4).
         voltage: offset that was applied, shape (n_lanes,).
         innovation: observed, shape (n_lanes,).
-        born: logarithm of the prior probability that the fault set in within this step; -inf: it cannot have.
-        whole: see `step_models`.
-        split: see `step_models`.
+        born: log prior probability that the fault set in within this step; -inf: it cannot have.
+        whole: see `step_models`, as `split`.
+        split: the step in which the onset falls.
     """
     n_lanes, n_classes, n_ages = hypotheses.ratio.shape
     for n in range(n_lanes):
@@ -260,10 +242,10 @@ class ProbeBelief:
         ValueError: the task is another one.
 
     Attributes:
-        quiet: posterior probability that nothing has happened yet, shape (count,).
-        classes: posterior probability that the fault of a class is there, shape (count, n_classes).
-        kinds: of a kind, shape (count, n_kinds).
-        ratios: generalised log-likelihood ratio of each kind to a healthy motor, shape (count, n_kinds); 0 before.
+        quiet: posterior probability that no fault has set in, shape (count,).
+        classes: posterior probability of each class of fault, shape (count, n_classes).
+        kinds: the same of each kind, shape (count, n_kinds).
+        ratios: generalised log-likelihood ratio of each kind to a healthy motor, shape (count, n_kinds); at least 0.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -281,7 +263,7 @@ class ProbeBelief:
         self._stay, self._earliest = onset_law(options)
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         shape = (count, len(self._log_prior), self._n_ages)
         self._hypotheses = Hypotheses(
             np.full(shape, -np.inf), np.full(shape, -np.inf), np.zeros((*shape, N_HYPOTHESIS))
@@ -289,17 +271,17 @@ class ProbeBelief:
         self._path = np.zeros((count, N_HYPOTHESIS))
         self._begun, self.steps = np.zeros((2, count), dtype=np.int64)
         self._offset_v = np.zeros(count)
-        self._seen = False
+        self._has_begun = False
         self._conclude()
 
     def watch(self, observations: Observations) -> None:
-        """Learn from the observation that a policy acts on; the first follows no step."""
-        if self._seen:
+        """Update by the observation that a policy acts on; the first follows no step."""
+        if self._has_begun:
             self.update(observations)
-        self._seen = True
+        self._has_begun = True
 
     def restart(self, over: NDArray[np.bool_]) -> None:
-        """Forget what was seen where an episode is over."""
+        """Begin anew where an episode is over."""
         if over.any():
             self._hypotheses.ratio[over], self._hypotheses.weight[over] = -np.inf, -np.inf
             self._path[over], self._begun[over], self.steps[over] = 0.0, 0, 0
@@ -307,7 +289,7 @@ class ProbeBelief:
             self._conclude()
 
     def update(self, observations: Observations) -> None:
-        """Learn from what followed a step of every sub-environment."""
+        """Update by the observation after a step of every sub-environment."""
         per_step = self.setup.options.samples_per_step
         first = np.maximum(self.steps * per_step - self._earliest, 0)
         last = np.maximum((self.steps + 1) * per_step - self._earliest, 0)
@@ -328,7 +310,7 @@ class ProbeBelief:
         self._conclude()
 
     def _conclude(self) -> None:
-        """Posterior and generalised ratios."""
+        """Set posterior and generalised ratios."""
         weight = self._hypotheses.weight
         high = np.maximum(weight.max(axis=(1, 2)), 0.0)
         mass = np.exp(weight - high[:, None, None]).sum(axis=2) * np.exp(self._log_prior)
@@ -342,7 +324,7 @@ class ProbeBelief:
 
     @property
     def coming(self) -> FloatArray:
-        """Probability that nothing has happened yet, but a fault of a class will, shape (count, n_classes)."""
+        """Probability that no fault has set in but one of a class will, shape (count, n_classes)."""
         begun = np.maximum(self.steps * self.setup.options.samples_per_step - self._earliest, 0)
         unborn = np.exp(self._log_prior) * self._stay ** begun[:, None]
         coming: FloatArray = (
@@ -351,10 +333,7 @@ class ProbeBelief:
         return coming
 
     def expected_reward(self, actions: Actions) -> FloatArray:
-        """Reward of a step to expect from an action, shape (count,): the same on average, without the noise of luck.
-
-        An agent that knows the posterior learns from it as from the true reward, only sooner (Rao-Blackwell).
-        """
+        """Expected reward of an action under the posterior, shape (count,): less noise (Rao-Blackwell)."""
         setup, options = self.setup, self.setup.options
         declared = setup.declarations[actions]
         faulty = self.kinds.sum(axis=1)
@@ -373,11 +352,10 @@ class ProbeBelief:
         return reward
 
     def summary(self) -> NDArray[np.float32]:
-        """What an agent needs to know, each about as large as 1, shape (count, 5 + n_classes + 2 n_kinds).
+        """Sufficient statistics for an agent, scaled to about 1, shape (count, 5 + n_classes + 2 n_kinds).
 
-        Remaining time, posterior of nothing, of each class and kind, its log-odds by kind and of any fault (a fifth
-        of them, from -2 to 2), and where the healthy motor stands: the last offset, and what its speed has left its
-        rest by, as the voltage that it balances.
+        Remaining time; posterior of no fault, of each class and kind; log-odds of each kind and of any fault (a fifth
+        of them, from -2 to 2); the last offset; the healthy motor's deviation of speed, as back-EMF in volt.
         """
         back_emf = float(np.asarray(self.setup.options.task.motor.back_emf_constant_v_s_per_rad))
         remaining = 1.0 - self.steps / self.setup.options.n_steps

@@ -1,10 +1,9 @@
-"""The Bayes posterior over onset and fault of a monitored motor whose parameters are known, as a policy.
+"""Policies that decide by the posterior of fault and onset, with and without moving the voltage.
 
-A motor at its operating point whose own parameters are known is deterministic but for the sensor's noise: fault c with
-onset k puts the signature s_c[age] on the current, whatever else. So the likelihood ratio of every hypothesis (c, k) is
-a product over the samples, and the posterior a sum over the geometric prior of the onset (Shiryaev 1963, with a
-signature and several faults). Onsets older than `LONGEST_AGE_S` are kept together: the transient is over, their
-signatures agree.
+A known motor at its operating point is deterministic but for the sensor's noise: fault c with onset k adds the
+signature s_c[age] to the current. So the likelihood ratio of every hypothesis (c, k) is a product over the samples, and
+the posterior a sum over the geometric prior of the onset (Shiryaev 1963, with a signature and several faults). Onsets
+older than `LONGEST_AGE_S` share one hypothesis: their transient is over.
 """
 
 from __future__ import annotations
@@ -41,13 +40,13 @@ from motor_env.simulation.simulate import simulate_states
 
 
 class Bursts(NamedTuple):
-    """An open-loop probe: bursts of steps in which the voltage is moved; times in steps.
+    """An open-loop probe: bursts of steps with the voltage moved; times in steps.
 
     Attributes:
         start: of the first burst.
         period: from burst to burst.
         length: of a burst; at most `period`.
-        half_period: steps before the voltage changes sides; `length` or more: one pulse, always to the same side.
+        half_period: steps before the voltage changes sign; `length` or more: one pulse, always of the same sign.
     """
 
     start: int
@@ -56,7 +55,7 @@ class Bursts(NamedTuple):
     half_period: int = 1
 
     def actions(self, n_steps: int) -> Actions:
-        """The action of every step of an episode, with offsets 1 and 2 as the two sides, 1 first."""
+        """Action of every step of an episode; actions 1 and 2 are the two signs, 1 first."""
         require(1 <= self.length <= self.period, f"length must be from 1 to {self.period}, got {self.length}")
         since = np.arange(n_steps) - self.start
         within = since % self.period
@@ -66,13 +65,11 @@ class Bursts(NamedTuple):
 
 
 class ExpectedRewardTest(ThresholdPolicy):
-    """Declares a kind once the reward that it expects from this, under the posterior, reaches a threshold.
-
-    At the last step whatever is worth more than silence.
+    """Declares a kind once its expected reward reaches a threshold; at the last step, once it is above silence's.
 
     Args:
         setup: see `ProbeBelief`.
-        threshold: worth of a declaration.
+        threshold: of the expected reward.
     """
 
     def __init__(self, setup: Setup, threshold: float) -> None:
@@ -80,12 +77,12 @@ class ExpectedRewardTest(ThresholdPolicy):
         self._declarations = declarations(setup)
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         super().start(count)
         self.belief.start(count)
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """The worth of a declaration, and its kind."""
+        """Expected reward of the best declaration, and that."""
         self.belief.watch(observations)
         return self._statistic()
 
@@ -96,50 +93,45 @@ class ExpectedRewardTest(ThresholdPolicy):
 
 
 class Probing(ThresholdPolicy):
-    """Moves the voltage, and leaves the decision to a test."""
+    """Moves the voltage; a test decides."""
 
     def __init__(self, test: ThresholdPolicy) -> None:
         self.test, self.threshold = test, test.threshold
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         super().start(count)
         self.test.start(count)
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """What the test says."""
+        """Let the test judge."""
         return self.test.judge(observations)
 
 
 class OpenLoop(Probing):
-    """A test under voltages that were chosen beforehand.
-
-    Args:
-        test: decides.
-        schedule: action of every step.
-    """
+    """Moves the voltage by a schedule, an action for every step."""
 
     def __init__(self, test: ThresholdPolicy, schedule: Actions) -> None:
         super().__init__(test)
         self._schedule, self._step = schedule, -1
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         super().start(count)
         self._step = -1
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """What the test says."""
+        """Let the test judge."""
         self._step += 1
         return super().judge(observations)
 
     def probe(self) -> Actions:
-        """The action that is due."""
+        """The action of this step."""
         return np.full(self.count, self._schedule[self._step])
 
 
 def winding_of(setup: Setup) -> int:
-    """Number of the kind that a probe looks for."""
+    """Number of the kind `winding`."""
     kinds = setup.kinds
     require("winding" in kinds, f"a probe needs a recipe with winding faults, got {', '.join(kinds)}")
     return kinds.index("winding")
@@ -148,11 +140,11 @@ def winding_of(setup: Setup) -> int:
 class EventTriggeredProbing(Probing):
     """Moves the voltage while a winding fault is likely enough: on-off control of Banerjee & Veeravalli (2012).
 
-    Each step changes sides. Left alone, the probability of a fault grows with the hazard until it is worth a look.
+    The sign changes with each step.
 
     Args:
         test: decides.
-        above: probability of a winding fault from which on the voltage is moved.
+        above: probability of a winding fault at which the voltage is moved.
     """
 
     test: ExpectedRewardTest
@@ -162,12 +154,12 @@ class EventTriggeredProbing(Probing):
         self.above, self._winding = above, winding_of(test.belief.setup)
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         super().start(count)
         self._side: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
 
     def probe(self) -> Actions:
-        """Move where a winding fault is likely enough."""
+        """Move the voltage where a winding fault is likely enough."""
         moves = self.test.belief.kinds[:, self._winding] >= self.above
         actions = np.where(moves, 1 + self._side, 0)
         self._side = np.where(moves, 1 - self._side, self._side)
@@ -175,10 +167,9 @@ class EventTriggeredProbing(Probing):
 
 
 class PosteriorView(VectorWrapper[Any, Any, Any]):
-    """Vector environment that shows the summary of `ProbeBelief`, and pays the reward that it expects.
+    """Vector environment that observes the summary of `ProbeBelief`, and pays its expected reward.
 
-    Both follow from what the vector observes and from the actions, so an agent can have them. The expected reward is
-    the true one on average, without the noise of luck; the returns of an episode are not those of the truth.
+    Both follow from observations and actions. The expected reward is the true one on average, with less noise.
 
     Args:
         envs: a vector of a task that `ProbeBelief` knows, with the autoreset mode SameStep.
@@ -206,9 +197,9 @@ class PosteriorView(VectorWrapper[Any, Any, Any]):
         return self.belief.summary(), info
 
     def step(self, actions: Actions) -> Step:
-        """Learn from what followed."""
+        """Step the vector, and update the posterior."""
         declares = self.belief.setup.declarations[actions] > 0
-        said = self.belief.expected_reward(actions)
+        declared = self.belief.expected_reward(actions)
         waited = self.belief.expected_reward(np.where(declares, 0, actions))
         observations, _, terminated, truncated, info = self.env.step(actions)
         over = terminated | truncated
@@ -221,27 +212,27 @@ class PosteriorView(VectorWrapper[Any, Any, Any]):
         for n in np.flatnonzero(over):
             info["final_obs"][n] = last[n]
         summary = self.belief.summary() if over.any() else last
-        return summary, np.where(terminated & declares, said, waited), terminated, truncated, info
+        return summary, np.where(terminated & declares, declared, waited), terminated, truncated, info
 
 
 class BeliefPolicy(Policy):
-    """Policy of an environment, from one that was learned in a `PosteriorView` of it.
+    """Policy of an environment that was learned in a `PosteriorView` of it.
 
     Args:
         belief: of the environment's setup.
-        choose: actions for summaries of shape (count, n_columns).
+        choose: maps summaries of shape (count, n_columns) to actions.
     """
 
     def __init__(self, belief: ProbeBelief, choose: Any) -> None:
         self.belief, self._choose = belief, choose
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         super().start(count)
         self.belief.start(count)
 
     def act(self, observations: Observations) -> Actions:
-        """What is chosen."""
+        """Choose by the summary of the posterior."""
         self.belief.watch(observations)
         actions: NDArray[np.int64] = self._choose(self.belief.summary()).astype(np.int64)
         return actions
@@ -253,7 +244,7 @@ LARGEST_WEIGHT = 1e40  # before it times exp(LARGEST_EXPONENT) is more than a fl
 
 
 def signatures(setup: Setup, n_samples: int) -> FloatArray:
-    """Change of the current by each class of the recipe, in standard deviations, shape (n_classes, n_samples)."""
+    """Change of the current by each class, in standard deviations of the noise, shape (n_classes, n_samples)."""
     options, recipe = setup.options, setup.options.task
     answer = np.zeros((len(recipe.classes), n_samples))
     for row, fault_class in zip(answer, recipe.classes, strict=True):
@@ -277,15 +268,15 @@ def _update(
     prior: FloatArray,
     mass: FloatArray,
 ) -> None:
-    """One more sample: weights[lane, class, age] are prior times likelihood ratio; the last age gathers the old ones.
+    """Update by one sample; weights[lane, class, age] are prior times likelihood ratio, the last age gathers old ones.
 
     Args:
-        weights: changed in place; `begun` onsets are in it, the newest at age 0.
+        weights: changed in place; the newest onset has age 0.
         begun: number of ages in use.
         deviation: of the current from rest, in standard deviations, shape (n_lanes,).
         signature: shape (n_classes, n_ages).
         prior: probability that the fault set in with this sample, in the unit of the weights, shape (n_lanes,).
-        mass: sum of the weights over the onsets, shape (n_lanes, n_classes).
+        mass: written: sum of the weights over the onsets, shape (n_lanes, n_classes).
     """
     n_ages = weights.shape[2]
     for n in range(weights.shape[0]):
@@ -304,7 +295,7 @@ def _update(
 
 
 class PosteriorPolicy(ThresholdPolicy):
-    """What policies share that know a posterior from the measured current of every sample.
+    """Base of policies with a posterior from the measured current of every sample.
 
     Args:
         setup: of the task.
@@ -315,8 +306,8 @@ class PosteriorPolicy(ThresholdPolicy):
         ValueError: a step has several samples, or the measured current is not observed.
 
     Attributes:
-        quiet: posterior probability that nothing has happened yet, shape (count,).
-        classes: that the fault of a class is there, shape (count, n_classes).
+        quiet: posterior probability that no fault has set in, shape (count,).
+        classes: of each class of fault, shape (count, n_classes).
         kinds: of each kind of fault, shape (count, n_kinds).
     """
 
@@ -332,16 +323,16 @@ class PosteriorPolicy(ThresholdPolicy):
         self._stay, self._earliest = onset_law(options)
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         super().start(count)
         self._sample = -1
 
     def _deviation(self, observations: Observations) -> FloatArray:
-        """Deviation of the current from its nominal rest, in standard deviations of the noise."""
+        """Deviation of the current from its nominal value, in standard deviations of the noise."""
         return observations[:, self._measured].astype(np.float64) * self._to_stds - self._rest_stds
 
     def _decision(self, quiet: FloatArray, classes: FloatArray) -> tuple[FloatArray, Actions]:
-        """Worth of the best declaration, and that, from the posterior in any unit."""
+        """Expected reward of the best declaration, and that, from an unnormalised posterior."""
         total = quiet + classes.sum(axis=1)
         self.quiet, self.classes = quiet / total, classes / total[:, None]
         self.kinds = self.classes @ self._kind_of
@@ -351,10 +342,10 @@ class PosteriorPolicy(ThresholdPolicy):
 
 
 class BayesPolicy(PosteriorPolicy):
-    """Declares a kind once the reward that it expects from this, under the exact posterior, reaches a threshold.
+    """Declares a kind once its expected reward under the exact posterior reaches a threshold.
 
-    At the last step it declares whatever is worth more than silence. A fixed threshold is not the solved
-    problem of optimal stopping: it gives a lower bound of the best return, `benchmarks/bounds.py` an upper one.
+    At the last step it declares what is worth more than silence. Its return is a lower bound of the best one, for the
+    threshold is fixed; `benchmarks/bounds.py` has an upper bound.
 
     Args:
         setup: of a Monitor-v0 that starts running, with an abrupt fault and a recipe without spread or noise faults.
@@ -371,7 +362,7 @@ class BayesPolicy(PosteriorPolicy):
         self._signature = signatures(setup, round(LONGEST_AGE_S / setup.options.dt_s))[faults]
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         super().start(count)
         n_classes, n_ages = self._signature.shape
         self._weights = np.zeros((count, n_classes, n_ages))
@@ -380,7 +371,7 @@ class BayesPolicy(PosteriorPolicy):
         self._begun, self._unborn = 0, 1.0
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """Worth of the best declaration, and that."""
+        """Expected reward of the best declaration, and that."""
         self._sample += 1
         interval = self._sample - 1  # the interval at whose end this sample was read; none for the first
         if interval >= self._earliest:
@@ -394,7 +385,7 @@ class BayesPolicy(PosteriorPolicy):
         return self._decision(quiet, self._mass * self._class_prior)
 
     def _rescale(self) -> None:
-        """Let the weights of a lane be counted in a larger unit where they have become large."""
+        """Count the weights of a lane in a larger unit where they have become large."""
         largest = self._mass.max(axis=1)
         large = largest > LARGEST_WEIGHT
         if large.any():
