@@ -1,1 +1,1 @@
-"""Policies and bounds that scores in the environments are compared with."""
+"""Policies for Monitor and Probe, and scores of any policy. Begin with `rule_policies`."""
