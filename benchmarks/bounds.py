@@ -24,8 +24,8 @@ from pairs import Pair, declared_worth, silent_worth
 from scipy.optimize import minimize
 from scipy.special import softmax
 
-from motor_env.envs.baselines.hypotheses import N_HYPOTHESIS, known_faults, sample_model
 from motor_env.envs.options import MonitorOptions
+from motor_env.envs.policies.fault_posterior import N_HYPOTHESIS, known_faults, sample_model
 from motor_env.envs.setup import Setup, make_setup
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import Spread

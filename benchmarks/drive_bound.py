@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from motor_env.envs import DriveOptions, DriveVectorEnv
-from motor_env.envs.drive.drawing import BEARING, WINDING
+from motor_env.envs.drive.kernel import BEARING, WINDING
 from motor_env.envs.drive.options import Control
 from motor_env.motor.model import load_torque
 from motor_env.motor.parameters import FloatArray

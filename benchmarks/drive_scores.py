@@ -1,4 +1,4 @@
-"""What detection is worth to a controller: scores of the baselines of a drive for docs/results/decisions.md.
+"""What detection is worth to a controller: scores of the policies of a drive for docs/results/decisions.md.
 
 python benchmarks/drive_scores.py --task Drive-v0       # some two minutes of one core
 
@@ -18,8 +18,8 @@ from planned_drive import PlannedDrive
 from tables import keep_table
 
 from motor_env.envs import DriveVectorEnv, Lqg, parts_of, returns_of
-from motor_env.envs.baselines.evaluation import interval
-from motor_env.envs.baselines.policies import Player
+from motor_env.envs.policies.evaluation import interval
+from motor_env.envs.policies.rule_policies import Player
 from motor_env.motor.parameters import FloatArray
 
 LEVELS = 8

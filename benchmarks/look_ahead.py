@@ -7,13 +7,13 @@ from looks import LOG_ODDS
 from pairs import PLACES, Pair
 from scipy.ndimage import map_coordinates
 
-from motor_env.envs.baselines.hypotheses import kind_matrix, known_faults
-from motor_env.envs.baselines.policies import Actions
-from motor_env.envs.baselines.probing import Probing, WorthTest, winding_of
+from motor_env.envs.policies.fault_posterior import kind_matrix, known_faults
+from motor_env.envs.policies.posterior_policies import ExpectedRewardTest, Probing, winding_of
+from motor_env.envs.policies.rule_policies import Actions
 from motor_env.motor.parameters import FloatArray
 
 
-class RatioTest(WorthTest):
+class RatioTest(ExpectedRewardTest):
     """Declares the kind whose generalised likelihood ratio reaches a threshold: matched to the voltage applied.
 
     Args:
@@ -38,9 +38,9 @@ class LookAhead(Probing):
         bonus: what a step with a moved voltage is worth beyond.
     """
 
-    test: WorthTest
+    test: ExpectedRewardTest
 
-    def __init__(self, test: WorthTest, bonus: float) -> None:
+    def __init__(self, test: ExpectedRewardTest, bonus: float) -> None:
         super().__init__(test)
         setup = test.belief.setup
         options, faults = setup.options, known_faults(setup)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit
 
-from motor_env.envs.baselines.hypotheses import N_HYPOTHESIS, sample_model, step_of
+from motor_env.envs.policies.fault_posterior import N_HYPOTHESIS, sample_model, step_of
 from motor_env.envs.setup import Setup
 from motor_env.motor.compiled import njit
 from motor_env.motor.model import State

@@ -14,9 +14,9 @@ from cyclopts import run
 from maintain_bounds import clairvoyant_value, maintenance_bound
 from tables import keep_table
 
-from motor_env.envs import MaintainOptions, MaintainVectorEnv, PlannedUpkeep, ReplaceFrom
-from motor_env.envs.baselines.evaluation import interval, returns_of
-from motor_env.envs.baselines.policies import Policy
+from motor_env.envs import MaintainOptions, MaintainVectorEnv, PlannedUpkeep, ThresholdReplacement
+from motor_env.envs.policies.evaluation import interval, returns_of
+from motor_env.envs.policies.rule_policies import Policy
 
 TASKS = {"Maintain-v0": MaintainOptions(), "MaintainUnknownRate-v0": MaintainOptions(rate_spread=0.5)}
 TUNED = {
@@ -29,13 +29,13 @@ TUNED = {
 def tuned(options: MaintainOptions, feature: str, thresholds: Iterable[float], episodes: int) -> Policy:
     """The threshold with the best mean return."""
     envs = MaintainVectorEnv(episodes, options)
-    candidates = [ReplaceFrom(feature, float(threshold)) for threshold in thresholds]
+    candidates = [ThresholdReplacement(feature, float(threshold)) for threshold in thresholds]
     return max(candidates, key=lambda policy: float(returns_of(envs, policy, 100).mean()))
 
 
 def measure(options: MaintainOptions, episodes: int) -> Iterator[list[str]]:
     """A row a policy, the worst first, then what none exceeds."""
-    policies: dict[str, Policy] = {"run to failure": ReplaceFrom("age", np.inf)}
+    policies: dict[str, Policy] = {"run to failure": ThresholdReplacement("age", np.inf)}
     for name, (feature, thresholds) in TUNED.items():
         policies[name] = tuned(options, feature, thresholds, episodes // 5)
     policies["plan"] = PlannedUpkeep(options)

@@ -6,7 +6,7 @@ import numpy as np
 
 from motor_env.envs import MaintainOptions
 from motor_env.envs.maintain.options import LEVELS, make_tables
-from motor_env.envs.maintain.policies import transitions
+from motor_env.envs.maintain.replacement import transitions
 from motor_env.motor.parameters import FloatArray
 
 

@@ -14,8 +14,8 @@ from itertools import product
 import numpy as np
 from looks import LOG_ODDS, PROBABILITY, look_matrix, looks
 
-from motor_env.envs.baselines.belief import onset_law
 from motor_env.envs.options import MonitorOptions
+from motor_env.envs.policies.fault_posterior import onset_law
 from motor_env.envs.setup import Setup
 from motor_env.motor.parameters import FloatArray
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from motor_env.envs import Lqg
-from motor_env.envs.baselines.policies import Observations
-from motor_env.envs.drive.actions import LIMP, RUN, STOP, as_actions
-from motor_env.envs.drive.policies import LEAST, named
-from motor_env.envs.drive.setup import DriveSetup
+from motor_env.envs.drive.drive_env import LIMP, RUN, STOP, as_actions
+from motor_env.envs.drive.drive_setup import DriveSetup
+from motor_env.envs.drive.lqg import LEAST, named
+from motor_env.envs.policies.rule_policies import Observations
 from motor_env.motor.parameters import FloatArray
 
 AHEAD_S = 0.1

@@ -23,16 +23,16 @@ from motor_env.detection.rules import Cusum, Glr
 from motor_env.envs import (
     BankPolicy,
     BayesPolicy,
+    EventTriggeredProbing,
+    ExpectedRewardTest,
     Lqg,
     MonitorOptions,
-    OnDemand,
     PlannedUpkeep,
-    ReplaceFrom,
     RulePolicy,
-    WorthTest,
+    ThresholdReplacement,
     baseline_features,
 )
-from motor_env.envs.baselines.policies import Player
+from motor_env.envs.policies.rule_policies import Player
 
 Make = Callable[[Any], Player]
 """A policy from its vector environment."""
@@ -94,11 +94,11 @@ def _bayes(threshold: float) -> tuple[str, Make]:
 
 
 def _look(bonus: float, threshold: float) -> Make:
-    return lambda envs: LookAhead(WorthTest(envs.setup, threshold), bonus)
+    return lambda envs: LookAhead(ExpectedRewardTest(envs.setup, threshold), bonus)
 
 
 def _ask(above: float, threshold: float) -> Make:
-    return lambda envs: OnDemand(WorthTest(envs.setup, threshold), above)
+    return lambda envs: EventTriggeredProbing(ExpectedRewardTest(envs.setup, threshold), above)
 
 
 _DRIVE = Reference(
@@ -108,7 +108,7 @@ _DRIVE = Reference(
     episodes=500,
 )
 _UPKEEP = Reference(
-    ("threshold on the remaining life", lambda envs: ReplaceFrom("risk", 0.01)),
+    ("threshold on the remaining life", lambda envs: ThresholdReplacement("risk", 0.01)),
     ("plan", lambda envs: PlannedUpkeep(envs.options)),
     maintenance_bound,
     episodes=15_000,
@@ -119,7 +119,7 @@ REFERENCES = {
     "Monitor-v0": _monitor("medium", ("CUSUM", _rule(Cusum(0.12, two_sided=True), 63.07)), _bayes(0.9609)),
     "MonitorConfirm-v0": Reference(
         ("CUSUM", _rule(Cusum(0.3, two_sided=True), 16.0)),
-        ("Bayes posterior", lambda envs: WorthTest(envs.setup, 0.8)),
+        ("Bayes posterior", lambda envs: ExpectedRewardTest(envs.setup, 0.8)),
         lambda _: upper_bound(MonitorOptions()),  # all that it lets an agent do, Monitor-v0 does, too
         {"observe": baseline_features("medium")},
     ),

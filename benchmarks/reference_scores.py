@@ -27,9 +27,8 @@ from cyclopts import run
 from numpy.typing import NDArray
 from reference_policies import REFERENCES
 
-from motor_env.envs.baselines.evaluation import interval, returns_of
-from motor_env.envs.baselines.policies import Player
-from motor_env.envs.offline.behaviours import Uniform
+from motor_env.envs.policies.evaluation import interval, returns_of
+from motor_env.envs.policies.rule_policies import Player, Random
 from motor_env.motor.parameters import FloatArray
 
 RESULTS = Path(__file__).resolve().parent / "results" / "reference"
@@ -170,7 +169,7 @@ def measure(name: str, method: str, seed: int) -> Result | None:
         return scored(name, label, make, reference.options, reference.episodes)
     label, policy = trivial(name) if method == "trivial" else ("random", None)
     return scored(
-        name, label, lambda envs: policy or Uniform(envs.single_action_space, 0), {}, TRIVIAL_EPISODES
+        name, label, lambda envs: policy or Random(envs.single_action_space, 0), {}, TRIVIAL_EPISODES
     )
 
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from motor_env.envs.baselines.policies import Actions, Observations
-from motor_env.envs.baselines.posterior_policies import PosteriorPolicy, signatures
 from motor_env.envs.options import MonitorOptions
+from motor_env.envs.policies.posterior_policies import PosteriorPolicy, signatures
+from motor_env.envs.policies.rule_policies import Actions, Observations
 from motor_env.envs.setup import Setup
 from motor_env.motor.compiled import njit
 from motor_env.motor.model import State, steady_state

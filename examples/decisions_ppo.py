@@ -29,11 +29,11 @@ from motor_env.envs import (
     MaintainVectorEnv,
     PlannedUpkeep,
     Policy,
-    ReplaceFrom,
+    ThresholdReplacement,
     returns_of,
 )
-from motor_env.envs.baselines.evaluation import interval
-from motor_env.envs.drive.actions import LIMP, RUN, STOP
+from motor_env.envs.drive.drive_env import LIMP, RUN, STOP
+from motor_env.envs.policies.evaluation import interval
 
 HOLD, MEMORY = 10, 0.9  # steps between two decisions of a drive; what is left of the mean after these
 DECISIONS = np.array([RUN, LIMP, STOP])
@@ -174,7 +174,7 @@ TASKS = {
         2000,
         maintained_returns,
         {
-            "threshold": lambda seed: upkeep_returns(lambda _: ReplaceFrom("risk", 0.01), seed),
+            "threshold": lambda seed: upkeep_returns(lambda _: ThresholdReplacement("risk", 0.01), seed),
             "plan": lambda seed: upkeep_returns(PlannedUpkeep, seed),
         },
     ),

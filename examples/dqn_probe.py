@@ -13,8 +13,8 @@ import torch
 from stable_baselines3 import DQN
 
 from motor_env.envs import Policy, ProbeVectorEnv, run_episodes
-from motor_env.envs.baselines.evaluation import interval
-from motor_env.envs.baselines.policies import Actions, Observations
+from motor_env.envs.policies.evaluation import interval
+from motor_env.envs.policies.rule_policies import Actions, Observations
 
 
 class Greedy(Policy):

@@ -25,17 +25,17 @@ from torch import Tensor, nn
 
 from motor_env.envs import (
     BayesPolicy,
+    BeliefPolicy,
+    EventTriggeredProbing,
+    ExpectedRewardTest,
     MonitorVectorEnv,
-    OnDemand,
     Policy,
     PosteriorView,
     ProbeBelief,
     ProbeVectorEnv,
-    Summarised,
-    WorthTest,
     run_episodes,
 )
-from motor_env.envs.baselines.evaluation import interval, joined
+from motor_env.envs.policies.evaluation import interval, joined
 from motor_env.envs.vector import MotorVectorEnv
 
 OBSERVED = ("innovation_current", "voltage")
@@ -57,7 +57,7 @@ def textbook(task: str) -> tuple[MotorVectorEnv, Policy]:
     """The best textbook policy, tuned on other episodes, and where it acts: after every sample."""
     if task == "probe":
         envs: MotorVectorEnv = ProbeVectorEnv(EPISODES, observe=OBSERVED)
-        return envs, OnDemand(WorthTest(envs.setup, 0.97), 0.08)
+        return envs, EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.97), 0.08)
     envs = MonitorVectorEnv(EPISODES, observe=("measured_current",))
     return envs, BayesPolicy(envs.setup, 0.9609)
 
@@ -154,7 +154,7 @@ class Learner:
 
     def policy(self, envs: MotorVectorEnv) -> Policy:
         """The likeliest action."""
-        return Summarised(ProbeBelief(envs.setup), self.choose)
+        return BeliefPolicy(ProbeBelief(envs.setup), self.choose)
 
     def validation(self) -> NDArray[np.float64]:
         """Returns of validation episodes."""

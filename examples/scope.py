@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 from matplotlib.image import imsave
 
-from motor_env.envs.base import MotorEnv
+from motor_env.envs.single import MotorEnv
 
 
 def episode_of(env: Any, label: str) -> None:

@@ -16,8 +16,8 @@ from torchrl.modules import MLP, EGreedyModule, QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
 from motor_env.envs import Policy, ProbeVectorEnv, run_episodes
-from motor_env.envs.baselines.evaluation import interval
-from motor_env.envs.baselines.policies import Actions, Observations
+from motor_env.envs.policies.evaluation import interval
+from motor_env.envs.policies.rule_policies import Actions, Observations
 
 BATCH, ROWS = 128, 64
 

@@ -15,8 +15,7 @@ from motor_env.apps import lab
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.identification import identify
 from motor_env.diagnosis.readers.recording import Recording
-from motor_env.envs.offline.behaviours import TASKS, Behaviour
-from motor_env.envs.offline.recording import episodes_of
+from motor_env.envs.offline_data import TASKS, Behaviour, episodes_of
 from motor_env.inference.class_model import physical_features
 from motor_env.inference.posterior import SeverityPrior, class_probabilities, severity_posterior
 from motor_env.inference.work_features import work_features

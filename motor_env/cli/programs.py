@@ -98,8 +98,7 @@ def offline(
         seed: Of the episodes.
     """
     require_extra("minari", "minari")  # before anything is compiled
-    from motor_env.envs.offline.behaviours import Behaviour
-    from motor_env.envs.offline.recording import record
+    from motor_env.envs.offline_data import Behaviour, record
 
     with console.working("recording episodes"):
         name = record(task, Behaviour(behaviour), out, episodes=episodes, seed=seed)

@@ -2,67 +2,61 @@
 from .adapters import (
     StableBaselinesVecEnv as StableBaselinesVecEnv,
 )
-from .baselines.belief import (
-    ProbeBelief as ProbeBelief,
-)
-from .baselines.evaluation import (
-    parts_of as parts_of,
-    returns_of as returns_of,
-    run_episodes as run_episodes,
-    score as score,
-    sweep as sweep,
-)
-from .baselines.policies import (
-    BankPolicy as BankPolicy,
-    Never as Never,
-    Policy as Policy,
-    Random as Random,
-    RulePolicy as RulePolicy,
-    baseline_features as baseline_features,
-)
-from .baselines.posterior_policies import (
-    BayesPolicy as BayesPolicy,
-)
-from .baselines.posterior_view import (
-    PosteriorView as PosteriorView,
-    Summarised as Summarised,
-)
-from .baselines.probing import (
-    OnDemand as OnDemand,
-    WorthTest as WorthTest,
-)
-from .drive.env import (
+from .drive.drive_env import (
     DriveEnv as DriveEnv,
     DriveVectorEnv as DriveVectorEnv,
+)
+from .drive.lqg import (
+    Lqg as Lqg,
 )
 from .drive.options import (
     DriveOptions as DriveOptions,
 )
-from .drive.policies import (
-    Lqg as Lqg,
-)
-from .maintain.environment import (
+from .maintain.maintain_env import (
     MaintainEnv as MaintainEnv,
     MaintainVectorEnv as MaintainVectorEnv,
 )
 from .maintain.options import (
     MaintainOptions as MaintainOptions,
 )
-from .maintain.policies import (
+from .maintain.replacement import (
     PlannedUpkeep as PlannedUpkeep,
-    ReplaceFrom as ReplaceFrom,
+    ThresholdReplacement as ThresholdReplacement,
 )
-from .monitor import (
+from .monitor_and_probe import (
     MonitorEnv as MonitorEnv,
     MonitorVectorEnv as MonitorVectorEnv,
-)
-from .options import (
-    MonitorOptions as MonitorOptions,
-)
-from .probe import (
     ProbeContinuousEnv as ProbeContinuousEnv,
     ProbeContinuousVectorEnv as ProbeContinuousVectorEnv,
     ProbeEnv as ProbeEnv,
     ProbeOptions as ProbeOptions,
     ProbeVectorEnv as ProbeVectorEnv,
+)
+from .options import (
+    MonitorOptions as MonitorOptions,
+)
+from .policies.evaluation import (
+    parts_of as parts_of,
+    returns_of as returns_of,
+    run_episodes as run_episodes,
+    score as score,
+    sweep as sweep,
+)
+from .policies.fault_posterior import (
+    ProbeBelief as ProbeBelief,
+)
+from .policies.posterior_policies import (
+    BayesPolicy as BayesPolicy,
+    BeliefPolicy as BeliefPolicy,
+    EventTriggeredProbing as EventTriggeredProbing,
+    ExpectedRewardTest as ExpectedRewardTest,
+    PosteriorView as PosteriorView,
+)
+from .policies.rule_policies import (
+    BankPolicy as BankPolicy,
+    Never as Never,
+    Policy as Policy,
+    Random as Random,
+    RulePolicy as RulePolicy,
+    baseline_features as baseline_features,
 )

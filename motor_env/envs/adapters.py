@@ -1,4 +1,4 @@
-"""Our vector environments for learning libraries that do not take gymnasium's."""
+"""Vector environments for learning libraries that do not take gymnasium's."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from motor_env.common.arrays import shown
 from motor_env.common.errors import require_extra
-from motor_env.envs.baselines.posterior_view import PosteriorView
+from motor_env.envs.policies.posterior_policies import PosteriorView
 from motor_env.envs.vector import MotorVectorEnv
 from motor_env.motor.parameters import require
 
@@ -21,11 +21,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv  # noqa: E402
 
 
 class StableBaselinesVecEnv(VecEnv):
-    """One of our vectors as a VecEnv of Stable-Baselines3 (extra `rl`): compiled step, episodes that follow at once.
+    """A vector environment as a VecEnv of Stable-Baselines3 (extra `rl`).
 
-    The info of each sub-environment is a dictionary of its own: empty within an episode, to save time; at its end it
-    has `terminal_observation`, `TimeLimit.truncated`, the truth, and `episode` with return and length, as Monitor of
-    Stable-Baselines3 gives it.
+    The info of each sub-environment is empty within an episode; at its end it has `terminal_observation`,
+    `TimeLimit.truncated`, the truth, and `episode` with return and length, as Stable-Baselines3's Monitor gives it.
 
     Args:
         envs: a vector with the autoreset mode SameStep, or a view of one.
@@ -66,7 +65,7 @@ class StableBaselinesVecEnv(VecEnv):
     def step_wait(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """A step of every sub-environment."""
+        """Step every sub-environment."""
         observations, rewards, terminated, truncated, info = self.envs.step(self._actions)
         over = terminated | truncated
         self._returns += rewards
@@ -94,20 +93,20 @@ class StableBaselinesVecEnv(VecEnv):
         return [getattr(self.envs, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: the sub-environments are one object."""
+        """Refuse: the sub-environments are one object."""
         raise NotImplementedError("the sub-environments of a compiled vector cannot be set apart")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Refused: the sub-environments are one object."""
+        """Refuse: the sub-environments are one object."""
         raise NotImplementedError("the sub-environments of a compiled vector have no methods of their own")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Whether each is as if wrapped: by Monitor, whose `episode` the infos have, and by nothing else."""
+        """True for Monitor, whose `episode` the infos have, else False."""
         return [issubclass(Monitor, wrapper_class)] * len(list(self._get_indices(indices)))
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Refused, unless there are none: a reset has no option that one of many could have alone."""
+        """Refuse options of a reset."""
         if options and (isinstance(options, dict) or any(options)):
             raise NotImplementedError(f"a compiled vector has no options of a reset, got {shown(options)}")

@@ -1,184 +1,33 @@
-"""The step of the environments, compiled once for all: plant, filter, statistics, cost, reward, end.
+"""Equations of a sample of Monitor and Probe, compiled: plant, filter, statistics, cost, verdict.
 
-`advance` is the one place where a sample is made: it takes one lane (one sub-environment) from sample k to k + 1. The
-single environment runs it over one lane, a vector over blocks of `LANES` lanes. The matrices come from
-`motor_env.motor.model.discretize`, the gain from `motor_env.filters.kalman`; the kernel multiplies and adds.
-
-State lies in blocks, see `block_type`: all lanes of a block stand side by side at distances that the
-compiler knows, so that it computes several lanes with one instruction, and a block fits into the first-level cache.
-The same source serves float32 and float64: whichever the arrays are.
+`advance` takes one lane (one sub-environment) from sample k to k + 1; `stepping` runs it over one lane or many blocks.
+The matrices come from `motor_env.motor.model.discretize`, the gain from `motor_env.filters.kalman`. The same source
+serves float32 and float64.
 """
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any, NamedTuple
-
-import numpy as np
-
-from motor_env.envs.compiling import record_maker
+from motor_env.envs.layout import Block, Constants, Model
 from motor_env.motor.compiled import inlined
-
-LANES = 64
-ROWS = 4
-"""Normals of a lane that are made at a time: those that one counter gives."""
-
-MAX_BANK = 5
-Block = Any
-"""A record of `block_type`."""
-
-_MOTOR = ("m00", "m01", "m10", "m11", "d0", "d1", "b0", "b1", "sigma_current", "sigma_speed")
-"""The motor as it is now, as its difference to the belief's."""
-ROW_LENGTH = len(_MOTOR)
-_STATE = ("current", "speed", "error_current", "error_speed", "carry")
-"""The true one, what the filter's estimate lacks, and what rounding took from the error of the speed."""
-_STATISTICS = ("fast_current", "slow_current", "fast_speed", "slow_speed", "excess")  # running
-_TIMES = ("time", "next_change", "delay", "cost")  # in samples, and what a sample costs
-_MEASURED = ("measured_current", "measured_speed", "estimated_current", "estimated_speed")  # the last sample
-_STEP = ("innovation_current", "innovation_speed", "voltage")  # the last step; the innovation is white
-_EPISODE = ("onset", "level", "kind", "supply")
-_FOR_BANK = ("old_current", "old_speed", "mismatch_0", "mismatch_1", "noise_current", "noise_speed", "power")
-_LOOP = ("drive", "held")  # what a speed loop adds to the voltage, and the speed that it holds
-_FIELDS = (*_MOTOR, *_STATE, *_STATISTICS, *_TIMES, *_MEASURED, *_STEP, *_EPISODE, *_FOR_BANK, *_LOOP)
-_BANK = ("evidence", "bank_current", "bank_speed")
-EVIDENCE = len(_FIELDS)  # its first row
-N_FIELDS = EVIDENCE + len(_BANK) * MAX_BANK
-
-
-@cache
-def block_type(precision: str) -> np.dtype[np.void]:
-    """A block of lanes, whose fields are rows of `LANES` numbers; `rows` are all of them.
-
-    The bank has a row for each of its filters: its evidence, and the errors of its current and speed. With these end
-    the `N_FIELDS` rows that are 0 at the begin of an episode. Then come the normals of the sample (`normal_current`,
-    `normal_speed`), those made ahead (`noise`), and those made last (`latest`).
-    """
-    rows: dict[str, tuple[int, ...]] = dict.fromkeys(
-        (*_FIELDS, *_BANK, "normal_current", "normal_speed"), (LANES,)
-    )
-    rows |= dict.fromkeys(_BANK, (MAX_BANK, LANES)) | dict.fromkeys(("noise", "latest"), (ROWS, LANES))
-    fields: Any = dict(np.dtype([(name, precision, rows[name]) for name in rows]).fields or {})
-    fields["rows"] = np.dtype((precision, (N_FIELDS + 2 + 2 * ROWS, LANES))), 0
-    block: np.dtype[np.void] = np.dtype(fields)
-    return block
-
-
-BLOCK = block_type("float64").itemsize // 8
-"""Numbers of a block."""
-block_of = record_maker(lambda numbers: block_type(numbers.name), BLOCK)
-"""Block of that number in a flat array, by name."""
-
-FIELD, SCALE, BOUND, OFFSET = range(4)  # a row of the observed features
-FEATURE_LENGTH = 4
-NEVER = 2.0**50  # the same in both precisions
-
-
-class Constants(NamedTuple):
-    """The belief, the statistics' memories and the rewards, common to all lanes."""
-
-    f00: float  # transition of the belief, whose rows of the speed hold F - I
-    f01: float
-    f10: float
-    f11: float
-    g0: float  # its gain of the voltage
-    g1: float
-    k00: float  # gain of the filter
-    k01: float
-    k10: float
-    k11: float
-    w00: float  # what whitens the innovation, a lower triangle
-    w10: float
-    w11: float
-    c0: float  # 1 where a sensor reads that state
-    c1: float
-    memory_fast: float  # share of a running statistic that is left after a sample
-    memory_slow: float
-    into_fast: float  # share of a new sample in it
-    into_slow: float
-    into_excess: float
-    n_channels: float
-    horizon: float  # in samples, as `growth`
-    delay_cost: float  # a sample, as the prices of probe and energy
-    correct: float
-    silent: float
-    false_alarm: float
-    wrong_kind: float
-    miss: float
-    rest_voltage: float
-    rest_current: float
-    probe_cost: float
-    energy_cost: float
-    growth: float
-    n_levels: float
-    zero: float  # typed as the state is: a literal would make float64 of float32
-    half: float
-    one: float
-    full: float  # whether the voltage may move, or a bank follows
-    loop_p: float  # gains of the speed loop
-    loop_i: float
-    confirm: float  # how often in a row a kind has to be chosen
-
-
-N_CONSTANTS, FULL = len(Constants._fields), Constants._fields.index("full")
-
-
-class Model(NamedTuple):
-    """A filter of the bank, and its difference to the belief in transition, voltage gain and drift."""
-
-    t00: float  # its transition
-    t01: float
-    t10: float
-    t11: float
-    m00: float  # differences
-    m01: float
-    m10: float
-    m11: float
-    b0: float
-    b1: float
-    d0: float
-    d1: float
-
-
-MODEL_LENGTH = len(Model._fields)
-
-FEATURES = (
-    "measured_current",
-    "measured_speed",
-    "estimated_current",
-    "estimated_speed",
-    "innovation_current",
-    "innovation_speed",
-    "fast_current",
-    "slow_current",
-    "fast_speed",
-    "slow_speed",
-    "excess",
-    "voltage",
-    "time",
-)
-"""What can be observed of every task; then comes the evidence of each filter of the bank."""
-FIELD_OF_FEATURE = (*map(_FIELDS.index, FEATURES), *range(EVIDENCE, EVIDENCE + MAX_BANK))
 
 
 @inlined
 def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full: bool) -> None:
     """One sample of lane j of the block s: plant, measurement, filter, statistics, cost of waiting.
 
-    States, measurements and the voltage u stand as deviations from the point at which the belief would rest. What the
-    filter's estimate lacks to the truth, e = x - xhat, is a state in its own right, and the motor stands as its
-    difference M, B, D to the belief (F, G): the innovation is small beside the state, and as the difference of two
-    large numbers it would lose its digits in float32. The rows of the speed hold F - I: it moves by a hair a sample,
-    so what rounding takes from its error is carried over to the next (Kahan 1965).
+    States, measurements and the voltage u are deviations from the rest point of the healthy model (F, G). The error of
+    the estimate, e = x - xhat, is a state in its own right, and the motor is its difference M, B, D to (F, G): as the
+    difference of two large numbers the innovation would lose its digits in float32. The rows of the speed hold F - I,
+    and what rounding takes from its error is carried over to the next sample (Kahan 1965).
 
     m[k] = M x[k] + B u[k] + D; x[k+1] = F x[k] + G u[k] + m[k]; e = F e[k] + m[k]; with the sensor's noise v the
     innovation is C (e + v), and e[k+1] = e - K (e + v) with the gain to which the filter converges. Exponentially
     weighted means of the whitened innovation are scaled to a standard deviation of 1.
 
-    What a speed loop adds to the voltage, d, the filter is not told: it is a part of m.
+    The filter does not know what a speed loop adds to the voltage, d: it is a part of m.
 
-    `kept` is 0 on the first sample of a step, 1 after that.
-    `with_speed` (a speed sensor is there) and `full` (the voltage may move, or a bank follows) are literals where this
-    is called, so the compiler leaves out what is not needed.
+    `kept` is 0 on the first sample of a step, 1 after that. `with_speed` (there is a speed sensor) and `full` (the
+    voltage may move, or a bank follows) are literals at each call, so the compiler leaves out what is not needed.
     """
     x0, x1 = s.current[j], s.speed[j]
     m0 = s.m00[j] * x0 + s.m01[j] * x1 + s.d0[j]
@@ -233,7 +82,7 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
 
 @inlined
 def hold_speed(s: Block, j: int, p: Constants) -> None:
-    """The speed loop of lane j after a sample: a PI controller in its incremental form, which begins without a jump."""
+    """Update the speed loop of lane j: a PI controller in incremental form, which begins without a jump."""
     speed = s.speed[j]
     away = p.loop_p * (speed - s.old_speed[j]) + p.loop_i * (speed - s.held[j])
     s.drive[j] -= away
@@ -241,10 +90,10 @@ def hold_speed(s: Block, j: int, p: Constants) -> None:
 
 @inlined
 def weigh(s: Block, j: int, m: int, p: Constants, t: Model) -> None:
-    """Filter m of the bank after a sample of lane j: the cumulative sum of its log-likelihood ratio to the belief.
+    """Update filter m of the bank: the CUSUM of its log-likelihood ratio to the healthy filter.
 
-    Each filter believes in one fault. Where its sum falls to 0 it starts anew from the belief's estimate, as though
-    the fault set in now (Page 1954, with a signal that depends on the onset: Willsky & Jones 1976).
+    Each filter assumes one fault. Where its sum falls to 0 it restarts from the healthy estimate, as though the fault
+    set in now (Page 1954, with a signal that depends on the onset: Willsky & Jones 1976).
     """
     u = s.voltage[j]
     x0, x1 = s.old_current[j], s.old_speed[j]
@@ -266,10 +115,10 @@ def weigh(s: Block, j: int, m: int, p: Constants, t: Model) -> None:
 
 @inlined
 def settle(s: Block, j: int, p: Constants, samples: int, declared: int) -> float:
-    """Verdict on the last step of lane j's episode, which took so many samples; at the horizon the cost comes on top.
+    """Reward of the verdict at the end of lane j's episode, whose last step took `samples`.
 
-    A declaration ends the episode and is judged by what had been observed before it: a fault that had acted on no
-    observed sample cannot be declared rightly. The horizon ends it with a miss, or with the reward of silence.
+    A declaration is judged by what had been observed before it: a fault that had acted on no observed sample cannot be
+    declared rightly. The horizon ends an episode with a miss, or with the reward of silence.
     """
     onset = s.onset[j]
     if declared == 0:

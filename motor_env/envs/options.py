@@ -1,7 +1,8 @@
-"""Options of the environments: one small family, frozen and checked when made."""
+"""Options of Monitor and what all environments' options share; the recipes easy, medium, hard and small."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
@@ -12,20 +13,156 @@ import numpy as np
 
 from motor_env.common.arrays import shown
 from motor_env.common.errors import UnknownOptionError
-from motor_env.envs.tasks import require_environment, task_recipe, with_motor
+from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import (
+    CATALOGUE,
     PAPER_MOTOR,
+    Channel,
     FloatArray,
     MotorParameters,
+    SensorParameters,
     SupplyParameters,
     require,
     require_numbers,
     require_positive,
 )
-from motor_env.simulation.recipes import Recipe
+from motor_env.simulation.named_recipes import RECIPES
+from motor_env.simulation.recipes import PAPER_CLASSES, FaultClass, Recipe, Spread
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
+
+
+EASY = Recipe(
+    name="easy",
+    classes=(FaultClass(weight=2.0), PAPER_CLASSES[2], PAPER_CLASSES[4]),
+    sensor=SensorParameters(current_noise_a=0.005),
+)
+"""Large faults, a good sensor, a motor known exactly."""
+
+MEDIUM = Recipe(
+    name="medium",
+    classes=(FaultClass(weight=4.0), *PAPER_CLASSES[1:]),
+)
+"""The paper's fault levels at 20 mA of noise, a motor known exactly."""
+
+HARD = Recipe(
+    name="hard",
+    spread=Spread(supply=0.01, resistance=0.003, constants=0.002, inertia=0.002, friction=0.002),
+    classes=(
+        FaultClass(weight=6.0),
+        *PAPER_CLASSES[1:3],
+        FaultClass(FaultKind.WINDING_CONTACT, 0.05),
+        FaultClass(FaultKind.WINDING_CONTACT, 0.10),
+        FaultClass(FaultKind.WINDING_SHORT, 0.05),
+        FaultClass(FaultKind.NOISE, 0.5),
+    ),
+)
+"""Smaller faults of more kinds, on a motor known as well as commissioning allows and a supply known to 1 %."""
+
+SMALL = Recipe(
+    name="small",
+    classes=(
+        FaultClass(weight=3.0),
+        FaultClass(FaultKind.WINDING_CONTACT, 0.005),
+        FaultClass(FaultKind.WINDING_CONTACT, 0.01),
+        FaultClass(FaultKind.WINDING_CONTACT, 0.02),
+        FaultClass(FaultKind.WINDING_CONTACT, 0.03),
+        FaultClass(FaultKind.BEARING, 0.25, weight=2.0),
+    ),
+    sensor=SensorParameters(current_noise_a=0.01),
+)
+"""Winding faults of 0.5 to 3 %, which only a moving voltage shows, and a bearing fault."""
+
+TASKS = {recipe.name: recipe for recipe in (EASY, MEDIUM, HARD, SMALL)}
+
+
+def described(kind: type[Any], value: Any) -> Any:
+    """Recipe or motor from the dictionary that an EnvSpec's JSON makes of it; anything else as it is."""
+    if not isinstance(value, Mapping) or not value:
+        return value
+    from motor_env.motor.toml_files import from_dict
+
+    return from_dict(kind, value, kind.__name__)
+
+
+def task_recipe(recipe: Any) -> Recipe:
+    """Recipe by name (easy, medium, hard, small, or a named recipe of the package), TOML file or dictionary.
+
+    Raises:
+        ValueError: no such recipe or file, or it is not a recipe.
+    """
+    recipe = described(Recipe, recipe)
+    require(
+        isinstance(recipe, Recipe | str | Path),
+        f"recipe must be a name, a TOML file or a Recipe, got {shown(recipe)}",
+    )
+    if isinstance(recipe, Recipe):
+        return recipe
+    name = str(recipe)
+    if name in TASKS:
+        return TASKS[name]
+    if name.endswith(".toml"):
+        from motor_env.simulation.named_recipes import load_recipe
+
+        return load_recipe(recipe)
+    require(
+        name in RECIPES,
+        f"recipe must be one of {', '.join([*TASKS, *RECIPES])}, or a TOML file, got {name!r}",
+    )
+    return RECIPES[name]
+
+
+def with_motor(recipe: Recipe, motor: Any) -> Recipe:
+    """Recipe with another nominal motor; a motor's file also gives supply, noise and tolerances.
+
+    Raises:
+        ValueError: no such motor, its file is none or gives no voltage, or the motor is not linear.
+    """
+    motor = described(MotorParameters, motor)
+    if isinstance(motor, MotorParameters):
+        return replace(recipe, motor=motor)
+    require(
+        isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {shown(motor)}"
+    )
+    from motor_env.motor.data_sheet import load_motor
+
+    read = load_motor(motor)
+    for name in ("coulomb_friction_n_m", "brush_drop_v"):
+        require(
+            getattr(read, name) == 0.0,
+            f"{motor}: an environment's motor is linear, so {name} must be 0, got {getattr(read, name):g}",
+        )
+    if str(motor) in CATALOGUE:
+        return replace(recipe, motor=read.parameters)
+    from motor_env.motor.data_sheet import usable_parameters
+    from motor_env.simulation.named_recipes import motor_recipe
+
+    require(read.nominal_voltage_v is not None, f"{motor}: motor.nominal_voltage_v is missing")
+    usable_parameters(read, needs_speed=Channel.SPEED in recipe.sensor.channels)
+    for note in () if read.assumed else read.notes:
+        warnings.warn(f"{motor}: {note}", stacklevel=2)
+    own = motor_recipe(read, timing=recipe.timing, classes=recipe.classes)
+    return replace(recipe, motor=own.motor, supply=own.supply, sensor=own.sensor, spread=own.spread)
+
+
+def require_environment(recipe: Recipe) -> None:
+    """Refuse, by `ValueError`, what a recipe may have for data sets, but an environment does not simulate."""
+    name = recipe.name
+    require(recipe.field is None, f"recipe {name} has a table field, which an environment does not simulate")
+    require(
+        all(not c.also for c in recipe.classes),
+        f"recipe {name} has joint faults, of which an agent could declare only one",
+    )
+    require(
+        recipe.starts_per_motor == 1,
+        f"recipe {name} has several starts of a motor, but an environment draws a motor for each episode",
+    )
+    require(
+        np.ndim(recipe.supply.voltage_v) == 0,
+        f"voltage_v of recipe {name} must be one number for an environment",
+    )
+
 
 MAX_SAMPLES = 10_000_000
 LARGEST_REWARD, LARGEST_V = 1e9, 1e6  # beyond, sums of rewards and states lose their digits or overflow
@@ -33,7 +170,7 @@ DEFAULT_LOAD_N_M = 0.0147
 
 
 class Precision(StrEnum):
-    """What the step computes with."""
+    """Precision of the step."""
 
     FLOAT32 = "float32"
     FLOAT64 = "float64"
@@ -47,14 +184,14 @@ class Start(StrEnum):
 
 
 class Drive(StrEnum):
-    """What feeds the motor."""
+    """Supply of the motor."""
 
     OPEN_LOOP = "open_loop"
     SPEED_LOOP = "speed_loop"
 
 
 def settle_numbers(options: DataclassInstance) -> None:
-    """Check the fields of numbers in frozen options, and make Python's own of NumPy's; else `ValueError`."""
+    """Check the numbers of frozen options, and make NumPy's Python's; else `ValueError`."""
     require_numbers(options)
     for field in fields(options):
         value = getattr(options, field.name)
@@ -63,7 +200,7 @@ def settle_numbers(options: DataclassInstance) -> None:
 
 
 def settle_choice(options: Any, name: str, choices: type[StrEnum]) -> None:
-    """Make an option of frozen options, given by its value, the member of its enumeration; else `ValueError`."""
+    """Replace an option of frozen options by the member of its enumeration; else `ValueError`."""
     value = getattr(options, name)
     known = isinstance(value, str) and value in set(choices)
     require(known, f"{name} must be one of {', '.join(choices)}, got {shown(value)}")
@@ -72,23 +209,22 @@ def settle_choice(options: Any, name: str, choices: type[StrEnum]) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MonitorOptions:
-    """Everything about the task that can be chosen; times in seconds, rewards in the reward's own unit.
+    """Options of a monitor; times in seconds, rewards in the reward's own unit.
 
     Attributes:
-        recipe: what is drawn: nominal motor, tolerances, faults and their weights, sensor, sampling rate. The name of
-            a recipe (easy, medium, hard, small, or of `simulation.named_recipes`), a recipe's TOML file, a `Recipe`, or
-            one as the dictionary that an EnvSpec's JSON makes of it.
+        recipe: nominal motor, tolerances, faults and their weights, sensor, sampling rate: a `Recipe`, its TOML file,
+            its dictionary in an EnvSpec's JSON, or a name (easy, medium, hard, small, or of
+            `simulation.named_recipes`).
         motor: in place of the recipe's nominal motor: a motor's TOML file, which also gives supply, noise and
-            tolerances; a name of the catalogue or `MotorParameters`, for which these stay the recipe's; None: the
-            recipe's motor.
+            tolerances; a name of the catalogue, or `MotorParameters`; None: the recipe's motor.
         horizon_s: length of an episode.
         samples_per_step: sensor samples between two decisions.
         start: `running` at the operating point, or from `standstill`.
-        load_torque_n_m: load on the shaft, known to the filter. Without load a winding fault of a running motor is all
-            but invisible. None: 11 % of the stall torque, which is 0.0147 N m for the default motor.
-        drive: `open_loop` is a voltage; `speed_loop` a PI controller that holds the speed at which the motor begins.
-            It has a tachometer of its own. What it adds to the voltage, neither filter nor agent is told.
-        loop_time_s: time constant of the speed loop, at least twice a sample and L / R, else it would not be stable.
+        load_torque_n_m: load on the shaft, known to the filter; without load a winding fault of a running motor is all
+            but invisible. None: 11 % of the stall torque, 0.0147 N m for the default motor.
+        drive: `open_loop` is a voltage; `speed_loop` a PI controller that holds the initial speed, with a tachometer of
+            its own. Neither filter nor agent knows what it adds to the voltage.
+        loop_time_s: time constant of the speed loop, for stability at least twice a sample and L / R.
         earliest_onset_s: before this time there is no fault.
         mean_onset_s: mean of the (geometric) waiting time from `earliest_onset_s` to the onset; 0: always at once.
         growth_s: time over which the fault grows to its severity; 0: abrupt.
@@ -99,11 +235,10 @@ class MonitorOptions:
         wrong_kind_cost: for declaring another kind than the fault's.
         miss_cost: for reaching the horizon in silence when there was a fault.
         delay_cost_per_s: for every second that passes between onset and declaration.
-        confirm_steps: a kind is declared once it has been chosen in so many steps in a row, or in the last step. Agents
-            that begin at random end an episode after two steps if it is 1; the choices before count as waiting.
-        precision: `float32` or `float64` inside the step; observations are float32 in any case. float32 is
-            quicker in a vector, and about 1e-5 of an observation's scale away; choose float64 below
-            10 microseconds of sampling.
+        confirm_steps: a kind is declared once it has been chosen in so many steps in a row, or in the last step; the
+            choices before count as waiting.
+        precision: `float32` or `float64` inside the step; observations are float32. float32 is quicker in a vector, and
+            off by about 1e-5 of an observation's scale; choose float64 below 10 microseconds of sampling.
         observe: names of the observed features, in this order; empty: all that the recipe's sensor gives.
 
     Raises:
@@ -132,21 +267,21 @@ class MonitorOptions:
     precision: Precision = Precision.FLOAT32
     observe: tuple[str, ...] = ()
     moves_voltage: ClassVar[bool] = False
-    """Whether actions can change the voltage; if so, the usual observation has the evidence of the bank of filters."""
+    """Whether actions can change the voltage; if so, the default observation has the evidence of the bank."""
 
     @property
     def offsets_v(self) -> tuple[float, ...]:
-        """Offsets that the actions add to the supply's voltage: a monitor has none but 0."""
+        """Voltage offsets of the actions: a monitor has none but 0."""
         return (0.0,)
 
     @property
     def probe_cost_per_v2_s(self) -> float:
-        """Price of an offset: a monitor makes none."""
+        """Price of an offset: none."""
         return 0.0
 
     @property
     def energy_cost_per_j(self) -> float:
-        """Price of electrical energy: a monitor has no say in it."""
+        """Price of electrical energy: none."""
         return 0.0
 
     def __post_init__(self) -> None:
@@ -205,7 +340,7 @@ class MonitorOptions:
 
     @property
     def load_n_m(self) -> float:
-        """Load on the shaft: the chosen one, or as large a share of the stall torque as the default motor's."""
+        """Load on the shaft; by default the same share of the stall torque for every motor."""
         if self.load_torque_n_m is not None:
             return self.load_torque_n_m
         return DEFAULT_LOAD_N_M * (
@@ -225,7 +360,7 @@ class MonitorOptions:
 
     @property
     def n_levels(self) -> int:
-        """Levels that a fault takes until its full severity; 1 if it is abrupt."""
+        """Levels of a growing fault; 1 if it is abrupt."""
         return self.growth_levels if round(self.growth_s / self.dt_s) > 0 else 1
 
     @property
@@ -235,7 +370,7 @@ class MonitorOptions:
 
 
 def _stall_torque(motor: MotorParameters, voltage_v: float | FloatArray) -> float:
-    """What the motor holds at standstill."""
+    """Torque at standstill."""
     return float(np.mean(motor.torque_constant_n_m_per_a * voltage_v / motor.resistance_ohm))
 
 
@@ -243,10 +378,10 @@ Options = TypeVar("Options", bound="DataclassInstance")
 
 
 def with_changes(options: Any, kind: type[Options], changes: dict[str, Any]) -> Options:
-    """The options, by default those of the kind, with some of them changed.
+    """Options with some of them changed.
 
     Args:
-        options: the options, or a dictionary of them as an EnvSpec's JSON has it.
+        options: of `kind`, or their dictionary in an EnvSpec's JSON; None: the defaults.
         kind: their class.
         changes: by name.
 
@@ -260,7 +395,7 @@ def with_changes(options: Any, kind: type[Options], changes: dict[str, Any]) -> 
     require(isinstance(options, kind), f"options must be {kind.__name__}, got {options!r:.60}")
     known = [field.name for field in fields(options)]
     for name in changes:
-        if name not in known:  # the first words are those by which TorchRL knows that it should do without
+        if name not in known:  # TorchRL reads the first words, and does without the option
             there = f"no option {shown(name)}; there are {', '.join(known)}"
             raise UnknownOptionError(f"unexpected keyword argument {shown(name)}: {there}")
     changed: Options = replace(options, **changes)

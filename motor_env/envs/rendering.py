@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from motor_env.envs.kernel import MAX_BANK
+from motor_env.envs.layout import MAX_BANK
 from motor_env.envs.setup import Setup, bank_kinds
 from motor_env.motor.parameters import FloatArray
 
@@ -51,7 +51,7 @@ def blank_screen(height: int = HEIGHT) -> Frame:
 
 @cache
 def text_image(text: str, colour: tuple[int, int, int], size_px: int) -> tuple[int, Frame]:
-    """A line of text on the background, shape (height, width, 3), cut to its ink; how far down that begins."""
+    """Draw a line of text; return the rows above its ink, and its ink, shape (height, width, 3)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -82,14 +82,14 @@ def write(frame: Frame, text: str, at: tuple[int, int], colour: str, *, size_px:
 
 
 def write_figures(frame: Frame, text: str, at: tuple[int, int], colour: str, *, size_px: int) -> None:
-    """Write text that changes, character by character: each is drawn once and kept."""
+    """Write text that changes, character by character, each drawn once."""
     for place, character in enumerate(text):
         if character != " ":
             write(frame, character, (at[0] + round(0.62 * size_px * place), at[1]), colour, size_px=size_px)
 
 
 def mark_moment(frame: Frame, x: int) -> None:
-    """An upright mark across all panels."""
+    """Mark a column across all panels."""
     frame[TOP : HEIGHT - 30 : 3, x : x + 2] = COLOURS["onset"]
 
 
@@ -115,11 +115,7 @@ def draw_trace(
 
 
 class Scope:
-    """Remembers an episode and draws it; the screen is as wide as the whole of it.
-
-    Args:
-        setup: of the environment.
-    """
+    """Keeps an episode of Monitor or Probe and draws it."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -131,7 +127,7 @@ class Scope:
         self.clear()
 
     def clear(self) -> None:
-        """A new episode begins."""
+        """Begin an episode."""
         self.onset_step: int | None = None
         self.step, self._filled = 0, 0
         self._columns = np.full((5 + MAX_BANK, self.width), np.nan)
@@ -139,7 +135,7 @@ class Scope:
         self.verdict, self.good = "", False
 
     def add(self, *values: float) -> None:
-        """One more step: measured and estimated current, estimated speed, voltage, residual, evidence of each kind."""
+        """Add a step: measured and estimated current, estimated speed, voltage, residual, evidence of each kind."""
         while self._filled < self.width and self._step_of_column[self._filled] <= self.step:
             self._columns[:, self._filled] = values
             self._filled += 1
@@ -147,7 +143,7 @@ class Scope:
         self.step += 1
 
     def draw(self) -> Frame:
-        """The screen, shape (HEIGHT, WIDTH, 3)."""
+        """Draw the screen, shape (HEIGHT, WIDTH, 3)."""
         frame, top = blank_screen(), TOP
         for (name, unit, limits, traces), height in zip(self._panels(), PANEL_HEIGHTS, strict=True):
             panel = frame[top : top + height, LEFT : WIDTH - RIGHT]
@@ -168,7 +164,7 @@ class Scope:
         return frame
 
     def _panels(self) -> tuple[Panel, ...]:
-        """What each panel shows; those of current and speed reach as far from rest as these ever went."""
+        """The panels; the limits of current and speed follow the largest deviation from rest."""
         columns, rest = self._columns[:, : self._filled], self.setup.rest
         noise = self.setup.options.task.sensor.current_noise_a
         moved = np.abs(columns[[0, 2]] - rest[:, None]).max(axis=1, initial=0.0)
@@ -186,7 +182,7 @@ class Scope:
         )
 
     def _notes(self, frame: Frame) -> None:
-        """Legends, the time that is shown, and the head."""
+        """Write legends, time and head."""
         options, legend = self.setup.options, TOP + 32
         for place, (name, colour) in enumerate((("measured", "current"), ("filter", "estimate"))):
             write(frame, name, (6, legend + 15 * place), colour, size_px=11)
@@ -206,12 +202,7 @@ class Scope:
 
 
 class Window:
-    """A window on the screen, by pygame.
-
-    Args:
-        width: in pixels.
-        height: in pixels.
-        frames_per_s: at most.
+    """A window of `width` by `height` pixels, by pygame.
 
     Raises:
         DependencyNotInstalled: pygame is not there.

@@ -1,4 +1,4 @@
-"""From options to the numbers that the compiled step needs."""
+"""Numbers of the compiled step of Monitor and Probe, from their options."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from motor_env.envs import kernel
-from motor_env.envs.drawing import make_prior, motor_table
+from motor_env.envs import layout
+from motor_env.envs.episode_sampling import make_prior, motor_table
 from motor_env.envs.layout import TaskNumbers
 from motor_env.envs.options import Drive, MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter, gain_and_covariance
@@ -26,21 +26,21 @@ SLOW_MEMORY_S = 10e-3
 
 
 class Setup(NamedTuple):
-    """What the compiled step needs to know about the task.
+    """A task as the compiled step, the policies and the scores read it.
 
     Attributes:
-        options: what it was made from.
+        options: of the task.
         kinds: verdicts that can be declared, in the order of the actions.
-        belief: the filter, whose gain stands among the numbers.
-        numbers: what the compiled step is told of the task.
-        rest: the point at which the belief would rest, from which the kernel counts: current and speed.
+        belief: the filter of the healthy motor.
+        numbers: of the compiled step.
+        rest: current and speed at which the healthy motor rests; the kernel counts from there.
         view: scale, bound and offset of every feature, shape (3, n_features).
-        chosen: numbers of the observed features.
+        chosen: indices of the observed features.
         observed: their names.
-        offsets_v: what each discrete action adds to the supply's voltage.
-        declarations: number of the verdict that it declares, 0 for none.
+        offsets_v: voltage offset of each discrete action.
+        declarations: number of the verdict that each action declares, 0 for none.
         labels: label kind of every class of the recipe.
-        right_declarations: number of the kind that is right for every class, counted from 1; 0 for healthy.
+        right_declarations: number of the right verdict of every class, 0 for healthy.
     """
 
     options: MonitorOptions
@@ -58,7 +58,7 @@ class Setup(NamedTuple):
 
 
 class LinearBelief(NamedTuple):
-    """What a filter of more states than current and speed believes, by the names of `KalmanFilter`."""
+    """Model of a filter with more states than current and speed, by the names of `KalmanFilter`."""
 
     model: DiscreteModel
     observation: FloatArray
@@ -67,7 +67,7 @@ class LinearBelief(NamedTuple):
 
 
 def converged_gain(belief: KalmanFilter | LinearBelief) -> tuple[FloatArray, FloatArray]:
-    """Gain and innovation covariance to which the filter converges: the solution of its Riccati equation."""
+    """Steady-state gain and innovation covariance of the filter, by its Riccati equation."""
     solution = solve_discrete_are(
         belief.model.transition.T,
         belief.observation.T,
@@ -82,7 +82,7 @@ def converged_gain(belief: KalmanFilter | LinearBelief) -> tuple[FloatArray, Flo
 
 
 def make_setup(options: MonitorOptions) -> Setup:
-    """Everything that follows from the options.
+    """Derive the setup from the options.
 
     Raises:
         ValueError: the recipe has no fault, or failed sensors, or a feature cannot be observed with its sensor.
@@ -103,7 +103,7 @@ def make_setup(options: MonitorOptions) -> Setup:
         options.dt_s,
         initial_state=rest if options.start is Start.RUNNING else np.zeros(2),
     )
-    features = (*kernel.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)))
+    features = (*layout.FEATURES, *(f"evidence_{kind}" for kind in bank_kinds(recipe)))
     unmeasured = [f"{kind}_{c}" for c in Channel if c not in recipe.sensor.channels for kind in _MEASURED]
     names = [name for name in features if name not in unmeasured]
     for name in options.observe:
@@ -122,7 +122,7 @@ def make_setup(options: MonitorOptions) -> Setup:
             options,
             belief,
             rest,
-            np.vstack([kernel.FIELD_OF_FEATURE[: len(features)], view])[:, chosen].T,
+            np.vstack([layout.FIELD_OF_FEATURE[: len(features)], view])[:, chosen].T,
             right,
         ),
         rest=rest,
@@ -140,11 +140,11 @@ def _numbers(
     options: MonitorOptions, belief: KalmanFilter, rest: FloatArray, view: FloatArray, right: list[int]
 ) -> TaskNumbers:
     bank, constants = make_bank(options, belief.model, rest), _constants(options, belief, float(rest[0]))
-    evidence = np.arange(kernel.EVIDENCE, kernel.EVIDENCE + kernel.MAX_BANK)
-    bank[~np.isin(evidence, view[:, kernel.FIELD])] = 0.0  # what nobody sees need not run
-    constants[kernel.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
+    evidence = np.arange(layout.EVIDENCE, layout.EVIDENCE + layout.MAX_BANK)
+    bank[~np.isin(evidence, view[:, layout.FIELD])] = 0.0  # what nobody sees need not run
+    constants[layout.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
     prior, classes = make_prior(options, belief, rest, right, len(view))
-    motors = np.zeros((len(classes), options.n_levels + 1, kernel.ROW_LENGTH))
+    motors = np.zeros((len(classes), options.n_levels + 1, layout.ROW_LENGTH))
     numbers = TaskNumbers(constants, bank, view, motors, prior, classes)
     return numbers._replace(motors=motor_table(numbers))
 
@@ -168,8 +168,8 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: floa
         *(whitening[0, 0], whitening[1, 0], whitening[1, 1]),
         *(float(channel in channels) for channel in State),
     ]
-    numbers = kernel.Constants(
-        **dict(zip(kernel.Constants._fields, filters, strict=False)),
+    numbers = layout.Constants(
+        **dict(zip(layout.Constants._fields, filters, strict=False)),
         memory_fast=fast,
         memory_slow=slow,
         into_fast=math.sqrt(1.0 - fast**2),
@@ -201,7 +201,7 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: floa
 
 
 def _loop_gains(options: MonitorOptions) -> tuple[float, float]:
-    """Gains of the speed loop: its zero cancels the motor's slow pole, and what is left decays in the loop's time."""
+    """Gains of the speed loop: its zero cancels the motor's slow pole."""
     supply, slow_s = options.task.supply.voltage_v, options.task.motor.mechanical_time_constant_s
     no_load = steady_state(options.task.motor, float(supply), 0.0)[State.SPEED]
     gain = float(supply) / no_load / options.loop_time_s
@@ -215,7 +215,7 @@ def transition_row(model: DiscreteModel) -> FloatArray:
 
 
 def _drift(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> FloatArray:
-    """Where a motor goes in one sample from the belief's point of rest: A rest + B (V, load) - rest, shape (2,)."""
+    """Movement in one sample from the rest point: A rest + B (V, load) - rest, shape (2,)."""
     voltage = float(options.task.supply.voltage_v)
     away: FloatArray = (
         model.transition @ rest
@@ -227,14 +227,14 @@ def _drift(options: MonitorOptions, model: DiscreteModel, rest: FloatArray) -> F
 
 
 def bank_kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
-    """Kinds of the recipe with a filter of their own: the first few of those that change the motor."""
-    return tuple(kind for kind in recipe.kinds if kind.motor_powers)[: kernel.MAX_BANK]
+    """Kinds of the recipe with a filter in the bank: the first `MAX_BANK` of those that change the motor."""
+    return tuple(kind for kind in recipe.kinds if kind.motor_powers)[: layout.MAX_BANK]
 
 
 def make_bank(options: MonitorOptions, belief: DiscreteModel, rest: FloatArray) -> FloatArray:
-    """Models of the other filters, one for each kind that changes the motor: its smallest severity."""
+    """Models of the bank of filters: each kind that changes the motor, at its smallest severity."""
     recipe = options.task
-    rows = np.zeros((kernel.MAX_BANK, kernel.MODEL_LENGTH))
+    rows = np.zeros((layout.MAX_BANK, layout.MODEL_LENGTH))
     for row, kind in zip(rows, bank_kinds(recipe), strict=False):
         smallest = min(c.severity or c.largest_severity for c in recipe.classes if c.kind == kind)
         model = discretize(apply_fault(recipe.motor, Fault(kind, smallest)), options.dt_s)

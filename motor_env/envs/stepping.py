@@ -1,7 +1,6 @@
 """The compiled step of a vector and of a single environment: blocks of lanes through the kernel, ends and begins.
 
-A single environment is a block of width 1. A lane costs something beside its samples only when its episode ends or
-begins, and its block is searched for such lanes only when it has one.
+A single environment is a block of width 1.
 """
 
 from __future__ import annotations
@@ -12,11 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel, layout
-from motor_env.envs.compiling import fixed_tuple
-from motor_env.envs.drawing import begin_state, draw_episode, set_motor
-from motor_env.envs.kernel import LANES, MODEL_LENGTH, N_CONSTANTS, ROWS, Block, Constants, Model, block_of
-from motor_env.envs.layout import BoolArray, Lanes, TaskNumbers, unpack_task
-from motor_env.envs.noise import begin_noise, refill
+from motor_env.envs.episode_sampling import begin_noise, begin_state, draw_episode, refill, set_motor
+from motor_env.envs.layout import (
+    LANES,
+    MODEL_LENGTH,
+    N_CONSTANTS,
+    ROWS,
+    Block,
+    BoolArray,
+    Constants,
+    Lanes,
+    Model,
+    TaskNumbers,
+    block_of,
+    fixed_tuple,
+    unpack_task,
+)
 from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import FloatArray
 
@@ -26,7 +36,7 @@ Float32Array = NDArray[np.float32]
 
 @compiled
 def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, first: int, width: int) -> None:
-    """Let the faults of a block reach the levels that are due, and see when the next one is."""
+    """Let the faults of a block reach the levels that are due, and note when the next one is."""
     quiet = p.horizon
     for j in range(width):
         while s.next_change[j] <= s.time[j]:
@@ -34,7 +44,7 @@ def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, firs
             set_motor(s, j, task, lanes, first + j, level)
             s.level[j], s.delay[j] = level, p.delay_cost
             due = s.onset[j] + np.floor(p.growth * level / p.n_levels)
-            s.next_change[j] = due if level < p.n_levels else kernel.NEVER
+            s.next_change[j] = due if level < p.n_levels else layout.NEVER
             lanes.flags[layout.FAULT_ACTIVE, first + j] = True
         if s.time[j] < p.horizon:
             quiet = min(quiet, min(s.next_change[j], p.horizon) - s.time[j])
@@ -46,9 +56,9 @@ T11 = Model._fields.index("t11")
 
 @inlined
 def _advance_all(s: Block, p: Constants, row: int, kept: float, width: int) -> None:
-    """A sample of a block; four loops, each without what it does not need.
+    """Advance a block by a sample; four loops, each without what it does not need.
 
-    The normals are copied to a place that the compiler knows: else it cannot tell them from what is written.
+    The normals are copied to a fixed row, so that the compiler knows that nothing written overlaps them.
     """
     speed_row = row + int(p.n_channels) - 1
     for j in range(width):
@@ -82,7 +92,7 @@ def _step_block(
     samples: int,
     width: int,
 ) -> int:
-    """The samples of a step for the lanes of one block up to `width`; the next row of noise."""
+    """Advance the first `width` lanes of a block by the samples of a step; return the next row of noise."""
     channels, kept = int(p.n_channels), p.zero
     for _ in range(samples):
         if lanes.marks[layout.QUIET, first] <= 0:
@@ -107,9 +117,9 @@ def _step_block(
 
 @inlined
 def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: int) -> None:
-    """Let lane j of a block, lane n of all, begin its next episode; its noise goes on at that row."""
+    """Begin the next episode of lane j of a block, lane n of all; its noise goes on at that row."""
     layout.begin_episode(lanes.words, lanes.flags, n)
-    for f in range(kernel.N_FIELDS):
+    for f in range(layout.N_FIELDS):
         s.rows[f, j] = 0.0
     onset = draw_episode(task, lanes, n)
     s.onset[j] = s.next_change[j] = onset
@@ -119,7 +129,7 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
     error_current, error_speed = s.error_current[j], s.error_speed[j]
     s.estimated_current[j] = current - error_current
     s.estimated_speed[j] = speed - error_speed
-    for m in range(kernel.MAX_BANK):
+    for m in range(layout.MAX_BANK):
         s.bank_current[m, j], s.bank_speed[m, j] = error_current, error_speed
     p = Constants(*fixed_tuple(task.constants, N_CONSTANTS))
     channels = int(p.n_channels)
@@ -134,7 +144,7 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
 
 @compiled
 def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays: Any) -> None:
-    """Let the lanes of the mask begin their next episodes."""
+    """Begin the next episodes of the lanes in the mask."""
     task, lanes = unpack_task(numbers, prior), Lanes(*arrays)
     row = lanes.marks[layout.ROW, 0]
     for n in range(mask.shape[0]):
@@ -146,8 +156,8 @@ def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays
 def _observe_block(s: Block, view: FloatArray, observation: Float32Array, first: int, width: int) -> None:
     """Write the observed features of a block, scaled and clipped, one row a feature."""
     for m in range(view.shape[0]):
-        scale, bound, offset = view[m, kernel.SCALE], view[m, kernel.BOUND], view[m, kernel.OFFSET]
-        values, row = s.rows[int(view[m, kernel.FIELD])], observation[m, first : first + LANES]
+        scale, bound, offset = view[m, layout.SCALE], view[m, layout.BOUND], view[m, layout.OFFSET]
+        values, row = s.rows[int(view[m, layout.FIELD])], observation[m, first : first + LANES]
         for j in range(width):
             value = (values[j] + offset) * scale
             value = -bound if value < -bound else value
@@ -165,10 +175,7 @@ def observe(observation: Float32Array, numbers: FloatArray, prior: FloatArray, *
 
 @inlined
 def _split_cost(s: Block, p: Constants, samples: int, parts: FloatArray, first: int, width: int) -> None:
-    """What the reward of a step in the middle of an episode is made of: verdict (none), delay, probe, energy.
-
-    A task that cannot move the voltage has the first two parts alone.
-    """
+    """Split the cost of a step into verdict (0), delay, probe, energy; without voltage moves into the first two."""
     verdict, delay = parts[0, first : first + width], parts[1, first : first + width]
     for j in range(width):
         verdict[j] = 0.0
@@ -187,7 +194,7 @@ def _split_cost(s: Block, p: Constants, samples: int, parts: FloatArray, first: 
 
 @inlined
 def _settle(s: Block, j: int, p: Constants, samples: int, declared: int, parts: FloatArray, n: int) -> float:
-    """The last reward of lane j of a block, lane n of all; of its parts the verdict, and no others if it declares."""
+    """Last reward of lane j of a block, lane n of all; a declaration costs nothing beside its verdict."""
     verdict = kernel.settle(s, j, p, samples, declared)
     if declared > 0:
         for m in range(parts.shape[0]):
@@ -210,7 +217,7 @@ def _finish_block(
     reward: FloatArray,
     parts: FloatArray,
 ) -> int:
-    """Rewards, ends and begins of the lanes of a block; how many end."""
+    """Write rewards, ends and begins of a block; return how many episodes end."""
     n_over = 0
     for j in range(width):
         n = first + j
@@ -228,9 +235,9 @@ def _finish_block(
 
 @inlined
 def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray, n_offsets: int) -> bool:
-    """Lay offset and declaration of each action into the lanes; False if an action does not exist.
+    """Write offset and declaration of each action into the lanes; False if an action does not exist.
 
-    `offsets_v` has an entry for each action; the first `n_offsets` are offsets, the others declare (offset 0).
+    `offsets_v` has an entry for each action; those after the first `n_offsets` declare.
     """
     lowest, highest = 0, 0
     declared = lanes.marks[layout.DECLARED]
@@ -247,7 +254,7 @@ def lay_discrete(lanes: Lanes, actions: NDArray[np.int64], offsets_v: FloatArray
 
 @compiled
 def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
-    """Offset of the voltage, and declaration, of an action (offset, then one entry a kind), clipped to -1 .. 1."""
+    """Voltage offset and declaration of an action (offset, then one entry a kind), clipped to -1 .. 1."""
     best, declared = DECLARE_ABOVE, 0
     for m in range(1, action.shape[0]):
         if action[m] > best:
@@ -258,7 +265,7 @@ def decode_continuous(action: FloatArray, reach_v: float) -> tuple[float, int]:
 
 @inlined
 def _confirm(p: Constants, lanes: Lanes, samples: int, n_envs: int) -> None:
-    """Let a choice be a declaration only where it has been made often enough in a row, or is the last of an episode."""
+    """Drop declarations not yet chosen often enough in a row, except in the last step of an episode."""
     times, chosen, declared = (
         lanes.marks[layout.TIMES],
         lanes.marks[layout.CHOSEN],
@@ -284,7 +291,7 @@ def _step_lanes(
     numbers: FloatArray,
     prior: FloatArray,
 ) -> int:
-    """A step of all lanes, whose actions lie in them: writes observations and rewards; how many are over now."""
+    """Step all lanes, whose actions lie in them: write observations and rewards; return how many are over."""
     task = unpack_task(numbers, prior)
     p = Constants(*fixed_tuple(task.constants, N_CONSTANTS))
     if p.confirm > 1.0:
@@ -323,7 +330,7 @@ def step_discrete(
     next_step: bool,
     *arrays: Any,
 ) -> int:
-    """A step of all lanes with the number of an action for each; how many are over, -1 if an action does not exist.
+    """Step all lanes with an action number each; how many are over, -1 if an action does not exist.
 
     `arrays` are those that `_step_lanes` writes, the task, and the lanes.
     """
@@ -335,7 +342,7 @@ def step_discrete(
 
 @compiled
 def step_continuous(actions: FloatArray, reach_v: float, samples: int, next_step: bool, *arrays: Any) -> int:
-    """A step of all lanes with a row of actions for each, see `decode_continuous`; how many are over."""
+    """Step all lanes with a row of actions each, see `decode_continuous`; return how many are over."""
     lanes = Lanes(*arrays[5:])
     for n in range(actions.shape[0]):
         offset_v, declared = decode_continuous(actions[n], reach_v)
@@ -355,9 +362,7 @@ def step_single(
     prior: FloatArray,
     *arrays: Any,
 ) -> tuple[float, bool, bool, tuple[float, ...]]:
-    """A step of a single environment, which is lane 0 of a block of its own.
-
-    `parts` is written, shape (4, 1).
+    """Step a single environment, lane 0 of a block of its own; writes `parts`, shape (4, 1).
 
     Returns:
         Reward, end, whether a fault acts, and the four parts of the reward.

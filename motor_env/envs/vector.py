@@ -1,4 +1,4 @@
-"""Many environments in one compiled step: what the vector twins share."""
+"""Base of the vector environments: many sub-environments in one compiled step."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from motor_env.common.arrays import is_one_of, shown
 from motor_env.envs import layout, stepping
-from motor_env.envs.base import (
+from motor_env.envs.layout import LANES, ROWS, WordArray, empty_lanes, pack_task
+from motor_env.envs.options import MonitorOptions, Options, with_changes
+from motor_env.envs.setup import Setup, make_setup
+from motor_env.envs.single import (
     Info,
     Observation,
     discrete_actions,
     observation_space,
+    refuse_actions,
     reward_parts,
     whole_actions,
 )
-from motor_env.envs.kernel import LANES, ROWS
-from motor_env.envs.layout import WordArray, empty_lanes, pack_task
-from motor_env.envs.options import MonitorOptions, Options, with_changes
-from motor_env.envs.setup import Setup, make_setup
 from motor_env.motor.parameters import FloatArray, require
 
 BoolArray = NDArray[np.bool_]
@@ -33,10 +33,10 @@ Step = tuple[Observation, FloatArray, BoolArray, BoolArray, Info]
 
 
 class LateInfo(dict[str, Any]):
-    """A dictionary that is filled when it is first looked at: labels and masks take half as long as a step.
+    """A dictionary that is filled at its first use: labels and masks take half as long as a step.
 
     Attributes:
-        fill: a function and its arguments, arrays that no step writes to again; it gives what is in the dictionary.
+        fill: a function and its arguments, arrays that no step writes to again.
     """
 
     __slots__ = ("fill",)
@@ -64,27 +64,27 @@ for _name in vars(dict).keys() - set(_LOOKS_AT_NOTHING.split()):
     setattr(LateInfo, _name, _after_filling(getattr(dict, _name)))
 
 
-def _told(
+def _full_info(
     truth: Info,
     by_class: dict[str, NDArray[Any]],
     names: Sequence[str],
     parts: Sequence[Any],
     known: BoolArray,
 ) -> Info:
-    """The truth, what follows from the class, the parts of a reward by name, and the masks that Gymnasium wants."""
-    told = truth | {name: values.take(truth["class_index"]) for name, values in by_class.items()}
-    told |= zip(names, parts, strict=False)  # a reset has none
-    return told | {f"_{name}": known for name in told}
+    """Info from truth, columns by class, and parts of the reward; with gymnasium's masks."""
+    info = truth | {name: values.take(truth["class_index"]) for name, values in by_class.items()}
+    info |= zip(names, parts, strict=False)  # a reset has no parts
+    return info | {f"_{name}": known for name in info}
 
 
 class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options]):
     """Sub-environments that each run a stream of episodes of their own.
 
-    The trajectory of sub-environment n depends on (options, seed, n) and the actions alone: not on the number of
-    sub-environments, nor on what the others do. A single environment reset with that seed and `{"index": n}` runs
-    the same. With a list of seeds, sub-environment n runs the stream (seeds[n], 0).
+    The trajectory of sub-environment n depends on (options, seed, n) and its actions alone. A single environment reset
+    with that seed and `{"index": n}` runs the same. With a list of seeds, sub-environment n runs the stream
+    (seeds[n], 0).
 
-    The info has what that of a single environment has, and masks; under the autoreset mode SameStep no `label`.
+    The info is that of a single environment, with masks; under the autoreset mode SameStep it has no `label`.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # gymnasium's way
@@ -92,7 +92,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
     _words: WordArray
     _flags: BoolArray
     by_class: dict[str, NDArray[Any]] = {}  # noqa: RUF012  # never written to
-    """What each class has in the info, by name."""
+    """Columns of the info by class."""
     part_names: tuple[str, ...]
 
     def __init__(
@@ -110,9 +110,9 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         Args:
             num_envs: number of sub-environments.
             options: the task; the defaults of `options_type` unless given.
-            autoreset_mode: what follows the end of an episode: `NextStep`, `SameStep` or `Disabled`.
+            autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
             render_mode: None; a vector draws no pictures.
-            max_episode_steps: episodes are truncated after so many steps; None: never.
+            max_episode_steps: steps until an episode is truncated; None: never.
             changes: single options by name, on top.
         """
         num_envs = layout.require_whole("num_envs", num_envs, 32)
@@ -138,7 +138,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
-        """Make the lanes of `options`; the spaces of one of them."""
+        """Make the lanes of `options`; return observation and action space of a lane."""
         raise NotImplementedError
 
     def _begin(self, mask: BoolArray) -> None:
@@ -146,7 +146,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         raise NotImplementedError
 
     def _write(self, observation: NDArray[np.float32]) -> None:
-        """Write the observation as the lanes stand, one row a feature."""
+        """Write the current observation, one row a feature."""
         raise NotImplementedError
 
     def _observe(self) -> Observation:
@@ -155,24 +155,24 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         return observation.T[: self.num_envs]
 
     def _empty(self) -> NDArray[np.float32]:
-        """A fresh array for the observation of all lanes, those that fill the last block too."""
+        """A new array for the observation, with the lanes that fill the last block."""
         return np.empty((self._n_observed, self._flags.shape[1]), dtype=np.float32)
 
     def _truth(self, active: BoolArray) -> Info:
-        """The truth as the lanes stand, for those who score; what decides must not read it."""
+        """The current truth, for scoring; what decides must not read it."""
         raise NotImplementedError
 
     def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
-        """A step of every sub-environment: observation, reward, its parts, and how many episodes it ended."""
+        """Step every sub-environment: observation, reward, its parts, and how many episodes ended."""
         raise NotImplementedError
 
     def _info(self, flags: BoolArray, parts: Any = ()) -> Info:
-        """The truth and the parts of the reward, and where they are known."""
+        """Info of a step, or of a reset without parts."""
         truth, known = self._truth(flags[layout.FAULT_ACTIVE]), flags[layout.KNOWN]
         if self.autoreset_mode is AutoresetMode.SAME_STEP:  # TorchRL reads these, and can read no text
-            return _told(truth, self._without_text, self.part_names, parts, known)
+            return _full_info(truth, self._without_text, self.part_names, parts, known)
         info = LateInfo()
-        info.fill = (_told, truth, self.by_class, self.part_names, parts, known)
+        info.fill = (_full_info, truth, self.by_class, self.part_names, parts, known)
         return info
 
     def reset(
@@ -181,8 +181,8 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         """Begin episodes.
 
         Args:
-            seed: begins the streams of episodes anew; without it the next episode of each stream begins. A list has
-                one seed, or None, for each sub-environment.
+            seed: begins the streams anew; without it the next episode of each stream begins. A list has one seed, or
+                None, for each sub-environment.
             options: `{"reset_mask": mask}` resets the sub-environments of the mask only.
 
         Raises:
@@ -238,7 +238,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         layout.begin_streams(self._words[:, : self.num_envs], given, seeds, index)
 
     def step(self, actions: Any) -> Step:
-        """A step of every sub-environment.
+        """Step every sub-environment.
 
         Raises:
             ValueError: an action does not exist.
@@ -265,7 +265,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
         return observation, reward, flags[layout.TERMINATED], flags[layout.TRUNCATED], info
 
     def _truncated(self, begun: BoolArray, flags: BoolArray) -> BoolArray:
-        """Count the steps, and set what is truncated in the flags. Where `begun`, an episode has begun in this step."""
+        """Count the steps, and flag what is truncated; `begun`: an episode has begun in this step."""
         self._elapsed += 1
         self._elapsed[begun] = 0
         truncated: BoolArray = self._elapsed >= self._longest
@@ -286,10 +286,7 @@ class StreamVectorEnv(VectorEnv[Observation, Any, NDArray[Any]], Generic[Options
 
 
 class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
-    """The compiled step over many lanes, with a list of actions.
-
-    Arrays that a step returns are new at each call; the observation is Fortran-ordered.
-    """
+    """Base of the vectors of Monitor and Probe. A step returns new arrays; the observation is Fortran-ordered."""
 
     options_type = MonitorOptions
 
@@ -341,6 +338,5 @@ class MotorVectorEnv(StreamVectorEnv[MonitorOptions]):
             array, self.setup.offsets_v, self._n_offsets, *self._timing, *outputs, *self._arrays
         )
         if n_over < 0:
-            highest = len(self.setup.offsets_v) - 1
-            raise ValueError(f"actions must be in 0 .. {highest}, got {array.min()} .. {array.max()}")
+            refuse_actions(array, len(self.setup.offsets_v))
         return n_over

@@ -1,1 +1,1 @@
-"""A drive that fails while it works: follow a speed, see the fault, and limp or stop in time."""
+"""A drive that fails while it works. Begin with `drive_env`; `kernel` is its step, `lqg` its policies."""

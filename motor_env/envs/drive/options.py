@@ -9,8 +9,7 @@ from enum import StrEnum
 import numpy as np
 
 from motor_env.common.arrays import shown
-from motor_env.envs.options import settle_choice, settle_numbers
-from motor_env.envs.tasks import described
+from motor_env.envs.options import described, settle_choice, settle_numbers
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import load_torque
 from motor_env.motor.parameters import (
@@ -27,7 +26,7 @@ MAX_STEPS = 100_000
 
 
 class Control(StrEnum):
-    """What an action is."""
+    """Form of an action."""
 
     VOLTAGE_AND_DECISION = "voltage_and_decision"
     VOLTAGE_LIMP_STOP = "voltage_limp_stop"
@@ -36,52 +35,51 @@ class Control(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveOptions:
-    """Everything about the task that can be chosen, in SI units; costs in the reward's own unit.
+    """Options of a drive in SI units; costs in the reward's own unit.
 
     Attributes:
         motor: nominal motor; the paper's.
         current_noise_a: standard deviation of the measured current, read once a step.
         speed_noise_rad_s: the same of the speed.
-        period_s: time between two decisions. The voltage is held, and the load of its beginning too.
+        period_s: sampling period, in which voltage and load are held.
         horizon_s: length of an episode.
-        voltage_limit_v: the supply gives this voltage at most, either way.
-        current_limit_a: the supply folds the voltage back so that the current at the end of a step is at most this.
+        voltage_limit_v: largest voltage of the supply, either way.
+        current_limit_a: largest current at the end of a step; the supply folds the voltage back.
         load_inertia_kg_m2: inertia of the driven machine, on top of the motor's.
         load_torque_n_m: constant part of the load, as of a hoist.
-        fan_torque_n_m: part of the load at the top speed that goes with the square of the speed, as of a fan.
-        load_std_n_m: standard deviation of the part of the load that nobody knows.
-        load_time_s: time in which that part is forgotten (Ornstein-Uhlenbeck).
+        fan_torque_n_m: quadratic part of the load at the top speed, as of a fan.
+        load_std_n_m: standard deviation of the unknown part of the load (Ornstein-Uhlenbeck).
+        load_time_s: its time constant.
         lowest_speed_rad_s: lowest speed of the profile.
         top_speed_rad_s: highest speed of the profile.
         plateau_s: shortest and longest plateau of the profile.
         ramp_s: shortest and longest ramp between two plateaus.
         ahead_s: times ahead at which the profile is observed, beside its value now and at the end of the next step.
-        weights: how often a motor stays healthy, gets a bad bearing, gets a bad winding contact; only ratios count.
+        weights: of a healthy motor, a bad bearing, a bad winding contact; only ratios count.
         earliest_onset_s: before this time there is no fault.
         mean_onset_s: mean of the (geometric) waiting time from there to the onset.
-        onset_severity: severity of bearing and winding at the onset: share by which friction, resistance are up.
+        onset_severity: severity of bearing and winding at the onset: relative rise of friction and resistance.
         failure_severity: severity of bearing and winding at which the motor fails.
         growth_per_s: slowest and fastest rate of a fault's exponential growth; drawn with a uniform logarithm.
-        stress_share: share of a bearing's growth that goes with load torque times speed, in units of that at top
-            speed. The rest, and a winding's growth, does not depend on what the motor does.
-        thermal_resistance_k_per_w: of the winding against its surroundings. All of its copper heat counts, also that
-            of a bad contact.
-        thermal_time_s: time constant of the winding's temperature, short so that an episode shows it.
+        stress_share: share of a bearing's growth that is proportional to load torque times speed; the rest, and a
+            winding's growth, is constant.
+        thermal_resistance_k_per_w: of the winding against its surroundings, for all of its copper heat.
+        thermal_time_s: time constant of the winding's temperature.
         warm_k: rise of temperature beyond which heat costs.
         burn_k: rise of temperature at which the motor fails.
         limp_share: share of the profile that is asked of a limping motor.
-        limp_time_s: time in which the profile goes from all to that share, and back.
+        limp_time_s: time in which the profile shrinks to that share, and grows back.
         tracking_cost_per_s: price of the squared error of the speed, in units of the top speed, for a second.
         heat_cost_per_k_s: price of a kelvin beyond `warm_k` for a second.
         wear_cost: price of a bearing's growth from 0 to failure.
         failure_cost: price of a failure, on top of the rest of the episode at `stop_cost_per_s`.
         stop_cost_per_s: price of a second that a stopped motor does not run.
         limp_cost_per_s: price of a second with the whole reduction of the profile.
-        tracking_limit_per_s: what a second of tracking error costs at most: a price x becomes x / (1 + x / limit);
-            0: no limit.
+        tracking_limit_per_s: largest cost of a second of tracking error: a cost x becomes x / (1 + x / limit); 0: no
+            limit.
         control: `voltage_and_decision`: two numbers, the voltage, and a decision that runs, limps or stops;
-            `voltage_limp_stop`: three numbers, one each; `decision`: run, limp or stop, from a list, and the drive's
-            own speed controller (LQG with integral action on the healthy motor) sets the voltage.
+            `voltage_limp_stop`: three numbers, one each; `decision`: run, limp or stop, while the drive's speed
+            controller (LQG with integral action on the healthy motor) sets the voltage.
         steps_per_decision: periods for which an action holds.
 
     Raises:

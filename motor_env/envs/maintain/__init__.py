@@ -1,1 +1,1 @@
-"""`motor_env/Maintain-v0`: a bearing that wears from start to start, and when to replace it."""
+"""A bearing that wears day by day. Begin with `maintain_env`; `kernel` is a day, `replacement` its policies."""

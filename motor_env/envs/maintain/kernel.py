@@ -1,8 +1,8 @@
 """A day of many motors, compiled: wear, failure, the start's estimate, and the exact belief about the wear.
 
-The belief of a block of motors lies flat: for each rate of wear a row for each level, a number for each motor. So a day
-is the same sum for all of them, and the compiler computes several with one instruction. All sums go from the lowest
-level up, whatever the size of a block: a single motor believes to the bit what it would among many.
+The belief of a block of motors has a row for each rate of wear and level, a number for each motor, so the compiler
+computes several motors with one instruction. All sums go from the lowest level up, whatever the size of a block: a
+single motor's belief is the same to the bit as among many.
 """
 
 from __future__ import annotations
@@ -14,88 +14,179 @@ from numpy.typing import NDArray
 
 from motor_env.envs import layout
 from motor_env.envs.layout import BoolArray, MarkArray, WordArray
-from motor_env.envs.maintain.belief import believe
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, N_ESTIMATES, NOTHING
 from motor_env.motor.compiled import compiled, inlined
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
+AT_ONCE = 7
+"""Growths that are added in one go."""
+_NEGLIGIBLE = 1e-15  # a share that rounding takes away anyway
+
+
+@inlined
+def _copied(
+    below: int, growths: int, width: int, belief: FloatArray, before: FloatArray, after: FloatArray
+) -> tuple[int, int]:
+    """Copy the belief between zeros, and clear the sums; return the least and the largest possible level."""
+    least, most = LEVELS, -1
+    for level in range(LEVELS):
+        possible, masses = 0, belief[level * width :]
+        copy, sums = before[(below + level) * width :], after[level * width :]
+        for j in range(width):
+            mass = masses[j] if masses[j] > _NEGLIGIBLE else 0.0
+            copy[j], sums[j] = mass, 0.0
+            possible += 1 if mass > 0.0 else 0
+        if possible > 0:
+            least, most = min(least, level), level
+    above = before[(below + LEVELS) * width : (LEVELS + growths - 1) * width]
+    for i in range(below * width):
+        before[i] = 0.0
+    for i in range(len(above)):
+        above[i] = 0.0
+    return least, most
+
+
+@inlined
+def _wear_belief(
+    growths: FloatArray, lowest: int, width: int, belief: FloatArray, before: FloatArray, after: FloatArray
+) -> None:
+    """Belief of a rate after a day without failure, not normalised; no severity falls below 0.
+
+    `before` becomes the belief with zeros below and above, so that each growth is a shift of it.
+    """
+    below, size = len(growths) - 1 + lowest, LEVELS * width
+    least, most = _copied(below, len(growths), width, belief, before, after)
+    for place in range(0, len(growths), AT_ONCE):
+        p0, p1, p2, p3 = growths[place], growths[place + 1], growths[place + 2], growths[place + 3]
+        p4, p5, p6 = growths[place + 4], growths[place + 5], growths[place + 6]
+        begin, end = max(below + least - place - AT_ONCE + 1, 0), min(below + most - place + 1, LEVELS)
+        at, sums = (place + begin) * width, after[begin * width :]  # slices: their indices begin at 0
+        b0, b1, b2, b3 = before[at:], before[at + width :], before[at + 2 * width :], before[at + 3 * width :]
+        b4, b5, b6 = before[at + 4 * width :], before[at + 5 * width :], before[at + 6 * width :]
+        for i in range((end - begin) * width):
+            four = sums[i] + b0[i] * p0 + b1[i] * p1 + b2[i] * p2 + b3[i] * p3
+            sums[i] = four + b4[i] * p4 + b5[i] * p5 + b6[i] * p6
+    new = before[below * width :]
+    for place in range(least, -lowest):  # what would fall below 0, from the deepest fall up
+        fallen = after[size : size + width]
+        for j in range(width):
+            fallen[j] = 0.0
+        for level in range(place + 1):
+            p = growths[len(growths) - 1 - place + level]
+            for j in range(width):
+                fallen[j] += new[level * width + j] * p
+        for j in range(width):
+            after[j] += fallen[j]
+
+
+@inlined
+def _stand(wears: FloatArray, width: int, belief: FloatArray, after: FloatArray) -> None:
+    """Keep the belief of each motor that does not wear."""
+    for j in range(width):
+        if wears[j] == 0.0:
+            for i in range(j, LEVELS * width, width):
+                after[i] = belief[i]
+
+
+@inlined
+def believe(
+    growths: FloatArray,
+    lowest: int,
+    likelihood: FloatArray,
+    belief: FloatArray,
+    room: FloatArray,
+    observed: NDArray[np.uint32],
+    wearing: int,
+) -> None:
+    """Update the belief of a block by the day's wear, and by its observation: column `observed[j]` of `likelihood`."""
+    width = belief.shape[2]
+    before, after, wears, total = room[0], room[1], room[2, :width], room[2, width : 2 * width]
+    for j in range(width):
+        total[j] = 0.0
+    for rate in range(belief.shape[0]):
+        flat = belief[rate].reshape(LEVELS * width)
+        if wearing > 0:
+            _wear_belief(growths[rate], lowest, width, flat, before, after)
+        _stand(wears, width, flat, after)
+        for level in range(0, LEVELS, 2):  # two at a time halve the reading and writing of the sums
+            lower, upper = belief[rate, level], belief[rate, level + 1]
+            worn, more = after[level * width :], after[(level + 1) * width :]
+            here, above = likelihood[level], likelihood[level + 1]
+            for j in range(width):
+                lower[j], upper[j] = worn[j] * here[observed[j]], more[j] * above[observed[j]]
+                total[j] = total[j] + lower[j] + upper[j]
+    for j in range(width):
+        total[j] = 1.0 if observed[j] == NOTHING else 1.0 / total[j]
+    for rate in range(belief.shape[0]):
+        for level in range(0, LEVELS, 2):
+            lower, upper = belief[rate, level], belief[rate, level + 1]
+            for j in range(width):
+                lower[j], upper[j] = lower[j] * total[j], upper[j] * total[j]
+
+
 RUN, INSPECT, REPLACE = range(3)
 LEVEL, RATE, DAY, AGE, ESTIMATE, FAILED = range(6)
-"""Rows of the marks: level of the wear and number of the rate (the truth); days of the episode and of the bearing; the
-last estimate in levels; whether the bearing failed on the last day."""
+"""Rows of the marks: level and rate of wear (the truth); days of episode and bearing; last estimate in levels; whether
+the bearing failed on the last day."""
 FEATURES = ("estimate", "mean", "std", "risk", "rate", "age", "days_left")
 PARTS = ("reward_failure", "reward_replacement", "reward_inspection")
 MOTORS = 32
-"""Motors of a block. Measured: fewer make the loops short, more make the sums leave the fastest cache."""
+"""Motors of a block; measured: fewer or more are slower."""
 COMPARED = 32
-"""Summed probabilities that are compared in one go."""
+"""Cumulated probabilities that are compared in one go."""
 _STREAM = np.uint32(Stream.WEAR)
 _TO_UNIT = 2.0**-32
 _ROUNDING = 1e-13  # of a mean square: a variance below is a difference of roundings
 
 
 class Chances(NamedTuple):
-    """What follows from the options.
+    """Probabilities and costs of a task."""
 
-    Attributes:
-        weights: how often a bearing has each rate, shape (n_rates,).
-        sums: the same, summed up to each rate but the last.
-        shares: each rate, as a share of the mean one.
-        growths: probability of each growth in a day, from the largest down, filled up with zeros in front to a multiple
-            of `AT_ONCE`, shape (n_rates, n_growths).
-        growth_sums: of the growths from the smallest up, summed up to each but the last, shape (n_rates, n); behind
-            them twos, so that there is a multiple of `COMPARED`.
-        failing: that the bearing fails on a day that begins at a level, shape (n_rates, LEVELS).
-        told: a column for everything that a day can tell, its probability given the level: each estimate, each level
-            that an inspection finds, nothing. Shape (LEVELS, NOTHING + 1).
-        numbers: smallest growth in levels, days, standard deviation of an estimate in levels, and the costs of a
-            failure, an inspection and a replacement.
-    """
-
-    weights: FloatArray
-    sums: FloatArray
-    shares: FloatArray
+    weights: FloatArray  # how often a bearing has each rate, shape (n_rates,)
+    sums: FloatArray  # the same cumulated, but the last
+    shares: FloatArray  # each rate as a share of the mean one
+    # probability of each growth in a day, from the largest down, padded with zeros in front to a multiple of
+    # `AT_ONCE`, shape (n_rates, n_growths)
     growths: FloatArray
+    # cumulated from the smallest growth up, but the last, of shape (n_rates, n), padded with twos to a multiple of
+    # `COMPARED`
     growth_sums: FloatArray
-    failing: FloatArray
-    told: FloatArray
+    failing: FloatArray  # that the bearing fails on a day that begins at a level, shape (n_rates, LEVELS)
+    # a column for each observation of a day, its probability given the level: each estimate, each level that an
+    # inspection finds, nothing; shape (LEVELS, NOTHING + 1)
+    likelihood: FloatArray
+    # smallest growth in levels, days, standard deviation of an estimate in levels, and the costs of a failure, an
+    # inspection and a replacement
     numbers: FloatArray
 
 
 class Motors(NamedTuple):
-    """Everything that changes.
+    """State of all motors."""
 
-    Attributes:
-        words: of what the random numbers depend on, shape (4, n_motors).
-        marks: see the rows above, shape (6, n_motors).
-        flags: shape (4, n_motors).
-        belief: probability of each rate and level, shape (n_blocks, n_rates, LEVELS, motors of a block).
-        room: for the sums of a block, see `room_for`.
-        drawn: a day's random words of a block, shape (4, motors of a block).
-        normal: and its standard normals, shape (motors of a block,).
-        seen: what each motor of a block was told today, a column of `Chances.told`, shape (motors of a block,).
-    """
-
-    words: WordArray
-    marks: MarkArray
-    flags: BoolArray
-    belief: FloatArray
-    room: FloatArray
-    drawn: WordArray
-    normal: NDArray[np.float32]
-    seen: NDArray[np.uint32]
+    words: WordArray  # as in `motor_env.envs.layout`, shape (4, n_motors)
+    marks: MarkArray  # see the rows above, shape (6, n_motors)
+    flags: BoolArray  # shape (4, n_motors)
+    belief: (
+        FloatArray  # probability of each rate and level, shape (n_blocks, n_rates, LEVELS, motors of a block)
+    )
+    room: FloatArray  # for the sums of a block, see `room_for`
+    drawn: WordArray  # a day's random words of a block, shape (4, motors of a block)
+    normal: NDArray[np.float32]  # a day's standard normals, shape (motors of a block,)
+    observed: NDArray[
+        np.uint32
+    ]  # today's observation, a column of `Chances.likelihood`, shape (motors of a block,)
 
 
 def room_for(n_growths: int, width: int) -> FloatArray:
-    """Room for the sums of a block of so many motors: belief before and after the day, who wears, features."""
+    """Work space of a block of `width` motors: belief before and after the day, who wears, features."""
     lines = -(-(LEVELS + n_growths) * width // 8)
     return layout.aligned_zeros((4, 8 * lines))  # so that each part begins where a line of the cache does
 
 
 @inlined
 def _pick(sums: FloatArray, uniform: float) -> int:
-    """The first number whose summed probability is above the uniform one."""
+    """The first index whose cumulated probability is above a uniform number."""
     number = 0
     for k in range(len(sums)):
         number += 1 if uniform >= sums[k] else 0
@@ -124,7 +215,7 @@ def _begin_episode(chances: Chances, motors: Motors, n: int) -> None:
 
 @inlined
 def _draw(motors: Motors, first: int, count: int) -> None:
-    """The random numbers of a block's day, all lanes with one instruction: two words and a normal for each.
+    """Draw two words and a normal for each motor of a block.
 
     Rows of the words one by one, not `random_words`: else the compiler does not see that they lie side by side.
     """
@@ -140,7 +231,7 @@ def _draw(motors: Motors, first: int, count: int) -> None:
 
 @inlined
 def _live(chances: Chances, motors: Motors, n: int, action: int, parts: FloatArray) -> tuple[bool, int]:
-    """A day of motor n but for its belief: whether it wears, and the column of `told` that says what was seen."""
+    """Advance motor n by a day, but for its belief; return whether it wears, and its column of `likelihood`."""
     marks, width = motors.marks, motors.belief.shape[3]
     j, numbers = n % width, chances.numbers
     marks[DAY, n] += 1
@@ -205,13 +296,13 @@ def _observe_block(
 
 @inlined
 def _unpacked(arrays: tuple[Any, ...]) -> tuple[Chances, Motors]:
-    """The arrays with which a compiled function is called, by name: a named tuple costs ten times as much a call."""
+    """The arrays of a compiled call by name; named tuples would cost ten times as much a call."""
     return Chances(*arrays[:8]), Motors(*arrays[8:])
 
 
 @compiled
 def observe(out: NDArray[np.float32], *arrays: Any) -> None:
-    """The features of all motors, shape (n_features, n_motors); `arrays` are those of `Chances` and `Motors`."""
+    """Write the features of all motors, (n_features, n_motors); `arrays` are those of `Chances` and `Motors`."""
     chances, motors = _unpacked(arrays)
     width, count = motors.belief.shape[3], out.shape[1]
     for first in range(0, count, width):
@@ -235,10 +326,10 @@ def step(
     out: NDArray[np.float32],
     *arrays: Any,
 ) -> int:
-    """A day of every motor; how many episodes it ended, or -1 for an action that does not exist.
+    """Step every motor by a day; return how many episodes ended, or -1 for an action that does not exist.
 
-    With `restart` a motor whose episode is over begins the next one instead. `parts` (shape (3, n)) are in the order of
-    `PARTS`, `out` is that of `observe`.
+    With `restart` a motor whose episode is over begins the next one instead. `parts`, shape (3, n), is in the order of
+    `PARTS`; `out` is as in `observe`.
     """
     chances, motors = _unpacked(arrays)
     n_over, width, count = 0, motors.belief.shape[3], len(actions)
@@ -249,7 +340,7 @@ def step(
     for first in range(0, count, width):
         here, wearing = min(width, count - first), 0
         for j in range(width):
-            wears[j], motors.seen[j] = 0.0, NOTHING
+            wears[j], motors.observed[j] = 0.0, NOTHING
         _draw(motors, first, here)
         for j in range(here):
             n = first + j
@@ -257,14 +348,14 @@ def step(
             if restart and motors.flags[layout.TERMINATED, n]:
                 _begin_episode(chances, motors, n)
                 continue
-            worn, motors.seen[j] = _live(chances, motors, n, actions[n], parts)
+            worn, motors.observed[j] = _live(chances, motors, n, actions[n], parts)
             wears[j] = 1.0 if worn else 0.0
             wearing += 1 if worn else 0
             motors.flags[layout.TERMINATED, n] = motors.marks[DAY, n] >= numbers[1]
             n_over += motors.flags[layout.TERMINATED, n]
         believe(
-            *(chances.growths, int(numbers[0]), chances.told),
-            *(motors.belief[first // width], motors.room, motors.seen, wearing),
+            *(chances.growths, int(numbers[0]), chances.likelihood),
+            *(motors.belief[first // width], motors.room, motors.observed, wearing),
         )
         _observe_block(chances, motors, first, here, out)
     return n_over

@@ -12,12 +12,12 @@ from motor_env.envs.options import settle_numbers
 from motor_env.motor.parameters import FloatArray, require
 
 LEVELS = 50
-"""Wear is counted in fiftieths of the limit."""
+"""Levels of wear up to the limit."""
 N_ESTIMATES = 2 * LEVELS + 1
-"""An estimate is counted in the same unit, from half the limit below 0 to one and a half times the limit."""
+"""Estimates in levels, from minus half the limit to one and a half times the limit."""
 LOWEST_ESTIMATE = -LEVELS // 2
 NOTHING = N_ESTIMATES + LEVELS
-"""What a day tells is numbered: the estimates, the levels that an inspection finds, nothing."""
+"""Observations of a day are numbered: estimates, levels that an inspection finds, nothing."""
 _RATES = 5
 _REACH = 6.0  # standard deviations of a day's wear that are followed
 
@@ -32,8 +32,8 @@ class MaintainOptions:
         drift_per_day: mean growth of the severity in a day.
         diffusion: standard deviation of a day's growth about its mean.
         rate_spread: standard deviation of the logarithm of the drift from bearing to bearing. 0: the rate is known.
-        estimate_std: standard deviation of the severity that a start tells. 0.031 is the Cramer-Rao bound of the
-            recipe `bench`: current at 10 kHz with 20 mA of noise, tolerances of supply, R, K and J.
+        estimate_std: standard deviation of a start's estimate of the severity; 0.031 is the Cramer-Rao bound of the
+            recipe `bench`.
         failure_cost: of a bearing that fails in service, with the new one.
         replacement_cost: of a planned replacement, with the downtime.
         inspection_cost: of a day on which the motor stands still and its bearing is measured.
@@ -81,30 +81,21 @@ class MaintainOptions:
 
 
 class Tables(NamedTuple):
-    """Probabilities of a day, for each rate of wear.
+    """Probabilities of a day, for each rate of wear."""
 
-    Attributes:
-        rates: mean growth a day, shape (n_rates,).
-        weights: how often a bearing has each rate, shape (n_rates,).
-        wear: of each growth in a day, in levels from `lowest` on, shape (n_rates, n_growths).
-        lowest: smallest growth in levels.
-        failing: that the bearing fails on a day that begins at a level, shape (n_rates, LEVELS).
-        estimate: of each estimate, given the level, shape (N_ESTIMATES, LEVELS).
-    """
-
-    rates: FloatArray
-    weights: FloatArray
-    wear: FloatArray
-    lowest: int
-    failing: FloatArray
-    estimate: FloatArray
+    rates: FloatArray  # mean growth a day, shape (n_rates,)
+    weights: FloatArray  # how often a bearing has each rate, shape (n_rates,)
+    wear: FloatArray  # of each growth in a day, in levels from `lowest` on, shape (n_rates, n_growths)
+    lowest: int  # smallest growth in levels
+    failing: FloatArray  # that the bearing fails on a day that begins at a level, shape (n_rates, LEVELS)
+    estimate: FloatArray  # of each estimate, given the level, shape (N_ESTIMATES, LEVELS)
 
 
 def make_tables(options: MaintainOptions) -> Tables:
-    """The tables of a task.
+    """Tables of a task.
 
-    Wear is the package's law (a Wiener process with drift, Whitmore 1995) on a lattice: so the belief about it is
-    exact. The rates are the nodes of Gauss-Hermite's rule for a lognormal distribution.
+    Wear is a Wiener process with drift (Whitmore 1995) on a lattice, so its belief is exact. The rates are the nodes of
+    Gauss-Hermite's rule for a lognormal distribution.
     """
     step = options.limit / LEVELS
     nodes, weights = np.polynomial.hermite_e.hermegauss(_RATES if options.rate_spread > 0.0 else 1)

@@ -9,10 +9,10 @@ import pytest
 from gymnasium.spaces import Box
 
 from motor_env.envs import (
+    BeliefPolicy,
     PosteriorView,
     ProbeBelief,
     ProbeVectorEnv,
-    Summarised,
     run_episodes,
 )
 
@@ -84,7 +84,7 @@ def test_a_policy_of_summaries_sees_what_the_view_shows() -> None:
         seen.append(summary)
         return np.zeros(len(summary))
 
-    policy = Summarised(ProbeBelief(envs.setup), wait)
+    policy = BeliefPolicy(ProbeBelief(envs.setup), wait)
     for _ in range(2):  # whatever it played before
         seen.clear()
         run_episodes(envs, policy, seed=3)

@@ -21,10 +21,10 @@ from motor_env import (
     simulate_states,
 )
 from motor_env.envs import MonitorEnv, MonitorVectorEnv
-from motor_env.envs.base import Info
-from motor_env.envs.kernel import LANES, block_type
+from motor_env.envs.layout import LANES, block_type
+from motor_env.envs.options import MEDIUM
 from motor_env.envs.setup import converged_gain
-from motor_env.envs.tasks import MEDIUM
+from motor_env.envs.single import Info
 
 # Reaches in: the converged covariance, and the numbers of each stream, which an environment draws by itself.
 from motor_env.filters.kalman import schedule

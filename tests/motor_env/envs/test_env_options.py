@@ -26,7 +26,7 @@ from motor_env.envs import (
     ProbeEnv,
     ProbeOptions,
 )
-from motor_env.envs.tasks import TASKS
+from motor_env.envs.options import TASKS
 
 POSITIVE = st.floats(-4.0, 2.0).map(lambda exponent: 10.0**exponent)
 MOTORS = st.builds(MotorParameters, *[POSITIVE] * 5, viscous_friction_n_m_s_per_rad=POSITIVE | st.just(0.0))

@@ -17,30 +17,29 @@ from motor_env import Cusum, FaultKind, Recipe, discretize
 from motor_env.envs import (
     BankPolicy,
     BayesPolicy,
+    EventTriggeredProbing,
+    ExpectedRewardTest,
     MonitorOptions,
     MonitorVectorEnv,
     Never,
-    OnDemand,
     ProbeBelief,
     ProbeOptions,
     ProbeVectorEnv,
     Random,
     RulePolicy,
-    WorthTest,
     baseline_features,
-    kernel,
+    layout,
     returns_of,
     run_episodes,
     score,
     sweep,
 )
-from motor_env.envs.baselines.belief import final_worth, worth
-from motor_env.envs.baselines.evaluation import Runs, interval, joined
-from motor_env.envs.baselines.policies import ThresholdPolicy, column
-from motor_env.envs.baselines.posterior_policies import signatures
-from motor_env.envs.baselines.probing import Bursts, OpenLoop
+from motor_env.envs.options import EASY, HARD, MEDIUM, SMALL
+from motor_env.envs.policies.evaluation import Runs, interval, joined
+from motor_env.envs.policies.fault_posterior import final_worth, worth
+from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop, signatures
+from motor_env.envs.policies.rule_policies import ThresholdPolicy, column
 from motor_env.envs.setup import converged_gain, make_setup
-from motor_env.envs.tasks import EASY, HARD, MEDIUM, SMALL
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass
@@ -88,7 +87,7 @@ def test_a_sweep_gives_what_every_threshold_gives_alone(name: str) -> None:
             OpenLoop(RatioTest(setup, 0.0), Bursts(5, 8, 3).actions(envs.options.n_steps)),
             (1.0, 4.0, 9.0),
         ),
-        "on demand": lambda: (OnDemand(WorthTest(setup, 0.0), 0.05), (0.2, 0.8, 0.97)),
+        "on demand": lambda: (EventTriggeredProbing(ExpectedRewardTest(setup, 0.0), 0.05), (0.2, 0.8, 0.97)),
     }
     policy, thresholds = cases[name]()
     swept = sweep(envs, policy, thresholds, 7)
@@ -102,7 +101,7 @@ def test_a_sweep_gives_what_every_threshold_gives_alone(name: str) -> None:
 
 def test_random_takes_every_action_as_often() -> None:
     envs = ProbeVectorEnv(3000, **PROBE)
-    policy = Random(envs.setup, np.random.default_rng(1))
+    policy = Random(envs.single_action_space, 1)
     policy.start(3000)
     counts = np.bincount(policy.act(envs.reset(seed=1)[0]), minlength=5)
     assert (abs(counts - 600.0) < 4.0 * np.sqrt(600.0)).all()
@@ -138,7 +137,7 @@ def test_likelihood_ratio_is_that_of_plant_and_filter_simulated_sample_by_sample
     seen = (rng.normal(size=steps) + means).astype(np.float32)
     belief = ProbeBelief(setup)
     belief.start(1)
-    voltage = kernel.FEATURES.index("voltage")
+    voltage = layout.FEATURES.index("voltage")
     for step in range(steps):
         observation = np.zeros((1, len(setup.chosen)), dtype=np.float32)
         observation[0, column(setup, "innovation_current")] = seen[step]
@@ -227,9 +226,9 @@ def test_posterior_stays_finite_when_a_fault_is_far_beyond_doubt() -> None:
 def test_what_a_policy_gets_that_knows_the_class_is_just_below_its_bound() -> None:
     classes = (FaultClass(weight=1.0), FaultClass(FaultKind.WINDING_CONTACT, 0.02))
     envs = ProbeVectorEnv(1000, **PROBE | {"recipe": replace(SMALL, classes=classes), "mean_onset_s": 0.03})
-    policy = LookAhead(WorthTest(envs.setup, 0.95), 0.0)
+    policy = LookAhead(ExpectedRewardTest(envs.setup, 0.95), 0.0)
     mean, half_width = interval(run_episodes(envs, policy, 3).returns)
-    asks = OnDemand(WorthTest(envs.setup, 0.95), 0.08)
+    asks = EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.95), 0.08)
     assert mean > run_episodes(envs, asks, 3).returns.mean()
     bound = bounds.upper_bound(envs.options)
     assert mean - half_width < bound < mean + half_width + 0.03

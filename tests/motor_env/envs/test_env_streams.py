@@ -28,18 +28,18 @@ from motor_env.envs import (
     BankPolicy,
     BayesPolicy,
     DriveVectorEnv,
+    EventTriggeredProbing,
+    ExpectedRewardTest,
     Lqg,
     MaintainOptions,
     MonitorVectorEnv,
-    OnDemand,
     PlannedUpkeep,
     ProbeVectorEnv,
     RulePolicy,
-    WorthTest,
     baseline_features,
     parts_of,
 )
-from motor_env.envs.baselines.probing import Bursts, OpenLoop
+from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop
 
 KEPT = Path(__file__).with_name("env_streams.json")
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
@@ -257,7 +257,8 @@ POLICIES: dict[str, Callable[[], Any]] = {
         OpenLoop(RatioTest(envs.setup, 0.0), Bursts(5, 8, 3).actions(50)),
     ),
     "on demand": lambda: judged(
-        envs := ProbeVectorEnv(4, horizon_s=0.1), OnDemand(WorthTest(envs.setup, 0.0), 0.05)
+        envs := ProbeVectorEnv(4, horizon_s=0.1),
+        EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.0), 0.05),
     ),
     "lqg": lambda: driven(lambda envs: Lqg(envs.setup)),
     "reconfigured": lambda: driven(lambda envs: Lqg(envs.setup, levels=3)),

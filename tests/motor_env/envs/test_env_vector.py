@@ -23,9 +23,9 @@ from motor_env.envs import (
     ProbeContinuousVectorEnv,
     ProbeEnv,
     ProbeVectorEnv,
-    kernel,
+    layout,
 )
-from motor_env.envs.tasks import TASKS
+from motor_env.envs.options import TASKS
 from motor_env.motor.faults import BUILT_IN_KINDS, FaultKind, apply_faults
 from motor_env.simulation.recipes import FaultClass
 
@@ -244,7 +244,7 @@ def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, 
             envs.step(np.zeros(200, dtype=np.int64))
         faults = tuple(Fault(f.kind, f.severity * share) for f in drawn.scenario.faults)
         model = discretize(apply_faults(drawn.scenario.parameters, faults), envs.options.dt_s)
-        state = envs._arrays[2].view(kernel.block_type(precision))
+        state = envs._arrays[2].view(layout.block_type(precision))
         belief = envs.setup.belief.model
         moved = (model.transition - belief.transition).reshape(-1, 4).astype(precision)
         own = [state[name].ravel()[:200] for name in ("m00", "m01", "m10", "m11", "b0", "b1")]

@@ -22,11 +22,10 @@ from motor_env.envs import (
     parts_of,
     returns_of,
 )
-from motor_env.envs.drive.actions import LIMP, RUN, STOP
-from motor_env.envs.drive.lanes import LANES
+from motor_env.envs.drive.drive_env import LIMP, RUN, STOP
+from motor_env.envs.drive.drive_setup import LANES, drive_filter, faulty, make_setup
+from motor_env.envs.drive.lqg import make_bank
 from motor_env.envs.drive.options import LABELS
-from motor_env.envs.drive.policies import make_bank
-from motor_env.envs.drive.setup import drive_filter, faulty, make_setup
 from motor_env.envs.setup import converged_gain
 
 # Reaches in: the filter, noise and growth of the drive by hand, from the same streams and columns.

@@ -17,14 +17,14 @@ from motor_env.envs import (
     MaintainOptions,
     MaintainVectorEnv,
     PlannedUpkeep,
-    ReplaceFrom,
+    ThresholdReplacement,
     rendering,
     returns_of,
 )
-from motor_env.envs.maintain import kernel, picture
+from motor_env.envs.maintain import kernel, maintain_env
+from motor_env.envs.maintain.maintain_env import Logbook
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, make_tables
-from motor_env.envs.maintain.picture import Logbook
-from motor_env.envs.maintain.policies import _STDS as STDS  # the grid of the plan, filled by hand
+from motor_env.envs.maintain.replacement import _STDS as STDS  # the grid of the plan, filled by hand
 
 SPREAD = MaintainOptions(rate_spread=0.5)
 
@@ -111,7 +111,7 @@ def test_the_plan_beats_every_threshold_and_stays_below_the_bound() -> None:
         envs = MaintainVectorEnv(500, options)
         planned = returns_of(envs, PlannedUpkeep(options), seed=1)
         for feature, threshold in (("age", 0.2), ("mean", 0.84), ("risk", 0.01), ("age", np.inf)):
-            gained = planned - returns_of(envs, ReplaceFrom(feature, threshold), seed=1)
+            gained = planned - returns_of(envs, ThresholdReplacement(feature, threshold), seed=1)
             assert gained.mean() > 1.96 * gained.std() / len(gained) ** 0.5, feature
         bound = maintenance_bound(options)
         assert planned.mean() - 2.6 * planned.std() / len(planned) ** 0.5 < bound < clairvoyant_value(options)
@@ -225,7 +225,7 @@ def test_the_logbook_stands_where_its_values_are(monkeypatch: pytest.MonkeyPatch
     """Ten days of constant severities: rows of their lines, columns of the deeds, cost."""
     book = Logbook(MaintainOptions(days=10))
     figures: list[Any] = []
-    monkeypatch.setattr(picture, "write_figures", lambda _, text, *__, **___: figures.append(text))
+    monkeypatch.setattr(maintain_env, "write_figures", lambda _, text, *__, **___: figures.append(text))
     row = dict(zip(kernel.FEATURES, (0.6, 0.9, 0.05, 0.04, 1.0, 0.0, 1.0), strict=True))
     deeds = (kernel.RUN, kernel.RUN, kernel.INSPECT, kernel.REPLACE, kernel.REPLACE)
     for day, deed in enumerate(deeds):

@@ -1,4 +1,4 @@
-"""`motor_env/Probe-v0` and `motor_env/ProbeContinuous-v0`: excite a motor that may be failing, and say so in time."""
+"""Monitor: watch a motor that may be failing, and declare its fault in time. Probe: also excite it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from gymnasium import spaces
 
 from motor_env.envs import stepping
-from motor_env.envs.base import Info, MotorEnv, Observation, finite_action
 from motor_env.envs.options import LARGEST_REWARD, LARGEST_V, MonitorOptions
 from motor_env.envs.setup import Setup
+from motor_env.envs.single import Info, MotorEnv, Observation, finite_action
 from motor_env.envs.vector import MotorVectorEnv
 from motor_env.motor.parameters import require, require_positive
 from motor_env.simulation.recipes import Recipe
@@ -20,12 +20,12 @@ from motor_env.simulation.recipes import Recipe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeOptions(MonitorOptions):
-    """Options of `MonitorOptions` with other defaults, and those of a voltage that the agent moves.
+    """`MonitorOptions` with other defaults, and options of a voltage that the agent moves.
 
     Attributes:
-        offsets_v: what the actions of Probe-v0 add to the supply's voltage; the first is what a waiting agent does.
-        max_offset_v: the largest offset, up or down, of ProbeContinuous-v0.
-        probe_cost_per_v2_s: price of the disturbance, the square of the offset, for a second.
+        offsets_v: voltage offsets of the actions of Probe-v0; the first is that of waiting.
+        max_offset_v: largest offset, up or down, of ProbeContinuous-v0.
+        probe_cost_per_v2_s: price of the squared offset for a second.
         energy_cost_per_j: price of the electrical energy that the motor takes or gives.
         observe: names of the observed features, in this order; empty: all that the recipe's sensor gives, and the
             evidence for each kind.
@@ -65,12 +65,11 @@ class ProbeOptions(MonitorOptions):
 
 
 class ProbeEnv(MotorEnv):
-    """A DC motor runs without load, where a winding fault does not show. Move the voltage to see it, and pay for that.
+    """A DC motor runs without load, where a winding fault does not show. Move the voltage to see it, at a price.
 
     ## Description
-    As in `MonitorEnv` a fault of unknown kind sets in at an unknown time, or none does, but it is small (0.5 to 3 %),
-    and the agent decides every 2 ms which voltage is applied. A moving voltage makes the current flow that a changed
-    resistance changes.
+    As in `MonitorEnv`, but faults are small (0.5 to 3 %), and the agent chooses the voltage every 2 ms. A moving
+    voltage makes the current flow that a changed resistance changes.
 
     ## Action space
     `Discrete(number of offsets + number of kinds)`: the first actions add an offset to the supply's 12 V for a step (0,
@@ -78,23 +77,18 @@ class ProbeEnv(MotorEnv):
     declares a bearing, 4 a winding.
 
     ## Observation space
-    As in `MonitorEnv`, and for each kind of fault the evidence: a CUSUM of the log-likelihood ratio of the smallest
-    fault of that kind, divided by 10. It is never below 0; the bounds of the space are -10 and 10. The voltage is the
-    one of the last step. The innovation is the sum over the step, over the root of its number of samples.
+    As in `MonitorEnv`, and for each kind of fault the evidence: a CUSUM of the log-likelihood ratio of its smallest
+    fault, divided by 10, from 0 to 10. The voltage is that of the last step. The innovation is the sum over the step,
+    over the root of its number of samples.
 
     ## Reward
-    As in `MonitorEnv` with a delay cost of 2 a second; and an offset of 1 V costs 2 a second, growing with its square.
+    As in `MonitorEnv` with a delay cost of 2 a second; an offset of 1 V costs 2 a second, growing with its square.
 
     ## End of an episode
     A declaration, or the horizon (200 steps of 2 ms), both as `terminated`.
 
     ## Info
     As in `MonitorEnv`, with `reward_probe` and `reward_energy`.
-
-    Args:
-        options: the task; `ProbeOptions()` unless given.
-        render_mode: see the metadata.
-        changes: single options by name, on top.
     """
 
     options_type = ProbeOptions
@@ -118,11 +112,6 @@ class ProbeContinuousEnv(MotorEnv):
     the others is above 0.5, its kind is declared. Values outside are clipped.
 
     Everything else is as in `ProbeEnv`.
-
-    Args:
-        options: the task; `ProbeOptions()` unless given.
-        render_mode: see the metadata.
-        changes: single options by name, on top.
     """
 
     options_type = ProbeOptions
@@ -157,3 +146,37 @@ class ProbeContinuousVectorEnv(MotorVectorEnv):
             array, self.options.max_offset_v, *self._timing, *outputs, *self._arrays
         )
         return n_over
+
+
+class MonitorEnv(MotorEnv):
+    """A DC motor runs, watched by a Kalman filter of the healthy motor. Declare what fails, and when.
+
+    ## Description
+    The motor begins at its operating point. At an unknown time a fault of an unknown kind sets in, or none does. Until
+    then the filter's whitened innovation is standard normal white noise. The agent waits, or declares a kind.
+
+    ## Action space
+    `Discrete(1 + number of kinds)`: 0 waits, the others declare one of the recipe's kinds, in the order bearing,
+    winding, noise. With the default recipe: 1 bearing, 2 winding.
+
+    ## Observation space
+    `Box`, float32, finite, clipped at the space's bounds; `observe` chooses the numbers. Means are exponentially
+    weighted and scaled to a standard deviation of 1. Current is in units of the stall current, speed of the ideal
+    no-load speed, voltage of the supply's.
+
+    ## Reward
+    See `MonitorOptions`: delay costs 5 a second; right kind +1, silence to the end without a fault +1, false alarm -1,
+    wrong kind -0.5, miss -1.
+
+    ## End of an episode
+    A declaration, or the horizon (2000 samples of 0.1 ms), both as `terminated`: a miss has to be charged. `truncated`
+    is always False.
+
+    ## Info
+    The truth, for scoring: `label`, `class_index` (of the recipe's classes), `severity`, `onset_sample`
+    (-1: no fault), `fault_active`. The parts of the reward: `reward_verdict`, `reward_delay`.
+    """
+
+
+class MonitorVectorEnv(MotorVectorEnv):
+    """Vector of `MonitorEnv`: sub-environment n runs the stream of episodes (seed, n)."""

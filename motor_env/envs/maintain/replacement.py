@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.baselines.policies import Actions, Observations, Policy
 from motor_env.envs.maintain.kernel import FEATURES, INSPECT, REPLACE, RUN
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
+from motor_env.envs.policies.rule_policies import Actions, Observations, Policy
 from motor_env.motor.parameters import FloatArray
 
 _STDS = np.array(
@@ -22,12 +22,12 @@ def _feature(observations: Observations, name: str) -> FloatArray:
 
 
 @dataclass
-class ReplaceFrom(Policy):
+class ThresholdReplacement(Policy):
     """Replaces the bearing once a feature reaches a threshold.
 
     Attributes:
-        feature: `age` (a calendar), `mean` (the severity), or `risk` (the remaining life is likely below a day).
-        threshold: level; infinity never replaces.
+        feature: `age`, `mean` (of the severity), or `risk` (of failure today).
+        threshold: infinity never replaces.
     """
 
     feature: str
@@ -41,10 +41,7 @@ class ReplaceFrom(Policy):
 class PlannedUpkeep(Policy):
     """The best plan by dynamic programming over the posterior's mean and standard deviation (Bellman 1957).
 
-    A bearing's rate of wear counts as known while it runs; its mean is looked up between the rates of the task.
-
-    Args:
-        options: of the environment.
+    A bearing's rate of wear counts as known while it runs; values are interpolated between the rates of the task.
     """
 
     def __init__(self, options: MaintainOptions) -> None:
@@ -54,7 +51,7 @@ class PlannedUpkeep(Policy):
         self._values = _plan(options, tables)
 
     def act(self, observations: Observations) -> Actions:
-        """The action that is worth the most; ties go to running."""
+        """The action of highest value; ties go to running."""
         left = np.round(_feature(observations, "days_left") * self.options.days).astype(int)
         pace = _feature(observations, "rate")
         above = np.clip(np.searchsorted(self._pace, pace), min(1, len(self._pace) - 1), len(self._pace) - 1)
@@ -74,7 +71,7 @@ class PlannedUpkeep(Policy):
 def _places(
     mean: FloatArray, std: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int64], FloatArray]:
-    """Where mean and standard deviation lie between the points of the plan's grid."""
+    """Cell and weights of mean and standard deviation in the plan's grid."""
     row = np.clip(mean, 0.0, LEVELS - 1.001).astype(int)
     column = np.clip(np.searchsorted(_STDS, std, side="right") - 1, 0, len(_STDS) - 2)
     share = (std - _STDS[column]) / np.diff(_STDS)[column]
@@ -84,7 +81,7 @@ def _places(
 def _between(
     values: FloatArray, place: tuple[NDArray[np.int64], FloatArray, NDArray[np.int64], FloatArray]
 ) -> FloatArray:
-    """Linear interpolation in grids of shape (..., LEVELS, n_stds), one for each place or one for all."""
+    """Bilinear interpolation in grids of shape (..., LEVELS, n_stds), one for each place or one for all."""
     row, down, column, across = place
     flat = values.reshape(-1, LEVELS, len(_STDS))
     which = np.arange(len(row)) if len(flat) > 1 else 0
@@ -100,9 +97,9 @@ def _gaussians() -> FloatArray:
     for mean in range(LEVELS):
         for std in np.maximum(_STDS, 1e-3):
             centre = float(mean)
-            for _ in range(20):  # what lies outside moves the mean: aim beside it
-                off = (level - centre) / max(std, 0.3 * (std >= 0.3) + 1e-3)
-                belief = np.exp(-0.5 * (np.square(off) - np.square(off).min()))
+            for _ in range(20):  # truncation moves the mean: aim beside it
+                deviation = (level - centre) / max(std, 0.3 * (std >= 0.3) + 1e-3)
+                belief = np.exp(-0.5 * (np.square(deviation) - np.square(deviation).min()))
                 belief /= belief.sum()
                 centre = float(np.clip(centre + mean - belief @ level, -30.0, LEVELS + 30.0))
             beliefs.append(belief)
@@ -120,7 +117,7 @@ def transitions(tables: Tables) -> FloatArray:
 
 
 def _plan(options: MaintainOptions, tables: Tables) -> FloatArray:
-    """Worth of each action with so many days left, (days + 1, 3, n_rates, LEVELS * n_stds)."""
+    """Value of each action by days left, (days + 1, 3, n_rates, LEVELS * n_stds)."""
     level, beliefs = np.arange(LEVELS), _gaussians()
     chances, places = [], []
     for chain in transitions(tables):

@@ -1,7 +1,4 @@
-"""Controllers for the drive: LQG with integral action, and the same reconfigured by a bank of filters.
-
-They see what an agent sees, for many sub-environments at once: `start(count)`, then `act(observations)` each step.
-"""
+"""Controllers for the drive: LQG with integral action, and the same reconfigured by a bank of filters."""
 
 from __future__ import annotations
 
@@ -11,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
-from motor_env.envs.baselines.policies import Observations
-from motor_env.envs.drive.actions import LIMP, RUN, STOP, as_actions
+from motor_env.envs.drive.drive_env import LIMP, RUN, STOP, as_actions
+from motor_env.envs.drive.drive_setup import DriveSetup, drive_filter, faulty, speed_feedback
 from motor_env.envs.drive.options import LABELS, DriveOptions
-from motor_env.envs.drive.setup import DriveSetup, drive_filter, faulty, speed_feedback
+from motor_env.envs.policies.rule_policies import Observations
 from motor_env.envs.setup import converged_gain
 from motor_env.motor.model import Input, discretize, load_torque
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -27,40 +24,26 @@ def named(setup: DriveSetup, observations: Observations) -> dict[str, FloatArray
 
 
 class Bank(NamedTuple):
-    """Motors that are thought possible, the healthy one first, with a filter and a controller for each.
+    """Hypotheses of the motor, the healthy one first, with a filter and a controller for each of the h."""
 
-    Attributes:
-        kind: index of its label, shape (h,).
-        severity: shape (h,).
-        ohm: resistance, shape (h,).
-        drag: friction, shape (h,).
-        transition: of current and speed, shape (h, 2, 2).
-        by_volt: gain of the voltage, shape (h, 2).
-        by_load: gain of the load torque, shape (h, 2).
-        gain: of the filter, whose states are current, speed, unknown load, shape (h, 3, 2).
-        whitening: of its innovation, shape (h, 2, 2).
-        feedback: voltage for current, speed and integral of the speed's error, shape (h, 3).
-        moves: probability of going from one to another in a step, shape (h, h).
-    """
-
-    kind: NDArray[np.int64]
-    severity: FloatArray
-    ohm: FloatArray
-    drag: FloatArray
-    transition: FloatArray
-    by_volt: FloatArray
-    by_load: FloatArray
-    gain: FloatArray
-    whitening: FloatArray
-    feedback: FloatArray
-    moves: FloatArray
+    kind: NDArray[np.int64]  # index of its label, shape (h,)
+    severity: FloatArray  # shape (h,)
+    ohm: FloatArray  # resistance, shape (h,)
+    drag: FloatArray  # friction, shape (h,)
+    transition: FloatArray  # of current and speed, shape (h, 2, 2)
+    by_volt: FloatArray  # gain of the voltage, shape (h, 2)
+    by_load: FloatArray  # gain of the load torque, shape (h, 2)
+    gain: FloatArray  # of the filter, whose states are current, speed, unknown load, shape (h, 3, 2)
+    whitening: FloatArray  # of its innovation, shape (h, 2, 2)
+    feedback: FloatArray  # voltage for current, speed and integral of the speed's error, shape (h, 3)
+    moves: FloatArray  # transition probabilities of a step, shape (h, h)
 
 
 LEAST = 1e-12  # probability that a motor of the bank never falls below
 
 
 def _feedback(options: DriveOptions, motor: MotorParameters) -> tuple[FloatArray, ...]:
-    """Model of a driven motor, gain and whitening of its filter, and its linear-quadratic gain with integral action."""
+    """Model of a driven motor, gain and whitening of its filter, and its feedback."""
     belief, model = drive_filter(options, motor), discretize(motor, options.period_s)
     gain, covariance = converged_gain(belief)
     feedback = speed_feedback(options, motor)
@@ -105,9 +88,9 @@ def make_bank(options: DriveOptions, levels: int) -> Bank:
 class Lqg:
     """LQG with integral action: each motor of a bank has a filter and a voltage; the weighted mean is applied.
 
-    With the healthy motor alone it is the fixed LQG, which never limps or stops. With a bank the probability of each
-    motor follows from its filter's innovations; these probabilities are the weights, and the decision goes by the
-    posterior: limp where a bad bearing is probable or the winding is hot, stop just before a failure.
+    With the healthy motor alone it is the fixed LQG, which never limps or stops. With a bank the posterior of the
+    motors gives the weights and the decision: limp where a bad bearing is probable or the winding is hot, stop just
+    before a failure.
 
     Args:
         setup: of the environment.
@@ -115,8 +98,8 @@ class Lqg:
         reconfigures: whether the posterior shapes the voltage.
         decides: whether it limps and stops.
         limp_above: probability of a bad bearing above which it limps.
-        stop_above: expected severity of bearing and winding, as shares of those at failure, above which it stops. The
-            second holds for the temperature, too. A share above 1 never stops it.
+        stop_above: expected severity of bearing and winding, as shares of those at failure, above which it stops; the
+            second holds for the temperature, too.
     """
 
     def __init__(
@@ -139,7 +122,7 @@ class Lqg:
             self._share[k] = np.where(self.bank.kind == k + 1, self.bank.severity / failure, 0.0)
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         size = len(self.bank.kind)
         self._state = np.zeros((size, 3, count))
         self._integral, self._temperature, self._current = np.zeros((3, count))
@@ -147,9 +130,9 @@ class Lqg:
 
     def act(self, observations: Observations) -> NDArray[Any]:
         """Voltage and decision from the posterior after the last measurement."""
-        limit, seen = self.setup.options.voltage_limit_v, named(self.setup, observations)
-        self._follow(seen)
-        volts = self._volts(seen)
+        limit, observed = self.setup.options.voltage_limit_v, named(self.setup, observations)
+        self._follow(observed)
+        volts = self._volts(observed)
         mean = (volts * self.probability).sum(axis=0) if self.reconfigures else volts[0]
         given = np.stack([np.clip(mean / limit, -1.0, 1.0), self._decision()], axis=1)
         return as_actions(self.setup.options.control, given)
@@ -158,43 +141,43 @@ class Lqg:
         options = self.setup.options
         return load_torque(options.load_torque_n_m, options.fan_n_m_s2, speed) + unknown
 
-    def _follow(self, seen: dict[str, FloatArray]) -> None:
-        """Let each filter follow, and weigh it by how well it had expected the measurement (Magill 1965)."""
+    def _follow(self, observed: dict[str, FloatArray]) -> None:
+        """Update each filter, and weigh it by the likelihood of its innovation (Magill 1965)."""
         bank, options, state = self.bank, self.setup.options, self._state
-        measured = np.stack([seen["measured_current"], seen["measured_speed"]])
+        measured = np.stack([observed["measured_current"], observed["measured_speed"]])
         torque = self._torque(state[:, 1], state[:, 2])
         expected = bank.transition @ state[:, :2] + bank.by_load[:, :, None] * torque[:, None]
-        expected += bank.by_volt[:, :, None] * seen["voltage"]
+        expected += bank.by_volt[:, :, None] * observed["voltage"]
         innovation = measured - expected
         state[:, :2] = expected
         state[:, 2] *= options.load_memory
         state += bank.gain @ innovation
         fit = self._fit - 0.5 * np.square(bank.whitening @ innovation).sum(axis=1)
-        self._weigh(fit, seen)
+        self._weigh(fit, observed)
         self._heat(measured[0])
-        self._begin(seen["time"] == 0.0, measured)
+        self._begin(observed["time"] == 0.0, measured)
 
-    def _weigh(self, fit: FloatArray, seen: dict[str, FloatArray]) -> None:
-        """Probability of each motor after the measurement, from its log-likelihood."""
+    def _weigh(self, fit: FloatArray, observed: dict[str, FloatArray]) -> None:
+        """Update the probability of each motor by its log-likelihood."""
         self.probability = softmax(fit + np.log(self.bank.moves.T @ self.probability + LEAST), axis=0)
 
     def _heat(self, current: FloatArray) -> None:
-        """Temperature of the winding whose resistance is the expected one."""
+        """Update the temperature of a winding with the expected resistance."""
         loss_w = 0.5 * (current**2 + self._current**2) * (self.bank.ohm @ self.probability)
         rise = loss_w * self.setup.options.thermal_resistance_k_per_w - self._temperature
         self._temperature += self.setup.task.cooling * rise
         self._current = current
 
     def _begin(self, new: NDArray[np.bool_], measured: FloatArray) -> None:
-        """Where an episode begins, the motor is healthy and in the state that is measured."""
+        """Where an episode begins, reset to a healthy motor in the measured state."""
         self._state[:, :, new], self.probability[:, new] = 0.0, np.eye(len(self.bank.kind), 1)
         self._state[:, :2, new] = measured[:, new]
         self._integral[new], self._temperature[new] = 0.0, 0.0
 
-    def _volts(self, seen: dict[str, FloatArray]) -> FloatArray:
-        """Voltage of each motor's controller: what the profile needs, and a feedback; shape (h, count)."""
+    def _volts(self, observed: dict[str, FloatArray]) -> FloatArray:
+        """Voltage of each motor's controller: feedforward of the profile, and feedback; shape (h, count)."""
         bank, options, motor = self.bank, self.setup.options, self._motor
-        now, then = seen["profile_0"], seen["profile_1"]
+        now, then = observed["profile_0"], observed["profile_1"]
         middle = 0.5 * (now + then)
         torque = self._torque(middle, self._state[:, 2]) + bank.drag[:, None] * middle
         torque += motor.inertia_kg_m2 * (then - now) / options.period_s
@@ -205,7 +188,7 @@ class Lqg:
             gain[:, None] * error for gain, error in zip(bank.feedback.T, errors, strict=True)
         )
         room = np.abs(wanted[0]) < options.voltage_limit_v
-        self._integral += np.where(room, options.period_s * (seen["measured_speed"] - now), 0.0)
+        self._integral += np.where(room, options.period_s * (observed["measured_speed"] - now), 0.0)
         return volts
 
     def _decision(self) -> FloatArray:

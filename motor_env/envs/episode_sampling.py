@@ -1,9 +1,13 @@
-"""The drawing of episodes, compiled into the step: class, onset, motor, and the motor at each level of its fault.
+"""Random numbers of an episode, compiled into the step: class, onset, motor at each level of its fault, sensor noise.
 
-The numbers are those of `simulation.drawing.draw` and `motor.model.discretize` for the case of the episode, to the bit,
-so a data set and an environment draw the same motors (a test compares them). An episode depends on (task, seed,
-sub-environment, number of the episode) alone. What costs most, a motor's matrices, is computed when it is needed: at
-the begin of an episode, and when its fault reaches a level. Where all motors are alike they stand in a table.
+An episode depends on (task, seed, sub-environment, number of the episode) alone. Class, onset and motor are those of
+`simulation.drawing.draw` and `motor.model.discretize` for its case, to the bit. A motor's matrices are computed at the
+begin of an episode and when its fault reaches a level; where all motors are alike they stand in a table.
+
+Standard normal q of an episode is number q of `random_streams.normals(seed, Stream.MEASUREMENT, case)` with the case
+(sub-environment << 32) | episode; a sample takes one for each channel. All lanes are refilled together, four rows at a
+time, wherever each stands in its episode. One counter gives four normals, so a lane's next normal may be in the middle
+of four: each lane keeps its last four, makes four more, and takes its rows out of these eight, without a branch.
 """
 
 from __future__ import annotations
@@ -16,8 +20,16 @@ from numba import types
 from numba.extending import intrinsic
 
 from motor_env.envs import layout
-from motor_env.envs.kernel import NEVER, ROW_LENGTH, Block
 from motor_env.envs.layout import (
+    CASE_HIGH,
+    CASE_LOW,
+    LANES,
+    NEVER,
+    ROW_LENGTH,
+    ROWS,
+    SEED_HIGH,
+    SEED_LOW,
+    Block,
     Lanes,
     TaskNumbers,
     WordArray,
@@ -33,7 +45,75 @@ from motor_env.motor.compiled import compiled_with_arrays, inlined
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import Input, exponential_and_phi
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters
-from motor_env.simulation.random_streams import Stream, box_muller
+from motor_env.simulation.random_streams import Stream, box_muller, philox
+
+_STREAM = np.uint32(Stream.MEASUREMENT)
+
+
+@inlined
+def four_normals(group: int, words: WordArray, n: int) -> tuple[np.float32, ...]:
+    """Normals 4 group .. 4 group + 3 of lane n's episode."""
+    a, b, c, d = random_words(_STREAM, group, words, n)
+    n0, n1 = box_muller(a, b)
+    n2, n3 = box_muller(c, d)
+    return n0, n1, n2, n3
+
+
+@inlined
+def begin_noise(s: Block, words: WordArray, n: int, row: int, channels: int) -> tuple[np.float32, ...]:
+    """Fill the rows from `row` on for a new episode of lane n; return its first four normals.
+
+    The first, one a channel, belong to the measurement of the initial state.
+    """
+    j = n % LANES
+    first: tuple[np.float32, ...] = four_normals(0, words, n)
+    beyond = channels + ROWS - row  # the first normal that the next refill gives
+    second = four_normals(1, words, n) if beyond >= ROWS else first
+    for place in range(row, ROWS):
+        q = channels + place - row
+        s.noise[place, j] = first[q] if q < ROWS else second[q - ROWS]
+    for m in range(ROWS):
+        s.latest[m, j] = second[m]
+    return first
+
+
+@compiled_with_arrays
+def refill(s: Block, words: WordArray, first: int, channels: int, width: int) -> None:
+    """Refill all rows of a block for its lanes up to `width`; `first` is the number of its first lane.
+
+    Arrays of its own, and rows of the words one by one: else the compiler does not see that they lie side by side.
+    """
+    low, high = words[CASE_LOW, first : first + width], words[CASE_HIGH, first : first + width]
+    k0, k1 = words[SEED_LOW, first : first + width], words[SEED_HIGH, first : first + width]
+    following = np.empty(LANES, dtype=np.uint32)  # the normal with which each lane goes on
+    made = np.empty((4, LANES), dtype=np.uint32)
+    new = np.empty((4, LANES), dtype=np.float32)
+    for j in range(width):
+        following[j] = np.uint32((np.int32(s.time[j]) + 1) * channels)
+    for j in range(width):
+        counter = np.uint32((following[j] >> np.uint32(2)) + np.uint32(1))
+        made[0, j], made[1, j], made[2, j], made[3, j] = philox(
+            counter, _STREAM, low[j], high[j], k0[j], k1[j]
+        )
+    for j in range(width):
+        new[0, j], new[1, j] = box_muller(made[0, j], made[1, j])
+        new[2, j], new[3, j] = box_muller(made[2, j], made[3, j])
+    for j in range(width):
+        by_two = (following[j] & np.uint32(2)) != np.uint32(0)
+        by_one = (following[j] & np.uint32(1)) != np.uint32(0)
+        n0 = s.latest[2, j] if by_two else s.latest[0, j]
+        n1 = s.latest[3, j] if by_two else s.latest[1, j]
+        n2 = new[0, j] if by_two else s.latest[2, j]
+        n3 = new[1, j] if by_two else s.latest[3, j]
+        n4 = new[2, j] if by_two else new[0, j]
+        s.noise[0, j] = n1 if by_one else n0
+        s.noise[1, j] = n2 if by_one else n1
+        s.noise[2, j] = n3 if by_one else n2
+        s.noise[3, j] = n4 if by_one else n3
+    for m in range(ROWS):
+        for j in range(width):
+            s.latest[m, j] = new[m, j]
+
 
 _CLASS, _MOTOR, _SUPPLY = np.uint32(Stream.CLASS), np.uint32(Stream.MOTOR), np.uint32(Stream.SUPPLY)
 _ONSET, _SEVERITY = np.uint32(Stream.ONSET), np.uint32(Stream.SEVERITY)
@@ -52,12 +132,8 @@ def make_prior(
 ) -> tuple[FloatArray, FloatArray]:
     """Prior and classes of a task, see `layout.TaskNumbers`.
 
-    Args:
-        options: the task.
-        belief: the filter.
-        rest: current and speed at which the belief rests.
-        verdicts: number of the verdict that is right for each class, 0 for healthy.
-        n_observed: number of the observed features.
+    `rest` is the current and speed at which the belief rests; `verdicts` has the number of the right verdict of each
+    class, 0 for healthy.
     """
     recipe, motor = options.task, options.task.motor
     mean = options.mean_onset_s / options.dt_s
@@ -107,7 +183,7 @@ def _fused(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 @inlined
 def _factor(power: float, loses: float, severity: float) -> float:
-    """What a fault multiplies a quantity by: `FaultKind.factor`."""
+    """Factor of a fault on a quantity, as `FaultKind.factor`."""
     if power == 0.0:
         return 1.0
     base = 1.0 - severity if loses > 0.0 else 1.0 + severity
@@ -117,7 +193,7 @@ def _factor(power: float, loses: float, severity: float) -> float:
 
 @inlined
 def motor_row(p: Any, c: Any, drawn: Any, share: float, row: FloatArray) -> None:
-    """The motor of a class at a share of its fault's severity, as its difference to the belief's: the kernel's row.
+    """Write the motor of a class at a share of its severity, as its difference to the healthy model.
 
     Args:
         p: prior of the task, a `layout.PRIOR`.
@@ -157,7 +233,7 @@ def motor_row(p: Any, c: Any, drawn: Any, share: float, row: FloatArray) -> None
 
 @compiled_with_arrays
 def motor_table(task: TaskNumbers) -> FloatArray:
-    """All motors of a task whose motors are alike, as `TaskNumbers.motors` wants them; zeros where they are not."""
+    """All motors of a task whose motors are alike, see `TaskNumbers.motors`."""
     n_classes, n_levels = len(task.classes), int(task.motors.shape[1]) - 1
     table = np.zeros((n_classes, n_levels + 1, ROW_LENGTH))
     ones = np.ones(layout.DRAWN_LENGTH)
@@ -172,7 +248,7 @@ def motor_table(task: TaskNumbers) -> FloatArray:
 
 @inlined
 def set_motor(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, level: int) -> None:
-    """Let lane j of a block, lane n of all, have the motor at a level of its fault."""
+    """Set the motor of lane j of a block, lane n of all, to a level of its fault."""
     p, which = prior_of(task.prior, 0), lanes.marks[layout.CLASS_INDEX, n]
     if p.is_known > 0.0:
         for f in range(ROW_LENGTH):
@@ -184,7 +260,7 @@ def set_motor(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, level: 
 
 @inlined
 def _draw_factors(task: TaskNumbers, words: WordArray, n: int, out: Any) -> None:
-    """The five nuisance factors into `drawn`, in the order of `recipes.FACTORS`: supply first."""
+    """Draw the five nuisance factors of `recipes.FACTORS`."""
     p = prior_of(task.prior, 0)
     a, b, c, d = random_words(_MOTOR, 0, words, n)
     out.resistance = 1.0 + p.spread.resistance * float(box_muller(a, b)[1])
@@ -201,7 +277,7 @@ def _draw_factors(task: TaskNumbers, words: WordArray, n: int, out: Any) -> None
 
 @inlined
 def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
-    """Draw the episode that the words of lane n name, into its marks and `drawn`; its onset, NEVER without a fault."""
+    """Draw lane n's episode into its marks and `drawn`; return its onset, NEVER without a fault."""
     p, words, drawn = prior_of(task.prior, 0), lanes.words, drawn_of(lanes.drawn, n)
     which, u = 0, random_uniforms(_CLASS, 0, words, n)[0]
     while u >= class_of(task.classes, which).cumulated:
@@ -227,7 +303,7 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
 
 @inlined
 def begin_state(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int) -> None:
-    """Let lane j of a block, lane n of all, take the initial state of the episode drawn for it."""
+    """Set the initial state of lane j of a block, lane n of all."""
     p, drawn = prior_of(task.prior, 0), drawn_of(lanes.drawn, n)
     current, speed = 0.0, 0.0
     if p.is_running > 0.0:

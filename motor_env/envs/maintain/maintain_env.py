@@ -1,4 +1,4 @@
-"""The maintenance task: one motor, or many in one compiled step."""
+"""The maintenance task: one motor, or many in one compiled step; a logbook as its screen."""
 
 from __future__ import annotations
 
@@ -9,18 +9,108 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv, whole_action, whole_actions
+from motor_env.envs import rendering
 from motor_env.envs.layout import BoolArray, aligned_zeros, empty_streams
 from motor_env.envs.maintain import kernel
-from motor_env.envs.maintain.belief import AT_ONCE
-from motor_env.envs.maintain.kernel import FEATURES, PARTS
+from motor_env.envs.maintain.kernel import AT_ONCE, FEATURES, INSPECT, PARTS, REPLACE, RUN
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
-from motor_env.envs.maintain.picture import Logbook
+from motor_env.envs.rendering import GRID, LEFT, RIGHT, TOP, WIDTH, Frame, write, write_figures
+from motor_env.envs.single import (
+    EVERYWHERE,
+    Info,
+    Observation,
+    StreamEnv,
+    refuse_actions,
+    whole_action,
+    whole_actions,
+)
 from motor_env.envs.vector import StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
+_HEIGHT, _MIDDLE, _GAP = 400, 250, 34
+_SEVERITIES = (-0.25, 1.25)
+_LINES = (
+    ("truth", "bearing"),
+    ("estimate", "current"),
+    ("mean", "estimate"),
+    ("limit", "threshold"),
+)
+_DEEDS = {
+    RUN: ("| failed", "threshold"),
+    INSPECT: ("| inspected", "speed"),
+    REPLACE: ("| replaced", "residual"),
+}
+
+
+class Logbook:
+    """Keeps an episode and draws it, with the truth, which the agent does not observe."""
+
+    def __init__(self, options: MaintainOptions) -> None:
+        self.options = options
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin an episode."""
+        self._rows: list[tuple[float, ...]] = []
+        self._deeds: list[tuple[int, int]] = []
+        self._cost = 0.0
+
+    def add(
+        self, observation: NDArray[np.float32], action: int, *, severity: float, failed: bool, **_: float
+    ) -> None:
+        """Add a day: observation, action, truth."""
+        feature = dict(zip(FEATURES, observation.tolist(), strict=True))
+        if failed:
+            action = RUN
+            self._cost += self.options.failure_cost
+        elif action != RUN:
+            self._cost += self.options.inspection_cost if action == INSPECT else self.options.replacement_cost
+        if failed or action != RUN:
+            self._deeds.append((len(self._rows), action))
+        names = ("estimate", "mean", "std", "risk")
+        self._rows.append((severity / self.options.limit, *(feature[name] for name in names)))
+
+    def draw(self) -> Frame:
+        """Draw the screen, shape (400, 640, 3)."""
+        frame = rendering.blank_screen(_HEIGHT)
+        severity = frame[TOP:_MIDDLE, LEFT : WIDTH - RIGHT]
+        risk = frame[_MIDDLE + _GAP : _HEIGHT - 30, LEFT : WIDTH - RIGHT]
+        columns = np.arange(severity.shape[1])
+        for panel in (severity, risk):
+            panel[:: panel.shape[0] // 4] = GRID
+            panel[:, :: panel.shape[1] // 10] = GRID
+        days = np.full((self.options.days + 1, 5), np.nan)
+        days[: len(self._rows)] = self._rows
+        truth, estimate, mean, std, failing = days[columns * len(days) // len(columns)].T
+        band = np.linspace(*_SEVERITIES, severity.shape[0])[::-1, None]
+        severity[np.abs(band - mean) < 2.0 * std] = GRID
+        rendering.draw_trace(severity, np.where(columns % 9 < 4, 1.0, np.nan), _SEVERITIES, "threshold")
+        for values, colour in ((truth, "bearing"), (estimate, "current"), (mean, "estimate")):
+            rendering.draw_trace(severity, values, _SEVERITIES, colour)
+        rendering.draw_trace(risk, failing, (0.0, 0.1), "residual", thick=2)
+        self._write(frame)
+        return frame
+
+    def _write(self, frame: Frame) -> None:
+        options = self.options
+        write(frame, "bearing", (6, 8), "ink", size_px=16)
+        write_figures(frame, f"day {max(len(self._rows) - 1, 0):4d}", (190, 8), "ink", size_px=16)
+        write_figures(frame, f"cost {self._cost:6.1f}", (330, 8), "speed", size_px=16)
+        write(frame, "severity", (6, TOP - 2), "ink", size_px=12)
+        for place, (name, colour) in enumerate(_LINES):
+            write(frame, name, (6, TOP + 30 + 16 * place), colour, size_px=11)
+        write(frame, "risk today", (6, _MIDDLE + _GAP - 2), "ink", size_px=12)
+        write_figures(frame, "0.1", (6, _MIDDLE + _GAP + 15), "dim", size_px=11)
+        write(frame, f"0 to {options.days} days", (WIDTH - RIGHT - 90, _HEIGHT - 24), "dim", size_px=12)
+        for place, (name, colour) in enumerate(_DEEDS.values()):
+            write(frame, name, (LEFT + 90 * place, _MIDDLE + 6), colour, size_px=11)
+        for day, action in self._deeds:
+            x = LEFT + day * (WIDTH - LEFT - RIGHT) // (options.days + 1)
+            frame[TOP:_MIDDLE:2, x : x + 2] = rendering.COLOURS[_DEEDS[action][1]]
+
+
 IMPOSSIBLE = 1e-100
-"""A probability that counts as 0: a processor takes a hundred times as long for the tiniest numbers."""
+"""A probability that counts as 0: a processor takes a hundred times as long for denormal numbers."""
 _ACTIONS = kernel.REPLACE + 1
 
 
@@ -48,7 +138,7 @@ def _chances(options: MaintainOptions, tables: Tables) -> kernel.Chances:
 
 
 def _motors(chances: kernel.Chances, count: int) -> kernel.Motors:
-    """So many motors that run no episode yet."""
+    """Motors before their first episode."""
     width = min(count, kernel.MOTORS)
     words, flags = empty_streams(count)
     return kernel.Motors(
@@ -77,18 +167,18 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
 
     ## Description
     The motor starts once a day. The severity of its bearing fault (extra friction) grows by a Wiener process with
-    drift, and each start's current tells it with an error. At the limit the bearing fails in service. A new bearing
-    has severity 0, and with `rate_spread` a rate of wear of its own.
+    drift; each start gives a noisy estimate of it. At the limit the bearing fails in service. A new bearing has
+    severity 0, and with `rate_spread` a rate of wear of its own.
 
     ## Action space
     `Discrete(3)`: 0 runs the motor for a day, 1 inspects the bearing (the motor stands still for the day, and its
     severity is known after it), 2 replaces the bearing and runs.
 
     ## Observation space
-    `Box`, float32, shape (7,). `estimate`: severity by the last start or inspection; `mean` and `std`: mean and
-    standard deviation of the severity, given all that was seen; `risk`: probability that the bearing fails today;
-    `rate`: mean rate of wear, given all that was seen; `age`: days since the bearing was new; `days_left`. Severities
-    are divided by the limit, times by the episode's length, the rate by `drift_per_day`.
+    `Box`, float32, shape (7,). `estimate`: severity by the last start or inspection; `mean`, `std`: of its posterior;
+    `risk`: probability that the bearing fails today; `rate`: posterior mean of the rate of wear; `age`: days since the
+    bearing was new; `days_left`. Severities are divided by the limit, times by the episode's length, the rate by
+    `drift_per_day`.
 
     ## Reward
     Minus the day's cost, in planned replacements: see `MaintainOptions`. A failure costs 5, a planned replacement 1, an
@@ -98,13 +188,8 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
     After `days` days, as `terminated`. `truncated` is always False: what is left of a bearing then has no value.
 
     ## Info
-    The truth, for those who score: `severity`, `drift_per_day`, `failed`. And what the reward is made of:
-    `reward_failure`, `reward_replacement`, `reward_inspection`.
-
-    Args:
-        options: the task; `MaintainOptions()` unless given.
-        render_mode: see the metadata.
-        changes: single options by name, on top.
+    The truth, for scoring: `severity`, `drift_per_day`, `failed`. The parts of the reward: `reward_failure`,
+    `reward_replacement`, `reward_inspection`.
     """
 
     observed = FEATURES
@@ -194,5 +279,5 @@ class MaintainVectorEnv(StreamVectorEnv[MaintainOptions]):
         observation, parts = self._empty(), np.empty((len(PARTS), self.num_envs))
         n_over = kernel.step(array, self._next_step, parts, observation, *self._arrays)
         if n_over < 0:
-            raise ValueError(f"actions must be in 0 .. {_ACTIONS - 1}, got {array.min()} .. {array.max()}")
+            refuse_actions(array, _ACTIONS)
         return observation.T, parts.sum(axis=0), parts, n_over

@@ -1,60 +1,136 @@
-"""What can be known of a probed motor: likelihood and posterior of every fault and onset, whatever voltage was applied.
+"""Likelihood and posterior of every fault and onset of a known motor, whatever voltage was applied.
 
-A motor whose own parameters are known is deterministic but for the sensor's noise. Under the hypothesis (class c, onset
-k) plant and filter follow from the voltages that were applied, so the mean of the innovation is known, and the
-observed one is that plus white noise of standard deviation 1. The logarithm of the likelihood ratio to a healthy motor
-grows by mean (innovation - mean / 2) a step. Its sum over the prior is the posterior (Shiryaev 1963). Its maximum over
-onset and severity is the generalised likelihood ratio of a kind (Lorden 1971).
+Under the hypothesis (class c, onset k) plant and filter are deterministic but for the sensor's noise, so the innovation
+is a known mean plus white noise of standard deviation 1. The log-likelihood ratio to a healthy motor grows by
+mean (innovation - mean / 2) a step. Its sum over the prior is the posterior (Shiryaev 1963), its maximum over onset and
+severity the generalised likelihood ratio of a kind (Lorden 1971).
 
-The innovation is that of a whole step, its mean over the root of its number of samples: all that an agent sees. An
-onset is taken in the middle of a step. Onsets older than `LONGEST_AGE_S` are kept together: what they show agrees.
+The innovation is the sum over a step, over the root of its number of samples. An onset is taken in the middle of a
+step. Onsets older than `LONGEST_AGE_S` share one hypothesis.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs import kernel
-from motor_env.envs.baselines.hypotheses import (
-    N_HYPOTHESIS,
-    StepModel,
-    kind_matrix,
-    known_faults,
-    step_models,
-)
-from motor_env.envs.baselines.policies import Actions, Observations, column
-from motor_env.envs.options import MonitorOptions
-from motor_env.envs.setup import INNOVATION_BOUND, Setup
+from motor_env.envs import layout
+from motor_env.envs.options import Drive, MonitorOptions, Start
+from motor_env.envs.policies.rule_policies import Actions, Observations, column
+from motor_env.envs.setup import INNOVATION_BOUND, Setup, converged_gain
 from motor_env.motor.compiled import njit
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.faults import FaultKind, apply_faults
+from motor_env.motor.model import Input, discretize
+from motor_env.motor.parameters import Channel, FloatArray, require
+
+N_HYPOTHESIS = 4  # state of a hypothesis: mean of the true state, mean of the filter's estimate
+
+
+class StepModel(NamedTuple):
+    """Linear step of a hypothesis: x' = transition x + gain u + drift, innovation = row x + feed u + bias."""
+
+    transition: FloatArray  # shape (..., 4, 4)
+    gain: FloatArray  # shape (..., 4), as drift and row
+    drift: FloatArray
+    row: FloatArray
+    feed_bias: FloatArray  # shape (..., 2)
+
+
+def known_faults(setup: Setup) -> list[int]:
+    """Classes of the recipe that have a fault.
+
+    Raises:
+        ValueError: the task has no exact posterior; the sentence says why.
+    """
+    options, recipe = setup.options, setup.options.task
+    require(not recipe.spread.std.any(), f"recipe {recipe.name} must have no spread for the exact posterior")
+    noisy = any(kind.changes_noise for kind in recipe.kinds)
+    require(not noisy, "the exact posterior knows no noise faults")
+    require(options.start is Start.RUNNING, "start must be running for the exact posterior")
+    require(
+        options.drive is Drive.OPEN_LOOP,
+        f"drive must be open_loop for the exact posterior, got {options.drive}",
+    )
+    require(options.growth_s == 0.0, f"growth_s must be 0 for the exact posterior, got {options.growth_s:g}")
+    require(recipe.sensor.channels == (Channel.CURRENT,), "the exact posterior reads the current alone")
+    require(options.mean_onset_s > 0.0 and math.isfinite(options.mean_onset_s), "mean_onset_s must be > 0")
+    return [m for m, c in enumerate(recipe.classes) if c.kind is not None]
+
+
+def kind_matrix(setup: Setup, classes: list[int]) -> FloatArray:
+    """1 where a class has the verdict, shape (n_classes, n_kinds)."""
+    verdicts = [FaultKind(setup.labels[m]).verdict for m in classes]
+    return np.array([[v == kind for kind in setup.kinds] for v in verdicts], dtype=np.float64)
+
+
+def sample_model(setup: Setup, fault_class: int | None) -> FloatArray:
+    """Matrix of one sample on (state, u, 1); its last row is the whitened innovation: shape (5, 6)."""
+    options, recipe = setup.options, setup.options.task
+    gain, covariance = converged_gain(setup.belief)
+    faults = () if fault_class is None else recipe.classes[fault_class].faults
+    plant = discretize(apply_faults(recipe.motor, faults), options.dt_s)
+    belief = setup.belief.model
+    voltage, load = float(recipe.supply.voltage_v), options.load_n_m
+    drift = (
+        (plant.transition - np.eye(2)) @ setup.rest
+        + plant.gain[:, Input.VOLTAGE] * voltage
+        + plant.gain[:, Input.LOAD_TORQUE] * load
+    )
+    true = np.hstack([plant.transition, np.zeros((2, 2)), plant.gain[:, [Input.VOLTAGE]], drift[:, None]])
+    predicted = np.hstack(
+        [np.zeros((2, 2)), belief.transition, belief.gain[:, [Input.VOLTAGE]], np.zeros((2, 1))]
+    )
+    surprise = true[0] - predicted[0]
+    estimate = predicted + gain * surprise
+    return np.vstack([true, estimate, surprise / np.sqrt(covariance[0, 0])])
+
+
+def step_of(samples: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Samples in a row under one voltage: state rows (4, 6) and innovation row (6,), on (state, u, 1)."""
+    total, state = np.zeros(6), np.eye(6)
+    for sample in samples:
+        total += sample[4] @ state
+        state[:N_HYPOTHESIS] = sample[:N_HYPOTHESIS] @ state
+    return state[:N_HYPOTHESIS], total / math.sqrt(len(samples))
+
+
+def step_models(setup: Setup, classes: list[int]) -> tuple[StepModel, StepModel]:
+    """Step of every class after its onset, and step in which the onset falls; entry 0 is the healthy motor."""
+    n = setup.options.samples_per_step
+    healthy = sample_model(setup, None)
+    whole, split = [], []
+    for which in (None, *classes):
+        sample = sample_model(setup, which)
+        whole.append(step_of([sample] * n))
+        split.append(step_of([healthy] * (n // 2) + [sample] * (n - n // 2)))
+
+    def packed(steps: list[tuple[FloatArray, FloatArray]]) -> StepModel:
+        state = np.stack([step[0] for step in steps])
+        out = np.stack([step[1] for step in steps])
+        parts = (state[:, :, :4], state[:, :, 4], state[:, :, 5], out[:, :4], out[:, 4:])
+        return StepModel(*(np.ascontiguousarray(part) for part in parts))
+
+    return packed(whole), packed(split)
+
 
 LONGEST_AGE_S = 40e-3
 
 
 class Hypotheses(NamedTuple):
-    """What is thought of every class and onset: the newest onset has age 0, the last age gathers the old ones.
+    """Hypotheses of every class and onset: the newest onset has age 0, the last age gathers the old ones."""
 
-    Attributes:
-        ratio: log-likelihood ratio to a healthy motor, shape (n_lanes, n_classes, n_ages).
-        weight: the same plus the logarithm of the onset's prior; -inf where there is no onset yet.
-        states: mean of the motor's state and of the filter's estimate, shape (n_lanes, n_classes, n_ages, 4).
-    """
-
-    ratio: FloatArray
-    weight: FloatArray
-    states: FloatArray
+    ratio: FloatArray  # log-likelihood ratio to a healthy motor, shape (n_lanes, n_classes, n_ages)
+    weight: FloatArray  # the same plus the logarithm of the onset's prior; -inf where there is no onset yet
+    states: FloatArray  # mean of the motor's state and of the filter's estimate, shape (n_lanes, n_classes, n_ages, 4)
 
 
 def worth(options: MonitorOptions, quiet: FloatArray, kinds: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What to expect from declaring the likeliest kind, and from being silent at the horizon.
+    """Expected reward of declaring the likeliest kind, and of silence at the horizon, each of shape (count,).
 
-    Args:
-        options: of the task.
-        quiet: probability that nothing has happened yet, shape (count,).
-        kinds: of each kind, shape (count, n_kinds).
+    `quiet` is the probability that no fault has set in, shape (count,), `kinds` that of each kind, (count, n_kinds).
     """
     faulty = kinds.sum(axis=1)
     right = kinds.max(axis=1)
@@ -68,20 +144,20 @@ def worth(options: MonitorOptions, quiet: FloatArray, kinds: FloatArray) -> tupl
 def final_worth(
     options: MonitorOptions, at_end: NDArray[np.bool_] | bool, quiet: FloatArray, kinds: FloatArray
 ) -> FloatArray:
-    """Worth of declaring the likeliest kind; at the horizon inf where silence is worth less, and else -inf."""
+    """Expected reward of declaring the likeliest kind; at the horizon inf where silence is worth less, else -inf."""
     value, silence = worth(options, quiet, kinds)
     return np.where(at_end, np.where(value > silence, np.inf, -np.inf), value)
 
 
 def onset_law(options: MonitorOptions) -> tuple[float, int]:
-    """Probability that a coming fault waits for one more sample, and the first sample that it may come with."""
+    """Probability that the onset is one sample later, and the first sample at which it may be."""
     mean = options.mean_onset_s / options.dt_s
     return mean / (1.0 + mean), round(options.earliest_onset_s / options.dt_s)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _mean_and_move(model: StepModel, c: int, u: float, s: FloatArray) -> float:
-    """Mean of the innovation of a step of class c from state s, which moves. It is clipped as an observation is."""
+    """Mean innovation of a step of class c, clipped as an observation is; moves the state s."""
     s0, s1, s2, s3 = s[0], s[1], s[2], s[3]
     row = model.row[c]
     mean = row[0] * s0 + row[1] * s1 + row[2] * s2 + row[3] * s3
@@ -95,7 +171,7 @@ def _mean_and_move(model: StepModel, c: int, u: float, s: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _age(ratio: FloatArray, weight: FloatArray, states: FloatArray, begun: int) -> None:
-    """Make room for a hypothesis of age 0; where all ages are in use, the two oldest become one."""
+    """Shift all ages by one; where all are in use, the two oldest become one."""
     n_ages = ratio.shape[0]
     newest_free = begun
     if begun == n_ages:
@@ -121,17 +197,17 @@ def _update(
     whole: StepModel,
     split: StepModel,
 ) -> None:
-    """One more step of every lane.
+    """Update every lane by one step: `hypotheses`, `begun` and `healthy` change in place.
 
     Args:
-        hypotheses: changed in place.
-        begun: number of ages in use in every lane, changed in place.
-        healthy: state without a fault, shape (n_lanes, 4), changed in place.
+        hypotheses: of all lanes.
+        begun: number of ages in use in every lane.
+        healthy: state without a fault, shape (n_lanes, 4).
         voltage: offset that was applied, shape (n_lanes,).
         innovation: observed, shape (n_lanes,).
-        born: logarithm of the prior probability that the fault set in within this step; -inf: it cannot have.
-        whole: see `step_models`.
-        split: see `step_models`.
+        born: log prior probability that the fault set in within this step; -inf: it cannot have.
+        whole: see `step_models`, as `split`.
+        split: the step in which the onset falls.
     """
     n_lanes, n_classes, n_ages = hypotheses.ratio.shape
     for n in range(n_lanes):
@@ -166,10 +242,10 @@ class ProbeBelief:
         ValueError: the task is another one.
 
     Attributes:
-        quiet: posterior probability that nothing has happened yet, shape (count,).
-        classes: posterior probability that the fault of a class is there, shape (count, n_classes).
-        kinds: of a kind, shape (count, n_kinds).
-        ratios: generalised log-likelihood ratio of each kind to a healthy motor, shape (count, n_kinds); 0 before.
+        quiet: posterior probability that no fault has set in, shape (count,).
+        classes: posterior probability of each class of fault, shape (count, n_classes).
+        kinds: the same of each kind, shape (count, n_kinds).
+        ratios: generalised log-likelihood ratio of each kind to a healthy motor, shape (count, n_kinds); at least 0.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -178,7 +254,7 @@ class ProbeBelief:
         self.setup = setup
         self._whole, self._split = step_models(setup, faults)
         self._innovation, self._voltage = column(setup, "innovation_current"), column(setup, "voltage")
-        view = setup.view[:, kernel.FEATURES.index("voltage")].astype(np.float64)
+        view = setup.view[:, layout.FEATURES.index("voltage")].astype(np.float64)
         self._to_volt, self._rest_volt = 1.0 / view[0], view[2]
         self._n_ages = max(3, round(LONGEST_AGE_S / (options.dt_s * options.samples_per_step)))
         prior = recipe.class_probabilities[faults]
@@ -187,7 +263,7 @@ class ProbeBelief:
         self._stay, self._earliest = onset_law(options)
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         shape = (count, len(self._log_prior), self._n_ages)
         self._hypotheses = Hypotheses(
             np.full(shape, -np.inf), np.full(shape, -np.inf), np.zeros((*shape, N_HYPOTHESIS))
@@ -195,17 +271,17 @@ class ProbeBelief:
         self._path = np.zeros((count, N_HYPOTHESIS))
         self._begun, self.steps = np.zeros((2, count), dtype=np.int64)
         self._offset_v = np.zeros(count)
-        self._seen = False
+        self._has_begun = False
         self._conclude()
 
     def watch(self, observations: Observations) -> None:
-        """Learn from the observation that a policy acts on; the first follows no step."""
-        if self._seen:
+        """Update by the observation that a policy acts on; the first follows no step."""
+        if self._has_begun:
             self.update(observations)
-        self._seen = True
+        self._has_begun = True
 
     def restart(self, over: NDArray[np.bool_]) -> None:
-        """Forget what was seen where an episode is over."""
+        """Begin anew where an episode is over."""
         if over.any():
             self._hypotheses.ratio[over], self._hypotheses.weight[over] = -np.inf, -np.inf
             self._path[over], self._begun[over], self.steps[over] = 0.0, 0, 0
@@ -213,7 +289,7 @@ class ProbeBelief:
             self._conclude()
 
     def update(self, observations: Observations) -> None:
-        """Learn from what followed a step of every sub-environment."""
+        """Update by the observation after a step of every sub-environment."""
         per_step = self.setup.options.samples_per_step
         first = np.maximum(self.steps * per_step - self._earliest, 0)
         last = np.maximum((self.steps + 1) * per_step - self._earliest, 0)
@@ -234,7 +310,7 @@ class ProbeBelief:
         self._conclude()
 
     def _conclude(self) -> None:
-        """Posterior and generalised ratios."""
+        """Set posterior and generalised ratios."""
         weight = self._hypotheses.weight
         high = np.maximum(weight.max(axis=(1, 2)), 0.0)
         mass = np.exp(weight - high[:, None, None]).sum(axis=2) * np.exp(self._log_prior)
@@ -248,7 +324,7 @@ class ProbeBelief:
 
     @property
     def coming(self) -> FloatArray:
-        """Probability that nothing has happened yet, but a fault of a class will, shape (count, n_classes)."""
+        """Probability that no fault has set in but one of a class will, shape (count, n_classes)."""
         begun = np.maximum(self.steps * self.setup.options.samples_per_step - self._earliest, 0)
         unborn = np.exp(self._log_prior) * self._stay ** begun[:, None]
         coming: FloatArray = (
@@ -257,10 +333,7 @@ class ProbeBelief:
         return coming
 
     def expected_reward(self, actions: Actions) -> FloatArray:
-        """Reward of a step to expect from an action, shape (count,): the same on average, without the noise of luck.
-
-        An agent that knows the posterior learns from it as from the true reward, only sooner (Rao-Blackwell).
-        """
+        """Expected reward of an action under the posterior, shape (count,): less noise (Rao-Blackwell)."""
         setup, options = self.setup, self.setup.options
         declared = setup.declarations[actions]
         faulty = self.kinds.sum(axis=1)
@@ -279,11 +352,10 @@ class ProbeBelief:
         return reward
 
     def summary(self) -> NDArray[np.float32]:
-        """What an agent needs to know, each about as large as 1, shape (count, 5 + n_classes + 2 n_kinds).
+        """Sufficient statistics for an agent, scaled to about 1, shape (count, 5 + n_classes + 2 n_kinds).
 
-        Remaining time, posterior of nothing, of each class and kind, its log-odds by kind and of any fault (a fifth
-        of them, from -2 to 2), and where the healthy motor stands: the last offset, and what its speed has left its
-        rest by, as the voltage that it balances.
+        Remaining time; posterior of no fault, of each class and kind; log-odds of each kind and of any fault (a fifth
+        of them, from -2 to 2); the last offset; the healthy motor's deviation of speed, as back-EMF in volt.
         """
         back_emf = float(np.asarray(self.setup.options.task.motor.back_emf_constant_v_s_per_rad))
         remaining = 1.0 - self.steps / self.setup.options.n_steps

@@ -1,10 +1,9 @@
-"""Baselines with one interface: they see what an agent sees, for many sub-environments at once.
+"""Policies for many sub-environments at once, from what an agent observes; decision rules with the bank of filters.
 
-    policy.start(n)                     forget everything; n sub-environments begin
+    policy.start(n)                     begin anew with n sub-environments
     actions = policy.act(observations)  one action for each
 
-A rule says that something is wrong; which kind, the bank of filters says: the one with the largest `evidence_*`
-in the observation. So an environment for these baselines observes `BASELINE_FEATURES`, see `baseline_features`.
+A rule detects a fault. Its kind is the one with the largest `evidence_*` in the observation, see `baseline_features`.
 """
 
 from __future__ import annotations
@@ -13,11 +12,12 @@ from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from motor_env.detection.rules import Rule, RuleStream
+from motor_env.envs.options import task_recipe
 from motor_env.envs.setup import EVIDENCE_SCALE, Setup, bank_kinds
-from motor_env.envs.tasks import task_recipe
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
@@ -27,7 +27,7 @@ Observations = NDArray[np.float32]
 
 
 def baseline_features(recipe: Recipe | str) -> tuple[str, ...]:
-    """Features that the baselines read: measurement, innovation, evidence for each kind of the recipe, time."""
+    """Features that these policies read."""
     return (
         "measured_current",
         "innovation_current",
@@ -57,43 +57,39 @@ class Player(Protocol):
     """What acts in many sub-environments at once."""
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
 
     def act(self, observations: Observations) -> NDArray[Any]:
         """One action for each."""
 
 
 class Policy(ABC):
-    """Turns observations into actions, with a memory of its own."""
+    """Maps observations to actions, with a state of its own."""
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         self.count = count
 
     @abstractmethod
     def act(self, observations: Observations) -> Actions:
-        """One action for each sub-environment, from observations of shape (count, n_features)."""
+        """One action for each sub-environment; observations have shape (count, n_features)."""
 
 
 class ThresholdPolicy(Policy):
-    """Declares once a statistic reaches a threshold. Until then neither statistic nor voltage depends on it.
-
-    Attributes:
-        threshold: of the statistic.
-    """
+    """Declares once a statistic reaches `threshold`; until then statistic and voltage do not depend on it."""
 
     threshold: float
 
     @abstractmethod
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """Statistic, and the declaration to make where it is large; both of shape (count,)."""
+        """Statistic, and the declaration where it reaches the threshold; both of shape (count,)."""
 
     def probe(self) -> Actions:
-        """Actions where nothing is declared after `judge`: wait."""
+        """Actions where nothing is declared: wait."""
         return np.zeros(self.count, dtype=np.int64)
 
     def act(self, observations: Observations) -> Actions:
-        """Declare where the statistic reaches the threshold."""
+        """Declare where the statistic reaches the threshold, else probe."""
         statistic, declaration = self.judge(observations)
         return np.where(statistic >= self.threshold, declaration, self.probe())
 
@@ -104,29 +100,30 @@ class Never(ThresholdPolicy):
     threshold = 1.0
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """Nothing is ever seen."""
+        """A statistic below the threshold."""
         return np.zeros(self.count), np.zeros(self.count, dtype=np.int64)
 
 
-class Random(ThresholdPolicy):
-    """Every action is as likely as any other, in each step anew.
+class Random:
+    """Takes every action of a space with the same probability.
 
     Args:
-        setup: of the environment.
-        rng: source of randomness.
+        space: actions of one sub-environment.
+        seed: of its random numbers.
     """
 
-    def __init__(self, setup: Setup, rng: np.random.Generator) -> None:
-        self._declarations, self._n_offsets = declarations(setup), len(setup.offsets_v) - len(setup.kinds)
-        self._rng, self.threshold = rng, self._n_offsets / len(setup.offsets_v)
+    def __init__(self, space: Any, seed: int) -> None:
+        self._rng, self._space = np.random.default_rng(seed), space
 
-    def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """A number from 0 to 1, and any kind."""
-        return self._rng.random(self.count), self._rng.choice(self._declarations, self.count)
+    def start(self, count: int) -> None:
+        """Begin anew with `count` sub-environments."""
+        self._count = count
 
-    def probe(self) -> Actions:
-        """Any offset."""
-        return self._rng.integers(0, self._n_offsets, self.count)
+    def act(self, observations: Observations) -> NDArray[Any]:
+        """Draw one action for each sub-environment."""
+        if isinstance(self._space, spaces.Box):
+            return self._rng.uniform(self._space.low, self._space.high, (self._count, *self._space.shape))
+        return self._rng.integers(0, self._space.n, self._count)
 
 
 class _Isolating(ThresholdPolicy):
@@ -160,7 +157,7 @@ class RulePolicy(_Isolating):
         self._stream: RuleStream | None = None
 
     def start(self, count: int) -> None:
-        """Forget everything; so many sub-environments begin."""
+        """Begin anew with `count` sub-environments."""
         super().start(count)
         self._stream = None
 

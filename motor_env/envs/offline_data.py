@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,48 +17,90 @@ from numpy.typing import NDArray
 
 from motor_env.common.errors import InputError, require_extra
 from motor_env.common.files import filling
-from motor_env.envs.baselines.policies import Player
-from motor_env.envs.offline.behaviours import TASKS, Behaviour, Uniform
+from motor_env.detection.rules import Cusum
+from motor_env.envs.drive.lqg import Lqg
+from motor_env.envs.maintain.replacement import PlannedUpkeep, ThresholdReplacement
+from motor_env.envs.policies.posterior_policies import (
+    BayesPolicy,
+    Bursts,
+    EventTriggeredProbing,
+    ExpectedRewardTest,
+    OpenLoop,
+)
+from motor_env.envs.policies.rule_policies import Player, Random, RulePolicy, baseline_features
 from motor_env.motor.parameters import FloatArray
+
+
+class Behaviour(StrEnum):
+    """Policy of a data set."""
+
+    RANDOM = "random"
+    RULE = "rule"
+    BEST = "best"
+    MIXED = "mixed"
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Makers of the policies of one id, from its vector environment."""
+
+    rule: Callable[[Any], Player]  # a textbook rule, tuned
+    best: Callable[[Any], Player]  # the best policy known that is not learned
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the environment, for what they observe
+
+
+def _bursts(envs: Any) -> Player:
+    return OpenLoop(ExpectedRewardTest(envs.setup, 0.93), Bursts(20, 10, 2).actions(envs.options.n_steps))
+
+
+TASKS = {
+    "Monitor-v0": Task(
+        lambda envs: RulePolicy(envs.setup, Cusum(0.25, two_sided=True), threshold=30.0),
+        lambda envs: BayesPolicy(envs.setup, 0.9609),
+        {"observe": baseline_features("medium")},
+    ),
+    "Probe-v0": Task(_bursts, lambda envs: EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.97), 0.08)),
+    "Maintain-v0": Task(
+        lambda envs: ThresholdReplacement("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)
+    ),
+    "MaintainUnknownRate-v0": Task(
+        lambda envs: ThresholdReplacement("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)
+    ),
+    "Drive-v0": Task(lambda envs: Lqg(envs.setup), lambda envs: Lqg(envs.setup, levels=4)),
+}
+"""Thresholds with the best mean return on episodes of other seeds."""
+
 
 _AT_ONCE = 100
 _PURE = (Behaviour.RANDOM, Behaviour.RULE, Behaviour.BEST)
 
 
 class Episode(NamedTuple):
-    """One episode of n steps.
+    """One episode of n steps."""
 
-    Attributes:
-        observations: shape (n + 1, n_features).
-        actions: shape (n,).
-        rewards: shape (n,).
-        seed: of its stream.
-        stream: its index: a single environment reset with both repeats the episode.
-    """
-
-    observations: NDArray[np.float32]
-    actions: NDArray[Any]
-    rewards: FloatArray
-    seed: int
-    stream: int
+    observations: NDArray[np.float32]  # shape (n + 1, n_features)
+    actions: NDArray[Any]  # shape (n,)
+    rewards: FloatArray  # shape (n,)
+    seed: int  # of its stream
+    stream: int  # its index: a single environment reset with both repeats the episode
 
 
 def play(envs: Any, policy: Player, seed: int) -> list[Episode]:
     """Play one episode of a policy in each sub-environment."""
     observation, _ = envs.reset(seed=seed)
     policy.start(envs.num_envs)
-    seen, done, paid = [np.array(observation)], [], []
+    all_observations, all_actions, all_rewards = [np.array(observation)], [], []
     length = np.zeros(envs.num_envs, dtype=np.int64)
     running = np.ones(envs.num_envs, dtype=np.bool_)
     while running.any():
         actions = policy.act(observation).astype(envs.single_action_space.dtype)
         observation, rewards, terminated, _, _ = envs.step(actions)
-        seen.append(np.array(observation))
-        done.append(actions)
-        paid.append(rewards)
+        all_observations.append(np.array(observation))
+        all_actions.append(actions)
+        all_rewards.append(rewards)
         length += running
         running &= ~terminated
-    observations, actions, rewards = np.array(seen), np.array(done), np.array(paid)
+    observations, actions, rewards = map(np.array, (all_observations, all_actions, all_rewards))
     return [
         Episode(observations[: n + 1, k], actions[:n, k], rewards[:n, k], seed, k)
         for k, n in enumerate(length.tolist())
@@ -64,7 +108,7 @@ def play(envs: Any, policy: Player, seed: int) -> list[Episode]:
 
 
 def episodes_of(task: str, behaviour: Behaviour, count: int, seed: int) -> list[Episode]:
-    """So many episodes; those of `mixed` come from the three others in turn."""
+    """Play `count` episodes; those of `mixed` come from the three others."""
     if behaviour is Behaviour.MIXED:
         shares = [count // 3 + (k < count % 3) for k in range(3)]
         parts = [
@@ -73,24 +117,24 @@ def episodes_of(task: str, behaviour: Behaviour, count: int, seed: int) -> list[
             if share
         ]
         return [episode for part in parts for episode in part]
-    known, found = TASKS[task], []
+    policies, played = TASKS[task], []
     for begin in range(0, count, _AT_ONCE):
         envs: Any = gym.make_vec(
-            f"motor_env/{task}", num_envs=min(_AT_ONCE, count - begin), **known.options
+            f"motor_env/{task}", num_envs=min(_AT_ONCE, count - begin), **policies.options
         ).unwrapped
         stream = (seed << 20) + begin
         if behaviour is Behaviour.RANDOM:
-            policy: Player = Uniform(envs.single_action_space, stream)
+            policy: Player = Random(envs.single_action_space, stream)
         else:
-            policy = (known.rule if behaviour is Behaviour.RULE else known.best)(envs)
-        found += play(envs, policy, stream)
-    return found
+            policy = (policies.rule if behaviour is Behaviour.RULE else policies.best)(envs)
+        played += play(envs, policy, stream)
+    return played
 
 
 def record(task: str, behaviour: Behaviour, folder: Path, *, episodes: int = 300, seed: int = 0) -> str:
-    """Write a data set below a folder (Minari's MINARI_DATASETS_PATH); its name.
+    """Write a data set below a folder (Minari's MINARI_DATASETS_PATH); return its name.
 
-    Its scores are normalised by random actions (0) and by the best policy known (1).
+    Scores are normalised by random actions (0) and the best policy known (1).
 
     Raises:
         InputError: an unknown task, no episode, Minari is not installed, or the data set is there already.
@@ -106,8 +150,8 @@ def record(task: str, behaviour: Behaviour, folder: Path, *, episodes: int = 300
     name = f"motor_env/{task.removesuffix('-v0')}/{behaviour}-v0"
     if (folder / name).exists():
         raise InputError(f"{folder / name}: is there already; choose another folder, or remove it")
-    found = episodes_of(task, behaviour, episodes, seed)
-    random = found if behaviour is Behaviour.RANDOM else episodes_of(task, Behaviour.RANDOM, 100, seed)
+    recorded = episodes_of(task, behaviour, episodes, seed)
+    random = recorded if behaviour is Behaviour.RANDOM else episodes_of(task, Behaviour.RANDOM, 100, seed)
     buffers = [
         EpisodeBuffer(
             id=number,
@@ -119,7 +163,7 @@ def record(task: str, behaviour: Behaviour, folder: Path, *, episodes: int = 300
             terminations=[False] * (len(episode.rewards) - 1) + [True],
             truncations=[False] * len(episode.rewards),
         )
-        for number, episode in enumerate(found)
+        for number, episode in enumerate(recorded)
     ]
     env = gym.make(f"motor_env/{task}", **TASKS[task].options)
     assert env.spec is not None  # noqa: S101  # it was made by its id
@@ -140,7 +184,7 @@ def record(task: str, behaviour: Behaviour, folder: Path, *, episodes: int = 300
 
 @contextmanager
 def _minari_below(folder: Path) -> Iterator[None]:
-    """Minari writes below this folder, and does not ask for an author and a link to the code."""
+    """Let Minari write below this folder, without its warnings."""
     before = os.environ.get("MINARI_DATASETS_PATH")
     os.environ["MINARI_DATASETS_PATH"] = str(folder.absolute())  # no other way; it fails on relative paths
     try:

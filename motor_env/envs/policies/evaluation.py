@@ -9,23 +9,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.envs.base import Info
-from motor_env.envs.baselines.policies import Actions, Player, Policy, ThresholdPolicy
 from motor_env.envs.layout import BoolArray
+from motor_env.envs.policies.rule_policies import Actions, Player, Policy, ThresholdPolicy
+from motor_env.envs.single import Info
 from motor_env.envs.vector import MotorVectorEnv, StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
 
 class Runs(NamedTuple):
-    """What happened in each episode, and its truth; all of shape (episodes,).
+    """Outcome and truth of each episode; all of shape (episodes,).
 
     Attributes:
         returns: sum of the rewards.
-        steps: step in which it ended by a declaration, else 0.
+        steps: step of the declaration, 0 without one.
         declared: number of the declared kind, 0 for none.
-        right: number of the kind that would be right, 0 for healthy.
+        right: number of the right kind, 0 for healthy.
         onset: in samples, -1 without a fault.
-        probing: share of the steps until the end in which the voltage was moved.
+        probing: share of the steps with the voltage moved.
     """
 
     returns: FloatArray
@@ -38,18 +38,18 @@ class Runs(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How a policy did over a number of episodes.
+    """Score of a policy over a number of episodes.
 
     Attributes:
         episodes: their number.
         mean_return: mean return of an episode.
         return_half_width: half the width of its 95 % interval.
-        false_alarm_share: share of all episodes that end in a declaration before any fault had acted.
-        detected_share: share of the episodes with a fault, not ended before, that end in a declaration after it.
+        false_alarm_share: share of all episodes with a declaration before any fault had acted.
+        detected_share: share of the episodes with a fault and no false alarm that have a declaration after it.
         isolated_share: share of those declarations that name the right kind.
         median_delay_s: median time from onset to declaration among the detected.
-        late_share: share of the episodes with a fault whose onset leaves less than 1 % of the horizon: no rule's fault.
-        probing_share: share of the steps in which the voltage was moved.
+        late_share: share of the faults whose onset leaves less than 1 % of the horizon.
+        probing_share: share of the steps with the voltage moved.
     """
 
     episodes: int
@@ -70,7 +70,7 @@ class Score:
 def _steps(
     envs: StreamVectorEnv[Any], policy: Player, seed: int
 ) -> Iterator[tuple[BoolArray, NDArray[Any], FloatArray, Info]]:
-    """Play one episode of a policy in each sub-environment: who still plays, actions, rewards and info of each step."""
+    """Play one episode in each sub-environment; yield who still plays, actions, rewards and info of each step."""
     observations, _ = envs.reset(seed=seed)
     policy.start(envs.num_envs)
     alive = np.ones(envs.num_envs, dtype=np.bool_)
@@ -82,7 +82,7 @@ def _steps(
 
 
 def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
-    """Return of one episode of a policy in each sub-environment, of any family."""
+    """Return of one episode in each sub-environment, of any family, shape (num_envs,)."""
     returns = np.zeros(envs.num_envs)
     for alive, _, rewards, _ in _steps(envs, policy, seed):
         returns += rewards * alive
@@ -90,7 +90,7 @@ def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatAr
 
 
 def parts_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
-    """What these returns are made of, in the order of the info's `reward_*`, shape (parts, episodes)."""
+    """Parts of the same returns, in the order of the info's `reward_*`, shape (parts, num_envs)."""
     parts = np.zeros((len(envs.part_names), envs.num_envs))
     for alive, _, _, info in _steps(envs, policy, seed):
         parts += np.stack([info[name] for name in envs.part_names]) * alive
@@ -98,7 +98,7 @@ def parts_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArra
 
 
 def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
-    """Monitors and probes: play one episode of a policy in each sub-environment."""
+    """Play one episode in each sub-environment of Monitor or Probe."""
     count, info = envs.num_envs, envs.reset(seed=seed)[1]
     right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
     returns, probing = np.zeros((2, count))
@@ -115,10 +115,7 @@ def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
 def sweep(
     envs: MotorVectorEnv, policy: ThresholdPolicy, thresholds: Sequence[float], seed: int
 ) -> list[Runs]:
-    """Play every threshold of a policy at once, in one run over the whole horizon.
-
-    Until it declares, a policy's voltages and statistic do not depend on its threshold.
-    """
+    """Play every threshold of a policy at once: until it declares, nothing depends on its threshold."""
     count, limits = envs.num_envs, np.asarray(thresholds, dtype=np.float64)[:, None]
     observations, info = envs.reset(seed=seed)
     right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
@@ -153,7 +150,7 @@ def sweep(
 def _verdict(
     envs: MotorVectorEnv, actions: Actions, step: int, right: NDArray[np.int64], onset: NDArray[np.int64]
 ) -> FloatArray:
-    """Reward of declaring now, as `motor_env.envs.kernel.settle` gives it."""
+    """Reward of declaring now, see `motor_env.envs.kernel.settle`."""
     options = envs.options
     happened = (onset >= 0) & (step * options.samples_per_step > onset)
     correct = envs.setup.declarations[actions] == right

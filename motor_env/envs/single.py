@@ -1,10 +1,10 @@
-"""What the single environments share: episodes, the compiled step, observations, info."""
+"""Base of the single environments: episodes, the compiled step, observations, info; checks of actions."""
 
 from __future__ import annotations
 
 import math
 import operator
-from typing import Any, Generic, cast
+from typing import Any, Generic, NoReturn, cast
 
 import gymnasium as gym
 import numpy as np
@@ -13,9 +13,8 @@ from numpy.ma import MaskedArray
 from numpy.typing import NDArray
 
 from motor_env.common.arrays import is_one_of, numbers, shown, whole, wholes
-from motor_env.envs import kernel, layout, stepping
-from motor_env.envs.kernel import ROWS
-from motor_env.envs.layout import WordArray, empty_lanes, pack_task
+from motor_env.envs import layout, stepping
+from motor_env.envs.layout import ROWS, WordArray, empty_lanes, pack_task
 from motor_env.envs.options import MonitorOptions, Options, with_changes
 from motor_env.envs.rendering import Scope, Window
 from motor_env.envs.setup import Setup, make_bank, make_setup
@@ -26,6 +25,7 @@ Observation = NDArray[np.float32]
 Info = dict[str, Any]
 EVERYWHERE = np.ones(1, dtype=np.bool_)
 RENDER_MODES = ("rgb_array", "human")
+DOUBLE, LONG = np.dtype(np.float64), np.dtype(np.int64)
 
 
 def observation_space(setup: Setup) -> spaces.Space[Observation]:
@@ -41,13 +41,13 @@ def discrete_actions(setup: Setup) -> spaces.Discrete:
 
 
 def reward_parts(options: MonitorOptions) -> tuple[str, ...]:
-    """Names under which the info has what a reward is made of: their sum is the reward."""
+    """Names of the parts of a reward in the info; their sum is the reward."""
     parts = ("reward_verdict", "reward_delay", "reward_probe", "reward_energy")
     return parts if options.moves_voltage else parts[:2]
 
 
 class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
-    """An environment that runs a stream of episodes: the seed and the index of the stream say which.
+    """An environment that runs the stream of episodes (seed, index).
 
     Args:
         options: the task; the defaults of `options_type` unless given.
@@ -79,7 +79,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         self.observation_space, self.action_space = self._set_up()
 
     def _set_up(self) -> tuple[spaces.Space[Observation], spaces.Space[Any]]:
-        """Make the lane of `options`; the spaces."""
+        """Make the lane of `options`; return observation and action space."""
         raise NotImplementedError
 
     def _begin(self) -> tuple[Observation, Info]:
@@ -92,8 +92,8 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         """Begin an episode.
 
         Args:
-            seed: begins the stream of episodes anew; without it the next episode of the stream begins.
-            options: `{"index": n}` takes the stream of sub-environment n of a vector with that seed; only with a seed.
+            seed: begins the stream anew; without it the next episode of the stream begins.
+            options: `{"index": n}`, with a seed: the stream of sub-environment n of a vector with that seed.
 
         Raises:
             ValueError: the seed is no whole number in 0 .. 2^64 - 1, an option is unknown or out of range.
@@ -112,7 +112,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
         return self._begin()
 
     def render(self) -> Any:
-        """The screen as an array of shape (height, width, 3), or None where it went to the window.
+        """Draw the screen: an array of shape (height, width, 3), or None where it went to the window.
 
         Raises:
             DependencyNotInstalled: a window is wanted and pygame is not there.
@@ -138,7 +138,7 @@ class StreamEnv(gym.Env[Observation, Any], Generic[Options]):
 
 
 class MotorEnv(StreamEnv[MonitorOptions]):
-    """A motor under the filter, with a list of actions: apply a voltage, or declare a kind."""
+    """Base of Monitor and Probe: discrete actions that apply a voltage, or declare a kind."""
 
     options_type = MonitorOptions
 
@@ -150,7 +150,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         if self.render_mode is not None:  # the picture shows the evidence of all kinds
             bank = make_bank(options, self.setup.belief.model, self.setup.rest)
             constants = numbers.constants.copy()
-            constants[kernel.FULL] = 1.0
+            constants[layout.FULL] = 1.0
             numbers = numbers._replace(bank=bank, constants=constants)
         lanes = empty_lanes(1, 1, options.precision)
         self._state, self._words, self._marks, _, self._drawn = lanes
@@ -216,12 +216,12 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         return observation, reward, self._over, False, info
 
     def _now(self, field: str) -> Any:
-        """A field of the lane, see `kernel.block_type`."""
-        block = self._state.view(kernel.block_type(self.options.precision))[0]
+        """A field of the lane, see `layout.block_type`."""
+        block = self._state.view(layout.block_type(self.options.precision))[0]
         return block[field][..., 0].tolist()
 
     def _verdict(self, declared: int) -> tuple[str, bool]:
-        """How the episode ended, in words, and whether well."""
+        """Verdict of the episode in words, and whether it is right."""
         onset = self._now("onset")
         if declared == 0:
             missed = onset < self.options.n_samples
@@ -233,7 +233,7 @@ class MotorEnv(StreamEnv[MonitorOptions]):
         return f"{kind}: {'right' if right else 'wrong kind'}", right
 
     def _show(self) -> None:
-        """Let the scope see the sample; in a window, draw it."""
+        """Add the sample to the scope; in a window, draw it."""
         scope, rest = self._screen, self.setup.rest
         scope.add(
             self._now("measured_current") + rest[State.CURRENT],
@@ -255,20 +255,22 @@ def whole_action(action: Any, count: int) -> int:
     Raises:
         ValueError: there is no such action.
     """
+    if type(action) is int and 0 <= action < count:
+        return action
     try:
-        which = operator.index(action)
+        number = -1 if type(action) in _NO_INDICES else operator.index(action)
     except TypeError:  # 1.9 and "1" are not 1
-        which = -1
-    if not 0 <= which < count or type(action) in _NO_INDICES:
+        number = -1
+    if not 0 <= number < count:
         return whole("action", action, most=count - 1)  # has the sentence
-    return which
+    return number
 
 
 _NO_INDICES = (bool, MaskedArray)  # though Python takes them for such
 
 
 def whole_actions(actions: Any, num_envs: int, count: int) -> NDArray[np.int64]:
-    """Actions of a discrete space of `count`, one for each sub-environment, as an array; NumPy's may be beyond it.
+    """Actions of a discrete space, one for each sub-environment, as an array; the compiled step checks NumPy's range.
 
     Raises:
         ValueError: no integers, or of another shape.
@@ -281,12 +283,17 @@ def whole_actions(actions: Any, num_envs: int, count: int) -> NDArray[np.int64]:
             raise ValueError(f"{wanted}: {error}") from None
     if actions.shape != (num_envs,):
         raise ValueError(f"{wanted}, got shape {actions.shape}")
-    return readable(actions, np.int64)
+    return readable(actions, LONG)
 
 
-def readable(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
-    """The array as a compiled step reads it; for one that is read-only or lies askew it would be compiled anew."""
-    return array if array.dtype == dtype and array.flags.carray else np.array(array, dtype=dtype, order="C")
+def refuse_actions(actions: NDArray[np.int64], count: int) -> NoReturn:
+    """Raise the `ValueError` about actions outside 0 .. count - 1."""
+    raise ValueError(f"actions must be in 0 .. {count - 1}, got {actions.min()} .. {actions.max()}")
+
+
+def readable(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Copy an array that is read-only or not contiguous, for which a compiled step would be compiled anew."""
+    return array if array.dtype == dtype and array.flags.carray else array.astype(dtype, order="C")
 
 
 def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
@@ -295,16 +302,23 @@ def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
     Raises:
         ValueError: it has another shape, or a number that is not finite.
     """
-    wanted = f"action must be finite and have shape {shape}"
-    if type(action) is not np.ndarray or action.dtype.kind not in "iuf":
-        try:
-            action = numbers("action", action)
-        except ValueError as error:
-            raise ValueError(f"{wanted}: {error}") from None
-    if action.shape != shape:
-        raise ValueError(f"{wanted}, got shape {action.shape}")
-    given: FloatArray = readable(action, np.float64)
+    if type(action) is not np.ndarray or action.shape != shape or action.dtype.kind not in "iuf":
+        action = _as_numbers(action, shape)
+    checked: FloatArray = readable(action, DOUBLE)
     # numpy takes a microsecond for what a single environment's few numbers need
-    if not (all(map(math.isfinite, given.tolist())) if given.ndim == 1 else np.isfinite(given).all()):
-        raise ValueError(f"{wanted}, got {given[~np.isfinite(given)][0]:g} in it")
-    return given
+    if not (all(map(math.isfinite, checked.tolist())) if checked.ndim == 1 else np.isfinite(checked).all()):
+        entry = checked[~np.isfinite(checked)][0]
+        raise ValueError(f"action must be finite and have shape {shape}, got {entry:g} in it")
+    return checked
+
+
+def _as_numbers(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
+    """The action as an array of that shape, or the sentence about it."""
+    wanted = f"action must be finite and have shape {shape}"
+    try:
+        array = numbers("action", action)
+    except ValueError as error:
+        raise ValueError(f"{wanted}: {error}") from None
+    if array.shape != shape:
+        raise ValueError(f"{wanted}, got shape {array.shape}")
+    return array

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from motor_env.cli import main
-from motor_env.envs.offline.behaviours import TASKS, Behaviour
-from motor_env.envs.offline.recording import episodes_of
+from motor_env.envs.offline_data import TASKS, Behaviour, episodes_of
 
 minari = pytest.importorskip("minari", reason="data sets for learning offline need the extra minari")
 

@@ -10,19 +10,92 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from motor_env.envs import rendering
-from motor_env.envs.base import EVERYWHERE, Info, Observation, StreamEnv
 from motor_env.envs.drive import kernel
-from motor_env.envs.drive.actions import action_space, command, commands
-from motor_env.envs.drive.drawing import BEARING
-from motor_env.envs.drive.lanes import PARTS, empty_lanes
-from motor_env.envs.drive.options import LABELS, DriveOptions
-from motor_env.envs.drive.setup import DriveSetup, make_setup
+from motor_env.envs.drive.drive_setup import PARTS, DriveSetup, empty_lanes, make_setup
+from motor_env.envs.drive.kernel import BEARING
+from motor_env.envs.drive.options import LABELS, Control, DriveOptions
 from motor_env.envs.layout import FAULT_ACTIVE, BoolArray
 from motor_env.envs.rendering import GRID, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Frame, write, write_figures
+from motor_env.envs.single import (
+    EVERYWHERE,
+    Info,
+    Observation,
+    StreamEnv,
+    finite_action,
+    refuse_actions,
+    whole_action,
+    whole_actions,
+)
 from motor_env.envs.vector import StreamVectorEnv
 from motor_env.motor.parameters import FloatArray
 
-_TOLD = ("kind", "onset", "severity", "temperature")
+RUN, LIMP, STOP = -1.0, 0.25, 1.0
+"""Second entry of a command; the first is the voltage in units of its limit."""
+DECISIONS = np.array([RUN, LIMP, STOP])
+
+
+def _width(control: Control) -> int:
+    return 2 if control is Control.VOLTAGE_AND_DECISION else 3
+
+
+def action_space(control: Control) -> spaces.Space[Any]:
+    """Actions of one sub-environment."""
+    if control is Control.DECISION:
+        return spaces.Discrete(len(DECISIONS))
+    return spaces.Box(-1.0, 1.0, (_width(control),), dtype=np.float32)
+
+
+def command(control: Control, action: Any) -> FloatArray:
+    """Command of the one lane of a single environment, shape (1, 2).
+
+    Raises:
+        ValueError: there is no such action.
+    """
+    if control is Control.DECISION:
+        return _decided(np.array([whole_action(action, len(DECISIONS))]))
+    shape = (
+        (2,) if control is Control.VOLTAGE_AND_DECISION else (3,)
+    )  # `_width` would cost a hundredth of a step
+    return _from_numbers(finite_action(action, shape)[None])
+
+
+def commands(control: Control, actions: Any, count: int) -> FloatArray:
+    """Commands of many lanes, shape (count, 2).
+
+    Raises:
+        ValueError: there are no such actions.
+    """
+    if control is Control.DECISION:
+        decisions = whole_actions(actions, count, len(DECISIONS))
+        if ((decisions < 0) | (decisions >= len(DECISIONS))).any():
+            refuse_actions(decisions, len(DECISIONS))
+        return _decided(decisions)
+    return _from_numbers(finite_action(actions, (count, _width(control))))
+
+
+def as_actions(control: Control, given: FloatArray) -> NDArray[Any]:
+    """Actions that give these commands, whose decisions are RUN, LIMP or STOP."""
+    volts, decision = given.T
+    if control is Control.DECISION:
+        return np.array(np.searchsorted(DECISIONS, decision))
+    if control is Control.VOLTAGE_LIMP_STOP:
+        return np.stack([volts, np.sign(decision), np.where(decision == STOP, 1.0, -1.0)], axis=1)
+    return given
+
+
+def _decided(which: NDArray[np.int64]) -> FloatArray:
+    return np.stack([np.zeros(len(which)), DECISIONS[which]], axis=1)
+
+
+def _from_numbers(given: FloatArray) -> FloatArray:
+    """Voltage and decision; of three numbers the third stops, the second limps."""
+    if given.shape[1] == 2:
+        return given
+    decision = np.where(given[:, 2] > 0.5, STOP, np.where(given[:, 1] > 0.0, LIMP, RUN))
+    return np.stack([given[:, 0], decision], axis=1)
+
+
+_TRUTH = ("kind", "onset", "severity", "temperature")
 REWARDS = tuple(f"reward_{part}" for part in PARTS)
 
 
@@ -33,47 +106,41 @@ def _spaces(setup: DriveSetup) -> tuple[spaces.Space[Observation], spaces.Space[
 
 
 class DriveEnv(StreamEnv[DriveOptions]):
-    """A DC motor drives a machine along a speed profile, and may be failing. Follow the profile; limp or stop in time.
+    """A DC motor that may be failing drives a machine along a speed profile. Follow it; limp or stop in time.
 
     ## Description
-    Plateaus and ramps of speed are asked for. The load is a constant, a part with the square of the speed, and a part
-    that nobody knows and that moves slowly. At an unknown time a bearing or a winding contact begins to fail, or
-    neither does. Its severity grows exponentially at an unknown rate; that of a bearing grows faster under load and
-    speed. A bad winding heats up. A motor whose severity or temperature is too large fails.
+    The profile has plateaus and ramps. The load is a constant, a part with the square of the speed, and an unknown part
+    that moves slowly. At an unknown time a bearing or a winding contact begins to fail, or neither does. Its severity
+    grows exponentially at an unknown rate; that of a bearing grows faster under load and speed. A bad winding heats up.
+    A motor whose severity or temperature is too large fails.
 
     ## Action space
     `Box(-1, 1, (2,))`. The first entry is the voltage in units of the supply's limit. The second is a decision: at most
-    0 runs the motor, up to 0.5 limps (the profile shrinks to half, within 0.3 s, as long as that is chosen), above 0.5
-    stops the motor for good. Values outside are clipped.
+    0 runs the motor, up to 0.5 limps (within 0.3 s the profile shrinks to half), above 0.5 stops the motor for good.
+    Values outside are clipped.
 
     With `control="voltage_limp_stop"` (DriveBounded-v0) `Box(-1, 1, (3,))`: the voltage; above 0 limps; above 0.5
     stops. With `control="decision"` (DriveDecide-v0) `Discrete(3)`: run, limp, stop. The drive's own speed controller
     sets the voltage, and a decision holds for 0.1 s.
 
     ## Observation space
-    `Box`, float32, finite, clipped at the space's bounds: what the sensors read, the load that the filter of the
-    healthy motor estimates, its whitened innovations and their weighted means over 0.3 s, the voltage of the last step,
-    the temperature that a healthy winding would have, the scale of the profile, time as a share of the horizon, and the
-    scaled profile now, at the end of the next step, and 0.05, 0.1 and 0.2 s ahead.
+    `Box`, float32, finite, clipped at the space's bounds: measured current and speed; the load that the filter of the
+    healthy motor estimates, its whitened innovations and their weighted means over 0.3 s; the voltage of the last step;
+    the temperature of a healthy winding; the scale of the profile; time as a share of the horizon; the scaled profile
+    now, at the end of the next step, and 0.05, 0.1 and 0.2 s ahead.
 
     ## Reward
-    The squared error of the speed in units of the top speed costs 300 a second. A kelvin of heat beyond 70 K costs 0.05
-    a second. A bearing worn from new to failure costs 1. Limping costs 0.2 a second. A stopped motor costs 1 for each
-    second left, a failed one 6 more. In DriveBounded-v0 and DriveDecide-v0 a second of tracking error costs at most 3.
-    See `DriveOptions`.
+    See `DriveOptions`. The squared error of the speed, in units of the top speed, costs 300 a second; a kelvin beyond
+    70 K 0.05 a second; a bearing worn from new to failure 1; limping 0.2 a second; a stopped motor 1 for each second
+    left, a failed one 6 more. In DriveBounded-v0 and DriveDecide-v0 a second of tracking error costs at most 3.
 
     ## End of an episode
     Stopping, a failure, or the horizon (800 steps of 10 ms), all as `terminated`. `truncated` is always False.
 
     ## Info
-    The truth, for those who score: `label`, `class_index`, `onset_step` (-1: no fault), `fault_active`, `severity`,
-    `temperature_k`. And what the reward is made of: `reward_tracking`, `reward_heat`, `reward_wear`, `reward_limp`,
+    The truth, for scoring: `label`, `class_index`, `onset_step` (-1: no fault), `fault_active`, `severity`,
+    `temperature_k`. The parts of the reward: `reward_tracking`, `reward_heat`, `reward_wear`, `reward_limp`,
     `reward_stop`, `reward_failure`.
-
-    Args:
-        options: the task; `DriveOptions()` unless given.
-        render_mode: see the metadata.
-        changes: single options by name, on top.
     """
 
     options_type = DriveOptions
@@ -91,12 +158,12 @@ class DriveEnv(StreamEnv[DriveOptions]):
 
     def _make_views(self) -> None:
         # Once and not in each step, where they would take a tenth of the time.
-        self._truth = {name: self._lanes.state[name].reshape(-1) for name in _TOLD}
+        self._truth = {name: self._lanes.state[name].reshape(-1) for name in _TRUTH}
         self._part_values = self._parts.reshape(-1)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._make_views()  # a copy of a view is none: it would go on telling of the moment of copying
+        self._make_views()  # a copy of a view is no view
 
     def _begin(self) -> tuple[Observation, Info]:
         kernel.begin(EVERYWHERE, *self._arrays)
@@ -156,11 +223,11 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
         return _spaces(self.setup)
 
     def truth(self, name: str) -> FloatArray:
-        """A row of the lanes as it stands, for what is told the truth, shape (num_envs,).
+        """A row of the lanes as it stands, for scoring, shape (num_envs,).
 
         Args:
-            name: one of `current`, `speed`, `load`, `temperature`, `severity`, `kind`, `onset`, `growth`, or a number
-                that is observed, in SI units.
+            name: `current`, `speed`, `load`, `temperature`, `severity`, `kind`, `onset`, `growth`, or an observed
+                number, in SI units.
         """
         row: FloatArray = self._lanes.state[name].reshape(-1)[: self.num_envs].copy()
         return row
@@ -195,30 +262,26 @@ _SHOWN = ("speed", "current", "voltage", "temperature", "severity", "scale")
 
 
 class DriveScreen:
-    """Remembers an episode and draws it; it shows the truth, which the agent does not see.
-
-    Args:
-        setup: of the environment.
-    """
+    """Keeps an episode and draws it, with the truth, which the agent does not observe."""
 
     def __init__(self, setup: DriveSetup) -> None:
         self.setup = setup
 
     def begin(self, profile: FloatArray) -> None:
-        """A new episode with that profile."""
+        """Begin an episode with that profile."""
         self._profile = profile[1 : self.setup.options.n_steps + 1].copy()
         self._rows: list[list[float]] = []
         self._kind = self._onset = 0
 
     def add(self, lanes: np.void) -> None:
-        """The block after a step, whose first lane is shown."""
+        """Add the first lane of a block after a step."""
         row = [lanes[name].item(0) for name in _SHOWN]
         # What a decision shows is its last period.
         self._rows += [row] * self.setup.options.steps_per_decision
         self._kind, self._onset = int(lanes["kind"].item(0)), int(lanes["onset"].item(0))
 
     def draw(self) -> Frame:
-        """The screen, shape (HEIGHT, WIDTH, 3)."""
+        """Draw the screen, shape (HEIGHT, WIDTH, 3)."""
         options, frame = self.setup.options, rendering.blank_screen()
         speed, current, voltage, heat, severity, scale = np.array(self._rows).reshape(-1, len(_SHOWN)).T
         asked = self._profile.copy()
@@ -249,7 +312,7 @@ class DriveScreen:
         return frame
 
     def _columns(self, values: FloatArray, width: int) -> FloatArray:
-        """One value a column of the screen, as far as there are values."""
+        """One value a column of the screen."""
         at = np.arange(width) * self.setup.options.n_steps // width
         return values[at[at < len(values)]]
 

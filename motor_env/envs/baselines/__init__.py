@@ -1,1 +1,0 @@
-"""Policies and bounds that scores in the environments are compared with."""
