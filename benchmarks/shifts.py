@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.neural_network import MLPClassifier
 
-from motor_classifiers.scoring.calibration import calibration_scores
+from motor_classifiers.scoring.metrics import calibration_scores
 from motor_classifiers.wrappers.conformal import ConformalSets
 from motor_classifiers.wrappers.outside import Coordinates, OutsideDetector, World, clouds, single_starts
 from motor_datasets.generate import generate_arrays

@@ -23,11 +23,18 @@ import numpy as np
 
 from motor_datasets.arrays import at_least_one
 from motor_datasets.card import croissant, data_card
-from motor_datasets.generate import generate_arrays
-from motor_datasets.layout import Plan, PlannedFile, make_plan
-from motor_datasets.manifest import MANIFEST, Entry, Manifest, defect, read_manifest
+from motor_datasets.generate import Plan, PlannedFile, generate_arrays, make_plan
+from motor_datasets.manifest import (
+    MANIFEST,
+    Entry,
+    Folder,
+    Manifest,
+    defect,
+    folder_of,
+    read_manifest,
+    whole_file,
+)
 from motor_datasets.parquet import to_table, write_table
-from motor_datasets.remote import Folder, folder_of, whole_file
 from motor_env.common.errors import InputError
 from motor_env.common.files import LARGEST_DATA_BYTES, read_file
 from motor_env.common.processes import end_with_parent

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset, columns, parameter_names
-from motor_datasets.layout import Split, bytes_of_case
-from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, whole_content
-from motor_datasets.remote import Folder
+from motor_datasets.generate import Split, bytes_of_case
+from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Folder, Manifest, whole_content
 from motor_env.common.arrays import is_one_of, shown
 from motor_env.common.errors import InputError, require_extra
 from motor_env.simulation.recipe_files import recipe_to_dict

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from motor_datasets.arrays import Dataset
-from motor_datasets.streaming import stream
+from motor_datasets.generate import stream
 from motor_env.simulation.recipes import Recipe
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from rich.console import Console
 
-from motor_classifiers.cli.options import numbers
+from motor_classifiers.cli.sweep import numbers
+from motor_classifiers.estimators.methods import fed, find_method
 from motor_classifiers.estimators.networks.posterior_network import UNKNOWN_NOISE, PosteriorNetwork
-from motor_classifiers.estimators.own_methods import fed, find_method
 from motor_classifiers.model_files.persistence import check_saveable, save_model
 from motor_datasets.loaders import load
 from motor_env.common.console import progress_bar

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.estimators import cases
-from motor_classifiers.estimators.state import State
+from motor_classifiers.estimators.cases import State
 from motor_classifiers.estimators.threshold_rule import ConfirmationResult, ThresholdRule
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_classifiers.estimators.state import Arrays
+from motor_classifiers.estimators.cases import Arrays
 from motor_env.common.errors import InputError
 from motor_env.common.files import LARGEST_DATA_BYTES, read_file
 from motor_env.motor.parameters import require

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motor_classifiers.estimators.methods import ESTIMATE, METHODS
-from motor_classifiers.estimators.own_methods import find_method
+from motor_classifiers.estimators.methods import ESTIMATE, METHODS, find_method
 from motor_classifiers.scoring.judging import (
     LIMIT,
     Answer,

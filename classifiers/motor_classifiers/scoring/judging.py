@@ -5,21 +5,21 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import time
 import traceback
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
 
-from motor_classifiers.estimators.methods import METHODS
-from motor_classifiers.estimators.own_methods import answered, fed, find_method, source_of
+from motor_classifiers.estimators.methods import METHODS, answered, fed, find_method, source_of
 from motor_classifiers.model_files.containers import read_arrays
-from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_classifiers.scoring.task import ClassTask
 from motor_env import __version__
 from motor_env.common.errors import InputError
@@ -28,6 +28,46 @@ from motor_env.common.processes import end_with_parent
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipe_files import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
+
+_Answer = TypeVar("_Answer")
+_PROCESS = Path("/proc/self")
+
+
+class Cost(NamedTuple):
+    """What a piece of work took.
+
+    Attributes:
+        seconds: processor time; of work on one thread the time that it takes on an idle machine.
+        memory_mb: largest memory of the process beyond what it held before, in MB of a million bytes; None where the
+            system does not tell (only Linux forgets an older peak on request).
+    """
+
+    seconds: float
+    memory_mb: float | None
+
+
+def with_cost(work: Callable[[], _Answer]) -> tuple[_Answer, Cost]:
+    """Do the work; what it returns and what it took."""
+    before = _fresh_peak_mb()
+    begin = time.process_time()
+    answer = work()
+    seconds = time.process_time() - begin
+    return answer, Cost(seconds, None if before is None else max(0.0, _peak_mb() - before))
+
+
+def _fresh_peak_mb() -> float | None:
+    """Forget the largest memory so far; what the process holds now."""
+    try:
+        (_PROCESS / "clear_refs").write_text("5")
+        return _peak_mb()
+    except OSError:
+        return None
+
+
+def _peak_mb() -> float:
+    lines = (_PROCESS / "status").read_text().splitlines()
+    return next(1024e-6 * float(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+
 
 LIMIT = "limit"
 """Name of the posterior's answer among the methods'."""

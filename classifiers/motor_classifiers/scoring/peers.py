@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_classifiers.model_files.containers import read_arrays
-from motor_classifiers.scoring.judging import Answer
-from motor_classifiers.scoring.progress import Cost
+from motor_classifiers.scoring.judging import Answer, Cost
 from motor_classifiers.scoring.task import ClassTask
 from motor_datasets.arrays import Dataset
 from motor_env.common.errors import InputError

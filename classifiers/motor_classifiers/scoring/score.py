@@ -8,12 +8,13 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from motor_classifiers.scoring.calibration import CalibrationScores, calibration_scores
 from motor_classifiers.scoring.judging import LIMIT, Answer, expected_severity
 from motor_classifiers.scoring.metrics import (
+    CalibrationScores,
     Comparison,
     Score,
     Scores,
+    calibration_scores,
     compare,
     interval,
     resampling_weights,

@@ -17,8 +17,7 @@ from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
 from sklearn.utils import check_random_state
 
-from motor_classifiers.estimators.cases import labelled_cases
-from motor_classifiers.estimators.state import State
+from motor_classifiers.estimators.cases import State, labelled_cases
 from motor_classifiers.wrappers.fitted import ClassifierWrapper, check_share, unfitted
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe

@@ -9,13 +9,12 @@ from made_results import RECIPE, TASK, answer, decisions, made_results
 
 from motor_classifiers import METHODS, Opinion
 from motor_classifiers.cli.main import main
-from motor_classifiers.cli.opinions import opinion_lines
-from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
-from motor_classifiers.cli.sweep import plan_lines, table_lines
+from motor_classifiers.cli.sweep import numbers, plan_lines, require_writable, table_lines, whole_numbers
 from motor_classifiers.cli.training import noise_factors
 from motor_classifiers.estimators.methods import AT_WORK
+from motor_classifiers.prediction import opinion_lines
 from motor_classifiers.scoring.benchmark import AnswerStore, Plan, units
-from motor_classifiers.scoring.progress import Cost
+from motor_classifiers.scoring.judging import Cost
 
 # Reaches in: made-up answers and costs fill a plan at once; defaults are the rooms' own.
 from motor_classifiers.scoring.task import class_task
@@ -161,9 +160,9 @@ def test_a_score_in_words(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("motor_classifiers.scoring.answer_files.read_answers", lambda path, task: None)
+    monkeypatch.setattr("motor_classifiers.scoring.frozen_tasks.read_answers", lambda path, task: None)
     monkeypatch.setattr(
-        "motor_classifiers.scoring.answer_files.score_answers", lambda task, said: SCORED | more
+        "motor_classifiers.scoring.frozen_tasks.score_answers", lambda task, said: SCORED | more
     )
     assert main(["score", "bench", "answers.csv"]) == 0
     head = ["task bench 2.0, 80 cases", f"  error rate, %: {12.345:.2f} (10.00 to 15.00)"]

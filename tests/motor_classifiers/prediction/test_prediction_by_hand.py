@@ -17,13 +17,12 @@ from motor_classifiers import (
     PosteriorNetwork,
     opinions,
     predict_recording,
+    prediction,
 )
 
 # Reaches in: stand-ins for models answer in the types of real ones, with numbers chosen by hand.
 from motor_classifiers.estimators.networks.posterior_network import SeverityEstimate
-from motor_classifiers.prediction import alignment, opinions as opinions_module
-from motor_classifiers.prediction.alignment import aligned_case
-from motor_classifiers.prediction.opinions import UNDECIDED, second_opinion
+from motor_classifiers.prediction import UNDECIDED, aligned_case, second_opinion
 from motor_classifiers.wrappers.outside import OUTSIDE
 from motor_env import Channel, FaultKind, Recipe, Recording, Timing, load_recipe, simulate_states
 from motor_env.common.console import ExitStatus
@@ -67,8 +66,8 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[FloatArray]]:
             }
             return SimpleNamespace(**plain | more)
 
-        monkeypatch.setattr(alignment, "physical_features", features)
-        monkeypatch.setattr(alignment, "align", align)
+        monkeypatch.setattr(prediction, "physical_features", features)
+        monkeypatch.setattr(prediction, "align", align)
         return tried
 
     return say
@@ -102,7 +101,7 @@ def test_a_misfit_of_more_than_five_deviations_is_another_motor(
         UnusableError, match=rf"the squared residual is {1.001 * largest:.3g} times the noise's"
     ):
         aligned_case(recording(10_000.0, 2000), recipe)
-    monkeypatch.setattr(alignment, "_noise_level", lambda *_: 4.0)
+    monkeypatch.setattr(prediction, "_noise_level", lambda *_: 4.0)
     started(misfit=3.996 * largest)
     aligned_case(recording(10_000.0, 2000), recipe, (0.5, 5.0))
     started(misfit=4.004 * largest)
@@ -117,7 +116,7 @@ def test_the_noise_is_read_off_neighbours_in_the_second_half() -> None:
         case = np.zeros((1, 100))
         case[0, :50] = 7.0  # the first half does not count, nor does a level
         case[0, 50:] = 3.0 + 0.02 * height * (-1.0) ** np.arange(50)
-        return alignment._noise_level(case, RECIPE, noise_range)  # what only a noisy start shows elsewhere
+        return prediction._noise_level(case, RECIPE, noise_range)  # what only a noisy start shows elsewhere
 
     assert level(1.5, (0.1, 5.0)) == pytest.approx(2.0 * 1.5**2)
     assert level(0.2, (0.5, 5.0)) == pytest.approx(0.25)
@@ -186,15 +185,15 @@ def test_at_equal_rates_the_residual_is_put_on_the_fitted_start(
         asked.extend([*level, *([changes] if changes else [])])
         return prepared
 
-    monkeypatch.setattr(alignment, "prepare", noted)
-    monkeypatch.setattr(alignment, "replace", noted)
-    monkeypatch.setattr(alignment, "identify", lambda _: fitted)
+    monkeypatch.setattr(prediction, "prepare", noted)
+    monkeypatch.setattr(prediction, "replace", noted)
+    monkeypatch.setattr(prediction, "identify", lambda _: fitted)
     timing = Timing(1_000.0, 1e-3 * length, 1e-3 * quiet + 1e-9 if quiet else 0.0)
     recipe = replace(RECIPE, timing=timing)
     assert (timing.n_samples, timing.n_quiet) == (length + quiet, quiet)
     started(20, best=0)
     if not fits:
-        monkeypatch.setattr(alignment, "_check_comparable", lambda *_: None)
+        monkeypatch.setattr(prediction, "_check_comparable", lambda *_: None)
         with pytest.raises(
             UnusableError, match=f"wants {timing.quiet_s:g} s before the start and {timing.duration_s:g} s"
         ):
@@ -264,8 +263,8 @@ def test_a_start_of_another_world_has_no_verdict(
         asked.append((recipe, noise_range))
         return SimpleNamespace(what_is_off=lambda case: np.array([off] * len(case), dtype=object))
 
-    monkeypatch.setattr(opinions_module, "aligned_case", lambda *_: GIVEN[:1])
-    monkeypatch.setattr(opinions_module, "_detector", detector)
+    monkeypatch.setattr(prediction, "aligned_case", lambda *_: GIVEN[:1])
+    monkeypatch.setattr(prediction, "_detector", detector)
     got = predict_recording(Told(), RECIPE, recording(10_000.0, 20))
     inside = opinions(Told(), RECIPE, GIVEN[:1])[0]
     if off:
@@ -318,7 +317,7 @@ def test_a_network_tells_the_severity_of_the_most_probable_kind(monkeypatch: pyt
         asked.append(noise_range)
         raise UnusableError("too short")
 
-    monkeypatch.setattr(opinions_module, "aligned_case", refuse)
+    monkeypatch.setattr(prediction, "aligned_case", refuse)
     for model in (Network(), Told()):
         assert predict_recording(model, RECIPE, recording(10_000.0, 20)) == Opinion(
             UNDECIDED, reason="too short"
@@ -342,8 +341,8 @@ def test_the_diagnosis_beside_it_has_the_recipes_tolerances(monkeypatch: pytest.
     asked: list[Any] = []
     kept = {"verdict": "bearing", "kind": "bearing", "severity": 0.2, "severity_interval": [0.1, 0.3]}
     more = {"confidence": 0.9, "reasons": ["r"], "left": "out"}
-    monkeypatch.setattr(opinions_module, "diagnose", lambda _, motor: asked.append(motor))
-    monkeypatch.setattr(opinions_module, "as_json", lambda _: kept | more)
+    monkeypatch.setattr(prediction, "diagnose", lambda _, motor: asked.append(motor))
+    monkeypatch.setattr(prediction, "as_json", lambda _: kept | more)
     assert second_opinion(recording(1_000.0, 9), RECIPE) == kept | {"confidence": 0.9, "reasons": ["r"]}
     (motor,) = asked
     assert (motor.name, motor.parameters, motor.nominal_voltage_v) == (

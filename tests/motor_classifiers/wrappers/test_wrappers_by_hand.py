@@ -18,7 +18,7 @@ from motor_classifiers import (
 )
 
 # Reaches in: pins what a wrapper makes of the state that a file holds, without a file.
-from motor_classifiers.estimators.state import State
+from motor_classifiers.estimators.cases import State
 from motor_classifiers.wrappers.conformal import measured_coverage
 from motor_classifiers.wrappers.early import Stopped, shortened, stop_when_sure, stopping_score
 from motor_env import Channel, Timing, load_recipe

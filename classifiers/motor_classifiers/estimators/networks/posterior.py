@@ -13,10 +13,10 @@ from torch import nn
 from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
+from motor_classifiers.estimators.cases import Arrays, loaded_module
 from motor_classifiers.estimators.networks.epoch_classifier import perceptron
 from motor_classifiers.estimators.networks.signal_space import SignalSpace
 from motor_classifiers.estimators.networks.training import Batch, Loss, OnStep, initialise, train
-from motor_classifiers.estimators.state import Arrays, loaded_module
 from motor_env.motor.parameters import require
 
 _LAST_SHARE, _LARGER = 0.3, 4  # the last steps have larger batches: less noise where it matters

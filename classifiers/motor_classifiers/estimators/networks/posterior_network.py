@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 from torch import nn
 
-from motor_classifiers.estimators.cases import check_classes, flat_cases, labelled_cases, values_of_start
+from motor_classifiers.estimators.cases import (
+    Arrays,
+    State,
+    check_classes,
+    flat_cases,
+    labelled_cases,
+    module_arrays,
+    part_of,
+    plain_parameters,
+    values_of_start,
+)
 from motor_classifiers.estimators.networks.epoch_classifier import LogitClassifier, logits_in_parts
 from motor_classifiers.estimators.networks.posterior import Posterior, total_cases
 from motor_classifiers.estimators.networks.severity_density import (
@@ -31,7 +41,6 @@ from motor_classifiers.estimators.networks.severity_density import (
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases
 from motor_classifiers.estimators.networks.training import Batch, Loss, OnStep, one_thread, seed_of
 from motor_classifiers.estimators.reference_starts import split_starts
-from motor_classifiers.estimators.state import Arrays, State, module_arrays, part_of, plain_parameters
 from motor_datasets.arrays import Dataset
 from motor_env.inference.severity import SeverityPrior
 from motor_env.motor.parameters import FloatArray, require
