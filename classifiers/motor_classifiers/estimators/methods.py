@@ -1,4 +1,4 @@
-"""Methods by name, each an estimator for a recipe: those of the benchmark, and plugins (`FILE.py:NAME`, entry points)."""
+"""Methods by name, each an estimator for a recipe: the benchmark's, and plugins (`FILE.py:NAME`, entry points)."""
 
 from __future__ import annotations
 
