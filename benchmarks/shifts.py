@@ -12,7 +12,13 @@ from sklearn.neural_network import MLPClassifier
 
 from motor_classifiers.scoring.metrics import calibration_scores
 from motor_classifiers.wrappers.conformal import ConformalSets
-from motor_classifiers.wrappers.outside import Coordinates, OutsideDetector, World, clouds, single_starts
+from motor_classifiers.wrappers.outlier_detector import (
+    Coordinates,
+    OutsideDetector,
+    World,
+    clouds,
+    single_starts,
+)
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import FaultKind

@@ -26,7 +26,7 @@ from motor_classifiers.estimators.networks.posterior_network import PosteriorNet
 from motor_classifiers.scoring.judging import in_recipe_order, judge
 from motor_classifiers.scoring.task import class_task
 from motor_classifiers.wrappers.conformal import ConformalSets
-from motor_classifiers.wrappers.outside import OutsideDetector
+from motor_classifiers.wrappers.outlier_detector import OutsideDetector
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import FloatArray

@@ -45,6 +45,6 @@ from .wrappers.conformal import (
 from .wrappers.early import (
     EarlyClassifier as EarlyClassifier,
 )
-from .wrappers.outside import (
+from .wrappers.outlier_detector import (
     OutsideDetector as OutsideDetector,
 )

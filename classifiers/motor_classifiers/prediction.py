@@ -20,7 +20,7 @@ from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import in_recipe_order
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
-from motor_classifiers.wrappers.outside import ADVICE, OUTSIDE, OutsideDetector
+from motor_classifiers.wrappers.outlier_detector import ADVICE, OUTSIDE, OutsideDetector
 from motor_datasets.loaders import load
 from motor_env.common.console import ExitStatus
 from motor_env.common.errors import InputError
