@@ -117,7 +117,7 @@ def powers(n_cases: int) -> Iterable[Iterable[str]]:
     for recipe, conditions in _moved():
         detector = OutsideDetector(recipe).fit()
         for name, changed in {"as in training": recipe, **conditions}.items():
-            off = detector.what_is_off(cases(changed, TEST, n_cases).X)
+            off = detector.likely_shift(cases(changed, TEST, n_cases).X)
             trained = trained_power(recipe, changed, SEED, np.arange(n_cases) + CALIBRATE)
             names, counts = np.unique(off[off != ""].astype(str), return_counts=True)
             most = sorted(zip(counts, names, strict=True), reverse=True)[:3]

@@ -26,10 +26,10 @@ from .model_files.persistence import (
     save_model as save_model,
 )
 from .prediction import (
-    Opinion as Opinion,
-    opinions as opinions,
+    Prediction as Prediction,
     predict as predict,
     predict_recording as predict_recording,
+    predictions as predictions,
 )
 from .scoring.frozen_tasks import (
     load_task as load_task,

@@ -154,10 +154,10 @@ UNDECIDED = "unusable"
 """Verdict where the model has no say: another motor, another supply, too short, too coarse."""
 
 LEAST_PROBABILITY = 0.5
-"""Least probability of a verdict; below it the opinion is undecided."""
+"""Least probability of a verdict; below it the prediction is undecided."""
 
 
-class Opinion(NamedTuple):
+class Prediction(NamedTuple):
     """What a model says of a start.
 
     Attributes:
@@ -166,7 +166,7 @@ class Opinion(NamedTuple):
         probability: of the verdict.
         severity: its mean, for the most probable kind of the verdict; 0 for healthy.
         probabilities: of each class by name.
-        reason: why there is no opinion, and what to do; else empty.
+        reason: why there is no prediction, and what to do; else empty.
         severity_interval: bounds that hold the severity in 90 of 100 cases, from a model that tells them.
         candidates: classes in the conformal set, from a model that has one; the set may be empty.
     """
@@ -182,7 +182,7 @@ class Opinion(NamedTuple):
 
     @property
     def status(self) -> ExitStatus:
-        """Exit status that this opinion alone gives."""
+        """Exit status that this prediction alone gives."""
         if self.verdict in (UNDECIDED, OUTSIDE) or self.probability < LEAST_PROBABILITY:
             return ExitStatus.UNDECIDED
         return ExitStatus.HEALTHY if self.verdict == HEALTHY else ExitStatus.FAULT
@@ -207,12 +207,12 @@ def verdict_of(label_kind: str) -> str:
     return FaultKind(label_kind).verdict if label_kind in FaultKind else str(label_kind)
 
 
-def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
-    """Opinion on each case, X of shape (n_cases, n_channels, n_timepoints)."""
+def predictions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Prediction]:
+    """Prediction on each case, X of shape (n_cases, n_channels, n_timepoints)."""
     if isinstance(model, ConformalClassifier):
         sets = (tuple(model.classes_[chosen].tolist()) for chosen in model.predict_set(X))
-        inside = opinions(model.wrapped_model, recipe, X)
-        return [opinion._replace(candidates=names) for opinion, names in zip(inside, sets, strict=True)]
+        inside = predictions(model.wrapped_model, recipe, X)
+        return [prediction._replace(candidates=names) for prediction, names in zip(inside, sets, strict=True)]
     probabilities = in_recipe_order(model, answered(model, X), recipe)
     verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
     best = probabilities.argmax(axis=1)
@@ -224,7 +224,7 @@ def opinions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Opinion]:
         means = mine @ np.array([c.severity for c in recipe.classes]) / share
         severities = [(mean, None) for mean in means]
     return [
-        Opinion(
+        Prediction(
             verdict=str(verdicts[n]),
             class_name=recipe.class_names[n],
             probability=float(of_verdict),
@@ -251,8 +251,8 @@ def _network_severities(
     return severities
 
 
-def predict(recording: Recording | Path | str, model: Path | str | None = None) -> Opinion:
-    """Opinion on one recording.
+def predict(recording: Recording | Path | str, model: Path | str | None = None) -> Prediction:
+    """Prediction on one recording.
 
     Args:
         recording: as read, or its file.
@@ -265,8 +265,8 @@ def predict(recording: Recording | Path | str, model: Path | str | None = None) 
     return predict_recording(fitted, recipe, recording)
 
 
-def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording | Path | str) -> Opinion:
-    """Opinion of a loaded model on one recording, as read, or its file.
+def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording | Path | str) -> Prediction:
+    """Prediction of a loaded model on one recording, as read, or its file.
 
     Raises:
         InputError: the file cannot be read.
@@ -275,21 +275,21 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
         recording = read_recording(Path(recording))
     references = model.n_features_in_ // values_of_start(recipe) - 1
     if references:
-        return Opinion(
+        return Prediction(
             UNDECIDED, reason=f"the model wants {references} healthy starts of the same motor beside each"
         )
     try:
         case = aligned_case(recording, recipe, _noise_range(model))
     except UnusableError as error:
-        return Opinion(UNDECIDED, reason=str(error))
-    (opinion,) = opinions(model, recipe, case)
+        return Prediction(UNDECIDED, reason=str(error))
+    (prediction,) = predictions(model, recipe, case)
     if any(kind.is_sensor for kind in recipe.kinds):  # such starts have no detector
-        return opinion
-    off = str(_detector(recipe, _noise_range(model)).what_is_off(case)[0])
-    if not off:
-        return opinion
-    reason = f"most likely {off}: {ADVICE[off]}"
-    return Opinion(OUTSIDE, probabilities=opinion.probabilities, reason=reason)
+        return prediction
+    shift = str(_detector(recipe, _noise_range(model)).likely_shift(case)[0])
+    if not shift:
+        return prediction
+    reason = f"most likely {shift}: {ADVICE[shift]}"
+    return Prediction(OUTSIDE, probabilities=prediction.probabilities, reason=reason)
 
 
 @lru_cache(maxsize=4)
@@ -302,7 +302,7 @@ def _noise_range(model: BaseEstimator) -> tuple[float, float] | None:
     return core.noise_range if isinstance(core, PosteriorNetwork) else None
 
 
-def second_opinion(recording: Recording, recipe: Recipe, motor: Motor | None = None) -> dict[str, Any]:
+def model_based_diagnosis(recording: Recording, recipe: Recipe, motor: Motor | None = None) -> dict[str, Any]:
     """What `motor-env diagnose` says of the recording.
 
     Args:
@@ -319,9 +319,9 @@ def second_opinion(recording: Recording, recipe: Recipe, motor: Motor | None = N
     return {name: diagnosis[name] for name in kept}
 
 
-def opinions_of(
+def predict_file(
     model: Any, recipe: Recipe, path: Path, split: str | None, motor: Motor | None = None
-) -> tuple[list[Opinion], dict[str, Any] | None]:
+) -> tuple[list[Prediction], dict[str, Any] | None]:
     """Opinions on a data set; or the one on a recording, and what the model-based diagnosis says of it.
 
     Raises:
@@ -329,41 +329,41 @@ def opinions_of(
     """
     if not path.is_dir():
         recording = read_recording(path)
-        return [predict_recording(model, recipe, recording)], second_opinion(recording, recipe, motor)
+        return [predict_recording(model, recipe, recording)], model_based_diagnosis(recording, recipe, motor)
     cases = load(path, split)
     if (cases.recipe.timing, cases.recipe.channels) != (recipe.timing, recipe.channels):
         raise InputError(f"{path}: has another time axis or other channels than the model was trained on")
-    return opinions(model, recipe, cases.X), None
+    return predictions(model, recipe, cases.X), None
 
 
-def opinion_lines(path: Path, opinions_given: list[Opinion], second: dict[str, Any] | None) -> list[str]:
+def prediction_lines(path: Path, predictions: list[Prediction], second: dict[str, Any] | None) -> list[str]:
     """One line of the model, and below it one of the diagnosis; counts for a data set."""
     if second is None:
-        counts = Counter(opinion.verdict for opinion in opinions_given)
+        counts = Counter(prediction.verdict for prediction in predictions)
         summary = ", ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
-        return [f"{path}: {len(opinions_given)} cases: {summary}"]
-    opinion = opinions_given[0]
-    if opinion.verdict == OUTSIDE:
-        first = f"{path}: {OUTSIDE}: {opinion.reason}"
-    elif opinion.reason:
-        first = f"{path}: no opinion: {opinion.reason}"
+        return [f"{path}: {len(predictions)} cases: {summary}"]
+    prediction = predictions[0]
+    if prediction.verdict == OUTSIDE:
+        first = f"{path}: {OUTSIDE}: {prediction.reason}"
+    elif prediction.reason:
+        first = f"{path}: no opinion: {prediction.reason}"
     else:
-        doubt = " (undecided)" if opinion.status is ExitStatus.UNDECIDED else ""
-        size = "" if opinion.verdict == HEALTHY else _size(opinion.severity, opinion.severity_interval)
-        first = (
-            f"{path}: {opinion.verdict}{doubt}, probability {opinion.probability:.2f}{size}{_beside(opinion)}"
-        )
+        doubt = " (undecided)" if prediction.status is ExitStatus.UNDECIDED else ""
+        size = _size(prediction.severity, prediction.severity_interval)
+        size = "" if prediction.verdict == HEALTHY else size
+        sure = f"probability {prediction.probability:.2f}"
+        first = f"{path}: {prediction.verdict}{doubt}, {sure}{size}{_candidates(prediction)}"
     sure = "" if second["confidence"] is None else f", confidence {second['confidence']:.2f}"
     size = _size(second["severity"], second["severity_interval"]) if second["severity"] else ""
     reasons = "; ".join(second["reasons"])
     return [first, f"  motor-env diagnose: {second['verdict']}{sure}{size}: {reasons}"]
 
 
-def _beside(opinion: Opinion) -> str:
-    """What only a wrapped model tells."""
-    if opinion.candidates is None:
+def _candidates(prediction: Prediction) -> str:
+    """Classes of the conformal set, from a model that has one."""
+    if prediction.candidates is None:
         return ""
-    return f", could be {' or '.join(opinion.candidates) or 'none of its classes'}"
+    return f", could be {' or '.join(prediction.candidates) or 'none of its classes'}"
 
 
 def _size(severity: float, interval: Sequence[float | None] | None) -> str:

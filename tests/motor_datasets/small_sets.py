@@ -15,7 +15,9 @@ from motor_env import InputError, Timing, load_recipe
 SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
 SHARD_BYTES = 50_000
 """Of a file: some tens of short cases."""
-SMALL_SHARDS = "import sys; from motor_datasets import cli, generate; generate._SHARD_BYTES = 2**19; sys.exit(cli.main())"
+SMALL_SHARDS = (
+    "import sys; from motor_datasets import cli, generate as g; g._SHARD_BYTES = 2**19; sys.exit(cli.main())"
+)
 """The command, with files of half a megabyte."""
 
 

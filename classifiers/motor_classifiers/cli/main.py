@@ -224,7 +224,7 @@ def predict(
     """
     _require_extras()
     from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-    from motor_classifiers.prediction import UNDECIDED, opinion_lines, opinions_of
+    from motor_classifiers.prediction import UNDECIDED, predict_file, prediction_lines
     from motor_env.motor.data_sheet import load_motor
 
     fitted, recipe, _ = load_model(PRETRAINED if model is None else model)
@@ -233,18 +233,18 @@ def predict(
     statuses: list[console.ExitStatus] = []
     for path in files:
         try:
-            opinions, second = opinions_of(fitted, recipe, path, split, healthy)
+            predictions, second = predict_file(fitted, recipe, path, split, healthy)
         except InputError as error:
             print(f"motor-classifiers: {error}", file=sys.stderr)
             rows.append({"file": str(path), "verdict": UNDECIDED, "error": str(error)})
             statuses.append(console.ExitStatus.BAD_INPUT)
             continue
-        statuses += [opinion.status for opinion in opinions]
-        for n, opinion in enumerate(opinions):
+        statuses += [prediction.status for prediction in predictions]
+        for n, prediction in enumerate(predictions):
             beside = {"row": n} if path.is_dir() else {"model_based": second}
-            rows.append({"file": str(path), **opinion.as_json(), **beside})
+            rows.append({"file": str(path), **prediction.as_json(), **beside})
         if not json_:
-            print("\n".join(opinion_lines(path, opinions, second)))
+            print("\n".join(prediction_lines(path, predictions, second)))
     if json_:
         print(console.json_text(rows))
     return int(console.worst(statuses))

@@ -161,7 +161,7 @@ class SeverityTask(DrawnTask):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StrangerTask(DrawnTask):
+class NoveltyTask(DrawnTask):
     """Say how strange a start is: motors of the known classes against faults that nobody was trained on.
 
     The metric is 1 minus the area under the ROC curve, averaged over the unknown faults. The cost of a case is its part
@@ -299,7 +299,7 @@ def _tasks() -> dict[str, DrawnTask]:
         SeverityTask(
             "severity", "How large a bearing fault, 0 to 30 %", 2000, "RMSE, points", recipe=severities
         ),
-        StrangerTask("unknown", "How strange: faults never trained on, 1 kHz", 4000, area, recipe=slow),
+        NoveltyTask("unknown", "How strange: faults never trained on, 1 kHz", 4000, area, recipe=slow),
         StreamTask("stream", late, 2000, "100 x mean cost", recipe=stream),
     )
     return {task.name: replace(task, seed=task_seed(task.name)) for task in every}

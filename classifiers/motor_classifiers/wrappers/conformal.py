@@ -29,15 +29,15 @@ BoolArray = NDArray[np.bool_]
 class ConformalSets:
     """Conformal p-values and sets of classes from probabilities.
 
-    A class is as strange for a case as its probability is small: of all sets with that coverage, those on this score
-    are the smallest on average (Sadinle, Lei & Wasserman 2019).
+    The nonconformity of a class is the probability of all others: of all sets with that coverage, those on this
+    score are the smallest on average (Sadinle, Lei & Wasserman 2019).
 
     Attributes:
-        strangeness: of the calibration cases, rising: one array for each class (label-conditional, Mondrian), or one
+        nonconformity: of the calibration cases, rising: one array for each class (label-conditional, Mondrian), or one
             for all.
     """
 
-    strangeness: tuple[FloatArray, ...]
+    nonconformity: tuple[FloatArray, ...]
 
     @classmethod
     def calibrate(
@@ -59,7 +59,7 @@ class ConformalSets:
             f"probabilities (n_cases, n_classes) and truth (n_cases,) must fit, "
             f"got {np.shape(probabilities)} and {labels.shape}",
         )
-        own = _strangeness(probabilities)[np.arange(len(labels)), labels]
+        own = _nonconformity(probabilities)[np.arange(len(labels)), labels]
         if not label_conditional:
             return cls((np.sort(own),))
         n_classes = probabilities.shape[1]
@@ -73,7 +73,7 @@ class ConformalSets:
         Of the true class it is at most alpha in a share alpha of the cases.
         """
         # One array stands for all classes.
-        pairs = zip(_strangeness(probabilities).T, cycle(self.strangeness), strict=False)
+        pairs = zip(_nonconformity(probabilities).T, cycle(self.nonconformity), strict=False)
         shares = [
             (len(known) - np.searchsorted(known, own) + 1.0) / (len(known) + 1.0) for own, known in pairs
         ]
@@ -90,7 +90,7 @@ class ConformalSets:
         return self.p_values(probabilities) > 1.0 - coverage
 
 
-def _strangeness(probabilities: FloatArray) -> FloatArray:
+def _nonconformity(probabilities: FloatArray) -> FloatArray:
     """Probability of all other classes, shape (n_cases, n_classes).
 
     It is added up and not taken as 1 - p, which is 0 to rounding for many a clear case: among equals no set could be
@@ -183,7 +183,7 @@ class ConformalClassifier(ClassifierWrapper):
 
     def to_state(self) -> State:
         """What it adds to the model inside."""
-        strangeness = [scores.tolist() for scores in self.sets_.strangeness]
+        strangeness = [scores.tolist() for scores in self.sets_.nonconformity]
         return State({}, {"coverage": float(self.coverage), "strangeness": strangeness})
 
     @classmethod

@@ -13,17 +13,17 @@ from sklearn.base import BaseEstimator
 from motor_classifiers import (
     ConformalClassifier,
     ConformalSets,
-    Opinion,
     PosteriorNetwork,
-    opinions,
+    Prediction,
     predict_recording,
     prediction,
+    predictions,
 )
 
 # Reaches in: stand-ins for models answer in the types of real ones, with numbers chosen by hand.
 from motor_classifiers.estimators.networks.posterior_network import SeverityEstimate
-from motor_classifiers.prediction import UNDECIDED, aligned_case, second_opinion
-from motor_classifiers.wrappers.outside import OUTSIDE
+from motor_classifiers.prediction import UNDECIDED, aligned_case, model_based_diagnosis
+from motor_classifiers.wrappers.outlier_detector import OUTSIDE
 from motor_env import Channel, FaultKind, Recipe, Recording, Timing, load_recipe, simulate_states
 from motor_env.common.console import ExitStatus
 from motor_env.diagnosis.readers.recording import UnusableError
@@ -229,7 +229,7 @@ GIVEN = np.array(
 
 
 def test_an_opinion_adds_up_the_classes_of_its_verdict() -> None:
-    bearing, healthy, winding, unsure = opinions(Told(), RECIPE, GIVEN)
+    bearing, healthy, winding, unsure = predictions(Told(), RECIPE, GIVEN)
     assert (bearing.verdict, bearing.class_name, bearing.probability) == ("bearing", "bearing_25", 0.625)
     assert bearing.severity == pytest.approx((0.25 * 0.10 + 0.375 * 0.25) / 0.625)
     assert (healthy.verdict, healthy.probability, healthy.severity) == ("healthy", 0.5, 0.0)
@@ -250,7 +250,7 @@ def test_an_opinion_adds_up_the_classes_of_its_verdict() -> None:
         None,
         None,
     )
-    assert Opinion("bearing", severity_interval=(0.1, 0.2)).as_json()["severity_interval"] == [0.1, 0.2]
+    assert Prediction("bearing", severity_interval=(0.1, 0.2)).as_json()["severity_interval"] == [0.1, 0.2]
 
 
 @pytest.mark.parametrize(("off", "words"), [("", ""), ("warmth", "most likely warmth: winding and magnets")])
@@ -261,12 +261,12 @@ def test_a_start_of_another_world_has_no_verdict(
 
     def detector(recipe: Recipe, noise_range: Any) -> Any:
         asked.append((recipe, noise_range))
-        return SimpleNamespace(what_is_off=lambda case: np.array([off] * len(case), dtype=object))
+        return SimpleNamespace(likely_shift=lambda case: np.array([off] * len(case), dtype=object))
 
     monkeypatch.setattr(prediction, "aligned_case", lambda *_: GIVEN[:1])
     monkeypatch.setattr(prediction, "_detector", detector)
     got = predict_recording(Told(), RECIPE, recording(10_000.0, 20))
-    inside = opinions(Told(), RECIPE, GIVEN[:1])[0]
+    inside = predictions(Told(), RECIPE, GIVEN[:1])[0]
     if off:
         assert (got.verdict, got.class_name, got.probability) == (OUTSIDE, "", 0.0)
         assert got.reason.startswith(words)
@@ -286,7 +286,7 @@ def test_a_conformal_model_names_its_candidates() -> None:
     model.n_features_in_ = 5
     model.sets_ = ConformalSets((np.array([0.5, 0.625, 0.75]),))
     # p > 1/4 where a strangeness of 0.75 or more was seen: classes with a probability of a quarter and more.
-    assert [one.candidates for one in opinions(model, RECIPE, GIVEN)] == [
+    assert [one.candidates for one in predictions(model, RECIPE, GIVEN)] == [
         tuple(name for name, share in zip(Told.classes_, row, strict=True) if share >= 0.25) for row in GIVEN
     ]
 
@@ -308,7 +308,7 @@ class Network(PosteriorNetwork):
 
 
 def test_a_network_tells_the_severity_of_the_most_probable_kind(monkeypatch: pytest.MonkeyPatch) -> None:
-    got = opinions(Network(), RECIPE, GIVEN)
+    got = predictions(Network(), RECIPE, GIVEN)
     assert [one.severity for one in got] == [1.0, 0.0, 2.125, 1.1875]
     assert [one.severity_interval for one in got] == [(0.5, 1.25), None, (1.625, 2.375), (0.6875, 1.4375)]
     asked: list[Any] = []
@@ -319,7 +319,7 @@ def test_a_network_tells_the_severity_of_the_most_probable_kind(monkeypatch: pyt
 
     monkeypatch.setattr(prediction, "aligned_case", refuse)
     for model in (Network(), Told()):
-        assert predict_recording(model, RECIPE, recording(10_000.0, 20)) == Opinion(
+        assert predict_recording(model, RECIPE, recording(10_000.0, 20)) == Prediction(
             UNDECIDED, reason="too short"
         )
     assert asked == [(0.25, 4.0), None]
@@ -343,7 +343,10 @@ def test_the_diagnosis_beside_it_has_the_recipes_tolerances(monkeypatch: pytest.
     more = {"confidence": 0.9, "reasons": ["r"], "left": "out"}
     monkeypatch.setattr(prediction, "diagnose", lambda _, motor: asked.append(motor))
     monkeypatch.setattr(prediction, "as_json", lambda _: kept | more)
-    assert second_opinion(recording(1_000.0, 9), RECIPE) == kept | {"confidence": 0.9, "reasons": ["r"]}
+    assert model_based_diagnosis(recording(1_000.0, 9), RECIPE) == kept | {
+        "confidence": 0.9,
+        "reasons": ["r"],
+    }
     (motor,) = asked
     assert (motor.name, motor.parameters, motor.nominal_voltage_v) == (
         "of the recipe bench",
