@@ -110,14 +110,9 @@ def make_plan(recipe: Recipe, cases: int, seed: int) -> Plan:
         ValueError: fewer than one case, too many, or a seed out of range.
     """
     instance("recipe", recipe, Recipe)
-    for name, number, least, most in (("cases", cases, 1, SHIFT_CASES - 1), ("seed", seed, 0, 2**64 - 1)):
-        inside = whole(name, number, -(2**70), 2**70)
-        require(
-            least <= inside <= most, f"{name} must be in {least} .. 2^{most.bit_length()} - 1, got {inside}"
-        )
-    cases, seed = int(cases), int(seed)
+    cases, seed = at_least_one("cases", cases), whole("seed", seed, most=2**64 - 1)
     per_shard = max(1, _SHARD_BYTES // bytes_of_case(recipe))
-    most = per_shard * _MOST_SHARDS
+    most = min(per_shard * _MOST_SHARDS, SHIFT_CASES - 1)
     require(
         cases <= most,
         f"cases must fit into a million files of {_SHARD_BYTES / 2**20:g} MB, here {most} cases, got {cases}",

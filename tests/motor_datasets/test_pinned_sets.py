@@ -110,8 +110,14 @@ def test_every_file_has_a_case_and_every_case_its_file(monkeypatch: pytest.Monke
 
 def test_numbers_at_their_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert make_plan(SHORT, 1, 2**64 - 1).cases_of_all == 1
-    for cases, seed in ((0, 1), (2**40, 1), (1, -1), (1, 2**64)):
-        with pytest.raises(ValueError, match="must be in"):
+    wrong = (
+        (0, 1, ">= 1"),
+        (2**40, 1, "fit into a million"),
+        (1, -1, "a whole number"),
+        (1, 2**64, "a whole"),
+    )
+    for cases, seed, must in wrong:
+        with pytest.raises(ValueError, match=must):
             make_plan(SHORT, cases, seed)
     monkeypatch.setattr(generate, "_SHARD_BYTES", 2 * bytes_of_case(SHORT))
     with pytest.raises(ValueError, match="here 2000000 cases, got 2000001"):
