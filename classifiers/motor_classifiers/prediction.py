@@ -52,10 +52,9 @@ def aligned_case(
 ) -> FloatArray:
     """The recording on the recipe's time axis, shape (1, n_channels, n_samples).
 
-    At equal rates the start is fitted with its onset free, and moved onto a sample by what the fit says: a step
-    between two samples looks like another motor, for the current rises by amperes in a sample. A faster recording is
-    interpolated at the shift where the recipe's motor, parameters free, fits best. The mean of the quiet part before
-    the start is taken off the current; nothing else is normalised.
+    At equal rates the start is fitted with its onset free and moved onto a sample: a step between two samples looks
+    like another motor. A faster recording is interpolated at the shift where the recipe's motor, parameters free, fits
+    best. Only the mean of the quiet part before the start is taken off.
 
     Args:
         recording: as read.
@@ -89,10 +88,7 @@ def aligned_case(
 
 
 def _noise_level(case: FloatArray, recipe: Recipe, noise_range: tuple[float, float]) -> float:
-    """Variance of the noise over the recipe's, from differences of neighbours (von Neumann 1941), within the range.
-
-    The second half of a start changes slowly beside the noise: what is left is slow misfit, not noise.
-    """
+    """Variance of the noise over the recipe's, from differences of neighbours (von Neumann 1941), within the range."""
     settled = case[:, case.shape[1] // 2 :] / recipe.sensor.noise_std[:, None]
     level = float(np.square(np.diff(settled, axis=1)).mean() / 2.0)
     return float(np.clip(level, noise_range[0] ** 2, noise_range[1] ** 2))
@@ -203,7 +199,7 @@ class Prediction(NamedTuple):
 
 
 def verdict_of(label_kind: str) -> str:
-    """Verdict for a label kind: both winding faults are winding; healthy and joint faults keep their label."""
+    """Verdict for a label kind: both winding faults are winding."""
     return FaultKind(label_kind).verdict if label_kind in FaultKind else str(label_kind)
 
 
@@ -266,7 +262,7 @@ def predict(recording: Recording | Path | str, model: Path | str | None = None) 
 
 
 def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording | Path | str) -> Prediction:
-    """Prediction of a loaded model on one recording, as read, or its file.
+    """Prediction of a loaded model on one recording or its file.
 
     Raises:
         InputError: the file cannot be read.
@@ -303,13 +299,7 @@ def _noise_range(model: BaseEstimator) -> tuple[float, float] | None:
 
 
 def model_based_diagnosis(recording: Recording, recipe: Recipe, motor: Motor | None = None) -> dict[str, Any]:
-    """What `motor-env diagnose` says of the recording.
-
-    Args:
-        recording: as read.
-        recipe: its motor and tolerances are the data sheet where no motor is given.
-        motor: the healthy motor.
-    """
+    """Diagnose the recording as `motor-env diagnose` does; without a motor, by the recipe's motor and tolerances."""
     if motor is None:
         tolerance = Tolerance(**asdict(recipe.spread), temperature_k=0.0)
         voltage = float(np.asarray(recipe.supply.voltage_v))
@@ -322,7 +312,7 @@ def model_based_diagnosis(recording: Recording, recipe: Recipe, motor: Motor | N
 def predict_file(
     model: Any, recipe: Recipe, path: Path, split: str | None, motor: Motor | None = None
 ) -> tuple[list[Prediction], dict[str, Any] | None]:
-    """Opinions on a data set; or the one on a recording, and what the model-based diagnosis says of it.
+    """Predict the cases of a data set; or one recording, with the model-based diagnosis beside.
 
     Raises:
         InputError: it cannot be read, or has another time axis than the model.

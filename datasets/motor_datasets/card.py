@@ -1,4 +1,4 @@
-"""What a data set says of itself: README.md with the YAML header that Hugging Face reads, and Croissant."""
+"""What a data set says of itself: its card for Hugging Face, Croissant, and a recipe in words and pictures."""
 
 from __future__ import annotations
 

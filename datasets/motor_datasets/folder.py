@@ -60,7 +60,7 @@ def generate_dataset(
 
     Args:
         recipe: what to draw from.
-        cases: how many cases, those of the recipe's shifts aside.
+        cases: how many, without those of the recipe's shifts.
         seed: the random seed.
         out: folder, or a URL for fsspec (`s3://bucket/prefix`); it must not exist, be empty, or (with `resume`) hold
             the unfinished same data set.
@@ -136,11 +136,7 @@ def _make_files(
 
 
 def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> dict[str, Entry]:
-    """The files that an earlier generation left in the folder, each as it was written; none in a new folder.
-
-    Raises:
-        InputError: the folder holds something that is not overwritten.
-    """
+    """The files that an earlier generation left in the folder, each as it was written; none in a new folder."""
     note = out / UNFINISHED
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return {}

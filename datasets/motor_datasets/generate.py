@@ -1,4 +1,7 @@
-"""From a recipe to labelled transients in memory. Case n depends on (recipe, seed, n) alone."""
+"""From a recipe to labelled transients: cases in memory, splits, the layout of files, streams.
+
+Case n depends on (recipe, seed, n) alone.
+"""
 
 from __future__ import annotations
 

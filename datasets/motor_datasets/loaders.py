@@ -1,4 +1,4 @@
-"""Data sets for NumPy, torch and pandas."""
+"""Data sets for NumPy, torch, pandas and MATLAB."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The stream of batches as torch's data set: a module of its own, which needs torch and which spawned workers find."""
+"""The stream of batches as torch's data set."""
 
 from __future__ import annotations
 
@@ -26,9 +26,6 @@ class TorchBatches(torch.utils.data.IterableDataset[Any]):
     """Batches of (X, class_index, severity); the workers of a loader share them.
 
     Args:
-        recipe: what to draw from.
-        seed: the random seed.
-        batch_size: cases of a batch.
         options: further arguments of `stream`.
     """
 

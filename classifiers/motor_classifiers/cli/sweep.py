@@ -1,4 +1,4 @@
-"""What `motor-classifiers benchmark` says before, during and after a run."""
+"""Options of `motor-classifiers benchmark`, and what it prints before, during and after a run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from motor_env.common.files import replacing
 
 
 def numbers(option: str, text: str | None) -> tuple[float, ...]:
-    """Numbers with commas between, none twice; empty where the option was not given.
+    """Parse numbers with commas between, none twice; empty without the option.
 
     Raises:
         InputError: something else.
@@ -65,7 +65,7 @@ FULL_SWEEP = {
 
 
 def plan_lines(plan: Plan, store: AnswerStore, *, as_json: bool) -> list[str]:
-    """What would be run, what is there already, and about how long the rest takes."""
+    """List what would be run, what is there, and about how long the rest takes."""
     todo = [(unit, store.find(unit) is not None) for unit in units(plan)]
     if as_json:
         rows = [

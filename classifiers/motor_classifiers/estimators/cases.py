@@ -84,7 +84,7 @@ class ProbabilityClassifier(ClassifierMixin, BaseEstimator, ABC):
 
 
 def flat_cases(estimator: BaseEstimator, X: Any, *, reset: bool, min_features: int = 1) -> FloatArray:
-    """Check transients and flatten them to (n_cases, n_channels * n_timepoints), float64; X itself stays as it is.
+    """Check transients and flatten them to (n_cases, n_channels * n_timepoints), float64.
 
     Args:
         estimator: whose `n_features_in_` is set, or compared with.
@@ -109,7 +109,7 @@ def _flattened(X: Any) -> Any:
 
 
 def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
-    """The recipe, checked against the length of the cases; without one, the paper's motor at its usual rate.
+    """Check the recipe against the length of the cases; without one, take the paper's motor at its usual rate.
 
     Raises:
         ValueError: the cases have another length than the recipe's.
@@ -140,7 +140,7 @@ def measured_cases(estimator: Any, X: Any) -> tuple[Recipe, FloatArray]:
 
 
 def values_of_start(recipe: Recipe) -> int:
-    """How many numbers one start of the recipe is: n_channels * n_samples."""
+    """Numbers of one start of the recipe: n_channels * n_samples."""
     return len(recipe.channels) * recipe.timing.n_samples
 
 

@@ -42,8 +42,8 @@ class Method:
         family: threshold, scikit-learn, torch or own.
         title: what it is, for a person.
         make: estimator for a recipe and a random state.
-        seconds: about what training and judging 2,000 starts each at 10 kHz takes on one core, for progress bars.
-        from_stream: whether it draws its own training starts from the recipe without end.
+        seconds: about what 2,000 starts at 10 kHz take on one core, for progress bars.
+        from_stream: whether it draws its own training starts.
     """
 
     name: str
@@ -226,7 +226,7 @@ _SECONDS = 30.0  # for progress bars: nobody knows
 
 
 def find_method(name: str) -> Method:
-    """A method by its name in `METHODS` or among the entry points, or by `FILE.py:NAME`, whose file is run.
+    """Find a method by name, entry point, or `FILE.py:NAME`, whose file is run.
 
     Raises:
         InputError: there is none, or its file cannot be run.
@@ -273,8 +273,8 @@ def source_of(name: str) -> str:
 def fed(model: BaseEstimator, X: Any) -> Any:
     """Transients as a model takes them.
 
-    That is flat, (n_cases, n_channels * n_timepoints); or (n_cases, n_channels, n_timepoints) where the model, or the
-    first step of a pipeline, says so by scikit-learn's tag `input_tags.three_d_array`.
+    Flat, (n_cases, n_channels * n_timepoints); with channels apart where the tag `input_tags.three_d_array` of the
+    model, or of a pipeline's first step, says so.
     """
     first = model
     while isinstance(first, Pipeline):

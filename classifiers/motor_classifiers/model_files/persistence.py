@@ -2,8 +2,7 @@
 
 A scikit-learn pipeline is a skops archive with our own `motor.json` beside its schema. The confirmation and the
 networks are safetensors with the same JSON in the header, and a digest of both. A classifier around one of these
-(conformal) is an archive of its own values as JSON and the file of the model inside. A file that holds
-anything else is refused.
+(conformal) is an archive of its own values as JSON and the file of the model inside. Anything else is refused.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ _LOADERS = {f"{name}Node" for name in ("Dict", "Json", "List", "NdArray", "Objec
 
 
 def check_pipeline(model: BaseEstimator) -> None:
-    """Check that an estimator or a pipeline, fitted or not, is made of steps that could be loaded again.
+    """Check that an estimator or pipeline is made of steps that could be loaded again.
 
     Raises:
         InputError: it is not; the sentence says what would be.
@@ -86,7 +85,7 @@ def check_pipeline(model: BaseEstimator) -> None:
 
 
 def pipeline_members(model: BaseEstimator) -> dict[str, bytes]:
-    """A fitted pipeline, or an estimator as one, without its recipe, as the members of an archive.
+    """Pack a fitted pipeline or estimator, without its recipe, as members of an archive.
 
     Raises:
         InputError: a step is of a type that could not be loaded again.
@@ -104,7 +103,7 @@ def pipeline_members(model: BaseEstimator) -> dict[str, bytes]:
 
 
 def load_pipeline(members: dict[str, bytes], recipe: Recipe) -> Pipeline:
-    """The fitted pipeline of an archive; its content is no longer a stranger's afterwards.
+    """Load the fitted pipeline of an archive, of allowed types alone.
 
     Raises:
         InputError: it would load a type or a step that no model of ours needs.
@@ -141,7 +140,7 @@ def _foreign_types(node: Any) -> set[str]:
 
 
 def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
-    """A copy of a fitted model whose physical steps hold another recipe; the given one stays as it is."""
+    """Copy a fitted model whose physical steps hold another recipe."""
     changed = copy(model)
     if isinstance(model, Pipeline):
         changed.steps = [(name, with_recipe(step, recipe)) for name, step in model.steps]
@@ -185,8 +184,8 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path | s
         model: a method of `METHODS`, an estimator or pipeline of scikit-learn's steps that are safe to load, or a
             `ConformalClassifier` around one.
         recipe: that it was trained for.
-        method: name of the method.
-        path: of the file.
+        method: its name.
+        path: new file.
 
     Raises:
         InputError: a model of another kind, or the file cannot be written.
@@ -291,11 +290,7 @@ def _loaded_wrapper(members: dict[str, bytes], most_wrappers: int) -> Loaded:
 
 
 def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
-    """Judge one quiet case: a file whose parts do not fit each other fails here, and not in the user's hands.
-
-    Raises:
-        ValueError: its cases are no starts of the recipe, or its answer no probability of each class.
-    """
+    """Judge one quiet case: a file whose parts do not fit each other fails here, and not in the user's hands."""
     starts, rest = divmod(model.n_features_in_, values_of_start(recipe))
     first = innermost(model)
     while isinstance(first, Pipeline):

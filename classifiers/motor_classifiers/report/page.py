@@ -53,12 +53,7 @@ def interval_chart(
 
 
 def reliability_chart(binned: Reliability, low: float) -> str:
-    """Share of right decisions against the largest probability, with bars of one standard error.
-
-    Args:
-        binned: from `calibration.reliability`.
-        low: where both axes begin.
-    """
+    """Share of right decisions against the largest probability, with bars of one standard error."""
     axis = Axis("", low, 1.0, (low, 1.0))
     chart = Chart(axis, axis, size=(190, 190), margins=(34, 8, 8, 26), label="Reliability")
     chart.y_numbers()
@@ -94,15 +89,7 @@ def share_axis(values: Sequence[float]) -> Axis:
 def line_chart(
     lines: Sequence[Line], x_axis: Axis, y_axis: Axis, *, named: bool = True, marked: bool = True
 ) -> str:
-    """Curves over two axes.
-
-    Args:
-        lines: curves.
-        x_axis: of the positions.
-        y_axis: of the values.
-        named: whether each line is named at its right end.
-        marked: whether points are drawn, each with its values when it is pointed at.
-    """
+    """Curves over two axes; `named` at their right ends, `marked` with points that tell their values."""
     margins = (58, 132 if named else 22, 24, 40) if y_axis.title else (52, 132 if named else 22, 12, 40)
     label = f"{y_axis.title or 'Accuracy'} against {x_axis.title}"
     chart = Chart(x_axis, y_axis, size=(520, 400), margins=margins, label=label)
@@ -154,13 +141,7 @@ def short(name: str) -> str:
 
 
 def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
-    """The page as HTML.
-
-    Args:
-        plan: what was run.
-        results: of `run_plan`.
-        machine: what it ran on, in words.
-    """
+    """Render the page as HTML; `machine` says what it ran on."""
     result = results[plan.reference]
     recipe, ranked = result.task.recipe, result.ranked()
     ours = [method for method in ranked if not method.answer.origin]
@@ -255,11 +236,7 @@ def _reliability(shown: Sequence[ClassResult]) -> list[dict[str, Any]]:
 
 
 def write_results(plan: Plan, results: Sequence[Results], folder: Path) -> Path:
-    """Write results.json, results.csv, recipes.json and report.html, each whole or not at all.
-
-    Returns:
-        The page's path.
-    """
+    """Write results.json, results.csv, recipes.json and report.html, each whole or not at all; return its path."""
     rows = result_rows(results)
     recipes = {task.recipe.name: recipe_to_dict(task.recipe) for task in reversed(plan.tasks)}
     write_text(folder / "results.json", json.dumps(rows, indent=1) + "\n")

@@ -1,4 +1,4 @@
-"""The benchmark: what it runs, where answers are kept, every method judged beside the posterior on the same motors."""
+"""The benchmark: its plan, the store of answers, and the run."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Unit(NamedTuple):
         task: setting.
         name: method, or `LIMIT`.
         key: of its answer.
-        seconds: about how long it takes.
+        seconds: expected.
     """
 
     task: ClassTask
@@ -147,10 +147,10 @@ def _expected_seconds(name: str, task: ClassTask) -> float:
 
 
 class AnswerStore:
-    """Answers by key: in memory, and, given a folder, as files that a later run finds again.
+    """Answers by key: in memory, and in a folder that a later run reads.
 
     Args:
-        folder: where files are kept; None for none.
+        folder: of the files; None for none.
         fresh: whether files of earlier runs are overwritten instead of read.
     """
 
@@ -192,7 +192,7 @@ def run_plan(
 
     Args:
         plan: what to run.
-        store: where answers are kept and looked up; in memory by default.
+        store: of answers; in memory by default.
         on_unit: called before each unit, with whether its answer is already there.
 
     Raises:

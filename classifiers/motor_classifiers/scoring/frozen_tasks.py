@@ -1,4 +1,4 @@
-"""The frozen tasks of motor-bench: what they ask beside the class, their cases and costs, the digests of their data.
+"""The frozen tasks of motor-bench: cases, costs, digests, and the scores of answer files.
 
 Each task has a seed of its own, and its test cases are of distinct motors: the cases of one say nothing of another's.
 """
@@ -46,15 +46,15 @@ from motor_env.simulation.simulate import Timing, simulate
 
 @dataclass(frozen=True, slots=True)
 class ForeignFault:
-    """A departure from the healthy motor that no fault kind explains: factors on its quantities.
+    """A departure that no fault kind explains: factors on quantities of the healthy motor.
 
     Attributes:
         name: for tables.
-        supply: factor on the supply's voltage.
-        resistance: factor on the resistance.
-        constants: common factor on both motor constants.
-        inertia: factor on the inertia.
-        friction: factor on the viscous friction.
+        supply: on the supply's voltage.
+        resistance: on the resistance.
+        constants: on both motor constants.
+        inertia: on the inertia.
+        friction: on the viscous friction.
     """
 
     name: str
@@ -162,7 +162,7 @@ class SeverityTask(DrawnTask):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoveltyTask(DrawnTask):
-    """Say how strange a start is: motors of the known classes against faults that nobody was trained on.
+    """Score how novel a start is: known classes against faults that nobody was trained on.
 
     The metric is 1 minus the area under the ROC curve, averaged over the unknown faults. The cost of a case is its part
     of that area's linearisation (DeLong et al. 1988): the mean is the metric, and the scatter that of the area.
@@ -321,7 +321,7 @@ def load_task(name: str) -> DrawnTask:
 
 
 def task_facts(task: DrawnTask) -> dict[str, Any]:
-    """What a stranger needs to know of a task, for JSON."""
+    """Describe a task for JSON."""
     return {
         "task": task.name,
         "version": VERSION,

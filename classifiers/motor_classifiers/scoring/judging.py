@@ -1,4 +1,4 @@
-"""One method on the benchmark's starts, in a process of its own: what it answers, and what that takes."""
+"""Judge one method in a process of its own: its answers, time and memory."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Cost(NamedTuple):
     """What a piece of work took.
 
     Attributes:
-        seconds: processor time; of work on one thread the time that it takes on an idle machine.
+        seconds: processor time.
         memory_mb: largest memory of the process beyond what it held before, in MB of a million bytes; None where the
             system does not tell (only Linux forgets an older peak on request).
     """
@@ -118,7 +118,7 @@ def in_recipe_order(model: BaseEstimator, probabilities: FloatArray, recipe: Rec
 
 
 def expected_severity(recipe: Recipe, probabilities: FloatArray) -> FloatArray:
-    """Mean severity over the classes by their probabilities, shape (n_cases,); joint faults count together."""
+    """Mean severity over the classes by their probabilities, shape (n_cases,)."""
     levels = np.array([sum(part.severity for part in c.parts) for c in recipe.classes])
     expected: FloatArray = probabilities @ levels
     return expected
@@ -159,7 +159,7 @@ def _judge_foreign(name: str, task: ClassTask) -> Answer:
 
 
 def judge_apart(name: str, task: ClassTask) -> Answer:
-    """Train and judge in a fresh process: no method sees what another left in memory, caches or thread pools.
+    """Train and judge in a fresh process.
 
     Raises:
         InputError: the method cannot learn from these starts, or its process ended without an answer.
@@ -211,7 +211,7 @@ def answer_key(name: str, task: ClassTask) -> str:
 
 
 def digest_of(contents: dict[str, Any]) -> str:
-    """A short name for what JSON can hold and the version of the package; equal contents have equal names."""
+    """Digest of what JSON can hold and of the package's version."""
     contents = {**contents, "version": __version__}
     return hashlib.sha256(json.dumps(contents, sort_keys=True).encode()).hexdigest()[:24]
 

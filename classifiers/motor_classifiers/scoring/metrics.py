@@ -39,7 +39,7 @@ class CalibrationScores(NamedTuple):
     Attributes:
         accuracy: share of cases whose most probable class is the true one.
         ece: expected calibration error: mean over the cases of |accuracy - confidence| in their bin (Naeini et al.
-            2015). Even the true posterior's is not 0 on finitely many cases: compare with the limit's.
+            2015). The true posterior's is not 0 on finitely many cases.
         brier: mean squared distance of the probabilities from the truth, 0 to 2 (Brier 1950).
         log_loss: mean negative logarithm of the true class's probability, in nats.
         reliability: by bins of confidence.
@@ -124,7 +124,7 @@ class Scores(NamedTuple):
         false_alarm_rate: share of healthy motors that are called faulty.
         missed_detection_rate: share of faulty motors that are called healthy.
         level_error: mean absolute error of the decided severity, 0.01 for a point; of a wrong kind both
-            severities count, the missed and the invented one.
+            severities count.
         winding: sub-score: a winding fault or none, mean of sensitivity and specificity (balanced accuracy).
         bearing: the same of bearing faults.
         level: sub-score: level accuracy, given the right kind of fault.
@@ -169,8 +169,8 @@ def resampling_weights(n_cases: int, random_state: int, groups: IntArray | None 
     Args:
         n_cases: cases to be resampled.
         random_state: of the draws.
-        groups: motor of each case, shape (n_cases,): starts of one motor are no independent witnesses, so motors are
-            drawn, each with all its starts; every case is a motor of its own by default.
+        groups: motor of each case, shape (n_cases,): motors are drawn, each with all its starts; every case is
+            a motor of its own by default.
     """
     motors = np.arange(n_cases) if groups is None else np.unique(groups, return_inverse=True)[1]
     n_motors = int(motors.max()) + 1

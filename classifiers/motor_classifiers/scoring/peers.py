@@ -1,4 +1,4 @@
-"""Generic classifiers of other packages in the benchmark's table: kept answers that benchmarks/peers.py had made."""
+"""Kept answers of other packages' classifiers, which benchmarks/peers.py made."""
 
 from __future__ import annotations
 

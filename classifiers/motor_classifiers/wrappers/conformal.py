@@ -1,8 +1,6 @@
-"""Sets of classes that hold the truth as often as they say: split conformal prediction.
+"""Split conformal prediction: sets of classes with a known coverage (Vovk, Gammerman & Shafer 2005).
 
-Whatever the model, cases that it was not trained on tell how badly it errs; a new case like them errs no worse in the
-wanted share of the cases (Vovk, Gammerman & Shafer 2005). The promise holds for cases drawn as the calibration cases
-were, and for no others: under a shift the coverage must be measured anew.
+It holds for cases drawn as the calibration cases were, which the model was not trained on; not under a shift.
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ class ConformalSets:
         """From cases that the model was not trained on.
 
         Args:
-            probabilities: of the model, shape (n_cases, n_classes).
+            probabilities: shape (n_cases, n_classes).
             truth: true class of each case as a column of `probabilities`, shape (n_cases,).
             label_conditional: whether the coverage is to hold in each class, not only over all.
 
@@ -91,11 +89,8 @@ class ConformalSets:
 
 
 def _nonconformity(probabilities: FloatArray) -> FloatArray:
-    """Probability of all other classes, shape (n_cases, n_classes).
-
-    It is added up and not taken as 1 - p, which is 0 to rounding for many a clear case: among equals no set could be
-    cut to size.
-    """
+    """Probability of all other classes, shape (n_cases, n_classes)."""
+    # Not 1 - p, which rounds to 0 for many a clear case: among equals no set could be cut to size.
     columns = range(probabilities.shape[1])
     return np.stack([np.delete(probabilities, column, axis=1).sum(axis=1) for column in columns], axis=1)
 
@@ -130,18 +125,16 @@ class ConformalClassifier(ClassifierWrapper):
     """Any classifier with probabilities, and sets of classes with a known coverage beside its decisions.
 
     Args:
-        estimator: the classifier; a logistic regression by default. Wrapped in scikit-learn's `FrozenEstimator` it is
-            taken as it is, and `fit` calibrates on all the cases that it is given.
+        estimator: the classifier; a logistic regression by default. In a `FrozenEstimator` it is taken as it
+            is, and `fit` calibrates on all cases.
         coverage: share of the cases whose set is to hold the true class.
-        label_conditional: whether this is to hold in each class, not only over all.
-        calibration_share: share of the cases that `fit` keeps from training, to calibrate on.
-        random_state: of the choice of these.
+        label_conditional: whether in each class, not only over all.
+        calibration_share: share of the cases that `fit` calibrates on.
+        random_state: of their choice.
 
     Attributes:
-        classes_: labels.
         estimator_: the fitted classifier.
         sets_: the calibrated `ConformalSets`.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     estimator: Any = None

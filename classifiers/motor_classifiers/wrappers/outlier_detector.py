@@ -167,10 +167,7 @@ class StartDensity:
         return likeliest
 
     def calibration_starts(self, level: float) -> Coordinates:
-        """Starts of the recipe, other ones than the mixture was fitted to, at so many times the noise's variance.
-
-        White noise is white along the directions; outside them only its squares matter.
-        """
+        """Starts of the recipe, other ones than the mixture was fitted to, at so many times the noise's variance."""
         silent, class_index = self.noiseless(self.recipe, N_FITTED, _CALIBRATION)
         noise = level * noise_variances(self.recipe)[class_index]
         generator = np.random.default_rng(SEED)
@@ -281,7 +278,6 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
     Attributes:
         levels_: logarithms of levels of the noise's variance, shape (n_levels,).
         offset_: `score_samples` below it is foreign, for each of these levels; in between along straight lines.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     recipe: Recipe | None = None

@@ -32,7 +32,7 @@ MOST_LAYERS = 1000
 
 
 class LogitClassifier(cases.ProbabilityClassifier):
-    """What classifiers share whose `_logits` are logarithms of probabilities up to a constant of each case."""
+    """A classifier whose `_logits` are log-probabilities up to a constant of each case."""
 
     def predict_proba(self, X: Any) -> FloatArray:
         """Probability of each class, shape (n_cases, n_classes)."""
@@ -65,7 +65,21 @@ def perceptron(n_in: int, n_hidden: int, n_layers: int, n_out: int) -> nn.Sequen
 
 @dataclass(eq=False, repr=False)
 class EpochClassifier(LogitClassifier):
-    """A network on standardised inputs that sees the training cases once in each epoch."""
+    """A network on standardised inputs that sees the training cases once in each epoch.
+
+    Args:
+        recipe: the motor; what a subclass takes of it, it says.
+        epochs: passes over the training cases.
+        batch_size: most cases of a step.
+        learning_rate: highest rate of the cycle.
+        weight_decay: of AdamW.
+        random_state: of initial weights, order and noise.
+
+    Attributes:
+        center_: mean of each input over the training cases.
+        scale_: its standard deviation.
+        network_: the trained torch module.
+    """
 
     recipe: Recipe | None = None
     _: KW_ONLY
@@ -185,27 +199,16 @@ class WaveformClassifier(EpochClassifier):
 class PerceptronClassifier(EpochClassifier):
     """A perceptron on the filter's residual along the model's own signal directions.
 
-    The first linear map is `ResidualProjection`, so the network sees the whole waveform through the directions that can
-    matter. Its components are standardised by the training set, never by the transient.
+    The first linear map is `ResidualProjection`, standardised by the training set, never by the transient.
 
     Args:
         recipe: the motor, its nuisances and faults; without one, directions come from the training cases.
         n_components: directions the network sees.
         n_hidden: width of a hidden layer.
         n_layers: hidden layers.
-        epochs: passes over the training cases.
-        batch_size: cases of a step.
-        learning_rate: highest rate of the cycle.
-        weight_decay: of AdamW.
-        random_state: seed, generator or None, as in scikit-learn.
 
     Attributes:
-        classes_: labels.
         projection_: the fitted first map.
-        scale_: standard deviation of each component in training, shape (n_components,).
-        center_: its mean.
-        network_: the torch module.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     n_components: int = 6
@@ -222,26 +225,14 @@ class PerceptronClassifier(EpochClassifier):
 
 @dataclass(eq=False, repr=False)
 class TorchClassifier(WaveformClassifier):
-    """A torch module of your own, trained by cross-entropy, AdamW and one cosine cycle of the learning rate.
+    """Train a torch module of your own as a classifier.
 
     The module gets (n_cases, n_channels, n_samples), each sample standardised by the training set, and gives a logit
-    for each class. Its layers keep torch's own initial weights, drawn from `random_state`.
+    for each class.
 
     Args:
         recipe: tells the number of channels; one without it.
         module: from the numbers of channels, samples and classes to the untrained module; one linear layer without it.
-        epochs: passes over the training cases.
-        batch_size: cases of a step.
-        learning_rate: highest rate of the cycle.
-        weight_decay: of AdamW.
-        random_state: of initial weights and order.
-
-    Attributes:
-        classes_: labels.
-        center_: mean of each time sample over the training cases, shape (n_features_in_,).
-        scale_: its standard deviation.
-        network_: the trained module.
-        n_features_in_: n_channels * n_samples.
     """
 
     _: KW_ONLY
@@ -288,9 +279,8 @@ class ResNetClassifier(WaveformClassifier):
     """A one-dimensional residual network on the raw transient.
 
     Residual blocks after He et al. (2016), for time series Wang, Yan & Oates (2017). Batch normalisation alone: a norm
-    over one transient (layer, group, instance) would take away its level, and with it every bearing fault. Every time
-    sample is standardised by the training set, never a transient by itself. Fresh noise on the inputs of every step
-    keeps the network from learning 2,000 transients by heart.
+    over one transient (layer, group, instance) would take away its level, and with it every bearing fault. Fresh noise
+    on the inputs keeps the network from learning the transients by heart.
 
     Args:
         recipe: only its number of channels is used; one channel without it.
@@ -298,18 +288,6 @@ class ResNetClassifier(WaveformClassifier):
         stem: samples that the first layer moves on by.
         kernel: length of the other convolutions.
         noise: standard deviation of the added noise, in standard deviations of a time sample.
-        epochs: passes over the training cases.
-        batch_size: most cases of a step.
-        learning_rate: highest rate of the cycle.
-        weight_decay: of AdamW.
-        random_state: of weights, order and noise.
-
-    Attributes:
-        classes_: labels.
-        center_: mean of each time sample over the training cases, shape (n_features_in_,).
-        scale_: its standard deviation.
-        network_: the trained torch module.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     width: int = 12

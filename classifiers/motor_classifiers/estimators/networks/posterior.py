@@ -26,7 +26,7 @@ _AVERAGE_BEGINS = 20
 
 
 class Posterior(nn.Module):
-    """Coordinates of a transient and a perceptron on them: from flattened cases to the numbers of a posterior."""
+    """Map flattened cases to the numbers of a posterior: signal coordinates, then a perceptron."""
 
     def __init__(self, space: SignalSpace, *, n_hidden: int, n_layers: int, n_out: int) -> None:
         super().__init__()
@@ -52,7 +52,7 @@ class Posterior(nn.Module):
     ) -> None:
         """Minimise the mean loss by AdamW, the rate falling along a cosine (Loshchilov & Hutter 2019).
 
-        What is kept is a moving average of the weights: it forgets the steps' noise, as larger batches would.
+        Kept is a moving average of the weights.
 
         Args:
             batches: begins a stream, from its number and the size of its batches: 0 first, 1 for the last steps.
