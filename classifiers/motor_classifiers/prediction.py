@@ -212,12 +212,12 @@ def predictions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Prediction
     probabilities = in_recipe_order(model, answered(model, X), recipe)
     verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
     best = probabilities.argmax(axis=1)
-    mine = np.where(verdicts == verdicts[best][:, None], probabilities, 0.0)
-    share = mine.sum(axis=1)
+    same_verdict = np.where(verdicts == verdicts[best][:, None], probabilities, 0.0)
+    share = same_verdict.sum(axis=1)
     if isinstance(model, PosteriorNetwork) and model.severity_ is not None:
         severities = _network_severities(model, recipe, X, best)
     else:
-        means = mine @ np.array([c.severity for c in recipe.classes]) / share
+        means = same_verdict @ np.array([c.severity for c in recipe.classes]) / share
         severities = [(mean, None) for mean in means]
     return [
         Prediction(

@@ -176,7 +176,10 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
         measure_draw(drawn, recipe, seed, X[part])
         labels.append(_labels(drawn))
     parameters, of_case = (
-        {name: np.concatenate([one[table][name] for one in labels]) for name in labels[0][table]}
+        {
+            name: np.concatenate([part_labels[table][name] for part_labels in labels])
+            for name in labels[0][table]
+        }
         for table in (0, 1)
     )
     index = of_case["class_index"]
@@ -251,8 +254,8 @@ def _case_blocks(
     width = BLOCK * recipe.starts_per_motor * max(1, batch_size // BLOCK)
     for number in count():
         cases = np.arange(number * width, (number + 1) * width, dtype=np.int64)
-        mine = cases if split is None else cases[split_of(seed, recipe.motor_id(cases)) == split]
-        pending = np.concatenate([pending, mine])
+        of_split = cases if split is None else cases[split_of(seed, recipe.motor_id(cases)) == split]
+        pending = np.concatenate([pending, of_split])
         while len(pending) >= batch_size:
             yield pending[:batch_size]
             pending = pending[batch_size:]

@@ -170,7 +170,7 @@ def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
         class_titles=[readable(name) for name in recipe.class_names],
         accuracy_chart=_score_chart(result, ranked, "accuracy", "Bayes limit on these motors"),
         sub_charts=_sub_charts(result, ranked),
-        confusions=[_confusion(one) for one in (result.limit, *ranked)],
+        confusions=[_confusion(method) for method in (result.limit, *ranked)],
         reliability=_reliability((result.limit, *ranked)),
         sweep=sweep_section(plan, results) if len(results) > 1 else None,
         against=[
@@ -226,7 +226,7 @@ def _confusion(result: ClassResult) -> dict[str, Any]:
 
 
 def _reliability(shown: Sequence[ClassResult]) -> list[dict[str, Any]]:
-    graded = [(one.name, one.calibration) for one in shown if one.calibration is not None]
+    graded = [(method.name, method.calibration) for method in shown if method.calibration is not None]
     lowest = min(float(np.nanmin(scores.reliability.confidence)) for _, scores in graded)
     low = max(0.0, np.floor(10.0 * lowest) / 10.0)
     return [
@@ -296,7 +296,7 @@ def _panel(
 ) -> dict[str, str]:
     xs = [position(result) for result in results]
     accuracies = [{m.name: m.scores.accuracy.value for m in result.methods} for result in results]
-    lines = [Line(name, style[name], xs, [one[name] for one in accuracies]) for name in style]
+    lines = [Line(name, style[name], xs, [by_method[name] for by_method in accuracies]) for name in style]
     limit_name = "estimate" if results[0].limit_is_estimate else "Bayes limit"
     lines.append(Line(limit_name, "limit", xs, [r.limit.scores.accuracy.value for r in results]))
     task = results[0].task

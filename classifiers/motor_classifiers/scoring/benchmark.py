@@ -65,7 +65,9 @@ class Plan:
     def reference(self) -> int:
         """Index of the setting that the page shows in full: the one nearest to `REFERENCE`."""
         settings = [task.setting() for task in self.tasks]
-        return int(np.argmax([sum(one[name] == REFERENCE[name] for name in REFERENCE) for one in settings]))
+        return int(
+            np.argmax([sum(setting[name] == REFERENCE[name] for name in REFERENCE) for setting in settings])
+        )
 
 
 def make_tasks(
@@ -171,10 +173,10 @@ class AnswerStore:
         Raises:
             KeyError: there is none.
         """
-        found = self.find(unit)
-        if found is None:
+        answer = self.find(unit)
+        if answer is None:
             raise KeyError(unit.key)
-        return found
+        return answer
 
     def put(self, unit: Unit, answer: Answer) -> None:
         """Keep an answer."""
@@ -218,12 +220,12 @@ def _peers(plan: Plan) -> list[dict[str, Answer]]:
     """Kept answers of peers to the starts of each setting."""
     if plan.peers is None:
         return [{} for _ in plan.tasks]
-    found = [read_peers(plan.peers, task) for task in plan.tasks]
-    if not any(found):
+    answers = [read_peers(plan.peers, task) for task in plan.tasks]
+    if not any(answers):
         raise InputError(
             f"{plan.peers}: holds answers to other starts than those of this benchmark; leave --peers out"
         )
-    return found
+    return answers
 
 
 def _answer(unit: Unit) -> Answer:

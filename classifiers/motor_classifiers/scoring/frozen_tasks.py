@@ -244,12 +244,12 @@ class StreamTask(DrawnTask):
         X = np.zeros((count, len(self.recipe.sensor.channels), self.recipe.timing.n_samples), np.float32)
         healthy = np.zeros(count, dtype=bool)
         for n, onset in enumerate(grid):
-            mine = np.flatnonzero(chosen == n)
-            if len(mine):
-                drawn = draw(self.recipe, seed, numbers[mine])
+            rows = np.flatnonzero(chosen == n)
+            if len(rows):
+                drawn = draw(self.recipe, seed, numbers[rows])
                 late = tuple(replace(fault, onset_s=float(onset)) for fault in drawn.scenario.faults)
-                X[mine] = simulate(replace(drawn.scenario, faults=late), seed, numbers[mine]).measurements
-                healthy[mine] = drawn.class_index == 0
+                X[rows] = simulate(replace(drawn.scenario, faults=late), seed, numbers[rows]).measurements
+                healthy[rows] = drawn.class_index == 0
         return Cases(X, np.where(healthy, np.nan, grid[chosen]))
 
     def check(self, answers: FloatArray) -> None:

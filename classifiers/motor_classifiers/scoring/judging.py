@@ -227,13 +227,13 @@ def save_answer(answer: Answer, path: Path) -> None:
 def load_answer(path: Path, task: ClassTask) -> Answer | None:
     """Read an answer; None where there is none, or only a damaged one."""
     try:
-        found = read_arrays(path)
+        arrays = read_arrays(path)
     except InputError:
         return None
     wanted = {"probabilities": (task.n_test, len(task.recipe.classes)), "costs": (4,)}
-    if {name: values.shape for name, values in found.items()} != wanted:
+    if {name: values.shape for name, values in arrays.items()} != wanted:
         return None
     train, inference = (
-        Cost(s, None if np.isnan(mb) else mb) for s, mb in found["costs"].reshape(2, 2).tolist()
+        Cost(s, None if np.isnan(mb) else mb) for s, mb in arrays["costs"].reshape(2, 2).tolist()
     )
-    return Answer(found["probabilities"], train, inference)
+    return Answer(arrays["probabilities"], train, inference)

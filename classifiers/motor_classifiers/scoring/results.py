@@ -134,14 +134,14 @@ def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: in
         InputError: the data set has other channels or another time axis than the model's recipe, or a class that it
             does not know.
     """
-    theirs = test.recipe
-    if (theirs.timing, theirs.channels) != (recipe.timing, recipe.channels):
+    of_data = test.recipe
+    if (of_data.timing, of_data.channels) != (recipe.timing, recipe.channels):
         raise InputError("the data set has another time axis or other channels than the model was trained on")
-    if theirs.class_names != recipe.class_names:
+    if of_data.class_names != recipe.class_names:
         raise InputError(
-            f"the data set has the classes {', '.join(theirs.class_names)}, the model {', '.join(recipe.class_names)}"
+            f"the data set has the classes {', '.join(of_data.class_names)}, the model {', '.join(recipe.class_names)}"
         )
-    task = GivenTask(theirs.name, "a data set", len(test), recipe=theirs, seed=seed, given=test)
+    task = GivenTask(of_data.name, "a data set", len(test), recipe=of_data, seed=seed, given=test)
     model_says, best = (
         Answer(probabilities, _UNTOLD, _UNTOLD)
         for probabilities in (answer_of(model, recipe, test.X), task.best(test.X))

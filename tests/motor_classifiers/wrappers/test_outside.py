@@ -1,4 +1,4 @@
-"""Starts of another world are refused, and what is off in them is named."""
+"""Starts that the recipe does not explain are refused, and the likely shift is named."""
 
 from dataclasses import replace
 from functools import cache
@@ -69,7 +69,7 @@ def test_one_in_a_hundred_of_its_own_starts_is_refused(recipe: Recipe) -> None:
     ],
     ids=lambda part: part if isinstance(part, str) else "",
 )
-def test_what_is_off_is_named(off: str, recipe: Recipe, moved: Recipe | None) -> None:
+def test_the_likely_shift_is_named(off: str, recipe: Recipe, moved: Recipe | None) -> None:
     if moved is None:
         X = foreign_starts(recipe, ForeignFault("heavy", inertia=1.25), 6, np.arange(200))
     else:

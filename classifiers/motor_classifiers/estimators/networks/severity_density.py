@@ -55,8 +55,8 @@ def grid_like(parameters: torch.Tensor) -> torch.Tensor:
 
 def _log_density(parameters: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
     """Without the normalisation; parameters (..., 2), position (..., n) or (n,)."""
-    off = (position - _MIDDLE - parameters[..., :1]) * torch.exp(-_LOG_WIDTH - parameters[..., 1:2])
-    return -0.5 * off.square()
+    deviation = (position - _MIDDLE - parameters[..., :1]) * torch.exp(-_LOG_WIDTH - parameters[..., 1:2])
+    return -0.5 * deviation.square()
 
 
 def _log_mass(parameters: torch.Tensor) -> torch.Tensor:
