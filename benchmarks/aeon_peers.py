@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 # Of the project only this module, which needs the standard library alone: the rest is not installed here.
 sys.path.extend(str(Path(__file__).resolve().parents[1] / each) for each in ("", "classifiers"))
-from motor_classifiers.scoring.progress import with_cost
+from motor_classifiers.scoring.judging import with_cost
 
 SEED = 0
 

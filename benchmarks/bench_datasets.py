@@ -19,7 +19,7 @@ from scipy.signal import dlsim
 from timing import best_rate
 
 from motor_datasets import generate_arrays, generate_dataset, parquet
-from motor_datasets.layout import make_plan
+from motor_datasets.generate import make_plan
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.model import discretize
 from motor_env.motor.parameters import FloatArray

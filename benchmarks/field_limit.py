@@ -28,7 +28,7 @@ from sampled_posterior import sampled_probabilities
 
 from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.scoring.judging import in_recipe_order
-from motor_classifiers.wrappers.outside import single_starts
+from motor_classifiers.wrappers.outlier_detector import single_starts
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.common.files import replacing, write_text

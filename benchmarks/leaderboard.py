@@ -23,12 +23,11 @@ from stream_delays import alarm_times
 from tables import marked, table
 
 from motor_classifiers import OutsideDetector
+from motor_classifiers.estimators.methods import fed, find_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.estimators.own_methods import fed, find_method
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring import frozen_tasks
-from motor_classifiers.scoring.answer_files import score_answers
-from motor_classifiers.scoring.frozen_tasks import TASKS, VERSION, StreamTask, load_task
+from motor_classifiers.scoring.frozen_tasks import TASKS, VERSION, StreamTask, load_task, score_answers
 from motor_classifiers.scoring.judging import in_recipe_order, judge
 from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.task import ClassTask, DrawnTask

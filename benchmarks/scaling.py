@@ -22,8 +22,7 @@ from matplotlib.figure import Figure
 from peers import command, environment, export_starts
 from tables import keep_table
 
-from motor_classifiers.scoring.answer_files import score_answers
-from motor_classifiers.scoring.frozen_tasks import load_task
+from motor_classifiers.scoring.frozen_tasks import load_task, score_answers
 from motor_classifiers.scoring.judging import judge
 from motor_classifiers.scoring.task import ClassTask
 from motor_datasets.arrays import Dataset

@@ -10,9 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.neural_network import MLPClassifier
 
-from motor_classifiers.scoring.calibration import calibration_scores
+from motor_classifiers.scoring.metrics import calibration_scores
 from motor_classifiers.wrappers.conformal import ConformalSets
-from motor_classifiers.wrappers.outside import Coordinates, OutsideDetector, World, clouds, single_starts
+from motor_classifiers.wrappers.outlier_detector import (
+    Coordinates,
+    OutsideDetector,
+    StartDensity,
+    class_mixture,
+    single_starts,
+)
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.faults import FaultKind
@@ -154,26 +160,26 @@ def _limit(
 def trained_power(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.int64]) -> float:
     """Power of a test for this very change at 1 % of false alarms: of two trained for it, the better one.
 
-    One is the likelihood ratio of the normal clouds of both recipes, the other a perceptron; both see the directions of
-    the detector and the level of the noise.
+    One is the likelihood ratio of the Gaussian mixtures of both recipes, the other a perceptron; both see the
+    directions of the detector and the level of the noise.
     """
-    world = World.from_recipe(recipe)
+    density = StartDensity.from_recipe(recipe)
     at = [
-        [_located(world, one, seed, cases + first) for first in (0, 1_000_000)] for one in (recipe, changed)
+        [_located(density, one, seed, cases + first) for first in (0, 1_000_000)] for one in (recipe, changed)
     ]
     other = single_starts(changed)
-    silent, class_index = world.silent(other, 0, len(cases))
-    theirs, free = clouds(other, silent.along, class_index), (1.0, 1.0)
+    silent, class_index = density.noiseless(other, 0, len(cases))
+    theirs, free = class_mixture(other, silent.along, class_index), (1.0, 1.0)
 
     def ratio(where: Coordinates) -> FloatArray:
-        mine, own = (cloud.log_density(where, world.freedom, free) for cloud in (theirs, world.own))
+        mine, own = (mixture.log_density(where, density.freedom, free) for mixture in (theirs, density.own))
         difference: FloatArray = mine - own
         return difference
 
     centre, scale = at[0][0].along.mean(axis=0), at[0][0].along.std(axis=0)
 
     def seen(where: Coordinates) -> FloatArray:
-        level = (where.energy / world.freedom - 1.0) * np.sqrt(0.5 * world.freedom)
+        level = (where.energy / density.freedom - 1.0) * np.sqrt(0.5 * density.freedom)
         columns: FloatArray = np.column_stack([(where.along - centre) / scale, level])
         return np.clip(columns, -30.0, 30.0)
 
@@ -186,6 +192,6 @@ def trained_power(recipe: Recipe, changed: Recipe, seed: int, cases: NDArray[np.
     return max(powers)
 
 
-def _located(world: World, recipe: Recipe, seed: int, cases: NDArray[np.int64]) -> Coordinates:
+def _located(density: StartDensity, recipe: Recipe, seed: int, cases: NDArray[np.int64]) -> Coordinates:
     X = generate_arrays(recipe, seed, cases).X
-    return world.coordinates(X.reshape(len(X), -1).astype(np.float64))
+    return density.coordinates(X.reshape(len(X), -1).astype(np.float64))

@@ -26,7 +26,7 @@ from motor_classifiers.estimators.networks.posterior_network import PosteriorNet
 from motor_classifiers.scoring.judging import in_recipe_order, judge
 from motor_classifiers.scoring.task import class_task
 from motor_classifiers.wrappers.conformal import ConformalSets
-from motor_classifiers.wrappers.outside import OutsideDetector
+from motor_classifiers.wrappers.outlier_detector import OutsideDetector
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.motor.parameters import FloatArray
@@ -117,7 +117,7 @@ def powers(n_cases: int) -> Iterable[Iterable[str]]:
     for recipe, conditions in _moved():
         detector = OutsideDetector(recipe).fit()
         for name, changed in {"as in training": recipe, **conditions}.items():
-            off = detector.what_is_off(cases(changed, TEST, n_cases).X)
+            off = detector.likely_shift(cases(changed, TEST, n_cases).X)
             trained = trained_power(recipe, changed, SEED, np.arange(n_cases) + CALIBRATE)
             names, counts = np.unique(off[off != ""].astype(str), return_counts=True)
             most = sorted(zip(counts, names, strict=True), reverse=True)[:3]

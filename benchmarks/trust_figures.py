@@ -25,7 +25,7 @@ from motor_classifiers.scoring.frozen_tasks import UNKNOWN_FAULTS, foreign_start
 from motor_classifiers.scoring.metrics import IntArray
 from motor_classifiers.scoring.task import TEST_FIRST_CASE, ClassTask, judged_cases, judged_starts
 from motor_classifiers.wrappers.conformal import ConformalSets, Coverage, measured_coverage
-from motor_classifiers.wrappers.outside import OutsideDetector
+from motor_classifiers.wrappers.outlier_detector import OutsideDetector
 from motor_datasets.arrays import Dataset
 from motor_datasets.generate import generate_arrays
 from motor_env.inference.posterior import SeverityPrior, class_probabilities, severity_posterior

@@ -6,7 +6,7 @@ import numpy as np
 from trust_figures import DISTANCE, FALSE_ALARM_RATES, Figures
 
 from motor_classifiers.estimators.methods import ESTIMATE
-from motor_classifiers.report.charts import Line, line_chart
+from motor_classifiers.report.page import Line, line_chart
 from motor_env.common.pages import Axis, percent as per_cent
 
 Table = tuple[list[str], list[list[str]]]

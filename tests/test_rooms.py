@@ -188,7 +188,7 @@ def test_a_test_that_reaches_into_another_room_says_why() -> None:
         ("def late():\n    from motor_env.envs import kernel", "motor_env.envs.kernel"),
         ("from motor_env.envs.drive.kernel import step", "motor_env.envs.drive.kernel"),
         ("from motor_env.common import files", "motor_env.common.files"),
-        ("from motor_datasets.layout import make_plan", "motor_datasets.layout"),
+        ("from motor_datasets.generate import make_plan", "motor_datasets.generate"),
     ],
 )
 def test_what_reaches_into_another_room_is_found(line: str, inner: str | None) -> None:

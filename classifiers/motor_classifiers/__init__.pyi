@@ -12,15 +12,11 @@ from .estimators.methods import (
 )
 from .estimators.networks.epoch_classifier import (
     PerceptronClassifier as PerceptronClassifier,
+    ResNetClassifier as ResNetClassifier,
+    TorchClassifier as TorchClassifier,
 )
 from .estimators.networks.posterior_network import (
     PosteriorNetwork as PosteriorNetwork,
-)
-from .estimators.networks.resnet import (
-    ResNetClassifier as ResNetClassifier,
-)
-from .estimators.networks.torch_classifier import (
-    TorchClassifier as TorchClassifier,
 )
 from .model_files.onnx_export import (
     export_onnx as export_onnx,
@@ -29,20 +25,18 @@ from .model_files.persistence import (
     load_model as load_model,
     save_model as save_model,
 )
-from .prediction.opinions import (
-    Opinion as Opinion,
-    opinions as opinions,
+from .prediction import (
+    Prediction as Prediction,
     predict as predict,
     predict_recording as predict_recording,
-)
-from .scoring.answer_files import (
-    score_answers as score_answers,
-)
-from .scoring.evaluation import (
-    evaluate_model as evaluate_model,
+    predictions as predictions,
 )
 from .scoring.frozen_tasks import (
     load_task as load_task,
+    score_answers as score_answers,
+)
+from .scoring.results import (
+    evaluate_model as evaluate_model,
 )
 from .wrappers.conformal import (
     ConformalClassifier as ConformalClassifier,
@@ -51,6 +45,6 @@ from .wrappers.conformal import (
 from .wrappers.early import (
     EarlyClassifier as EarlyClassifier,
 )
-from .wrappers.outside import (
+from .wrappers.outlier_detector import (
     OutsideDetector as OutsideDetector,
 )

@@ -1,4 +1,4 @@
-"""A data set in memory: transients and, beside them, the truth about each; and what its columns mean."""
+"""A data set in memory, and the meaning of its columns."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class Dataset:
     Attributes:
         X: measurements, float32, shape (n_cases, n_channels, n_timepoints); channels in the order of `recipe.channels`.
         class_name: label, shape (n_cases,).
-        class_index: index into `class_names`, shape (n_cases,).
+        class_index: of it in `class_names`, shape (n_cases,).
         kind: healthy or the fault's kind, shape (n_cases,).
         severity: relative size of the fault (of joint faults the sum), 0 for healthy, shape (n_cases,).
         parameters: each sampled physical parameter by name (`parameter_names`), shape (n_cases,), of the motor
@@ -126,7 +126,6 @@ class Dataset:
         motor_id: the motor of each case, shape (n_cases,); motors never stand in two splits.
         split: train, validation or test, shape (n_cases,).
         recipe: what the cases were drawn from.
-        seed: the random seed.
     """
 
     X: NDArray[np.float32]

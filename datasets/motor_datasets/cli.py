@@ -16,7 +16,7 @@ from motor_env.common import console
 from motor_env.common.errors import require_extra
 
 if TYPE_CHECKING:
-    from motor_datasets.layout import Plan
+    from motor_datasets.generate import Plan
 
 
 app = App(name="motor-datasets", help="Labelled transients of your motor.", version=__version__)
@@ -67,8 +67,8 @@ def generate(
     """
     require_extra("pyarrow", "datasets")
     from motor_datasets.folder import generate_dataset, seconds_per_case
-    from motor_datasets.layout import make_plan
-    from motor_datasets.remote import folder_of
+    from motor_datasets.generate import make_plan
+    from motor_datasets.manifest import folder_of
     from motor_env.motor.data_sheet import load_motor, usable_parameters
     from motor_env.motor.parameters import Channel
     from motor_env.simulation.named_recipes import changed_recipe, load_recipe
@@ -140,8 +140,7 @@ def verify(folder: str, /, *, json_: bool = False) -> int:
         json_: Print the findings as a JSON array.
     """
     require_extra("pyarrow", "datasets")
-    from motor_datasets.manifest import problems
-    from motor_datasets.remote import folder_of
+    from motor_datasets.manifest import folder_of, problems
 
     defects = problems(folder_of(folder))
     if json_:
@@ -162,24 +161,23 @@ def describe(recipe: str, /, *, picture: Path | None = None, seed: console.Whole
         picture: PNG or SVG to draw examples to.
         seed: Random seed of the examples.
     """
-    from motor_datasets import describe as describing
+    from motor_datasets.card import describe, draw_sheet
     from motor_env.simulation.named_recipes import load_recipe
 
     if "://" in recipe or Path(recipe).is_dir():
         require_extra("pyarrow", "datasets")
-        from motor_datasets.manifest import read_manifest
-        from motor_datasets.remote import folder_of
+        from motor_datasets.manifest import folder_of, read_manifest
 
         chosen = read_manifest(folder_of(recipe)).recipe
     else:
         chosen = load_recipe(recipe)
-    print(describing.describe(chosen))
+    print(describe(chosen))
     if picture is not None:
         require_extra("pyarrow", "datasets")
         from motor_env.common.files import replacing
 
         with replacing(picture) as temporary:
-            describing.draw_sheet(chosen, seed, temporary)
+            draw_sheet(chosen, seed, temporary)
     return 0
 
 
@@ -195,11 +193,10 @@ def export(folder: str, file: Path, /, *, split: str | None = None) -> int:
         split: train, validation, test or shift_NAME; train, validation and test together where it is left out.
     """
     require_extra("pyarrow", "datasets")
-    from motor_datasets import export as exporting
-    from motor_datasets.loaders import load
+    from motor_datasets.loaders import export as export_arrays, load
 
     dataset = load(folder, split)
-    exporting.export(dataset, file)
+    export_arrays(dataset, file)
     print(f"wrote {len(dataset)} cases: {file}")
     return 0
 

@@ -23,11 +23,18 @@ import numpy as np
 
 from motor_datasets.arrays import at_least_one
 from motor_datasets.card import croissant, data_card
-from motor_datasets.generate import generate_arrays
-from motor_datasets.layout import Plan, PlannedFile, make_plan
-from motor_datasets.manifest import MANIFEST, Entry, Manifest, defect, read_manifest
+from motor_datasets.generate import Plan, PlannedFile, generate_arrays, make_plan
+from motor_datasets.manifest import (
+    MANIFEST,
+    Entry,
+    Folder,
+    Manifest,
+    defect,
+    folder_of,
+    read_manifest,
+    whole_file,
+)
 from motor_datasets.parquet import to_table, write_table
-from motor_datasets.remote import Folder, folder_of, whole_file
 from motor_env.common.errors import InputError
 from motor_env.common.files import LARGEST_DATA_BYTES, end_with_parent, read_file
 from motor_env.motor.parameters import require
@@ -52,7 +59,7 @@ def generate_dataset(
 
     Args:
         recipe: what to draw from.
-        cases: how many cases, those of the recipe's shifts aside.
+        cases: how many, without those of the recipe's shifts.
         seed: the random seed.
         out: folder, or a URL for fsspec (`s3://bucket/prefix`); it must not exist, be empty, or (with `resume`) hold
             the unfinished same data set.
@@ -128,11 +135,7 @@ def _make_files(
 
 
 def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> dict[str, Entry]:
-    """The files that an earlier generation left in the folder, each as it was written; none in a new folder.
-
-    Raises:
-        InputError: the folder holds something that is not overwritten.
-    """
+    """The files that an earlier generation left in the folder, each as it was written; none in a new folder."""
     note = out / UNFINISHED
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return {}

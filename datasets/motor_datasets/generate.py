@@ -1,18 +1,150 @@
-"""From a recipe to labelled transients in memory. Case n depends on (recipe, seed, n) alone."""
+"""From a recipe to labelled transients: cases in memory, splits, the layout of files, streams.
+
+Case n depends on (recipe, seed, n) alone.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import count
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset, at_least_one
-from motor_datasets.layout import split_of
-from motor_env.common.arrays import instance, whole, wholes
+from motor_datasets.arrays import EFFECTS, LOADS, SENSOR_ERRORS, Dataset, at_least_one, parameter_names
+from motor_env.common.arrays import instance, is_one_of, shown, whole, wholes
 from motor_env.motor.parameters import FloatArray, require
+from motor_env.simulation.random_streams import Stream, uniforms
 from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.sampling import Draw, draw, measure_draw
+
+
+class Split(StrEnum):
+    """Training, validation or test."""
+
+    TRAIN = "train"
+    VALIDATION = "validation"
+    TEST = "test"
+
+
+MOTORS_OF_BLOCK = {Split.TRAIN: 14, Split.VALIDATION: 3, Split.TEST: 3}
+"""How many of twenty consecutive motors go where: 70, 15 and 15 %."""
+
+BLOCK = sum(MOTORS_OF_BLOCK.values())
+
+_BY_RANK = np.repeat([str(split) for split in MOTORS_OF_BLOCK], list(MOTORS_OF_BLOCK.values()))
+
+
+def split_of(seed: int, motor_id: ArrayLike) -> NDArray[np.str_]:
+    """Split of each motor, the shape of `motor_id`: depends on (seed, motor) alone.
+
+    Every block of twenty consecutive motors is shuffled by its own stream and dealt out 14 : 3 : 3, so the shares
+    are exact in every whole block.
+    """
+    whole("seed", seed, most=2**64 - 1)
+    motors = wholes("motor_id", motor_id)
+    blocks, which = np.unique(motors // BLOCK, return_inverse=True)
+    order = np.argsort(uniforms(seed, Stream.SPLIT, blocks, BLOCK), axis=1, kind="stable")
+    rank = np.argsort(order, axis=1, kind="stable")
+    splits: NDArray[np.str_] = _BY_RANK[rank[which.reshape(motors.shape), motors % BLOCK]]
+    return splits
+
+
+SHIFT_CASES = 2**40
+"""Case numbers of the n-th shift begin at n times this, n counting from 1: they meet no others."""
+
+_SHARD_BYTES = 32 * 2**20
+_MOST_SHARDS = 10**6  # six digits of a file's name
+_SHARE_OF_SHIFT = 10  # a shift has a tenth of the cases
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedFile:
+    """One Parquet file: the cases `begin` .. `end` - 1, or those of them whose motors belong to `split`."""
+
+    path: str
+    split: str
+    begin: int
+    end: int
+    shift: str | None = None
+
+    def case_id(self, recipe: Recipe, seed: int) -> NDArray[np.int64]:
+        """Case numbers of the file."""
+        cases = np.arange(self.begin, self.end, dtype=np.int64)
+        if self.shift is not None:
+            return cases
+        mine: NDArray[np.int64] = cases[split_of(seed, recipe.motor_id(cases)) == self.split]
+        return mine
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What will be written where; follows from recipe, seed and number of cases alone."""
+
+    recipe: Recipe
+    seed: int
+    cases: int
+    files: tuple[PlannedFile, ...]
+
+    @property
+    def cases_of_all(self) -> int:
+        """Cases, with those of the shifts."""
+        return self.cases + sum(file.end - file.begin for file in self.files if file.shift is not None)
+
+    @property
+    def bytes_uncompressed(self) -> int:
+        """Bytes of all samples and labels before compression."""
+        return self.cases_of_all * bytes_of_case(self.recipe)
+
+
+def bytes_of_case(recipe: Recipe) -> int:
+    """Bytes of one case before compression."""
+    labels = 8 * (len(parameter_names(recipe)) + 4)
+    return 4 * len(recipe.channels) * recipe.timing.n_samples + labels
+
+
+def make_plan(recipe: Recipe, cases: int, seed: int) -> Plan:
+    """Lay the cases out over files of some 32 MB.
+
+    Raises:
+        ValueError: fewer than one case, too many, or a seed out of range.
+    """
+    instance("recipe", recipe, Recipe)
+    cases, seed = at_least_one("cases", cases), whole("seed", seed, most=2**64 - 1)
+    per_shard = max(1, _SHARD_BYTES // bytes_of_case(recipe))
+    most = min(per_shard * _MOST_SHARDS, SHIFT_CASES - 1)
+    require(
+        cases <= most,
+        f"cases must fit into a million files of {_SHARD_BYTES / 2**20:g} MB, here {most} cases, got {cases}",
+    )
+    files = []
+    for shard, begin in enumerate(range(0, cases, per_shard)):
+        end = min(begin + per_shard, cases)
+        files += [
+            PlannedFile(f"data/{split}-{shard:06d}.parquet", split, begin, end)
+            for split in _splits_of_range(recipe, seed, begin, end)
+        ]
+    per_shift = max(1, cases // _SHARE_OF_SHIFT)
+    for number, shift in enumerate(recipe.shifts, start=1):
+        first = number * SHIFT_CASES
+        for shard, begin in enumerate(range(first, first + per_shift, per_shard)):
+            name = f"shift_{shift.name}"
+            path = f"data/{name}-{shard:06d}.parquet"
+            files.append(
+                PlannedFile(path, name, begin, min(begin + per_shard, first + per_shift), shift.name)
+            )
+    return Plan(recipe, seed, cases, tuple(files))
+
+
+def _splits_of_range(recipe: Recipe, seed: int, begin: int, end: int) -> list[str]:
+    if end - begin >= 2 * BLOCK * recipe.starts_per_motor:  # a whole block lies inside: all splits are there
+        return [str(split) for split in Split]
+    present = set(split_of(seed, recipe.motor_id(np.arange(begin, end, dtype=np.int64))).tolist())
+    return [str(split) for split in Split if str(split) in present]
+
 
 _CASES_AT_ONCE = 4096  # bounds the memory of what only some recipes need; more gains nothing
 
@@ -44,7 +176,10 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
         measure_draw(drawn, recipe, seed, X[part])
         labels.append(_labels(drawn))
     parameters, of_case = (
-        {name: np.concatenate([one[table][name] for one in labels]) for name in labels[0][table]}
+        {
+            name: np.concatenate([part_labels[table][name] for part_labels in labels])
+            for name in labels[0][table]
+        }
         for table in (0, 1)
     )
     index = of_case["class_index"]
@@ -73,3 +208,54 @@ def _labels(drawn: Draw) -> tuple[dict[str, FloatArray], dict[str, NDArray[Any]]
         values.update({name: getattr(drawn.driving, name) for name in LOADS})
     of_case = {name: getattr(drawn, name) for name in ("class_index", "severity", "motor_id")}
     return {name: np.broadcast_to(np.asarray(v, float), n_cases) for name, v in values.items()}, of_case
+
+
+def stream(
+    recipe: Recipe,
+    seed: int,
+    batch_size: int = 256,
+    *,
+    split: str | None = None,
+    batches: int | None = None,
+    share: tuple[int, int] = (0, 1),
+) -> Iterator[Dataset]:
+    """Endless batches of fresh cases; batch n depends on (recipe, seed, batch_size, split, n) alone.
+
+    Args:
+        recipe: what to draw from.
+        seed: the random seed.
+        batch_size: cases of a batch.
+        split: only motors of this split; None for all.
+        batches: end after so many; None for never.
+        share: (n, m): only every m-th batch, beginning with the n-th; for m workers.
+
+    Raises:
+        ValueError: fewer than one case a batch, or an unknown split.
+    """
+    instance("recipe", recipe, Recipe)
+    whole("seed", seed, most=2**64 - 1)
+    batch_size = at_least_one("batch_size", batch_size)
+    is_split = split is None or is_one_of(split, Split)
+    require(is_split, f"split must be one of {', '.join(Split)}, got {shown(split)}")
+    batches = None if batches is None else whole("batches", batches)
+    part, of = wholes("share", share).tolist() if np.shape(share) == (2,) else (0, 0)
+    require(of >= 1, f"share must be two numbers, the second >= 1, got {shown(share)}")
+    numbers = count() if batches is None else range(batches)
+    offsets = _case_blocks(recipe, seed, batch_size, split)
+    for number, cases in zip(numbers, offsets, strict=False):
+        if number % of == part:
+            yield generate_arrays(recipe, seed, cases)
+
+
+def _case_blocks(
+    recipe: Recipe, seed: int, batch_size: int, split: str | None
+) -> Iterator[np.ndarray[Any, np.dtype[np.int64]]]:
+    pending = np.empty(0, dtype=np.int64)
+    width = BLOCK * recipe.starts_per_motor * max(1, batch_size // BLOCK)
+    for number in count():
+        cases = np.arange(number * width, (number + 1) * width, dtype=np.int64)
+        of_split = cases if split is None else cases[split_of(seed, recipe.motor_id(cases)) == split]
+        pending = np.concatenate([pending, of_split])
+        while len(pending) >= batch_size:
+            yield pending[:batch_size]
+            pending = pending[batch_size:]

@@ -1,18 +1,46 @@
-"""Data sets for NumPy, torch and pandas."""
+"""Data sets for NumPy, torch, pandas and MATLAB."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset
-from motor_datasets.manifest import read_manifest
-from motor_datasets.remote import Folder, folder_of
+from motor_datasets.manifest import Folder, folder_of, read_manifest
 from motor_env.common.arrays import instance
-from motor_env.common.errors import require_extra
+from motor_env.common.errors import InputError, require_extra
+from motor_env.common.files import replacing
 from motor_env.simulation.recipes import Recipe
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+SUFFIXES = (".npz", ".mat")
+
+
+def export(dataset: Dataset, path: Path) -> None:
+    """Write X, time_s, every label and parameter to a .npz or .mat file.
+
+    Raises:
+        InputError: another suffix, the file is there already, or cannot be written.
+    """
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"{path} must end in {' or '.join(SUFFIXES)}")
+    if path.exists():
+        raise InputError(f"{path} exists already and is not overwritten")
+    labels = {name: getattr(dataset, name) for name in LABELS}
+    arrays = {"X": dataset.X, "time_s": dataset.time_s, **labels, **dataset.parameters}
+    with replacing(path) as temporary:
+        if path.suffix == ".npz":
+            np.savez(temporary, **arrays)
+        else:
+            from scipy.io import savemat
+
+            arrays.update({name: v.astype(object) for name, v in arrays.items() if v.dtype.kind == "U"})
+            savemat(temporary, arrays, oned_as="column", long_field_names=True)
 
 
 def load(folder: str | Folder, split: str | None = None) -> Dataset:

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_datasets.arrays import COLUMN_OF_CHANNEL, LABELS, Dataset, columns, parameter_names
-from motor_datasets.layout import Split, bytes_of_case
-from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Manifest, whole_content
-from motor_datasets.remote import Folder
+from motor_datasets.generate import Split, bytes_of_case
+from motor_datasets.manifest import FORMAT, FORMAT_VERSION, Entry, Folder, Manifest, whole_content
 from motor_env.common.arrays import is_one_of, shown
 from motor_env.common.errors import InputError, require_extra
 from motor_env.simulation.named_recipes import recipe_to_dict
@@ -133,26 +132,23 @@ def _require_agreement(
     folder: Folder, recipe: Recipe, values: dict[str, NDArray[Any]], X: NDArray[np.float32]
 ) -> None:
     """Refuse labels that the recipe does not give, and numbers that are none, whatever the digests say."""
-    index, case = values["class_index"], values["case_id"]
+    index = values["class_index"]
     is_class = (index >= 0) & (index < len(recipe.classes))
     known = np.where(is_class, index, 0)
-    for name, wanted in (
-        ("class_index", index[:0]),
-        ("class_name", np.array(recipe.class_names)[known]),
-        ("kind", np.array([fault_class.label_kind for fault_class in recipe.classes])[known]),
-    ):
-        bad = ~is_class if name == "class_index" else values[name] != wanted
+    kinds = np.array([fault_class.label_kind for fault_class in recipe.classes])
+    of_labels = {
+        "class_index": ~is_class,
+        "class_name": values["class_name"] != np.array(recipe.class_names)[known],
+        "kind": values["kind"] != kinds[known],
+    }
+    of_numbers = {name: ~np.isfinite(values[name]) for name in (*parameter_names(recipe), "severity")}
+    of_numbers["the samples"] = ~np.isfinite(X).all(axis=(1, 2))
+    for name, bad in (of_labels | of_numbers).items():
         if bad.any():
-            n = int(bad.argmax())
-            place = f"{name} of case {case[n]} is {values[name][n]!s:.80}"
-            raise InputError(f"{folder}: {place}, which is not what its recipe {recipe.name} gives")
-    numbers = {name: values[name] for name in (*parameter_names(recipe), "severity")}
-    for name, bad in (
-        *((name, ~np.isfinite(each)) for name, each in numbers.items()),
-        ("the samples", ~np.isfinite(X).all(axis=(1, 2))),
-    ):
-        if bad.any():
-            raise InputError(f"{folder}: {name} of case {case[int(bad.argmax())]} must be finite numbers")
+            n, why = int(bad.argmax()), "must be finite numbers"
+            if name in of_labels:
+                why = f"is {values[name][n]!s:.80}, which is not what its recipe {recipe.name} gives"
+            raise InputError(f"{folder}: {name} of case {values['case_id'][n]} {why}")
 
 
 def _column(table: pa.Table, name: str) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""The stream of batches as torch's data set: a module of its own, which needs torch and which spawned workers find."""
+"""The stream of batches as torch's data set."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from motor_datasets.arrays import Dataset
-from motor_datasets.streaming import stream
+from motor_datasets.generate import stream
 from motor_env.simulation.recipes import Recipe
 
 
@@ -26,9 +26,6 @@ class TorchBatches(torch.utils.data.IterableDataset[Any]):
     """Batches of (X, class_index, severity); the workers of a loader share them.
 
     Args:
-        recipe: what to draw from.
-        seed: the random seed.
-        batch_size: cases of a batch.
         options: further arguments of `stream`.
     """
 

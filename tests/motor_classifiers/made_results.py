@@ -6,9 +6,8 @@ import numpy as np
 
 # Reaches in: results are made up as the benchmark keeps them: to run it takes minutes.
 from motor_classifiers.scoring.benchmark import AnswerStore, Plan, run_plan, units
-from motor_classifiers.scoring.judging import LIMIT, Answer
+from motor_classifiers.scoring.judging import LIMIT, Answer, Cost
 from motor_classifiers.scoring.metrics import IntArray
-from motor_classifiers.scoring.progress import Cost
 from motor_classifiers.scoring.score import Results
 from motor_classifiers.scoring.task import class_task
 from motor_env import Timing, load_recipe

@@ -16,7 +16,7 @@ SHORT = replace(load_recipe("bench"), timing=Timing(duration_s=0.01))
 SHARD_BYTES = 50_000
 """Of a file: some tens of short cases."""
 SMALL_SHARDS = (
-    "import sys; from motor_datasets import cli, layout; layout._SHARD_BYTES = 2**19; sys.exit(cli.main())"
+    "import sys; from motor_datasets import cli, generate as g; g._SHARD_BYTES = 2**19; sys.exit(cli.main())"
 )
 """The command, with files of half a megabyte."""
 

@@ -19,14 +19,14 @@ import pytest
 from hostile import Child, damaged, deep, flips, forged, json_of, odd_places, refused, refused_or_same
 from small_sets import SHARD_BYTES, SHORT, files_of
 
-from motor_datasets import generate_dataset, layout, load, parquet
+from motor_datasets import generate, generate_dataset, load, parquet
 from motor_datasets.cli import main
 from motor_env.simulation.recipes import Shift
 
 
 @pytest.fixture(autouse=True)
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layout, "_SHARD_BYTES", SHARD_BYTES)
+    monkeypatch.setattr(generate, "_SHARD_BYTES", SHARD_BYTES)
 
 
 def flip(data: Path) -> None:

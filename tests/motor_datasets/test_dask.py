@@ -13,7 +13,7 @@ from typing import Any
 import joblib
 import pytest
 
-from motor_datasets import folder, generate_dataset, layout
+from motor_datasets import folder, generate, generate_dataset
 from motor_datasets.cli import main
 from motor_env import Timing, load_recipe
 
@@ -51,7 +51,7 @@ def test_all_of_a_cluster_write_unless_a_number_is_asked_for(
 @pytest.mark.filterwarnings("default")  # a killed worker is worth a warning or two
 def test_a_killed_dask_worker_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    monkeypatch.setattr(layout, "_SHARD_BYTES", 2 * 2**20)
+    monkeypatch.setattr(generate, "_SHARD_BYTES", 2 * 2**20)
     recipe = replace(load_recipe("bench"), timing=Timing(duration_s=0.05))
     whole = generate_dataset(recipe, 30_000, 3, tmp_path / "one")
     cluster = distributed.LocalCluster(

@@ -18,7 +18,7 @@ from motor_datasets import (
     to_torch_iterable,
 )
 from motor_datasets.cli import main
-from motor_datasets.export import export
+from motor_datasets.loaders import export
 from motor_env import Channel, FaultKind, InputError, SensorParameters, Timing, load_recipe
 from motor_env.simulation.recipes import FaultClass
 

@@ -18,19 +18,18 @@ from small_sets import SHORT, assert_same
 
 from motor_datasets import (
     folder as folder_module,
+    generate,
     generate_arrays,
     generate_dataset,
-    layout,
     load,
     parquet,
     split_of,
     stream,
 )
 from motor_datasets.arrays import columns
-from motor_datasets.card import croissant, data_card
+from motor_datasets.card import croissant, data_card, describe, draw_sheet
 from motor_datasets.cli import main
-from motor_datasets.describe import describe, draw_sheet
-from motor_datasets.layout import PlannedFile, bytes_of_case, make_plan
+from motor_datasets.generate import PlannedFile, bytes_of_case, make_plan
 from motor_datasets.manifest import LARGEST_MANIFEST_BYTES, Entry, Manifest, read_manifest
 from motor_env import InputError, Recipe, Timing, load_recipe
 
@@ -94,7 +93,7 @@ def test_files_of_32_mb_and_a_tenth_of_the_cases_for_each_shift() -> None:
 
 def test_every_file_has_a_case_and_every_case_its_file(monkeypatch: pytest.MonkeyPatch) -> None:
     for per_file in (7, 20, 25, 39, 40, 55):
-        monkeypatch.setattr(layout, "_SHARD_BYTES", per_file * bytes_of_case(SHORT))
+        monkeypatch.setattr(generate, "_SHARD_BYTES", per_file * bytes_of_case(SHORT))
         plan = make_plan(SHORT, 500, 5)
         cases = [file.case_id(SHORT, 5) for file in plan.files]
         assert all(len(one) for one in cases)
@@ -102,7 +101,7 @@ def test_every_file_has_a_case_and_every_case_its_file(monkeypatch: pytest.Monke
         for file, own in zip(plan.files, cases, strict=True):
             assert set(split_of(5, own)) == {file.split}
             assert file.end - file.begin == min(per_file, 500 - file.begin)
-    monkeypatch.setattr(layout, "_SHARD_BYTES", 4000 * bytes_of_case(FIELD))
+    monkeypatch.setattr(generate, "_SHARD_BYTES", 4000 * bytes_of_case(FIELD))
     shifts = [file for file in make_plan(FIELD, 50_000, 0).files if file.shift == "loaded"]
     first = 2 * 2**40
     assert [(f.begin - first, f.end - first) for f in shifts] == [(0, 4000), (4000, 5000)]
@@ -111,13 +110,19 @@ def test_every_file_has_a_case_and_every_case_its_file(monkeypatch: pytest.Monke
 
 def test_numbers_at_their_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     assert make_plan(SHORT, 1, 2**64 - 1).cases_of_all == 1
-    for cases, seed in ((0, 1), (2**40, 1), (1, -1), (1, 2**64)):
-        with pytest.raises(ValueError, match="must be in"):
+    wrong = (
+        (0, 1, ">= 1"),
+        (2**40, 1, "fit into a million"),
+        (1, -1, "a whole number"),
+        (1, 2**64, "a whole"),
+    )
+    for cases, seed, must in wrong:
+        with pytest.raises(ValueError, match=must):
             make_plan(SHORT, cases, seed)
-    monkeypatch.setattr(layout, "_SHARD_BYTES", 2 * bytes_of_case(SHORT))
+    monkeypatch.setattr(generate, "_SHARD_BYTES", 2 * bytes_of_case(SHORT))
     with pytest.raises(ValueError, match="here 2000000 cases, got 2000001"):
         make_plan(SHORT, 2_000_001, 1)
-    monkeypatch.setattr(layout, "_MOST_SHARDS", 3)
+    monkeypatch.setattr(generate, "_MOST_SHARDS", 3)
     assert len(make_plan(SHORT, 6, 1).files) >= 3
     assert np.array_equal(generate_arrays(SHORT, 7, 1).X, generate_arrays(SHORT, 7, [0]).X)
     with pytest.raises(ValueError, match="cases must be >= 1, got 0"):
@@ -289,7 +294,7 @@ def test_the_disk_must_hold_three_tenths_of_the_samples(
 
 def test_the_note_lags_by_a_thirty_second_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An interrupted generation loses no more than that; a storage writes the note whole each time, hence the lag."""
-    monkeypatch.setattr(layout, "_SHARD_BYTES", 2 * bytes_of_case(SHORT))
+    monkeypatch.setattr(generate, "_SHARD_BYTES", 2 * bytes_of_case(SHORT))
     monkeypatch.setattr(folder_module, "_check_space", lambda *_: None)
 
     def written(files: list[PlannedFile], *_: Any) -> Iterator[Entry]:

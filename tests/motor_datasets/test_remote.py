@@ -15,7 +15,7 @@ from fsspec.registry import known_implementations
 from small_sets import SHARD_BYTES, SHORT, Stopped, assert_goes_on, files_of, interrupted
 from upath import UPath
 
-from motor_datasets import generate_dataset, layout, load, manifest
+from motor_datasets import generate, generate_dataset, load, manifest
 from motor_datasets.cli import main
 from motor_env import InputError
 
@@ -38,7 +38,7 @@ def url() -> Iterator[str]:
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layout, "_SHARD_BYTES", SHARD_BYTES)
+    monkeypatch.setattr(generate, "_SHARD_BYTES", SHARD_BYTES)
 
 
 @pytest.mark.usefixtures("small_shards")

@@ -15,13 +15,13 @@ import pyarrow.parquet as pq
 import pytest
 from small_sets import SHARD_BYTES, SHORT, SMALL_SHARDS, assert_goes_on, files_of, interrupted
 
-from motor_datasets import generate_dataset, layout, load
+from motor_datasets import generate, generate_dataset, load
 from motor_env import InputError
 
 
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layout, "_SHARD_BYTES", SHARD_BYTES)
+    monkeypatch.setattr(generate, "_SHARD_BYTES", SHARD_BYTES)
 
 
 @pytest.mark.usefixtures("small_shards")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,10 +10,67 @@ from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
-from motor_classifiers.cli.tasks import score, task
 from motor_env import __version__
 from motor_env.common import console
 from motor_env.common.errors import InputError, require_extra
+
+
+def task(name: str, /, *, out: Path) -> int:
+    """Write a frozen task: what it asks, labelled starts to learn from, and test cases without labels.
+
+    Example: motor-classifiers task bench --out out/bench-task
+
+    Args:
+        name: bench, bench-full, field, operation, reference, severity, unknown or stream.
+        out: Folder of task.json, train.npz and test.npz.
+    """
+    require_extra("sklearn", "classifiers")
+    import numpy as np
+
+    from motor_classifiers.scoring.frozen_tasks import load_task, task_facts
+    from motor_env.common.files import replacing, write_text
+
+    chosen = load_task(name)
+    test = chosen.test()
+    arrays: dict[str, dict[str, Any]] = {"train": chosen.learned(), "test": {"X": test.X}}
+    for part, content in arrays.items():
+        with replacing(out / f"{part}.npz") as temporary:
+            np.savez(temporary, allow_pickle=False, **content)
+    write_text(out / "task.json", json.dumps(task_facts(chosen), indent=1) + "\n")
+    print(f"{chosen.title}: {chosen.n_train} starts to learn from, {len(test.X)} cases to answer: {out}")
+    return 0
+
+
+def score(task: str, answers: Path, /, *, json_: bool = False) -> int:
+    """Score a file of answers to a frozen task, beside the best possible on the same cases.
+
+    Example: motor-classifiers score bench out/answers.csv
+
+    Args:
+        task: The task that is answered.
+        answers: CSV file: the column case, the row of the test case counted from 0, and those that task.json names.
+        json_: Print the score as JSON.
+    """
+    require_extra("sklearn", "classifiers")
+    from motor_classifiers.scoring.frozen_tasks import load_task, read_answers, score_answers
+
+    asked = load_task(task)
+    scored = score_answers(asked, read_answers(answers, asked))
+    if json_:
+        print(json.dumps(scored, indent=1))
+        return 0
+    print(f"task {scored['task']} {scored['version']}, {scored['n_test']} cases")
+    print(f"  {scored['metric']}: {scored['value']:.2f} ({scored['low']:.2f} to {scored['high']:.2f})")
+    if "limit" in scored:
+        low, high = scored["above_limit_low"], scored["above_limit_high"]
+        print(f"  the best possible on the same cases: {scored['limit']:.2f}")
+        print(f"  above it by {scored['above_limit']:.2f} ({low:.2f} to {high:.2f}, paired)")
+    elif "bracket" in scored:
+        print("  the best possible on average: between {:.2f} and {:.2f}".format(*scored["bracket"]))
+    else:
+        print("  the best possible is not known")
+    return 0
+
 
 app = App(
     name="motor-classifiers",
@@ -68,7 +126,7 @@ def train(
     """
     _require_extras()
     from motor_classifiers.cli import training
-    from motor_classifiers.cli.options import require_writable
+    from motor_classifiers.cli.sweep import require_writable
 
     if out.exists():
         raise InputError(f"{out}: exists already, and is not overwritten; give another name")
@@ -117,7 +175,7 @@ def evaluate(
     from rich.console import Console
 
     from motor_classifiers.model_files.persistence import load_model
-    from motor_classifiers.scoring.evaluation import evaluate_model, evaluation_lines
+    from motor_classifiers.scoring.results import evaluate_model, evaluation_lines
     from motor_datasets.loaders import load
 
     fitted, recipe, method = load_model(model)
@@ -165,9 +223,8 @@ def predict(
         json_: Print one array with one object a file or case.
     """
     _require_extras()
-    from motor_classifiers.cli.opinions import opinion_lines, opinions_of
     from motor_classifiers.model_files.persistence import PRETRAINED, load_model
-    from motor_classifiers.prediction.opinions import UNDECIDED
+    from motor_classifiers.prediction import UNDECIDED, predict_file, prediction_lines
     from motor_env.motor.data_sheet import load_motor
 
     fitted, recipe, _ = load_model(PRETRAINED if model is None else model)
@@ -176,18 +233,18 @@ def predict(
     statuses: list[console.ExitStatus] = []
     for path in files:
         try:
-            opinions, second = opinions_of(fitted, recipe, path, split, healthy)
+            predictions, second = predict_file(fitted, recipe, path, split, healthy)
         except InputError as error:
             print(f"motor-classifiers: {error}", file=sys.stderr)
             rows.append({"file": str(path), "verdict": UNDECIDED, "error": str(error)})
             statuses.append(console.ExitStatus.BAD_INPUT)
             continue
-        statuses += [opinion.status for opinion in opinions]
-        for n, opinion in enumerate(opinions):
+        statuses += [prediction.status for prediction in predictions]
+        for n, prediction in enumerate(predictions):
             beside = {"row": n} if path.is_dir() else {"model_based": second}
-            rows.append({"file": str(path), **opinion.as_json(), **beside})
+            rows.append({"file": str(path), **prediction.as_json(), **beside})
         if not json_:
-            print("\n".join(opinion_lines(path, opinions, second)))
+            print("\n".join(prediction_lines(path, predictions, second)))
     if json_:
         print(console.json_text(rows))
     return int(console.worst(statuses))
@@ -275,8 +332,15 @@ def benchmark(
         json_: Print what stands in results.json.
     """
     _require_extras()
-    from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
-    from motor_classifiers.cli.sweep import FULL_SWEEP, plan_lines, run_with_progress, table_lines
+    from motor_classifiers.cli.sweep import (
+        FULL_SWEEP,
+        numbers,
+        plan_lines,
+        require_writable,
+        run_with_progress,
+        table_lines,
+        whole_numbers,
+    )
     from motor_classifiers.estimators.methods import AT_WORK, METHODS
     from motor_classifiers.report.page import write_results
     from motor_classifiers.scoring.benchmark import AnswerStore, Plan, make_tasks

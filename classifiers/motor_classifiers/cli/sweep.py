@@ -1,15 +1,59 @@
-"""What `motor-classifiers benchmark` says before, during and after a run."""
+"""Options of `motor-classifiers benchmark`, and what it prints before, during and after a run."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
+from pathlib import Path
 
 from rich.console import Console
 
 from motor_classifiers.scoring.benchmark import AnswerStore, Plan, Unit, run_plan, units
 from motor_classifiers.scoring.score import Results
 from motor_env.common.console import progress_bar
+from motor_env.common.errors import InputError
+from motor_env.common.files import replacing
+
+
+def numbers(option: str, text: str | None) -> tuple[float, ...]:
+    """Parse numbers with commas between, none twice; empty without the option.
+
+    Raises:
+        InputError: something else.
+    """
+    if text is None:
+        return ()
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--{option} must be numbers with commas between, got {text!r}") from None
+    if len(set(values)) != len(values):
+        raise InputError(f"--{option} must not name a value twice, got {text!r}")
+    return values
+
+
+def whole_numbers(option: str, text: str) -> list[int]:
+    """Whole numbers with commas between, none twice."""
+    values = numbers(option, text)
+    if not all(value.is_integer() for value in values):
+        raise InputError(f"--{option} must be whole numbers, got {text!r}")
+    return list(map(int, values))
+
+
+def require_writable(out: Path) -> None:
+    """Fail before the work, not after it.
+
+    Raises:
+        InputError: a file of this name.
+        OSError: nothing can be written there.
+    """
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file, not a folder")
+    probe = out / ".writable"
+    with replacing(probe):
+        pass
+    probe.unlink()
+
 
 FULL_SWEEP = {
     "recipe": "bench,bench-full,paper,field",
@@ -21,7 +65,7 @@ FULL_SWEEP = {
 
 
 def plan_lines(plan: Plan, store: AnswerStore, *, as_json: bool) -> list[str]:
-    """What would be run, what is there already, and about how long the rest takes."""
+    """List what would be run, what is there, and about how long the rest takes."""
     todo = [(unit, store.find(unit) is not None) for unit in units(plan)]
     if as_json:
         rows = [

@@ -1,4 +1,4 @@
-"""What `motor-classifiers train` does."""
+"""Train models for `motor-classifiers train`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 from rich.console import Console
 
-from motor_classifiers.cli.options import numbers
+from motor_classifiers.cli.sweep import numbers
+from motor_classifiers.estimators.methods import fed, find_method
 from motor_classifiers.estimators.networks.posterior_network import UNKNOWN_NOISE, PosteriorNetwork
-from motor_classifiers.estimators.own_methods import fed, find_method
 from motor_classifiers.model_files.persistence import check_saveable, save_model
 from motor_datasets.loaders import load
 from motor_env.common.console import progress_bar
@@ -23,7 +23,7 @@ from motor_env.simulation.recipes import FaultClass, Recipe
 
 
 def train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[str, Any]:
-    """Train a method of the benchmark on the training split of a data set, write it, and tell what was done."""
+    """Train a method on the training split of a data set, write it, and summarise."""
     cases = load(dataset, "train")
     chosen = find_method(method)
     model = chosen.make(cases.recipe, seed)
@@ -35,7 +35,7 @@ def train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[st
 
 
 def training_recipe(motor: str | None, recipe: str | None, **changes: float | None) -> Recipe:
-    """Recipe of a motor file or of a recipe's name or file, one of the two, with changes as of `changed_recipe`."""
+    """Recipe of a motor file or of a recipe's name or file, changed as by `changed_recipe`."""
     if motor is None:
         chosen = load_recipe(str(recipe))
     else:
@@ -44,10 +44,9 @@ def training_recipe(motor: str | None, recipe: str | None, **changes: float | No
 
 
 def network_recipe(motor: Motor, voltage_v: float | None = None, duration_s: float | None = None) -> Recipe:
-    """What a network for a motor file is trained on: its recipe with each kind of fault as one class, 5 to 30 %.
+    """Recipe for a network of a motor file: the current, with each kind of fault as one class, 5 to 30 %.
 
-    It reads the current alone, over a thousand samples. Dry friction, brushes and ramps are not drawn: its exact
-    posterior knows none.
+    Dry friction, brushes and ramps are not drawn.
     """
     kinds = (FaultKind.BEARING, FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT)
     classes = (FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.30) for kind in kinds))
@@ -75,7 +74,7 @@ def noise_factors(text: str | None, *, for_motor: bool) -> tuple[float, float] |
 def train_on_stream(
     recipe: Recipe, *, noise_range: tuple[float, float] | None, steps: int | None, seed: int, out: Path
 ) -> dict[str, Any]:
-    """Train a network on a recipe's stream with a progress bar, write it, and tell what was done."""
+    """Train a network on a recipe's stream, write it, and summarise."""
     parameters = {} if steps is None else {"steps": steps}
     with progress_bar(None, f"training a network for {recipe.name}") as update:
         model = PosteriorNetwork.from_recipe(

@@ -1,21 +1,70 @@
-"""Transients as the estimators take them: (n_cases, n_channels, n_timepoints), or flattened as scikit-learn wants."""
+"""Cases as estimators take them, (n_cases, n_channels, n_timepoints) or flattened, and a fitted estimator's state."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.utils import validation
 from sklearn.utils.multiclass import check_classification_targets
+from torch import nn
 
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe
 from motor_env.simulation.simulate import Timing
+
+Arrays = dict[str, NDArray[Any]]
+
+
+class State(NamedTuple):
+    """A fitted estimator.
+
+    Attributes:
+        arrays: its numbers.
+        values: what JSON can hold; in a file the list of `classes`, too.
+    """
+
+    arrays: Arrays
+    values: dict[str, Any]
+
+
+def plain_parameters(model: BaseEstimator) -> dict[str, Any]:
+    """Parameters that JSON can hold: without the recipe, and a random state only where it is a number."""
+    parameters = {name: value for name, value in model.get_params().items() if name != "recipe"}
+    if not isinstance(parameters["random_state"], int):
+        parameters["random_state"] = None
+    return parameters
+
+
+def module_arrays(module: nn.Module, part: str) -> Arrays:
+    """Weights and buffers of a torch module, each name after the part's."""
+    return {f"{part}.{name}": values.numpy() for name, values in module.state_dict().items()}
+
+
+def part_of(arrays: Arrays, part: str) -> Arrays:
+    """The arrays of one part, without its name."""
+    return {name.removeprefix(f"{part}."): a for name, a in arrays.items() if name.startswith(f"{part}.")}
+
+
+def loaded_module(module: nn.Module, arrays: Arrays) -> nn.Module:
+    """A torch module made on the device `meta`, with weights and buffers in double precision.
+
+    Raises:
+        ValueError: names or shapes are not the module's; no memory was taken.
+    """
+    # A file has one value in the place of a number.
+    wanted = {name: tuple(values.shape) or (1,) for name, values in module.state_dict().items()}
+    shapes = {name: values.shape or (1,) for name, values in arrays.items()}
+    require(shapes == wanted, "its arrays do not fit its parameters")
+    module.double().to_empty(device="cpu")
+    module.load_state_dict({name: torch.from_numpy(a) for name, a in arrays.items()})
+    return module.eval()
 
 
 class ProbabilityClassifier(ClassifierMixin, BaseEstimator, ABC):
@@ -35,7 +84,7 @@ class ProbabilityClassifier(ClassifierMixin, BaseEstimator, ABC):
 
 
 def flat_cases(estimator: BaseEstimator, X: Any, *, reset: bool, min_features: int = 1) -> FloatArray:
-    """Check transients and flatten them to (n_cases, n_channels * n_timepoints), float64; X itself stays as it is.
+    """Check transients and flatten them to (n_cases, n_channels * n_timepoints), float64.
 
     Args:
         estimator: whose `n_features_in_` is set, or compared with.
@@ -60,7 +109,7 @@ def _flattened(X: Any) -> Any:
 
 
 def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
-    """The recipe, checked against the length of the cases; without one, the paper's motor at its usual rate.
+    """Check the recipe against the length of the cases; without one, take the paper's motor at its usual rate.
 
     Raises:
         ValueError: the cases have another length than the recipe's.
@@ -91,7 +140,7 @@ def measured_cases(estimator: Any, X: Any) -> tuple[Recipe, FloatArray]:
 
 
 def values_of_start(recipe: Recipe) -> int:
-    """How many numbers one start of the recipe is: n_channels * n_samples."""
+    """Numbers of one start of the recipe: n_channels * n_samples."""
     return len(recipe.channels) * recipe.timing.n_samples
 
 

@@ -1,8 +1,4 @@
-"""Confirmation by thresholds (paper, Figure 1) as an estimator.
-
-The residual of the healthy motor's filter is compared with thresholds; then a bank of filters, one for each class of
-the recipe, names the fault.
-"""
+"""Confirmation by thresholds (paper, Figure 1) as an estimator."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.estimators import cases
-from motor_classifiers.estimators.state import State
+from motor_classifiers.estimators.cases import State
 from motor_classifiers.estimators.threshold_rule import ConfirmationResult, ThresholdRule
 from motor_env.filters.batch import run_filter
 from motor_env.filters.kalman import KalmanFilter
@@ -39,11 +35,9 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
             default the thresholds with most correct decisions on the training cases.
 
     Attributes:
-        classes_: labels.
         rule_: the tuned `ThresholdRule`.
         filters_: a filter for each class of the recipe, in its order; none without a recipe.
         templates_: mean training cases, shape (n_classes, n_features_in_); None with a recipe.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     recipe: Recipe | None = None
@@ -83,15 +77,14 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
         return self
 
     def decide(self, X: Any) -> ConfirmationResult:
-        """The rule's own decisions: alarm, class, statistic. Classes are the recipe's, else `classes_`."""
+        """Decide by the rule; classes are the recipe's, else `classes_`."""
         check_is_fitted(self)
         return self.rule_.decide(self._residuals(cases.flat_cases(self, X, reset=False)))
 
     def predict_proba(self, X: Any) -> FloatArray:
         """Probability of each class, shape (n_cases, n_classes).
 
-        Near its threshold the rule's decision and its graded probabilities can disagree: then the decision's class and
-        the most probable one change places, so that `predict` is the rule and the largest probability alike.
+        Where the rule's decision and the most probable class differ, the two change places: `predict` is the rule.
         """
         result = self.decide(X)
         graded = result.probabilities.copy()
@@ -152,11 +145,7 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
 
 
 def _check_rule(rule: dict[str, Any], recipe: Recipe) -> None:
-    """Check what a file says of a rule.
-
-    Raises:
-        ValueError, KeyError, TypeError: values of another type or range than they must have.
-    """
+    """Check what a file says of a rule."""
     for name in ("windows", "bank_windows"):
         windows = rule[name]
         require(

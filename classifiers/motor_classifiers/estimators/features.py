@@ -1,7 +1,6 @@
 """Features of a transient: what the filter leaves over, the motor's parameters, the decision rules' statistics.
 
-Levels are kept, always. The transformers take (n_cases, n_channels, n_timepoints) or flattened cases, and work in
-scikit-learn's Pipeline.
+Levels are kept. The transformers take (n_cases, n_channels, n_timepoints) or flattened cases.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ def signal_family(recipe: Recipe, n_draws: int) -> FloatArray:
 
 
 def affine_map(recipe: Recipe, numbers: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Weights and offset such that flattened measurements @ weights.T + offset are some numbers affine in them.
+    """Weights and offset of numbers that are affine in the measurements: flat @ weights.T + offset.
 
     Args:
         recipe: whose channels and time axis.
@@ -85,8 +84,7 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
     """The filter's residual along the leading singular vectors of the model's own signal family.
 
     A transient in white noise enters its likelihood only through the directions in which the model's signals can
-    differ; a handful of them carry everything (docs/classifiers.md). The directions come from noise-free draws
-    of the recipe, not from training cases, and are fixed by the recipe.
+    differ; a handful carry everything (docs/classifiers.md).
 
     Args:
         recipe: the motor, its nuisances and faults. Without one, directions come from the training cases.
@@ -96,7 +94,6 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
     Attributes:
         weights_: shape (n_components, n_features_in_).
         offset_: shape (n_components,); components are X @ weights_.T + offset_, in units of the noise.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     recipe: Recipe | None = None
@@ -154,9 +151,6 @@ class PhysicalFeatures(TransformerMixin, BaseEstimator):
 
     Args:
         recipe: nominal motor, tolerances, supply, sensor and timing; without one, the paper's motor at 10 kHz.
-
-    Attributes:
-        n_features_in_: n_channels * n_timepoints.
     """
 
     recipe: Recipe | None = None
@@ -185,9 +179,8 @@ class RuleStatistics(TransformerMixin, BaseEstimator):
     """Statistics of the decision rules over a whole transient, and a matched test for each fault of the recipe.
 
     The largest NIS, the largest CUSUM, and the mean NIS (the test of consistency, Bar-Shalom, Li & Kirubarajan 2001,
-    ch. 5.4) as logarithms, log(1 + x): a winding fault makes them thousands of times those of a healthy motor. All see
-    the residual whitened for the recipe's tolerances, so that healthy motors give the same distribution whatever the
-    recipe. A linear classifier on the matched tests is the bank of filters to first order in the tolerances.
+    ch. 5.4), each as log(1 + x), of the residual whitened for the recipe's tolerances. A linear classifier on the
+    matched tests is the bank of filters to first order.
 
     Args:
         recipe: nominal motor, tolerances, faults, sensor and timing; without one, the paper's motor at 10 kHz.
@@ -196,7 +189,6 @@ class RuleStatistics(TransformerMixin, BaseEstimator):
         weights_: of the matched tests, which are affine in what is measured, shape (n_tests, n_features_in_).
         offset_: shape (n_tests,).
         feature_names_: names of the columns.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     recipe: Recipe | None = None

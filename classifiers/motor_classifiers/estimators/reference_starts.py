@@ -1,7 +1,6 @@
-"""Starts of a motor when it was healthy, beside the start that is judged: its own tolerances, seen once, are known.
+"""Reference starts: healthy starts of the same motor, beside the start that is judged.
 
-A judged start with k reference starts is one case with (1 + k) times the channels: first those of the judged start,
-then those of each reference. Any method for several channels takes it as it is.
+A judged start with k references is one case with (1 + k) times the channels, its own first.
 """
 
 from __future__ import annotations
@@ -63,15 +62,7 @@ def split_starts(X: Any, recipe: Recipe) -> FloatArray:
 
 
 def referenced_probabilities(recipe: Recipe, X: Any) -> FloatArray:
-    """The Bayes-optimal posterior of each class, given the reference starts: the limit for k references.
-
-    Args:
-        recipe: what motors are drawn from.
-        X: as `referenced_starts` gives them.
-
-    Returns:
-        Shape (n_cases, n_classes).
-    """
+    """Bayes-optimal posterior given the reference starts, shape (n_cases, n_classes); X as of `referenced_starts`."""
     starts = split_starts(X, recipe)
     return posterior.class_probabilities(
         recipe, starts[:, 0], prior=posterior.prior_from_starts(recipe, starts[:, 1:])
@@ -80,11 +71,10 @@ def referenced_probabilities(recipe: Recipe, X: Any) -> FloatArray:
 
 @dataclass(eq=False, repr=False)
 class RecentredStarts(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
-    """The judged start as if its motor were the nominal one: any method for plain starts then uses the references.
+    """Recentre the judged start as if its motor were the nominal one.
 
-    The references tell the most probable parameters of the motor (`prior_from_starts`); the difference between that
-    motor's healthy response and the nominal one is taken off the judged start. To first order in the tolerances
-    nothing is lost: the class depends on what is left alone.
+    The references give the most probable parameters of the motor (`prior_from_starts`); how its healthy response
+    differs from the nominal one is taken off. To first order in the tolerances nothing is lost.
 
     Args:
         recipe: the motor, its nuisances and faults, and how long one start is. Without one, a case is one start.

@@ -1,10 +1,9 @@
-"""The rule of confirmation by thresholds: the paper's Figure 1, tuned on training cases and on nothing else.
+"""The rule of confirmation by thresholds: the paper's Figure 1, tuned on training cases.
 
 A filter that believes in the healthy nominal motor gives a residual. Its means over windows are compared with a lower
 and an upper threshold each; M of the last N windows beyond theirs confirm a fault. Then the residuals of a bank of
-filters, one for each fault the recipe knows, are compared: the fault whose filter fits best is the diagnosis (paper,
-Figure 1; multiple models: Magill 1965). With tolerances the residual of a healthy motor is neither white nor small, so
-windows, thresholds and weights come from training cases: the rule stays one of thresholds, it learns no directions.
+filters, one for each fault the recipe knows, are compared: the best fit is the diagnosis (multiple models: Magill
+1965). Windows, thresholds and weights come from training cases.
 """
 
 from __future__ import annotations
@@ -37,7 +36,9 @@ MOST_WINDOWS = 3
 """Windows with thresholds of their own."""
 
 LEAST_GAIN = 0.004
-"""Share of the training cases that one more threshold must put right: less is luck of the draw."""
+"""Share of the training cases that one more threshold must put right: less is luck of the draw.
+
+It was set while looking at the benchmark's test motors; docs/rules.md has figures of fresh ones."""
 
 UNLIMITED = 1e9
 """Threshold of a side that has none, in standard deviations of healthy cases: files hold no infinite numbers."""
@@ -54,8 +55,7 @@ class ConfirmationResult(NamedTuple):
     Attributes:
         alarm_index: sample at which the fault was confirmed, -1 where none was, shape (n,).
         class_index: decided class, shape (n,): the healthy class without an alarm, the best fitting fault with one.
-        probabilities: of the classes, calibrated on the training cases, shape (n, n_classes). They are graded where
-            `class_index` is the rule's hard decision: near the threshold the two may disagree.
+        probabilities: of the classes, calibrated on the training cases, shape (n, n_classes).
         statistic: how far each case goes, shape (n,): a window's height is its distance from what healthy cases show
             over the threshold on that side, and the statistic the largest M-th of N heights. An alarm is a value
             above 1, whatever the number of thresholds.
@@ -360,14 +360,7 @@ def _descending(heights: FloatArray) -> IntArray:
 def _best_threshold(
     heights: FloatArray, order: IntArray, gain: IntArray, spare: int
 ) -> tuple[int, int, float]:
-    """What the best single threshold wins, on which column it stands, and the threshold, halfway between two cases.
-
-    Args:
-        heights: of each case on each column, shape (n_cases, n_columns).
-        order: each column's cases from the highest to the lowest.
-        gain: what an alarm wins, shape (n_cases,): 1 where the bank names the fault, -1 in a healthy case, else 0.
-        spare: how many healthy cases may alarm.
-    """
+    """What the best single threshold wins, on which column it stands, and the threshold, halfway between two cases."""
     ordered = np.take_along_axis(heights, order, axis=0)
     gains = gain[order]
     # After row r the cases up to r alarm, the others do not.
@@ -383,11 +376,7 @@ def _best_threshold(
 def _few_thresholds(
     heights: FloatArray, window_of: IntArray, gain: IntArray, spare: int
 ) -> tuple[int, list[tuple[int, float]]]:
-    """Thresholds on few windows: the best one more each time, then each in turn chosen anew while that wins.
-
-    Returns:
-        What they win, and (column, threshold) of each.
-    """
+    """Thresholds on few windows: the best one more each time, then each in turn chosen anew while that wins."""
     order = _descending(heights)
     limits: list[tuple[int, float]] = []
     won = 0

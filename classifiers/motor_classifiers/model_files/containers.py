@@ -1,4 +1,4 @@
-"""What a model file may hold before anything is made of it: a stated size, packed and unpacked."""
+"""Archives of model files, packed and unpacked within stated sizes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_classifiers.estimators.state import Arrays
+from motor_classifiers.estimators.cases import Arrays
 from motor_env.common.errors import InputError
 from motor_env.common.files import LARGEST_DATA_BYTES, read_file
 from motor_env.motor.parameters import require
@@ -25,7 +25,7 @@ MOST_MEMBERS = 50_000
 
 
 def unpacked(content: bytes) -> dict[str, bytes]:
-    """Members of an archive by name. No more is unpacked than the archive says, whatever is in it.
+    """Unpack the members of an archive, no more than it says.
 
     Raises:
         ValueError: too many members, too large ones, or packed by another method than zip's own.
@@ -93,7 +93,7 @@ def _no_number(text: str) -> NoReturn:
 
 
 def digest(head: str, arrays: Arrays) -> str:
-    """SHA-256 of a head and of arrays with their names, types and shapes: a flipped bit is not taken for a weight."""
+    """SHA-256 of a head and of arrays with their names, types and shapes."""
     total = hashlib.sha256(head.encode())
     for name, values in sorted(arrays.items()):
         total.update(f"\n{name} {values.dtype.str} {values.shape}\n".encode())

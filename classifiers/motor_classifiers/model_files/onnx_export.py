@@ -1,7 +1,6 @@
 """A posterior network as one ONNX graph: raw transients in, probabilities and severities out.
 
-The graph holds the projection too, in double precision: in single precision the deviation of a start from the nominal
-one would lose the digits that the noise leaves. The perceptrons behind it are in single precision.
+The projection is in double precision, which the deviation from the nominal start needs; the perceptrons are in single.
 """
 
 from __future__ import annotations
@@ -59,13 +58,7 @@ class Deployed(nn.Module):
 
 
 def export_onnx(model: PosteriorNetwork, recipe: Recipe, path: Path) -> None:
-    """Write a posterior network as an ONNX file, with classes, kinds and recipe in its metadata; whole or not at all.
-
-    Args:
-        model: fitted.
-        recipe: that it was trained for.
-        path: of the file.
-    """
+    """Write a fitted network as an ONNX file, with classes, kinds and recipe in its metadata; whole or not at all."""
     deployed = Deployed(model).eval()
     channels = (1 + model.n_references) * len(recipe.sensor.channels)
     example = torch.zeros(_EXAMPLES, channels, recipe.timing.n_samples)

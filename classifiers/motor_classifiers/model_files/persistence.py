@@ -2,8 +2,7 @@
 
 A scikit-learn pipeline is a skops archive with our own `motor.json` beside its schema. The confirmation and the
 networks are safetensors with the same JSON in the header, and a digest of both. A classifier around one of these
-(conformal) is an archive of its own values as JSON and the file of the model inside. A file that holds
-anything else is refused.
+(conformal) is an archive of its own values as JSON and the file of the model inside. Anything else is refused.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import io
 import json
 import zipfile
 import zlib
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +19,23 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors, save as save_tensors
 from sklearn.base import BaseEstimator
-from sklearn.pipeline import Pipeline
+from sklearn.decomposition import PCA
+from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
+from sklearn.linear_model import LogisticRegression
+from sklearn.naive_bayes import GaussianNB
+from sklearn.neural_network import MLPClassifier
+from sklearn.pipeline import FeatureUnion, Pipeline
+from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
 
-from motor_classifiers.estimators.cases import values_of_start
+from motor_classifiers.estimators.cases import State, values_of_start
 from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier
-from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier
+from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection, RuleStatistics
+from motor_classifiers.estimators.methods import answered
+from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier, ResNetClassifier
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
-from motor_classifiers.estimators.networks.resnet import ResNetClassifier
-from motor_classifiers.estimators.own_methods import answered
 from motor_classifiers.estimators.reference_starts import RecentredStarts
-from motor_classifiers.estimators.state import State
 from motor_classifiers.model_files import containers
-from motor_classifiers.model_files.pipelines import check_pipeline, load_pipeline, pipeline_members
+from motor_classifiers.model_files.containers import packed, parsed, unpacked
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
 from motor_env.common.errors import InputError
@@ -38,6 +43,116 @@ from motor_env.common.files import LARGEST_DATA_BYTES, read_file, replacing
 from motor_env.motor.parameters import require
 from motor_env.simulation.named_recipes import recipe_from_dict, recipe_to_dict
 from motor_env.simulation.recipes import Recipe
+
+_WITH_RECIPE = (PhysicalFeatures, ResidualProjection, RecentredStarts, RuleStatistics)
+_STEPS = {
+    *_WITH_RECIPE, FeatureUnion, GaussianNB, LinearDiscriminantAnalysis, LogisticRegression, MinMaxScaler,
+    MLPClassifier, PCA, Pipeline, QuadraticDiscriminantAnalysis, RobustScaler, StandardScaler,
+}  # fmt: skip
+_SCHEMA = "schema.json"
+TRUSTED = [f"{made.__module__}.{made.__name__}" for made in _WITH_RECIPE]
+"""Types beyond those that skops trusts by itself."""
+
+_ALLOWED = {
+    *(f"{step.__module__}.{step.__name__}" for step in _STEPS),
+    *(f"builtins.{name}" for name in ("dict", "list", "str", "tuple")),
+    *(f"numpy.{name}" for name in ("bool", "float32", "float64", "int32", "int64", "ndarray")),
+    "sklearn.preprocessing._label.LabelBinarizer",
+}
+"""All types that a saved pipeline is made of; skops itself would take any of scikit-learn, NumPy and SciPy."""
+
+_LOADERS = {f"{name}Node" for name in ("Dict", "Json", "List", "NdArray", "Object", "Tuple", "Type")}
+"""Ways of skops to make an object; among the others are methods, operators and functions."""
+
+
+def check_pipeline(model: BaseEstimator) -> None:
+    """Check that an estimator or pipeline is made of steps that could be loaded again.
+
+    Raises:
+        InputError: it is not; the sentence says what would be.
+    """
+    steps = [model, *(part for part in model.get_params().values() if isinstance(part, BaseEstimator))]
+    foreign = sorted({type(step).__name__ for step in steps if type(step) not in _STEPS})
+    if foreign:
+        raise InputError(
+            f"a model with a {foreign[0]} cannot be saved: a file may hold"
+            f" {', '.join(sorted(step.__name__ for step in _STEPS))} alone, because nothing else is safe to load;"
+            " use one of these, or score it unsaved by motor-classifiers benchmark --with"
+        )
+    require(
+        all(getattr(step, "n_jobs", None) is None for step in steps), "a saved model must have n_jobs=None"
+    )
+
+
+def pipeline_members(model: BaseEstimator) -> dict[str, bytes]:
+    """Pack a fitted pipeline or estimator, without its recipe, as members of an archive.
+
+    Raises:
+        InputError: a step is of a type that could not be loaded again.
+    """
+    import skops.io
+
+    check_pipeline(model)
+    model = model if isinstance(model, Pipeline) else Pipeline([("classify", model)])
+    members = unpacked(skops.io.dumps(with_recipe(model, None)))
+    unsafe = _foreign_types(parsed(members[_SCHEMA]))
+    require(
+        not unsafe, f"a model that holds {min(unsafe, default='')} cannot be saved: it is not safe to load"
+    )
+    return members
+
+
+def load_pipeline(members: dict[str, bytes], recipe: Recipe) -> Pipeline:
+    """Load the fitted pipeline of an archive, of allowed types alone.
+
+    Raises:
+        InputError: it would load a type or a step that no model of ours needs.
+        ValueError: a step asks for workers.
+    """
+    import skops.io
+
+    schema = parsed(members[_SCHEMA])
+    foreign = _foreign_types(schema)
+    if foreign:
+        raise InputError(
+            f"is refused: it would load {', '.join(sorted(foreign))[:200]}, which no model of ours needs"
+        )
+    content = packed(members | {_SCHEMA: json.dumps(schema).encode()})
+    model = skops.io.loads(content, trusted=TRUSTED)
+    if type(model) is not Pipeline:
+        raise InputError(f"holds a {type(model).__name__}, not a pipeline")
+    check_pipeline(model)
+    return with_recipe(model, recipe)
+
+
+def _foreign_types(node: Any) -> set[str]:
+    """Names of types, and of skops's ways to make them, that are in a schema and must not be."""
+    if isinstance(node, list):
+        return set().union(*map(_foreign_types, node))
+    if not isinstance(node, dict):
+        return set()
+    foreign = set().union(*map(_foreign_types, node.values()))
+    if "__loader__" in node:
+        name = f"{node['__module__']}.{node['__class__']}"
+        foreign |= set() if name in _ALLOWED else {name}
+        foreign |= set() if node["__loader__"] in _LOADERS else {str(node["__loader__"])}
+    return foreign
+
+
+def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
+    """Copy a fitted model whose physical steps hold another recipe."""
+    changed = copy(model)
+    if isinstance(model, Pipeline):
+        changed.steps = [(name, with_recipe(step, recipe)) for name, step in model.steps]
+    elif isinstance(model, FeatureUnion):
+        changed.transformer_list = [(n, with_recipe(step, recipe)) for n, step in model.transformer_list]
+    elif isinstance(model, _WITH_RECIPE):
+        changed.recipe = recipe
+    elif isinstance(model, MLPClassifier):
+        for name in ("_random_state", "_optimizer"):  # of the training alone, and not safe to load
+            vars(changed).pop(name, None)
+    return changed
+
 
 FORMAT = "motor-classifiers"
 VERSION = 1
@@ -69,8 +184,8 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path | s
         model: a method of `METHODS`, an estimator or pipeline of scikit-learn's steps that are safe to load, or a
             `ConformalClassifier` around one.
         recipe: that it was trained for.
-        method: name of the method.
-        path: of the file.
+        method: its name.
+        path: new file.
 
     Raises:
         InputError: a model of another kind, or the file cannot be written.
@@ -175,11 +290,7 @@ def _loaded_wrapper(members: dict[str, bytes], most_wrappers: int) -> Loaded:
 
 
 def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
-    """Judge one quiet case: a file whose parts do not fit each other fails here, and not in the user's hands.
-
-    Raises:
-        ValueError: its cases are no starts of the recipe, or its answer no probability of each class.
-    """
+    """Judge one quiet case: a file whose parts do not fit each other fails here, and not in the user's hands."""
     starts, rest = divmod(model.n_features_in_, values_of_start(recipe))
     first = innermost(model)
     while isinstance(first, Pipeline):

@@ -1,4 +1,4 @@
-"""The benchmark's page: one self-contained HTML file."""
+"""The benchmark's page, one self-contained HTML file with its charts."""
 
 from __future__ import annotations
 
@@ -7,21 +7,120 @@ import platform
 from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from motor_classifiers.estimators.own_methods import find_method
-from motor_classifiers.report.charts import Line, interval_chart, line_chart, reliability_chart, share_axis
+from motor_classifiers.estimators.methods import find_method
 from motor_classifiers.scoring.benchmark import Plan
-from motor_classifiers.scoring.metrics import Score
+from motor_classifiers.scoring.metrics import Reliability, Score
 from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.results import as_csv, family, result_rows
 from motor_classifiers.scoring.score import SIGNIFICANCE, ClassResult, Results
 from motor_env.common.files import write_text
-from motor_env.common.pages import Axis, render
+from motor_env.common.pages import Axis, Chart, percent, render, round_ticks
 from motor_env.motor.faults import HEALTHY
 from motor_env.simulation.named_recipes import recipe_to_dict
+
+
+def interval_chart(
+    bars: Sequence[tuple[str, str, Score]], limit: float, limit_label: str, *,
+    width: int = 760, left: int = 170, title: str = "",
+) -> str:  # fmt: skip
+    """A score of each method (name, family, score) with its interval, and the limit as a line."""
+    low = min([*(score.low for _, _, score in bars), limit]) - 0.01
+    high = min(1.0, max([*(score.high for _, _, score in bars), limit]) + 0.01)
+    shares = Axis("", low, high, round_ticks(low, high, 6 if width > 500 else 3), percent)
+    chart = Chart(
+        shares,
+        Axis("", 0.0, len(bars), is_reversed=True),
+        size=(width, 64 + 28 * len(bars)),
+        margins=(left, 54, 34, 30),
+        label=title or limit_label,
+    )
+    chart.x_numbers(grid=True)
+    x = chart.x(limit)
+    chart.line("limit", (x, chart.top - 6), (x, chart.bottom))
+    chart.text((x + 4, chart.top - 13), limit_label, "limit-label", "end" if x > 0.6 * width else "middle")
+    for row, (name, of_family, score) in enumerate(bars):
+        y = chart.y(row + 0.5)
+        chart.text((left - 12, y + 4), name, "name", "end")
+        chart.line("range", (chart.x(score.low), y), (chart.x(score.high), y))
+        chart.dot(f"dot {of_family}", (chart.x(score.value), y), 5.5)
+        chart.text((chart.x(score.high) + 8, y + 4), f"{100 * score.value:.1f}", "value")
+    return chart.svg()
+
+
+def reliability_chart(binned: Reliability, low: float) -> str:
+    """Share of right decisions against the largest probability, with bars of one standard error."""
+    axis = Axis("", low, 1.0, (low, 1.0))
+    chart = Chart(axis, axis, size=(190, 190), margins=(34, 8, 8, 26), label="Reliability")
+    chart.y_numbers()
+    chart.x_numbers()
+    chart.line("threshold", (chart.left, chart.bottom), (chart.right, chart.top))
+    filled = binned.n_cases > 0
+    confidence, shares, counts = binned.confidence[filled], binned.accuracy[filled], binned.n_cases[filled]
+    chart.curve("estimate", confidence, shares)
+    errors = np.sqrt(shares * (1.0 - shares) / counts)
+    for sure, share, error, count in zip(confidence, shares, errors, counts, strict=True):
+        x = chart.x(sure)
+        chart.line("range", (x, chart.y(share + error)), (x, chart.y(share - error)))
+        radius = 1.8 + 2.4 * float(np.sqrt(count / counts.max()))
+        chart.dot("dot", (x, chart.y(share)), radius, f"{count:.0f} starts")
+    return chart.svg()
+
+
+class Line(NamedTuple):
+    """A curve: label, style classes (`limit`, s0, s1, ...; `dashed`), positions and values."""
+
+    label: str
+    style: str
+    x: Sequence[float]
+    y: Sequence[float]
+
+
+def share_axis(values: Sequence[float]) -> Axis:
+    """Axis for shares, a point wider than the values."""
+    low, high = min(values) - 0.01, min(1.0, max(values) + 0.01)
+    return Axis("", low, high, round_ticks(low, high, 6), percent)
+
+
+def line_chart(
+    lines: Sequence[Line], x_axis: Axis, y_axis: Axis, *, named: bool = True, marked: bool = True
+) -> str:
+    """Curves over two axes; `named` at their right ends, `marked` with points that tell their values."""
+    margins = (58, 132 if named else 22, 24, 40) if y_axis.title else (52, 132 if named else 22, 12, 40)
+    label = f"{y_axis.title or 'Accuracy'} against {x_axis.title}"
+    chart = Chart(x_axis, y_axis, size=(520, 400), margins=margins, label=label)
+    chart.y_numbers()
+    chart.x_numbers()
+    chart.text(((chart.left + chart.right) / 2, 394), x_axis.title, anchor="middle")
+    chart.text((4, 12), y_axis.title)
+    ends = _spread_out([chart.y(line.y[-1]) for line in lines], 13.0, chart.top + 4.0, chart.bottom + 14.0)
+    for line, label_y in zip(lines, ends, strict=True):
+        with chart.group(f"series {line.style}"):
+            chart.curve("", line.x, line.y)
+            for x, y in zip(line.x, line.y, strict=True) if marked else ():
+                title = f"{line.label}, {x_axis.number(x)}: {y_axis.number(y)}"
+                chart.dot("", (chart.x(x), chart.y(y)), 3, title)
+            if named:
+                tip, level = chart.x(line.x[-1]), chart.y(line.y[-1])
+                chart.line("lead", (tip, level), (tip + 12, label_y))
+                chart.text((tip + 15, label_y + 4), line.label, "")
+    return chart.svg()
+
+
+def _spread_out(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
+    """Places near the wanted ones, `gap` apart, so that no label covers another."""
+    order = np.argsort(wanted, kind="stable")
+    placed = np.asarray(wanted, dtype=np.float64)[order]
+    for n in range(len(placed)):
+        placed[n] = max(placed[n], low if n == 0 else placed[n - 1] + gap)
+    for n in range(len(placed) - 1, -1, -1):
+        placed[n] = min(placed[n], high if n == len(placed) - 1 else placed[n + 1] - gap)
+    result = np.empty(len(placed))
+    result[order] = placed
+    return [float(value) for value in result]
 
 
 def readable(name: str) -> str:
@@ -41,13 +140,7 @@ def short(name: str) -> str:
 
 
 def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
-    """The page as HTML.
-
-    Args:
-        plan: what was run.
-        results: of `run_plan`.
-        machine: what it ran on, in words.
-    """
+    """Render the page as HTML; `machine` says what it ran on."""
     result = results[plan.reference]
     recipe, ranked = result.task.recipe, result.ranked()
     ours = [method for method in ranked if not method.answer.origin]
@@ -76,7 +169,7 @@ def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
         class_titles=[readable(name) for name in recipe.class_names],
         accuracy_chart=_score_chart(result, ranked, "accuracy", "Bayes limit on these motors"),
         sub_charts=_sub_charts(result, ranked),
-        confusions=[_confusion(one) for one in (result.limit, *ranked)],
+        confusions=[_confusion(method) for method in (result.limit, *ranked)],
         reliability=_reliability((result.limit, *ranked)),
         sweep=sweep_section(plan, results) if len(results) > 1 else None,
         against=[
@@ -132,7 +225,7 @@ def _confusion(result: ClassResult) -> dict[str, Any]:
 
 
 def _reliability(shown: Sequence[ClassResult]) -> list[dict[str, Any]]:
-    graded = [(one.name, one.calibration) for one in shown if one.calibration is not None]
+    graded = [(method.name, method.calibration) for method in shown if method.calibration is not None]
     lowest = min(float(np.nanmin(scores.reliability.confidence)) for _, scores in graded)
     low = max(0.0, np.floor(10.0 * lowest) / 10.0)
     return [
@@ -142,11 +235,7 @@ def _reliability(shown: Sequence[ClassResult]) -> list[dict[str, Any]]:
 
 
 def write_results(plan: Plan, results: Sequence[Results], folder: Path) -> Path:
-    """Write results.json, results.csv, recipes.json and report.html, each whole or not at all.
-
-    Returns:
-        The page's path.
-    """
+    """Write results.json, results.csv, recipes.json and report.html, each whole or not at all; return its path."""
     rows = result_rows(results)
     recipes = {task.recipe.name: recipe_to_dict(task.recipe) for task in reversed(plan.tasks)}
     write_text(folder / "results.json", json.dumps(rows, indent=1) + "\n")
@@ -206,7 +295,7 @@ def _panel(
 ) -> dict[str, str]:
     xs = [position(result) for result in results]
     accuracies = [{m.name: m.scores.accuracy.value for m in result.methods} for result in results]
-    lines = [Line(name, style[name], xs, [one[name] for one in accuracies]) for name in style]
+    lines = [Line(name, style[name], xs, [by_method[name] for by_method in accuracies]) for name in style]
     limit_name = "estimate" if results[0].limit_is_estimate else "Bayes limit"
     lines.append(Line(limit_name, "limit", xs, [r.limit.scores.accuracy.value for r in results]))
     task = results[0].task

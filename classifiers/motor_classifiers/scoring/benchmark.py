@@ -1,4 +1,4 @@
-"""The benchmark: what it runs, where answers are kept, every method judged beside the posterior on the same motors."""
+"""The benchmark: its plan, the store of answers, and the run."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motor_classifiers.estimators.methods import ESTIMATE, METHODS
-from motor_classifiers.estimators.own_methods import find_method
+from motor_classifiers.estimators.methods import ESTIMATE, METHODS, find_method
 from motor_classifiers.scoring.judging import (
     LIMIT,
     Answer,
@@ -66,7 +65,9 @@ class Plan:
     def reference(self) -> int:
         """Index of the setting that the page shows in full: the one nearest to `REFERENCE`."""
         settings = [task.setting() for task in self.tasks]
-        return int(np.argmax([sum(one[name] == REFERENCE[name] for name in REFERENCE) for one in settings]))
+        return int(
+            np.argmax([sum(setting[name] == REFERENCE[name] for name in REFERENCE) for setting in settings])
+        )
 
 
 def make_tasks(
@@ -107,7 +108,7 @@ class Unit(NamedTuple):
         task: setting.
         name: method, or `LIMIT`.
         key: of its answer.
-        seconds: about how long it takes.
+        seconds: expected.
     """
 
     task: ClassTask
@@ -148,10 +149,10 @@ def _expected_seconds(name: str, task: ClassTask) -> float:
 
 
 class AnswerStore:
-    """Answers by key: in memory, and, given a folder, as files that a later run finds again.
+    """Answers by key: in memory, and in a folder that a later run reads.
 
     Args:
-        folder: where files are kept; None for none.
+        folder: of the files; None for none.
         fresh: whether files of earlier runs are overwritten instead of read.
     """
 
@@ -172,10 +173,10 @@ class AnswerStore:
         Raises:
             KeyError: there is none.
         """
-        found = self.find(unit)
-        if found is None:
+        answer = self.find(unit)
+        if answer is None:
             raise KeyError(unit.key)
-        return found
+        return answer
 
     def put(self, unit: Unit, answer: Answer) -> None:
         """Keep an answer."""
@@ -193,7 +194,7 @@ def run_plan(
 
     Args:
         plan: what to run.
-        store: where answers are kept and looked up; in memory by default.
+        store: of answers; in memory by default.
         on_unit: called before each unit, with whether its answer is already there.
 
     Raises:
@@ -219,12 +220,12 @@ def _peers(plan: Plan) -> list[dict[str, Answer]]:
     """Kept answers of peers to the starts of each setting."""
     if plan.peers is None:
         return [{} for _ in plan.tasks]
-    found = [read_peers(plan.peers, task) for task in plan.tasks]
-    if not any(found):
+    answers = [read_peers(plan.peers, task) for task in plan.tasks]
+    if not any(answers):
         raise InputError(
             f"{plan.peers}: holds answers to other starts than those of this benchmark; leave --peers out"
         )
-    return found
+    return answers
 
 
 def _answer(unit: Unit) -> Answer:

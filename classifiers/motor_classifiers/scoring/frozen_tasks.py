@@ -1,4 +1,4 @@
-"""The frozen tasks of motor-bench: what they ask beside the class, their cases and costs, the digests of their data.
+"""The frozen tasks of motor-bench: cases, costs, digests, and the scores of answer files.
 
 Each task has a seed of its own, and its test cases are of distinct motors: the cases of one say nothing of another's.
 """
@@ -6,16 +6,21 @@ Each task has a seed of its own, and its test cases are of distinct motors: the 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from motor_classifiers.estimators.reference_starts import referenced_probabilities, referenced_starts
+from motor_classifiers.scoring.metrics import resampling_weights
+from motor_classifiers.scoring.score import score
 from motor_classifiers.scoring.task import (
     TEST_FIRST_CASE,
     TRAIN_FIRST_CASE,
@@ -27,6 +32,7 @@ from motor_classifiers.scoring.task import (
 )
 from motor_datasets.arrays import Dataset
 from motor_env.common.errors import InputError
+from motor_env.common.files import LARGEST_TABLE_BYTES, read_file
 from motor_env.inference.posterior import SeverityPrior, severity_posterior
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray, SupplyParameters
@@ -39,15 +45,15 @@ from motor_env.simulation.simulate import Timing, simulate
 
 @dataclass(frozen=True, slots=True)
 class ForeignFault:
-    """A departure from the healthy motor that no fault kind explains: factors on its quantities.
+    """A departure that no fault kind explains: factors on quantities of the healthy motor.
 
     Attributes:
         name: for tables.
-        supply: factor on the supply's voltage.
-        resistance: factor on the resistance.
-        constants: common factor on both motor constants.
-        inertia: factor on the inertia.
-        friction: factor on the viscous friction.
+        supply: on the supply's voltage.
+        resistance: on the resistance.
+        constants: on both motor constants.
+        inertia: on the inertia.
+        friction: on the viscous friction.
     """
 
     name: str
@@ -154,8 +160,8 @@ class SeverityTask(DrawnTask):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StrangerTask(DrawnTask):
-    """Say how strange a start is: motors of the known classes against faults that nobody was trained on.
+class NoveltyTask(DrawnTask):
+    """Score how novel a start is: known classes against faults that nobody was trained on.
 
     The metric is 1 minus the area under the ROC curve, averaged over the unknown faults. The cost of a case is its part
     of that area's linearisation (DeLong et al. 1988): the mean is the metric, and the scatter that of the area.
@@ -237,12 +243,12 @@ class StreamTask(DrawnTask):
         X = np.zeros((count, len(self.recipe.sensor.channels), self.recipe.timing.n_samples), np.float32)
         healthy = np.zeros(count, dtype=bool)
         for n, onset in enumerate(grid):
-            mine = np.flatnonzero(chosen == n)
-            if len(mine):
-                drawn = draw(self.recipe, seed, numbers[mine])
+            rows = np.flatnonzero(chosen == n)
+            if len(rows):
+                drawn = draw(self.recipe, seed, numbers[rows])
                 late = tuple(replace(fault, onset_s=float(onset)) for fault in drawn.scenario.faults)
-                X[mine] = simulate(replace(drawn.scenario, faults=late), seed, numbers[mine]).measurements
-                healthy[mine] = drawn.class_index == 0
+                X[rows] = simulate(replace(drawn.scenario, faults=late), seed, numbers[rows]).measurements
+                healthy[rows] = drawn.class_index == 0
         return Cases(X, np.where(healthy, np.nan, grid[chosen]))
 
     def check(self, answers: FloatArray) -> None:
@@ -292,7 +298,7 @@ def _tasks() -> dict[str, DrawnTask]:
         SeverityTask(
             "severity", "How large a bearing fault, 0 to 30 %", 2000, "RMSE, points", recipe=severities
         ),
-        StrangerTask("unknown", "How strange: faults never trained on, 1 kHz", 4000, area, recipe=slow),
+        NoveltyTask("unknown", "How strange: faults never trained on, 1 kHz", 4000, area, recipe=slow),
         StreamTask("stream", late, 2000, "100 x mean cost", recipe=stream),
     )
     return {task.name: replace(task, seed=task_seed(task.name)) for task in every}
@@ -314,7 +320,7 @@ def load_task(name: str) -> DrawnTask:
 
 
 def task_facts(task: DrawnTask) -> dict[str, Any]:
-    """What a stranger needs to know of a task, for JSON."""
+    """Describe a task for JSON."""
     return {
         "task": task.name,
         "version": VERSION,
@@ -348,3 +354,88 @@ def frozen_digests() -> dict[str, Any]:
     text = (files("motor_classifiers.scoring") / "motor_bench.json").read_text(encoding="utf-8")
     digests: dict[str, Any] = json.loads(text)
     return digests
+
+
+def read_answers(path: Path, task: DrawnTask) -> FloatArray:
+    """Checked answers of a CSV file, shape (n_test, n_columns), in the order of the cases.
+
+    Args:
+        path: of a file with the column `case` and those of the task, in any order; an empty field is nan.
+        task: that is answered.
+
+    Raises:
+        InputError: a file that is missing, larger than 20 MB or no such table, or that has a row too few, one twice,
+            or a value that cannot be one.
+    """
+    content = read_file(path, LARGEST_TABLE_BYTES)
+    try:
+        return _checked(_table(content, ["case", *task.columns]), task)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _table(content: bytes, wanted: list[str]) -> pd.DataFrame:
+    try:
+        table = pd.read_csv(io.BytesIO(content), skipinitialspace=True)
+    except (ValueError, OverflowError) as error:  # pandas' own errors, and text that is no UTF-8
+        raise InputError(f"is no table of CSV ({' '.join(str(error).split())[:100]})") from None
+    names = [str(name) for name in table.columns]
+    if sorted(names) != sorted(wanted):
+        raise InputError(f"must have the columns {', '.join(wanted)}, got {', '.join(names)[:200]!r}")
+    for name in wanted:
+        kind = table[name].dtype.kind
+        empty = bool(table[name].isna().all())
+        if kind not in ("iu" if name == "case" else "iuf") and not (empty and name != "case"):
+            raise InputError(f"column {name} must hold {'whole ' * (name == 'case')}numbers")
+    return table
+
+
+def _checked(table: pd.DataFrame, task: DrawnTask) -> FloatArray:
+    case: NDArray[np.int64] = table["case"].to_numpy()
+    known, count = np.unique(case, return_counts=True)
+    if (count > 1).any():
+        raise InputError(f"case {known[count > 1][0]} stands in it twice")
+    wanted = np.arange(task.n_test)
+    for words, cases in (
+        ("are missing", np.setdiff1d(wanted, known)),
+        ("too many", np.setdiff1d(known, wanted)),
+    ):
+        if len(cases):
+            counted = f"{len(cases)} {words}, the first is {cases[0]}"
+            raise InputError(f"must have the cases 0 to {task.n_test - 1} and no others: {counted}")
+    answers = table[list(task.columns)].to_numpy(dtype=np.float64)[np.argsort(case)]
+    task.check(answers)
+    return answers
+
+
+def score_answers(task: DrawnTask, answers: FloatArray) -> dict[str, Any]:
+    """Score answers to a task's test cases.
+
+    Args:
+        task: that is answered.
+        answers: shape (n_test, n_columns), the columns in the order of `task.columns`.
+
+    Returns:
+        For JSON: `task`, `version`, `metric`, `n_test`, the metric's `value` with `low` and `high` (95 %). Where the
+        best possible is known case by case, `limit` and `above_limit` (the paired difference) with `above_limit_low`
+        and `above_limit_high`; where it is on average, `bracket`.
+
+    Raises:
+        InputError: a value that cannot be an answer.
+    """
+    task.check(answers)
+    cases = task.test()
+    best = task.limit(cases.X)
+    every = {"mine": answers} | ({} if best is None else {"limit": best})
+    weights = resampling_weights(task.n_test, 0)
+    results = score(task, cases.truth, every, weights, None if best is None else "limit")
+    own = results["mine"]
+    facts = {"task": task.name, "version": VERSION, "metric": task.metric, "n_test": task.n_test}
+    row: dict[str, Any] = {**facts, **own.value._asdict()}
+    if task.bracket is not None:
+        row["bracket"] = list(task.bracket)
+    if own.against_limit is not None:
+        row["limit"] = results["limit"].value.value
+        names = ("above_limit", "above_limit_low", "above_limit_high")
+        row |= dict(zip(names, own.against_limit.difference, strict=True))
+    return row

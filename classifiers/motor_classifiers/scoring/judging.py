@@ -1,25 +1,25 @@
-"""One method on the benchmark's starts, in a process of its own: what it answers, and what that takes."""
+"""Judge one method in a process of its own: its answers, time and memory."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import multiprocessing
+import time
 import traceback
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
 
-from motor_classifiers.estimators.methods import METHODS
-from motor_classifiers.estimators.own_methods import answered, fed, find_method, source_of
+from motor_classifiers.estimators.methods import METHODS, answered, fed, find_method, source_of
 from motor_classifiers.model_files.containers import read_arrays
-from motor_classifiers.scoring.progress import Cost, with_cost
 from motor_classifiers.scoring.task import ClassTask
 from motor_env import __version__
 from motor_env.common.errors import InputError
@@ -27,6 +27,46 @@ from motor_env.common.files import end_with_parent, replacing
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.named_recipes import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
+
+_Answer = TypeVar("_Answer")
+_PROCESS = Path("/proc/self")
+
+
+class Cost(NamedTuple):
+    """What a piece of work took.
+
+    Attributes:
+        seconds: processor time.
+        memory_mb: largest memory of the process beyond what it held before, in MB of a million bytes; None where the
+            system does not tell (only Linux forgets an older peak on request).
+    """
+
+    seconds: float
+    memory_mb: float | None
+
+
+def with_cost(work: Callable[[], _Answer]) -> tuple[_Answer, Cost]:
+    """Do the work; what it returns and what it took."""
+    before = _fresh_peak_mb()
+    begin = time.process_time()
+    answer = work()
+    seconds = time.process_time() - begin
+    return answer, Cost(seconds, None if before is None else max(0.0, _peak_mb() - before))
+
+
+def _fresh_peak_mb() -> float | None:
+    """Forget the largest memory so far; what the process holds now."""
+    try:
+        (_PROCESS / "clear_refs").write_text("5")
+        return _peak_mb()
+    except OSError:
+        return None
+
+
+def _peak_mb() -> float:
+    lines = (_PROCESS / "status").read_text().splitlines()
+    return next(1024e-6 * float(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+
 
 LIMIT = "limit"
 """Name of the posterior's answer among the methods'."""
@@ -77,7 +117,7 @@ def in_recipe_order(model: BaseEstimator, probabilities: FloatArray, recipe: Rec
 
 
 def expected_severity(recipe: Recipe, probabilities: FloatArray) -> FloatArray:
-    """Mean severity over the classes by their probabilities, shape (n_cases,); joint faults count together."""
+    """Mean severity over the classes by their probabilities, shape (n_cases,)."""
     levels = np.array([sum(part.severity for part in c.parts) for c in recipe.classes])
     expected: FloatArray = probabilities @ levels
     return expected
@@ -118,7 +158,7 @@ def _judge_foreign(name: str, task: ClassTask) -> Answer:
 
 
 def judge_apart(name: str, task: ClassTask) -> Answer:
-    """Train and judge in a fresh process: no method sees what another left in memory, caches or thread pools.
+    """Train and judge in a fresh process.
 
     Raises:
         InputError: the method cannot learn from these starts, or its process ended without an answer.
@@ -170,7 +210,7 @@ def answer_key(name: str, task: ClassTask) -> str:
 
 
 def digest_of(contents: dict[str, Any]) -> str:
-    """A short name for what JSON can hold and the version of the package; equal contents have equal names."""
+    """Digest of what JSON can hold and of the package's version."""
     contents = {**contents, "version": __version__}
     return hashlib.sha256(json.dumps(contents, sort_keys=True).encode()).hexdigest()[:24]
 
@@ -186,13 +226,13 @@ def save_answer(answer: Answer, path: Path) -> None:
 def load_answer(path: Path, task: ClassTask) -> Answer | None:
     """Read an answer; None where there is none, or only a damaged one."""
     try:
-        found = read_arrays(path)
+        arrays = read_arrays(path)
     except InputError:
         return None
     wanted = {"probabilities": (task.n_test, len(task.recipe.classes)), "costs": (4,)}
-    if {name: values.shape for name, values in found.items()} != wanted:
+    if {name: values.shape for name, values in arrays.items()} != wanted:
         return None
     train, inference = (
-        Cost(s, None if np.isnan(mb) else mb) for s, mb in found["costs"].reshape(2, 2).tolist()
+        Cost(s, None if np.isnan(mb) else mb) for s, mb in arrays["costs"].reshape(2, 2).tolist()
     )
-    return Answer(found["probabilities"], train, inference)
+    return Answer(arrays["probabilities"], train, inference)

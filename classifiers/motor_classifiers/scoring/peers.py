@@ -1,4 +1,4 @@
-"""Generic classifiers of other packages in the benchmark's table: kept answers that benchmarks/peers.py had made."""
+"""Kept answers of other packages' classifiers, which benchmarks/peers.py made."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_classifiers.model_files.containers import read_arrays
-from motor_classifiers.scoring.judging import Answer
-from motor_classifiers.scoring.progress import Cost
+from motor_classifiers.scoring.judging import Answer, Cost
 from motor_classifiers.scoring.task import ClassTask
 from motor_datasets.arrays import Dataset
 from motor_env.common.errors import InputError

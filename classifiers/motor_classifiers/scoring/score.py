@@ -1,4 +1,4 @@
-"""Scores: what a method's answers to a task are worth, beside the best possible answers to the same cases."""
+"""Score answers to a task beside the best possible answers to the same cases."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from motor_classifiers.scoring.calibration import CalibrationScores, calibration_scores
 from motor_classifiers.scoring.judging import LIMIT, Answer, expected_severity
 from motor_classifiers.scoring.metrics import (
+    CalibrationScores,
     Comparison,
     Score,
     Scores,
+    calibration_scores,
     compare,
     interval,
     resampling_weights,
@@ -32,7 +33,6 @@ class Result:
     """One method on one task.
 
     Attributes:
-        name: of the method.
         costs: of each case, shape (n_test,).
         value: the task's metric; smaller is better.
         against_limit: compared in pairs with the best possible; None where that is not known.
@@ -69,9 +69,7 @@ class Results:
     """All methods on one task that asks for the class.
 
     Attributes:
-        task: the task.
         limit: the Bayes-optimal posterior, or its estimate where the likelihood has no closed form.
-        methods: in the order given.
         weights: of the bootstrap, shape (1 + n_resamples, n_test).
         n_comparisons: comparisons with the limit that share `SIGNIFICANCE`.
     """

@@ -1,7 +1,6 @@
 """What is asked of methods: cases, what a wrong answer costs, the metric, and the best possible answers.
 
-Every metric comes from costs of cases, so any two methods are compared in pairs. Test cases are numbered from 0; their
-numbers tell nothing of the truth.
+Every metric comes from costs of cases, so methods are compared in pairs.
 """
 
 from __future__ import annotations
@@ -46,14 +45,11 @@ class DrawnTask(ABC):
     """A task whose cases a recipe draws.
 
     Attributes:
-        name: on the command line, and in tables.
         title: what is asked, for a person.
-        n_test: cases to be judged.
         metric: what the mean cost is called; smaller is better.
         bracket: between which the best possible lies on average, where it is not known case by case (docs/limits.md).
         recipe: what motors are drawn from.
         n_train: starts to learn from; no motor of theirs is judged.
-        seed: of motors and noise.
     """
 
     name: str
@@ -218,7 +214,7 @@ class GivenTask(ClassTask):
 
 
 def judged_cases(recipe: Recipe, first: int, count: int, per_motor: int | None = None) -> NDArray[np.int64]:
-    """Numbers of the first cases that are no commissioning starts: those are healthy, and known to be.
+    """Numbers of the first cases that are no commissioning starts.
 
     Args:
         recipe: says how many starts a motor has.

@@ -1,8 +1,6 @@
-"""Sets of classes that hold the truth as often as they say: split conformal prediction.
+"""Split conformal prediction: sets of classes with a known coverage (Vovk, Gammerman & Shafer 2005).
 
-Whatever the model, cases that it was not trained on tell how badly it errs; a new case like them errs no worse in the
-wanted share of the cases (Vovk, Gammerman & Shafer 2005). The promise holds for cases drawn as the calibration cases
-were, and for no others: under a shift the coverage must be measured anew.
+It holds for cases drawn as the calibration cases were, which the model was not trained on; not under a shift.
 """
 
 from __future__ import annotations
@@ -17,8 +15,7 @@ from sklearn.base import BaseEstimator
 from sklearn.frozen import FrozenEstimator
 from sklearn.utils import check_random_state
 
-from motor_classifiers.estimators.cases import labelled_cases
-from motor_classifiers.estimators.state import State
+from motor_classifiers.estimators.cases import State, labelled_cases
 from motor_classifiers.wrappers.fitted import ClassifierWrapper, check_share, unfitted
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
@@ -30,15 +27,15 @@ BoolArray = NDArray[np.bool_]
 class ConformalSets:
     """Conformal p-values and sets of classes from probabilities.
 
-    A class is as strange for a case as its probability is small: of all sets with that coverage, those on this score
-    are the smallest on average (Sadinle, Lei & Wasserman 2019).
+    The nonconformity of a class is the probability of all others: of all sets with that coverage, those on this
+    score are the smallest on average (Sadinle, Lei & Wasserman 2019).
 
     Attributes:
-        strangeness: of the calibration cases, rising: one array for each class (label-conditional, Mondrian), or one
+        nonconformity: of the calibration cases, rising: one array for each class (label-conditional, Mondrian), or one
             for all.
     """
 
-    strangeness: tuple[FloatArray, ...]
+    nonconformity: tuple[FloatArray, ...]
 
     @classmethod
     def calibrate(
@@ -47,7 +44,7 @@ class ConformalSets:
         """From cases that the model was not trained on.
 
         Args:
-            probabilities: of the model, shape (n_cases, n_classes).
+            probabilities: shape (n_cases, n_classes).
             truth: true class of each case as a column of `probabilities`, shape (n_cases,).
             label_conditional: whether the coverage is to hold in each class, not only over all.
 
@@ -60,7 +57,7 @@ class ConformalSets:
             f"probabilities (n_cases, n_classes) and truth (n_cases,) must fit, "
             f"got {np.shape(probabilities)} and {labels.shape}",
         )
-        own = _strangeness(probabilities)[np.arange(len(labels)), labels]
+        own = _nonconformity(probabilities)[np.arange(len(labels)), labels]
         if not label_conditional:
             return cls((np.sort(own),))
         n_classes = probabilities.shape[1]
@@ -74,7 +71,7 @@ class ConformalSets:
         Of the true class it is at most alpha in a share alpha of the cases.
         """
         # One array stands for all classes.
-        pairs = zip(_strangeness(probabilities).T, cycle(self.strangeness), strict=False)
+        pairs = zip(_nonconformity(probabilities).T, cycle(self.nonconformity), strict=False)
         shares = [
             (len(known) - np.searchsorted(known, own) + 1.0) / (len(known) + 1.0) for own, known in pairs
         ]
@@ -91,12 +88,9 @@ class ConformalSets:
         return self.p_values(probabilities) > 1.0 - coverage
 
 
-def _strangeness(probabilities: FloatArray) -> FloatArray:
-    """Probability of all other classes, shape (n_cases, n_classes).
-
-    It is added up and not taken as 1 - p, which is 0 to rounding for many a clear case: among equals no set could be
-    cut to size.
-    """
+def _nonconformity(probabilities: FloatArray) -> FloatArray:
+    """Probability of all other classes, shape (n_cases, n_classes)."""
+    # Not 1 - p, which rounds to 0 for many a clear case: among equals no set could be cut to size.
     columns = range(probabilities.shape[1])
     return np.stack([np.delete(probabilities, column, axis=1).sum(axis=1) for column in columns], axis=1)
 
@@ -131,18 +125,16 @@ class ConformalClassifier(ClassifierWrapper):
     """Any classifier with probabilities, and sets of classes with a known coverage beside its decisions.
 
     Args:
-        estimator: the classifier; a logistic regression by default. Wrapped in scikit-learn's `FrozenEstimator` it is
-            taken as it is, and `fit` calibrates on all the cases that it is given.
+        estimator: the classifier; a logistic regression by default. In a `FrozenEstimator` it is taken as it
+            is, and `fit` calibrates on all cases.
         coverage: share of the cases whose set is to hold the true class.
-        label_conditional: whether this is to hold in each class, not only over all.
-        calibration_share: share of the cases that `fit` keeps from training, to calibrate on.
-        random_state: of the choice of these.
+        label_conditional: whether in each class, not only over all.
+        calibration_share: share of the cases that `fit` calibrates on.
+        random_state: of their choice.
 
     Attributes:
-        classes_: labels.
         estimator_: the fitted classifier.
         sets_: the calibrated `ConformalSets`.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     estimator: Any = None
@@ -184,7 +176,7 @@ class ConformalClassifier(ClassifierWrapper):
 
     def to_state(self) -> State:
         """What it adds to the model inside."""
-        strangeness = [scores.tolist() for scores in self.sets_.strangeness]
+        strangeness = [scores.tolist() for scores in self.sets_.nonconformity]
         return State({}, {"coverage": float(self.coverage), "strangeness": strangeness})
 
     @classmethod

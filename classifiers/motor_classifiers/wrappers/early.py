@@ -1,9 +1,7 @@
-"""Early verdicts: what is known after the first samples, and a rule that stops as soon as enough is.
+"""Early verdicts: a rule that stops once the largest probability is at least 1 - error.
 
-The rule stops at the first of some moments at which the largest probability is at least 1 - error. If the probabilities
-mean what they say, then among the cases that stop no more than that share is decided wrongly, whatever the moments:
-given what was seen, each of these verdicts is wrong with a probability of at most `error` (Wald 1947 for two
-hypotheses; several: Baum & Veeravalli 1994). Probabilities that boast break the promise.
+If the probabilities are calibrated, at most that share of the cases that stop is decided wrongly (Wald 1947 for two
+hypotheses; several: Baum & Veeravalli 1994).
 """
 
 from __future__ import annotations
@@ -124,10 +122,8 @@ class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
         error: wanted share of wrong verdicts among the cases that stop.
 
     Attributes:
-        classes_: labels.
         samples_: lengths, shape (n_moments,).
         estimators_: the fitted classifier of each length.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     estimator: Any = None

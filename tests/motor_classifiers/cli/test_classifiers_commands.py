@@ -7,15 +7,14 @@ from typing import Any
 import pytest
 from made_results import RECIPE, TASK, answer, decisions, made_results
 
-from motor_classifiers import METHODS, Opinion
+from motor_classifiers import METHODS, Prediction
 from motor_classifiers.cli.main import main
-from motor_classifiers.cli.opinions import opinion_lines
-from motor_classifiers.cli.options import numbers, require_writable, whole_numbers
-from motor_classifiers.cli.sweep import plan_lines, table_lines
+from motor_classifiers.cli.sweep import numbers, plan_lines, require_writable, table_lines, whole_numbers
 from motor_classifiers.cli.training import noise_factors
 from motor_classifiers.estimators.methods import AT_WORK
+from motor_classifiers.prediction import prediction_lines
 from motor_classifiers.scoring.benchmark import AnswerStore, Plan, units
-from motor_classifiers.scoring.progress import Cost
+from motor_classifiers.scoring.judging import Cost
 
 # Reaches in: made-up answers and costs fill a plan at once; defaults are the rooms' own.
 from motor_classifiers.scoring.task import class_task
@@ -94,28 +93,28 @@ SECOND = {
     ("opinion", "words"),
     [
         (
-            Opinion("bearing", "bearing_25", 0.875, 0.1825, severity_interval=(0.0512, 0.2988)),
+            Prediction("bearing", "bearing_25", 0.875, 0.1825, severity_interval=(0.0512, 0.2988)),
             "bearing, probability 0.88, severity near 18 % (5 to 30)",
         ),
-        (Opinion("winding", "w", 0.4, 0.25), "winding (undecided), probability 0.40, severity near 25 %"),
-        (Opinion("healthy", "healthy", 0.93, 0.02), "healthy, probability 0.93"),
+        (Prediction("winding", "w", 0.4, 0.25), "winding (undecided), probability 0.40, severity near 25 %"),
+        (Prediction("healthy", "healthy", 0.93, 0.02), "healthy, probability 0.93"),
         (
-            Opinion("healthy", "", 0.9, candidates=()),
+            Prediction("healthy", "", 0.9, candidates=()),
             "healthy, probability 0.90, could be none of its classes",
         ),
         (
-            Opinion("healthy", "", 0.99, candidates=("a", "b")),
+            Prediction("healthy", "", 0.99, candidates=("a", "b")),
             "healthy, probability 0.99, could be a or b",
         ),
         (
-            Opinion("outside what I know", reason="most likely load: uncouple it"),
+            Prediction("outside what I know", reason="most likely load: uncouple it"),
             "outside what I know: most likely load: uncouple it",
         ),
-        (Opinion("unusable", reason="too short"), "no opinion: too short"),
+        (Prediction("unusable", reason="too short"), "no opinion: too short"),
     ],
 )
-def test_an_opinion_in_words(opinion: Opinion, words: str) -> None:
-    first, second = opinion_lines(Path("x.csv"), [opinion], SECOND)
+def test_an_opinion_in_words(opinion: Prediction, words: str) -> None:
+    first, second = prediction_lines(Path("x.csv"), [opinion], SECOND)
     assert first == f"x.csv: {words}"
     assert second == "  motor-env diagnose: bearing, confidence 0.97, severity near 20 % (10 to 30): a; b"
     bare = {
@@ -125,14 +124,14 @@ def test_an_opinion_in_words(opinion: Opinion, words: str) -> None:
         "severity_interval": None,
         "reasons": ["c"],
     }
-    assert opinion_lines(Path("x.csv"), [opinion], bare)[1] == "  motor-env diagnose: unusable: c"
+    assert prediction_lines(Path("x.csv"), [opinion], bare)[1] == "  motor-env diagnose: unusable: c"
     half = SECOND | {"severity_interval": [None, 0.3]}
-    assert "severity near 20 %: a; b" in opinion_lines(Path("x.csv"), [opinion], half)[1]
+    assert "severity near 20 %: a; b" in prediction_lines(Path("x.csv"), [opinion], half)[1]
 
 
 def test_opinions_on_a_data_set_are_counted() -> None:
-    many = [Opinion("bearing")] * 2 + [Opinion("healthy")] * 3
-    assert opinion_lines(Path("set"), many, None) == ["set: 5 cases: 3 healthy, 2 bearing"]
+    many = [Prediction("bearing")] * 2 + [Prediction("healthy")] * 3
+    assert prediction_lines(Path("set"), many, None) == ["set: 5 cases: 3 healthy, 2 bearing"]
 
 
 SCORED = {
@@ -161,9 +160,9 @@ def test_a_score_in_words(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr("motor_classifiers.scoring.answer_files.read_answers", lambda path, task: None)
+    monkeypatch.setattr("motor_classifiers.scoring.frozen_tasks.read_answers", lambda path, task: None)
     monkeypatch.setattr(
-        "motor_classifiers.scoring.answer_files.score_answers", lambda task, said: SCORED | more
+        "motor_classifiers.scoring.frozen_tasks.score_answers", lambda task, said: SCORED | more
     )
     assert main(["score", "bench", "answers.csv"]) == 0
     head = ["task bench 2.0, 80 cases", f"  error rate, %: {12.345:.2f} (10.00 to 15.00)"]

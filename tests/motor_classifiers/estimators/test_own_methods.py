@@ -19,8 +19,8 @@ from torch import nn
 
 from motor_classifiers import ResidualProjection, TorchClassifier, load_model, save_model
 from motor_classifiers.cli.main import main
-from motor_classifiers.estimators import own_methods
-from motor_classifiers.estimators.own_methods import answered, fed, find_method
+from motor_classifiers.estimators import methods
+from motor_classifiers.estimators.methods import answered, fed, find_method
 
 # Reaches in: no public name shows under which key answers are kept, or how a process is judged that breaks.
 from motor_classifiers.model_files.persistence import check_saveable
@@ -106,8 +106,8 @@ def test_the_benchmark_takes_it_beside_others(own: Path, capsys: pytest.CaptureF
 
 
 def test_an_entry_point_is_a_method(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("stranger", "sklearn.naive_bayes:GaussianNB", own_methods.GROUP)
-    monkeypatch.setattr(own_methods, "entry_points", lambda group: [point])
+    point = EntryPoint("stranger", "sklearn.naive_bayes:GaussianNB", methods.GROUP)
+    monkeypatch.setattr(methods, "entry_points", lambda group: [point])
     assert find_method("stranger").family == "own"
     with pytest.raises(InputError, match=r"FILE.py:NAME or one of threshold, .*, stranger, got 'nobody'"):
         find_method("nobody")

@@ -22,7 +22,7 @@ from sklearn.tree import DecisionTreeClassifier
 from motor_classifiers import (
     ConformalClassifier,
     load_model,
-    opinions,
+    predictions,
     save_model,
 )
 from motor_classifiers.cli.main import main
@@ -183,7 +183,7 @@ def test_sets_come_back(tmp_path: Path) -> None:
     loaded, recipe, method = load_model(tmp_path / "sets.model")
     assert (recipe, method) == (RECIPE, "residual-qda")
     np.testing.assert_array_equal(loaded.predict_set(test.X), sets.predict_set(test.X))
-    given = opinions(loaded, RECIPE, test.X)
+    given = predictions(loaded, RECIPE, test.X)
     sizes = [len(opinion.candidates) for opinion in given if opinion.candidates is not None]
     assert len(sizes) == 50
     assert 0.8 < np.mean(sizes) < 3.0

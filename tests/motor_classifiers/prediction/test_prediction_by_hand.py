@@ -13,18 +13,17 @@ from sklearn.base import BaseEstimator
 from motor_classifiers import (
     ConformalClassifier,
     ConformalSets,
-    Opinion,
     PosteriorNetwork,
-    opinions,
+    Prediction,
     predict_recording,
+    prediction,
+    predictions,
 )
 
 # Reaches in: stand-ins for models answer in the types of real ones, with numbers chosen by hand.
 from motor_classifiers.estimators.networks.posterior_network import SeverityEstimate
-from motor_classifiers.prediction import alignment, opinions as opinions_module
-from motor_classifiers.prediction.alignment import aligned_case
-from motor_classifiers.prediction.opinions import UNDECIDED, second_opinion
-from motor_classifiers.wrappers.outside import OUTSIDE
+from motor_classifiers.prediction import UNDECIDED, aligned_case, model_based_diagnosis
+from motor_classifiers.wrappers.outlier_detector import OUTSIDE
 from motor_env import Channel, FaultKind, Recipe, Recording, Timing, load_recipe, simulate_states
 from motor_env.common.console import ExitStatus
 from motor_env.diagnosis.readers.recording import UnusableError
@@ -67,8 +66,8 @@ def started(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[FloatArray]]:
             }
             return SimpleNamespace(**plain | more)
 
-        monkeypatch.setattr(alignment, "physical_features", features)
-        monkeypatch.setattr(alignment, "align", align)
+        monkeypatch.setattr(prediction, "physical_features", features)
+        monkeypatch.setattr(prediction, "align", align)
         return tried
 
     return say
@@ -102,7 +101,7 @@ def test_a_misfit_of_more_than_five_deviations_is_another_motor(
         UnusableError, match=rf"the squared residual is {1.001 * largest:.3g} times the noise's"
     ):
         aligned_case(recording(10_000.0, 2000), recipe)
-    monkeypatch.setattr(alignment, "_noise_level", lambda *_: 4.0)
+    monkeypatch.setattr(prediction, "_noise_level", lambda *_: 4.0)
     started(misfit=3.996 * largest)
     aligned_case(recording(10_000.0, 2000), recipe, (0.5, 5.0))
     started(misfit=4.004 * largest)
@@ -117,7 +116,7 @@ def test_the_noise_is_read_off_neighbours_in_the_second_half() -> None:
         case = np.zeros((1, 100))
         case[0, :50] = 7.0  # the first half does not count, nor does a level
         case[0, 50:] = 3.0 + 0.02 * height * (-1.0) ** np.arange(50)
-        return alignment._noise_level(case, RECIPE, noise_range)  # what only a noisy start shows elsewhere
+        return prediction._noise_level(case, RECIPE, noise_range)  # what only a noisy start shows elsewhere
 
     assert level(1.5, (0.1, 5.0)) == pytest.approx(2.0 * 1.5**2)
     assert level(0.2, (0.5, 5.0)) == pytest.approx(0.25)
@@ -186,15 +185,15 @@ def test_at_equal_rates_the_residual_is_put_on_the_fitted_start(
         asked.extend([*level, *([changes] if changes else [])])
         return prepared
 
-    monkeypatch.setattr(alignment, "prepare", noted)
-    monkeypatch.setattr(alignment, "replace", noted)
-    monkeypatch.setattr(alignment, "identify", lambda _: fitted)
+    monkeypatch.setattr(prediction, "prepare", noted)
+    monkeypatch.setattr(prediction, "replace", noted)
+    monkeypatch.setattr(prediction, "identify", lambda _: fitted)
     timing = Timing(1_000.0, 1e-3 * length, 1e-3 * quiet + 1e-9 if quiet else 0.0)
     recipe = replace(RECIPE, timing=timing)
     assert (timing.n_samples, timing.n_quiet) == (length + quiet, quiet)
     started(20, best=0)
     if not fits:
-        monkeypatch.setattr(alignment, "_check_comparable", lambda *_: None)
+        monkeypatch.setattr(prediction, "_check_comparable", lambda *_: None)
         with pytest.raises(
             UnusableError, match=f"wants {timing.quiet_s:g} s before the start and {timing.duration_s:g} s"
         ):
@@ -230,7 +229,7 @@ GIVEN = np.array(
 
 
 def test_an_opinion_adds_up_the_classes_of_its_verdict() -> None:
-    bearing, healthy, winding, unsure = opinions(Told(), RECIPE, GIVEN)
+    bearing, healthy, winding, unsure = predictions(Told(), RECIPE, GIVEN)
     assert (bearing.verdict, bearing.class_name, bearing.probability) == ("bearing", "bearing_25", 0.625)
     assert bearing.severity == pytest.approx((0.25 * 0.10 + 0.375 * 0.25) / 0.625)
     assert (healthy.verdict, healthy.probability, healthy.severity) == ("healthy", 0.5, 0.0)
@@ -251,7 +250,7 @@ def test_an_opinion_adds_up_the_classes_of_its_verdict() -> None:
         None,
         None,
     )
-    assert Opinion("bearing", severity_interval=(0.1, 0.2)).as_json()["severity_interval"] == [0.1, 0.2]
+    assert Prediction("bearing", severity_interval=(0.1, 0.2)).as_json()["severity_interval"] == [0.1, 0.2]
 
 
 @pytest.mark.parametrize(("off", "words"), [("", ""), ("warmth", "most likely warmth: winding and magnets")])
@@ -262,12 +261,12 @@ def test_a_start_of_another_world_has_no_verdict(
 
     def detector(recipe: Recipe, noise_range: Any) -> Any:
         asked.append((recipe, noise_range))
-        return SimpleNamespace(what_is_off=lambda case: np.array([off] * len(case), dtype=object))
+        return SimpleNamespace(likely_shift=lambda case: np.array([off] * len(case), dtype=object))
 
-    monkeypatch.setattr(opinions_module, "aligned_case", lambda *_: GIVEN[:1])
-    monkeypatch.setattr(opinions_module, "_detector", detector)
+    monkeypatch.setattr(prediction, "aligned_case", lambda *_: GIVEN[:1])
+    monkeypatch.setattr(prediction, "_detector", detector)
     got = predict_recording(Told(), RECIPE, recording(10_000.0, 20))
-    inside = opinions(Told(), RECIPE, GIVEN[:1])[0]
+    inside = predictions(Told(), RECIPE, GIVEN[:1])[0]
     if off:
         assert (got.verdict, got.class_name, got.probability) == (OUTSIDE, "", 0.0)
         assert got.reason.startswith(words)
@@ -287,7 +286,7 @@ def test_a_conformal_model_names_its_candidates() -> None:
     model.n_features_in_ = 5
     model.sets_ = ConformalSets((np.array([0.5, 0.625, 0.75]),))
     # p > 1/4 where a strangeness of 0.75 or more was seen: classes with a probability of a quarter and more.
-    assert [one.candidates for one in opinions(model, RECIPE, GIVEN)] == [
+    assert [one.candidates for one in predictions(model, RECIPE, GIVEN)] == [
         tuple(name for name, share in zip(Told.classes_, row, strict=True) if share >= 0.25) for row in GIVEN
     ]
 
@@ -309,7 +308,7 @@ class Network(PosteriorNetwork):
 
 
 def test_a_network_tells_the_severity_of_the_most_probable_kind(monkeypatch: pytest.MonkeyPatch) -> None:
-    got = opinions(Network(), RECIPE, GIVEN)
+    got = predictions(Network(), RECIPE, GIVEN)
     assert [one.severity for one in got] == [1.0, 0.0, 2.125, 1.1875]
     assert [one.severity_interval for one in got] == [(0.5, 1.25), None, (1.625, 2.375), (0.6875, 1.4375)]
     asked: list[Any] = []
@@ -318,9 +317,9 @@ def test_a_network_tells_the_severity_of_the_most_probable_kind(monkeypatch: pyt
         asked.append(noise_range)
         raise UnusableError("too short")
 
-    monkeypatch.setattr(opinions_module, "aligned_case", refuse)
+    monkeypatch.setattr(prediction, "aligned_case", refuse)
     for model in (Network(), Told()):
-        assert predict_recording(model, RECIPE, recording(10_000.0, 20)) == Opinion(
+        assert predict_recording(model, RECIPE, recording(10_000.0, 20)) == Prediction(
             UNDECIDED, reason="too short"
         )
     assert asked == [(0.25, 4.0), None]
@@ -342,9 +341,12 @@ def test_the_diagnosis_beside_it_has_the_recipes_tolerances(monkeypatch: pytest.
     asked: list[Any] = []
     kept = {"verdict": "bearing", "kind": "bearing", "severity": 0.2, "severity_interval": [0.1, 0.3]}
     more = {"confidence": 0.9, "reasons": ["r"], "left": "out"}
-    monkeypatch.setattr(opinions_module, "diagnose", lambda _, motor: asked.append(motor))
-    monkeypatch.setattr(opinions_module, "as_json", lambda _: kept | more)
-    assert second_opinion(recording(1_000.0, 9), RECIPE) == kept | {"confidence": 0.9, "reasons": ["r"]}
+    monkeypatch.setattr(prediction, "diagnose", lambda _, motor: asked.append(motor))
+    monkeypatch.setattr(prediction, "as_json", lambda _: kept | more)
+    assert model_based_diagnosis(recording(1_000.0, 9), RECIPE) == kept | {
+        "confidence": 0.9,
+        "reasons": ["r"],
+    }
     (motor,) = asked
     assert (motor.name, motor.parameters, motor.nominal_voltage_v) == (
         "of the recipe bench",

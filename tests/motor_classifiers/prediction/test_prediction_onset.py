@@ -8,7 +8,7 @@ from recording_csv import write_csv
 from sklearn.base import BaseEstimator
 
 from motor_classifiers import make_method, predict_recording
-from motor_classifiers.prediction.opinions import UNDECIDED
+from motor_classifiers.prediction import UNDECIDED
 from motor_datasets import generate_arrays
 from motor_env import draw, load_recipe, simulate_states
 from motor_env.motor.faults import apply_faults

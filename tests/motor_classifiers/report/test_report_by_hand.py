@@ -10,16 +10,16 @@ from made_results import RECIPE, TASK, answer, decisions, made_results
 
 # Reaches in: the page is drawn from results made by hand, in the types that the other rooms give it.
 from motor_classifiers.report import page
-from motor_classifiers.report.charts import (
+from motor_classifiers.report.page import (
     Line,
     interval_chart,
     line_chart,
+    readable,
     reliability_chart,
     share_axis,
+    short,
 )
-from motor_classifiers.report.page import readable, short
-from motor_classifiers.scoring.calibration import Reliability
-from motor_classifiers.scoring.metrics import Score
+from motor_classifiers.scoring.metrics import Reliability, Score
 from motor_classifiers.scoring.score import Results
 from motor_classifiers.scoring.task import class_task
 from motor_env.common.pages import Axis
@@ -98,7 +98,7 @@ def test_reliability_has_bars_of_one_error_and_dots_by_their_cases() -> None:
 )
 def test_labels_move_no_further_than_they_must(wanted: list[float], expected: list[float]) -> None:
     """Ten apart between 4 and 60 pixels, of which a chart of this size has its own: by the places of the labels."""
-    from motor_classifiers.report.charts import _spread_out  # its arithmetic; the chart below shows its use
+    from motor_classifiers.report.page import _spread_out  # its arithmetic; the chart below shows its use
 
     assert _spread_out(wanted, 12.0 if wanted[0] == 10.0 else 10.0, 4.0, 60.0) == expected
 

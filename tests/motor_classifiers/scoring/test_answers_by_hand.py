@@ -15,8 +15,7 @@ from output_schema import follows
 from motor_classifiers import load_task, score_answers
 from motor_classifiers.cli.main import main
 from motor_classifiers.scoring import frozen_tasks
-from motor_classifiers.scoring.answer_files import read_answers
-from motor_classifiers.scoring.frozen_tasks import TASKS, task_facts
+from motor_classifiers.scoring.frozen_tasks import TASKS, read_answers, task_facts
 
 # Reaches in: the intervals by hand need the very weights that cases are drawn again with.
 from motor_classifiers.scoring.metrics import resampling_weights

@@ -9,7 +9,7 @@ import pytest
 from hostile import archive_of, odd_places, refused, zip_bombs
 
 # Reaches in: one set-up for all that reads what was kept.
-from motor_classifiers.estimators.own_methods import find_method
+from motor_classifiers.estimators.methods import find_method
 from motor_classifiers.model_files import containers
 from motor_classifiers.model_files.containers import read_arrays
 from motor_classifiers.scoring.judging import load_answer

@@ -16,22 +16,22 @@ from sklearn.metrics import brier_score_loss, confusion_matrix, log_loss
 from trust_figures import scored_severities, set_figures
 from verdict_times import STATED_ERRORS, accuracy_by_moment, moments
 
-from motor_classifiers.scoring import progress
+from motor_classifiers.scoring import judging
 from motor_classifiers.scoring.benchmark import Plan, make_tasks, unit_of, units
-from motor_classifiers.scoring.calibration import BIN_EDGES, calibration_scores, reliability
-from motor_classifiers.scoring.evaluation import evaluation_lines
 from motor_classifiers.scoring.frozen_tasks import UNKNOWN_FAULTS, foreign_starts
-from motor_classifiers.scoring.judging import LIMIT, expected_severity, in_recipe_order
+from motor_classifiers.scoring.judging import LIMIT, Cost, expected_severity, in_recipe_order, with_cost
 from motor_classifiers.scoring.metrics import (
+    BIN_EDGES,
+    calibration_scores,
     compare,
     confusion_matrices,
     level_distance,
+    reliability,
     resampling_weights,
     root_mean_square,
     scores,
 )
-from motor_classifiers.scoring.progress import Cost, with_cost
-from motor_classifiers.scoring.results import as_csv, result_rows
+from motor_classifiers.scoring.results import as_csv, evaluation_lines, result_rows
 from motor_classifiers.scoring.task import class_task, judged_cases
 
 # Reaches in: stand-ins for models answer in the types of real ones; a score is compared with the posterior below it.
@@ -273,7 +273,7 @@ def test_times_that_are_expected() -> None:
 
 def test_costs_are_those_of_the_process(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Peaks from /proc in units of 1,024 bytes, told in millions of bytes."""
-    monkeypatch.setattr(progress, "_PROCESS", tmp_path)
+    monkeypatch.setattr(judging, "_PROCESS", tmp_path)
     clock = iter([2.0, 5.5])
     monkeypatch.setattr("time.process_time", lambda: next(clock))
 
@@ -290,7 +290,7 @@ def test_costs_are_those_of_the_process(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert (done, cost.seconds) == ("done", 3.5)
     assert cost.memory_mb == pytest.approx(3.072)
     assert (tmp_path / "clear_refs").read_text() == "5"
-    monkeypatch.setattr(progress, "_PROCESS", tmp_path / "none")
+    monkeypatch.setattr(judging, "_PROCESS", tmp_path / "none")
     clock = iter([2.0, 2.5])
     assert with_cost(lambda: 1) == (1, Cost(0.5, None))
 

@@ -63,7 +63,7 @@ def test_classifier_calibrates_on_cases_it_did_not_train_on() -> None:
     # Labels by chance, and a model that knows by heart what it was trained on: half of its own answers must be wrong.
     guessed = np.where(rng.random(200) < 0.5, "a", "b")
     by_heart = ConformalClassifier(KNeighborsClassifier(1), random_state=1).fit(X[:200], guessed)
-    assert 0.3 < np.concatenate(by_heart.sets_.strangeness).mean() < 0.7
+    assert 0.3 < np.concatenate(by_heart.sets_.nonconformity).mean() < 0.7
     with pytest.raises(ValueError, match="does not know the class 'd'"):
         ConformalClassifier(FrozenEstimator(LogisticRegression().fit(X, y))).fit(
             X, np.where(y == "a", "d", y)

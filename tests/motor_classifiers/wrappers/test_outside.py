@@ -1,4 +1,4 @@
-"""Starts of another world are refused, and what is off in them is named."""
+"""Starts that the recipe does not explain are refused, and the likely shift is named."""
 
 from dataclasses import replace
 from functools import cache
@@ -11,7 +11,7 @@ from motor_classifiers import OutsideDetector
 
 # Reaches in: starts of other motors and surroundings than any recipe has by name.
 from motor_classifiers.scoring.frozen_tasks import ForeignFault, foreign_starts
-from motor_classifiers.wrappers.outside import ADVICE, Cloud, World
+from motor_classifiers.wrappers.outlier_detector import ADVICE, GaussianMixture, StartDensity
 from motor_datasets import generate_arrays
 from motor_env import Timing, load_recipe
 from motor_env.simulation.disturbances import Field
@@ -35,8 +35,8 @@ def test_a_cloud_is_a_normal_distribution_of_whole_starts() -> None:
     factor, mean = rng.normal(size=(2, 3, 3)), rng.normal(size=(2, 3))
     covariance = factor @ factor.swapaxes(1, 2)
     noise, nominal = rng.uniform(0.5, 2.0, 7), rng.normal(size=7)
-    cloud = Cloud(np.log([0.3, 0.7]), mean, covariance, np.array([1.0, 1.5]))
-    world = World(BENCH, nominal, noise, directions, cloud, cloud, {})
+    mixture = GaussianMixture(np.log([0.3, 0.7]), mean, covariance, np.array([1.0, 1.5]))
+    density = StartDensity(BENCH, nominal, noise, directions, mixture, mixture, {})
     X = nominal + noise * rng.normal(size=(5, 7))
     level = 2.0
     joint = [
@@ -45,9 +45,9 @@ def test_a_cloud_is_a_normal_distribution_of_whole_starts() -> None:
             nominal + noise * (centre @ directions),
             np.outer(noise, noise) * (directions.T @ spread @ directions + level * own * np.eye(7)),
         ).pdf(X)
-        for weight, centre, spread, own in zip([0.3, 0.7], mean, covariance, cloud.noise, strict=True)
+        for weight, centre, spread, own in zip([0.3, 0.7], mean, covariance, mixture.noise, strict=True)
     ]
-    got = cloud.log_density(world.coordinates(X), world.freedom, (level, level))
+    got = mixture.log_density(density.coordinates(X), density.freedom, (level, level))
     np.testing.assert_allclose(np.diff(got), np.diff(np.log(np.sum(joint, axis=0))), rtol=1e-9)
 
 
@@ -69,12 +69,12 @@ def test_one_in_a_hundred_of_its_own_starts_is_refused(recipe: Recipe) -> None:
     ],
     ids=lambda part: part if isinstance(part, str) else "",
 )
-def test_what_is_off_is_named(off: str, recipe: Recipe, moved: Recipe | None) -> None:
+def test_the_likely_shift_is_named(off: str, recipe: Recipe, moved: Recipe | None) -> None:
     if moved is None:
         X = foreign_starts(recipe, ForeignFault("heavy", inertia=1.25), 6, np.arange(200))
     else:
         X = generate_arrays(moved, 6, 200).X
-    named = fitted(recipe).what_is_off(X)
+    named = fitted(recipe).likely_shift(X)
     assert (named == off).mean() > 0.7
     assert set(named.tolist()) <= {"", *ADVICE}
 

@@ -18,7 +18,7 @@ from motor_classifiers import (
 )
 
 # Reaches in: pins what a wrapper makes of the state that a file holds, without a file.
-from motor_classifiers.estimators.state import State
+from motor_classifiers.estimators.cases import State
 from motor_classifiers.wrappers.conformal import measured_coverage
 from motor_classifiers.wrappers.early import Stopped, shortened, stop_when_sure, stopping_score
 from motor_env import Channel, Timing, load_recipe
@@ -58,11 +58,11 @@ def test_a_share_of_each_class_is_kept_to_calibrate_on(per_class: int, kept: int
     X = np.random.default_rng(0).normal(size=(2 * per_class, 3))
     y = np.repeat(["a", "b"], per_class)
     model = ConformalClassifier(random_state=0).fit(X, y)
-    assert [len(scores) for scores in model.sets_.strangeness] == [kept, kept]
+    assert [len(scores) for scores in model.sets_.nonconformity] == [kept, kept]
     frozen = ConformalClassifier(
         FrozenEstimator(LogisticRegression().fit(X, y)), label_conditional=False
     ).fit(X, y)
-    assert [len(scores) for scores in frozen.sets_.strangeness] == [2 * per_class]
+    assert [len(scores) for scores in frozen.sets_.nonconformity] == [2 * per_class]
     np.testing.assert_array_equal(model.predict_set(X), model.sets_.sets(model.predict_proba(X), 0.9))
 
 
@@ -73,7 +73,7 @@ def test_sets_come_back_from_what_a_file_holds(strangeness: list[list[float]], e
         State({}, {"coverage": 0.75, "strangeness": strangeness}), inner, BENCH
     )
     assert (model.coverage, model.label_conditional, model.classes_.tolist()) == (0.75, each, ["a", "b"])
-    assert [part.tolist() for part in model.sets_.strangeness] == strangeness
+    assert [part.tolist() for part in model.sets_.nonconformity] == strangeness
     assert model.to_state().values == {"coverage": 0.75, "strangeness": strangeness}
 
 

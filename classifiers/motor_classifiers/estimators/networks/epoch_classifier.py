@@ -1,9 +1,9 @@
-"""What classifiers behind a torch network share: logits, epochs over given cases, their state; and the perceptron."""
+"""Classifiers trained in epochs over given cases: perceptron, ResNet, and any torch module of one's own."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass
 from itertools import pairwise
 from typing import Any, Self
@@ -11,19 +11,20 @@ from typing import Any, Self
 import numpy as np
 import torch
 from scipy.special import softmax
+from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted
 from torch import nn
 
 from motor_classifiers.estimators import cases
-from motor_classifiers.estimators.features import ResidualProjection
-from motor_classifiers.estimators.networks.training import Batch, initialise, one_thread, seed_of, train
-from motor_classifiers.estimators.state import (
+from motor_classifiers.estimators.cases import (
     State,
     loaded_module,
     module_arrays,
     part_of,
     plain_parameters,
 )
+from motor_classifiers.estimators.features import ResidualProjection
+from motor_classifiers.estimators.networks.training import Batch, initialise, one_thread, seed_of, train
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
 
@@ -31,7 +32,7 @@ MOST_LAYERS = 1000
 
 
 class LogitClassifier(cases.ProbabilityClassifier):
-    """What classifiers share whose `_logits` are logarithms of probabilities up to a constant of each case."""
+    """A classifier whose `_logits` are log-probabilities up to a constant of each case."""
 
     def predict_proba(self, X: Any) -> FloatArray:
         """Probability of each class, shape (n_cases, n_classes)."""
@@ -64,7 +65,21 @@ def perceptron(n_in: int, n_hidden: int, n_layers: int, n_out: int) -> nn.Sequen
 
 @dataclass(eq=False, repr=False)
 class EpochClassifier(LogitClassifier):
-    """A network on standardised inputs that sees the training cases once in each epoch."""
+    """A network on standardised inputs that sees the training cases once in each epoch.
+
+    Args:
+        recipe: the motor; what a subclass takes of it, it says.
+        epochs: passes over the training cases.
+        batch_size: most cases of a step.
+        learning_rate: highest rate of the cycle.
+        weight_decay: of AdamW.
+        random_state: of initial weights, order and noise.
+
+    Attributes:
+        center_: mean of each input over the training cases.
+        scale_: its standard deviation.
+        network_: the trained torch module.
+    """
 
     recipe: Recipe | None = None
     _: KW_ONLY
@@ -184,27 +199,16 @@ class WaveformClassifier(EpochClassifier):
 class PerceptronClassifier(EpochClassifier):
     """A perceptron on the filter's residual along the model's own signal directions.
 
-    The first linear map is `ResidualProjection`, so the network sees the whole waveform through the directions that can
-    matter. Its components are standardised by the training set, never by the transient.
+    The first linear map is `ResidualProjection`, standardised by the training set, never by the transient.
 
     Args:
         recipe: the motor, its nuisances and faults; without one, directions come from the training cases.
         n_components: directions the network sees.
         n_hidden: width of a hidden layer.
         n_layers: hidden layers.
-        epochs: passes over the training cases.
-        batch_size: cases of a step.
-        learning_rate: highest rate of the cycle.
-        weight_decay: of AdamW.
-        random_state: seed, generator or None, as in scikit-learn.
 
     Attributes:
-        classes_: labels.
         projection_: the fitted first map.
-        scale_: standard deviation of each component in training, shape (n_components,).
-        center_: its mean.
-        network_: the torch module.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     n_components: int = 6
@@ -217,3 +221,107 @@ class PerceptronClassifier(EpochClassifier):
 
     def _network(self, n_inputs: int) -> nn.Module:
         return perceptron(n_inputs, self.n_hidden, self.n_layers, len(self.classes_))
+
+
+@dataclass(eq=False, repr=False)
+class TorchClassifier(WaveformClassifier):
+    """Train a torch module of your own as a classifier.
+
+    The module gets (n_cases, n_channels, n_samples), each sample standardised by the training set, and gives a logit
+    for each class.
+
+    Args:
+        recipe: tells the number of channels; one without it.
+        module: from the numbers of channels, samples and classes to the untrained module; one linear layer without it.
+    """
+
+    _: KW_ONLY
+    module: Callable[[int, int, int], nn.Module] | None = None
+
+    def __sklearn_tags__(self) -> Tags:
+        """It takes transients with their channels, and flat ones."""
+        tags = super().__sklearn_tags__()
+        tags.input_tags.three_d_array = True
+        return tags
+
+    def _network(self, n_inputs: int) -> nn.Module:
+        # Layers of strangers draw from the global generator: it is put back afterwards.
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed_of(self.random_state))
+            return (self.module or _linear)(*self._shape(), len(self.classes_))
+
+
+def _linear(n_channels: int, n_samples: int, n_classes: int) -> nn.Module:
+    return nn.Sequential(nn.Flatten(), nn.Linear(n_channels * n_samples, n_classes))
+
+
+def _convolution(n_in: int, n_out: int, kernel: int, stride: int = 1) -> nn.Module:
+    """A convolution and its normalisation over the batch."""
+    convolution = nn.Conv1d(n_in, n_out, kernel, stride=stride, padding=kernel // 2, bias=False)
+    return nn.Sequential(convolution, nn.BatchNorm1d(n_out))
+
+
+class _Block(nn.Module):
+    """Two convolutions, and the input added to their output."""
+
+    def __init__(self, n_in: int, n_out: int, *, kernel: int) -> None:
+        super().__init__()
+        self.first = _convolution(n_in, n_out, kernel, stride=2)
+        self.second = _convolution(n_out, n_out, kernel)
+        self.shortcut = _convolution(n_in, n_out, 1, stride=2)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return torch.relu(self.second(torch.relu(self.first(x))) + self.shortcut(x))
+
+
+@dataclass(eq=False, repr=False)
+class ResNetClassifier(WaveformClassifier):
+    """A one-dimensional residual network on the raw transient.
+
+    Residual blocks after He et al. (2016), for time series Wang, Yan & Oates (2017). Batch normalisation alone: a norm
+    over one transient (layer, group, instance) would take away its level, and with it every bearing fault. Fresh noise
+    on the inputs keeps the network from learning the transients by heart.
+
+    Args:
+        recipe: only its number of channels is used; one channel without it.
+        width: channels of the first layers; the last ones have twice as many.
+        stem: samples that the first layer moves on by.
+        kernel: length of the other convolutions.
+        noise: standard deviation of the added noise, in standard deviations of a time sample.
+    """
+
+    width: int = 12
+    _: KW_ONLY
+    stem: int = 10
+    kernel: int = 5
+    noise: float = 1.0
+    epochs: int = 30
+    learning_rate: float = 5e-3
+    weight_decay: float = 0.3
+
+    def _batches(
+        self, inputs: torch.Tensor, labels: torch.Tensor, generator: torch.Generator
+    ) -> Iterator[Batch]:
+        """Batches of nearly equal size: a batch of one has no variance to normalise by."""
+        for _ in range(self.epochs):
+            order = torch.randperm(len(inputs), generator=generator)
+            for rows in torch.tensor_split(order, -(-len(inputs) // self.batch_size)):
+                noise = torch.randn(inputs[rows].shape, generator=generator)
+                yield inputs[rows] + self.noise * noise, labels[rows]
+
+    def _network(self, n_inputs: int) -> nn.Module:
+        """A stem that thins the samples out, three residual blocks, the mean over time, logits."""
+        width, kernel = self.width, self.kernel
+        sizes = (width, self.stem, kernel)
+        require(min(sizes) >= 1, f"width, stem and kernel must be >= 1, got {sizes}")
+        with torch.device("meta"):
+            return nn.Sequential(
+                _convolution(self._shape()[0], width, 2 * self.stem + 1, stride=self.stem),
+                nn.ReLU(),
+                _Block(width, width, kernel=kernel),
+                _Block(width, 2 * width, kernel=kernel),
+                _Block(2 * width, 2 * width, kernel=kernel),
+                nn.AdaptiveAvgPool1d(1),
+                nn.Flatten(),
+                nn.Linear(2 * width, len(self.classes_)),
+            )

@@ -13,10 +13,10 @@ from torch import nn
 from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
+from motor_classifiers.estimators.cases import Arrays, loaded_module
 from motor_classifiers.estimators.networks.epoch_classifier import perceptron
 from motor_classifiers.estimators.networks.signal_space import SignalSpace
 from motor_classifiers.estimators.networks.training import Batch, Loss, OnStep, initialise, train
-from motor_classifiers.estimators.state import Arrays, loaded_module
 from motor_env.motor.parameters import require
 
 _LAST_SHARE, _LARGER = 0.3, 4  # the last steps have larger batches: less noise where it matters
@@ -26,7 +26,7 @@ _AVERAGE_BEGINS = 20
 
 
 class Posterior(nn.Module):
-    """Coordinates of a transient and a perceptron on them: from flattened cases to the numbers of a posterior."""
+    """Map flattened cases to the numbers of a posterior: signal coordinates, then a perceptron."""
 
     def __init__(self, space: SignalSpace, *, n_hidden: int, n_layers: int, n_out: int) -> None:
         super().__init__()
@@ -52,7 +52,7 @@ class Posterior(nn.Module):
     ) -> None:
         """Minimise the mean loss by AdamW, the rate falling along a cosine (Loshchilov & Hutter 2019).
 
-        What is kept is a moving average of the weights: it forgets the steps' noise, as larger batches would.
+        Kept is a moving average of the weights.
 
         Args:
             batches: begins a stream, from its number and the size of its batches: 0 first, 1 for the last steps.

@@ -1,8 +1,7 @@
-"""An amortised posterior: a small network that has seen millions of fresh starts approximates the exact one.
+"""The amortised posterior: a network trained on a recipe's stream approximates the exact one.
 
-Trained by cross-entropy on an endless stream of the recipe's own cases, a network tends to the posterior
-probabilities (Bishop 2006, ch. 5.2; "neural posterior estimation": Papamakarios & Murray 2016); its inputs are the few
-coordinates that hold what a transient can tell. A second one gives the density of the severity for each fault kind.
+Trained by cross-entropy, it tends to the posterior probabilities (Bishop 2006, ch. 5.2; "neural posterior estimation":
+Papamakarios & Murray 2016). A second network gives the density of the severity for each fault kind.
 """
 
 from __future__ import annotations
@@ -18,7 +17,17 @@ from numpy.typing import NDArray
 from sklearn.utils.validation import check_is_fitted
 from torch import nn
 
-from motor_classifiers.estimators.cases import check_classes, flat_cases, labelled_cases, values_of_start
+from motor_classifiers.estimators.cases import (
+    Arrays,
+    State,
+    check_classes,
+    flat_cases,
+    labelled_cases,
+    module_arrays,
+    part_of,
+    plain_parameters,
+    values_of_start,
+)
 from motor_classifiers.estimators.networks.epoch_classifier import LogitClassifier, logits_in_parts
 from motor_classifiers.estimators.networks.posterior import Posterior, total_cases
 from motor_classifiers.estimators.networks.severity_density import (
@@ -31,7 +40,6 @@ from motor_classifiers.estimators.networks.severity_density import (
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases
 from motor_classifiers.estimators.networks.training import Batch, Loss, OnStep, one_thread, seed_of
 from motor_classifiers.estimators.reference_starts import split_starts
-from motor_classifiers.estimators.state import Arrays, State, module_arrays, part_of, plain_parameters
 from motor_datasets.arrays import Dataset
 from motor_env.inference.posterior import SeverityPrior
 from motor_env.motor.parameters import FloatArray, require
@@ -51,11 +59,11 @@ Progress = Callable[[int, int], object]
 
 
 class SeverityEstimate(NamedTuple):
-    """How large the fault of each case is, given that it is of this kind.
+    """Severity of each case, given its fault kind.
 
     Attributes:
         kind: fault kind of each case, shape (n_cases,).
-        mean: posterior mean, shape (n_cases,): the estimate with the smallest mean squared error.
+        mean: posterior mean, shape (n_cases,).
         low: lower bound of the interval between equal tails, shape (n_cases,).
         high: its upper bound.
     """
@@ -77,16 +85,12 @@ class PosteriorNetwork(LogitClassifier):
         recipe: the motor, its nuisances, faults and sensor; without one, `fit` takes the directions from its cases.
         n_components: directions of the signal that the network sees; None for all along which the starts of the recipe
             differ by a tenth of the noise or more, at least 10 and at most 32.
-        n_hidden: width of a hidden layer.
-        n_layers: hidden layers.
         steps: batches seen by each of the two networks.
         batch_size: cases of a batch; the last ones are four times as large.
-        learning_rate: highest rate; it falls to 0 along a cosine.
-        noise_range: smallest and largest factor on the recipe's noise, when the noise's level is not known and the
-            network shall read it off the transient; None for the recipe's own.
+        noise_range: smallest and largest factor on the recipe's noise, where the network shall read its level off the
+            transient; None for the recipe's own.
         with_severity: whether the second network, that of the severities, is trained too.
         n_references: healthy starts of the same motor that come with each start (`reference_starts.referenced_starts`).
-        random_state: seed, generator or None, as in scikit-learn.
 
     Attributes:
         classes_: labels: all classes of the recipe, or those of the given cases.
@@ -95,7 +99,6 @@ class PosteriorNetwork(LogitClassifier):
             none was asked for.
         severity_priors_: kinds and ranges of the severities, in the order of the module; empty where there is none.
         n_drawn_: starts drawn for the training; not after `fit`.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     recipe: Recipe | None = None
@@ -115,7 +118,7 @@ class PosteriorNetwork(LogitClassifier):
     def from_recipe(
         cls, recipe: Recipe, *, on_step: Progress = lambda done, total: None, **parameters: Any
     ) -> Self:
-        """A network that has learned from the recipe's own stream of cases.
+        """Train a network on the recipe's stream of cases.
 
         Args:
             recipe: the motor, its nuisances, faults and sensor.
@@ -168,7 +171,7 @@ class PosteriorNetwork(LogitClassifier):
         return self
 
     def fit_stream(self, on_step: Progress = lambda done, total: None) -> Self:
-        """Train on fresh cases of the recipe; nothing else is needed.
+        """Train on fresh cases of the recipe.
 
         Args:
             on_step: called with the steps done and all steps, after each.
@@ -362,11 +365,7 @@ class PosteriorNetwork(LogitClassifier):
         return model
 
     def _checked_noise(self) -> tuple[float, float]:
-        """The noise range as factors on the recipe's noise.
-
-        Raises:
-            ValueError: out of order, or together with a class that is told by its noise.
-        """
+        """The noise range as factors on the recipe's noise."""
         if self.noise_range is None:
             return 1.0, 1.0
         low, high = self.noise_range

@@ -1,8 +1,7 @@
-"""What a network learns of severities: their ranges, and a density between two bounds, a normal one cut at the bounds.
+"""The density of severities that a network learns: normal, cut at the bounds of the range.
 
-The logarithm of a transient's likelihood is nearly quadratic in the severity once the nuisances are integrated out, so
-two numbers, which a network gives, are enough (docs/classifiers.md). Everything is summed over one fine grid, in steps
-that ONNX has too. Severities here run from 0 (the smallest of the range) to 1 (the largest).
+A transient's log-likelihood is nearly quadratic in the severity, so two numbers are enough (docs/classifiers.md).
+Everything is summed over one fine grid, in steps that ONNX has too. Positions run from 0 to 1 over the range.
 """
 
 from __future__ import annotations
@@ -25,10 +24,7 @@ _LEAST_RANGE, _BEYOND, _LARGEST_LOSS = 0.30, 1.2, 0.95
 
 
 def severity_priors(recipe: Recipe) -> tuple[SeverityPrior, ...]:
-    """Ranges of the severities that a network estimates: every kind of the motor, and noise where it is a class.
-
-    From 0 to 30 %, or to 1.2 times the largest severity among the recipe's classes.
-    """
+    """Ranges of severities by kind: from 0 to 30 %, or to 1.2 times the largest among the recipe's classes."""
     largest: dict[FaultKind, float] = dict.fromkeys(_ALWAYS, _LEAST_RANGE)
     for part in (part for c in recipe.classes for part in c.parts):
         if part.kind is not None:
@@ -59,8 +55,8 @@ def grid_like(parameters: torch.Tensor) -> torch.Tensor:
 
 def _log_density(parameters: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
     """Without the normalisation; parameters (..., 2), position (..., n) or (n,)."""
-    off = (position - _MIDDLE - parameters[..., :1]) * torch.exp(-_LOG_WIDTH - parameters[..., 1:2])
-    return -0.5 * off.square()
+    deviation = (position - _MIDDLE - parameters[..., :1]) * torch.exp(-_LOG_WIDTH - parameters[..., 1:2])
+    return -0.5 * deviation.square()
 
 
 def _log_mass(parameters: torch.Tensor) -> torch.Tensor:

@@ -1,10 +1,7 @@
 """What a start can show: its deviation from the nominal motor along the few directions in which starts differ.
 
-In white noise a transient enters its likelihood only through the directions in which the model's signals can differ
-(docs/classifiers.md). What is left over outside them tells nothing but the level of the noise. The filter without
-process noise predicts the nominal trajectory, so the deviation is its residual.
-
-A network learns from fresh starts of a recipe at every step; nothing is stored.
+In white noise nothing else enters the likelihood (docs/classifiers.md); outside the directions stands the level of the
+noise.
 """
 
 from __future__ import annotations
@@ -36,9 +33,8 @@ _SMALLEST_NOISE = 1e-6  # of the cases' own scatter, where nothing is left outsi
 class SignalSpace(nn.Module):
     """Standardised coordinates of transients, shape (n_cases, n_coordinates).
 
-    Each coordinate is divided by its standard deviation over the recipe's starts, noise included; never by anything
-    that is taken from the transient's signal. Where `sees_noise`, the noise's level is taken from what is left outside
-    the directions: it is then the last coordinate, and part of those standard deviations.
+    Each coordinate is divided by its standard deviation over the recipe's starts, noise included. Where
+    `sees_noise`, the noise's level, from what is left outside the directions, is the last coordinate.
 
     Args:
         n_features: values of a case.
@@ -218,7 +214,7 @@ def fresh_cases(
     most_noise: float = 1.0,
     n_references: int = 0,
 ) -> Iterator[tuple[torch.Tensor, Dataset]]:
-    """Endless batches of standardised coordinates, and the cases with their truth.
+    """Draw endless batches of standardised coordinates, and the cases with their truth.
 
     Args:
         space: in single precision.

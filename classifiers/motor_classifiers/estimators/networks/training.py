@@ -1,7 +1,4 @@
-"""How every network of ours is trained: one loop over batches, on one thread, from a generator of its own.
-
-The training is repeatable to the bit; torch's global random state and its number of threads are left as they were.
-"""
+"""The training loop of all networks: on one thread, from a generator of its own, repeatable to the bit."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ _LARGEST_SEED = 2**31 - 1
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Torch on one thread: quicker for small networks, and sums are always taken in the same order."""
+    """Run torch on one thread: sums are taken in one order."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -1,9 +1,9 @@
-"""Whether a start is of the world that a recipe knows, and if not, what is off.
+"""Detect starts that a recipe does not explain, and name the likely shift.
 
-Along the few directions in which starts can differ, the recipe's own starts are one normal cloud a class (plus the
-noise), and outside these directions they are noise alone. The distance is the log likelihood ratio of any motor, in any
-surroundings and of any noise above the known one, to the recipe (Neyman & Pearson 1933). Its threshold is the quantile
-of fresh starts of the recipe. What is off is the one departure that, added to the recipe, explains the start best.
+Along the few directions in which starts can differ, each class is one normal distribution (plus the noise): together a
+Gaussian mixture. Outside these directions there is noise alone. The distance is the log likelihood ratio of any motor,
+in any surroundings and of any noise above the known one, to the recipe (Neyman & Pearson 1933). Its threshold is the
+quantile of fresh starts of the recipe. The likely shift is the one departure that explains the start best.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from motor_env.simulation.disturbances import PRIORS, Field
 from motor_env.simulation.recipes import FACTORS, FaultClass, Recipe, Spread
 from motor_env.simulation.sampling import apply_factors
 
-SEED = 0xFA318  # of the clouds and of the threshold; no data set is drawn with it
-CLOUD = 6_000  # starts behind the clouds
+SEED = 0xFA318  # of mixture and threshold; no data set is drawn with it
+N_FITTED = 6_000  # starts that the mixture is fitted to
 _CALIBRATION = 10_000
 ANYWHERE = 0.1  # variance of any surroundings, relative to that of the departures that are named
 WIDER = 4.0  # variance of any motor, relative to that of all the recipe's starts
@@ -54,14 +54,14 @@ class Coordinates(NamedTuple):
     energy: FloatArray
 
 
-class Cloud(NamedTuple):
-    """Normal clouds of starts along the directions, one a class, in units of the noise.
+class GaussianMixture(NamedTuple):
+    """Density of starts along the directions, one normal distribution a class, in units of the noise.
 
     Attributes:
-        log_weight: shape (n_clouds,).
-        mean: shape (n_clouds, n_directions).
-        covariance: without the noise, shape (n_clouds, n_directions, n_directions).
-        noise: variance of the noise, relative to the recipe's, shape (n_clouds,).
+        log_weight: shape (n_components,).
+        mean: shape (n_components, n_directions).
+        covariance: without the noise, shape (n_components, n_directions, n_directions).
+        noise: variance of the noise, relative to the recipe's, shape (n_components,).
     """
 
     log_weight: FloatArray
@@ -83,12 +83,12 @@ class Cloud(NamedTuple):
         return density
 
 
-_NO_CLOUD = Cloud(*(np.zeros(0),) * 4)
+_NO_MIXTURE = GaussianMixture(*(np.zeros(0),) * 4)
 
 
 @dataclass(frozen=True, slots=True)
-class World:
-    """What a recipe's starts look like, and what starts look like where something is off.
+class StartDensity:
+    """Densities of a recipe's starts, as they are and with one departure.
 
     Attributes:
         recipe: what motors are drawn from, one start each.
@@ -96,7 +96,7 @@ class World:
         noise: standard deviation of each value's noise, shape (n_values,).
         directions: orthonormal in units of the noise, shape (n_directions, n_values).
         own: the recipe's starts.
-        anything: any motor in any surroundings.
+        alternative: any motor in any surroundings.
         departures: the recipe's starts with one departure, by its name.
     """
 
@@ -104,13 +104,13 @@ class World:
     nominal: FloatArray
     noise: FloatArray
     directions: FloatArray
-    own: Cloud
-    anything: Cloud
-    departures: Mapping[str, Cloud]
+    own: GaussianMixture
+    alternative: GaussianMixture
+    departures: Mapping[str, GaussianMixture]
 
     @classmethod
-    def from_recipe(cls, recipe: Recipe) -> World:
-        """The clouds of so many simulated starts.
+    def from_recipe(cls, recipe: Recipe) -> StartDensity:
+        """Fit the mixtures to `N_FITTED` simulated starts.
 
         Raises:
             ValueError: a recipe of motors at work, or of failed sensors.
@@ -127,17 +127,17 @@ class World:
             left = row - directions.T @ (directions @ row)
             if len(directions) < len(noise) - 1 and np.linalg.norm(left) > 1e-6 * np.linalg.norm(row):
                 directions = np.vstack([directions, left / np.linalg.norm(left)])
-        first = cls(single, nominal, noise, directions, *(_NO_CLOUD,) * 2, {})
-        (at, _), family = first.silent(single, 0, CLOUD)
-        own = clouds(single, at, family)
+        first = cls(single, nominal, noise, directions, *(_NO_MIXTURE,) * 2, {})
+        (at, _), family = first.noiseless(single, 0, N_FITTED)
+        own = class_mixture(single, at, family)
         spread = {name: (rows @ directions.T).T @ (rows @ directions.T) for name, rows in signatures.items()}
         wide = WIDER * np.atleast_2d(np.cov(at.T)) + ANYWHERE * sum(spread.values())
-        one = np.zeros(1)
-        anything = Cloud(one, at.mean(axis=0)[None], wide[None], own.noise.min() + one)
+        weight = np.zeros(1)
+        alternative = GaussianMixture(weight, at.mean(axis=0)[None], wide[None], own.noise.min() + weight)
         departures = {name: own._replace(covariance=own.covariance + extra) for name, extra in spread.items()}
-        return replace(first, own=own, anything=anything, departures=departures)
+        return replace(first, own=own, alternative=alternative, departures=departures)
 
-    def silent(self, recipe: Recipe, begin: int, count: int) -> tuple[Coordinates, NDArray[np.int64]]:
+    def noiseless(self, recipe: Recipe, begin: int, count: int) -> tuple[Coordinates, NDArray[np.int64]]:
         """Starts of the recipe without noise, and their classes."""
         family = generate_arrays(_silent(recipe), SEED, np.arange(begin, begin + count))
         return self.coordinates(family.X.reshape(count, -1).astype(np.float64)), family.class_index
@@ -155,23 +155,20 @@ class World:
 
     def distance(self, at: Coordinates, levels: Levels) -> FloatArray:
         """Log likelihood ratio of anything to the recipe, shape (n,); `levels` are those that the recipe allows."""
-        anything = self.anything.log_density(at, self.freedom, (levels[0], np.inf))
-        return anything - self.own.log_density(at, self.freedom, levels)
+        alternative = self.alternative.log_density(at, self.freedom, (levels[0], np.inf))
+        return alternative - self.own.log_density(at, self.freedom, levels)
 
-    def off(self, at: Coordinates, levels: Levels) -> NDArray[Any]:
-        """What is off in starts that are not of the recipe: a key of `outside.ADVICE`, shape (n,)."""
+    def likely_departure(self, at: Coordinates, levels: Levels) -> NDArray[Any]:
+        """Name the departure that explains each start best: a key of `ADVICE`, shape (n,)."""
         logs = [self.own.log_density(at, self.freedom, (levels[0], np.inf))]
-        logs += [cloud.log_density(at, self.freedom, levels) for cloud in self.departures.values()]
+        logs += [mixture.log_density(at, self.freedom, levels) for mixture in self.departures.values()]
         names = np.array(["noise", *self.departures], dtype=object)
-        found: NDArray[Any] = names[np.argmax(logs, axis=0)]
-        return found
+        likeliest: NDArray[Any] = names[np.argmax(logs, axis=0)]
+        return likeliest
 
-    def fresh(self, level: float) -> Coordinates:
-        """Starts of the recipe, other ones than those of the clouds, at so many times the noise's variance.
-
-        White noise is white along the directions; outside them only its squares matter.
-        """
-        silent, class_index = self.silent(self.recipe, CLOUD, _CALIBRATION)
+    def calibration_starts(self, level: float) -> Coordinates:
+        """Starts of the recipe, other ones than the mixture was fitted to, at so many times the noise's variance."""
+        silent, class_index = self.noiseless(self.recipe, N_FITTED, _CALIBRATION)
         noise = level * noise_variances(self.recipe)[class_index]
         generator = np.random.default_rng(SEED)
         std = np.sqrt(noise)
@@ -200,11 +197,11 @@ def noise_variances(recipe: Recipe) -> FloatArray:
     return variances
 
 
-def clouds(recipe: Recipe, at: FloatArray, class_index: NDArray[np.int64]) -> Cloud:
-    """One cloud for each class that is drawn."""
+def class_mixture(recipe: Recipe, at: FloatArray, class_index: NDArray[np.int64]) -> GaussianMixture:
+    """Fit one normal distribution to each class that is drawn."""
     drawn = [n for n in range(len(recipe.classes)) if (class_index == n).sum() > 1]
     own = [at[class_index == n] for n in drawn]
-    return Cloud(
+    return GaussianMixture(
         np.log([len(each) / len(at) for each in own]),
         np.array([each.mean(axis=0) for each in own]),
         np.array([np.atleast_2d(np.cov(each.T)) for each in own]),
@@ -249,7 +246,7 @@ def _signatures(recipe: Recipe) -> dict[str, FloatArray]:
 
 
 OUTSIDE = "outside what I know"
-"""The verdict on a start that is not of the recipe's world."""
+"""The verdict on a start that the recipe does not explain."""
 
 ADVICE = {
     "noise": "the sensor is noisier than in training: train for its noise",
@@ -262,7 +259,7 @@ ADVICE = {
     "another motor": "it is another motor, or has a fault never trained on: use a model of its own, or "
     "`motor-env diagnose`",
 }
-"""What can be off, and what to do."""
+"""Each departure, and what to do about it."""
 
 
 _QUIETEST = 1e-6
@@ -281,7 +278,6 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
     Attributes:
         levels_: logarithms of levels of the noise's variance, shape (n_levels,).
         offset_: `score_samples` below it is foreign, for each of these levels; in between along straight lines.
-        n_features_in_: n_channels * n_timepoints.
     """
 
     recipe: Recipe | None = None
@@ -303,15 +299,17 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         low, high = self._variances
         levels = np.geomspace(low, high, 1 if low == high else _LEVELS)
         self.levels_ = np.log(levels)
-        world = self._world
-        starts: list[Any] = [world.fresh(level) if given is None else self._at(given) for level in levels]
-        distances = [world.distance(own, (low, high)) for own in starts]
+        density = self._start_density
+        starts: list[Any] = [
+            density.calibration_starts(level) if given is None else self._at(given) for level in levels
+        ]
+        distances = [density.distance(own, (low, high)) for own in starts]
         self.offset_ = np.array([np.quantile(-distance, rate) for distance in distances])
         return self
 
     def score_samples(self, X: Any) -> FloatArray:
         """The distance, negative: the lower, the more foreign, shape (n_cases,)."""
-        return -self._world.distance(self._at(X), self._variances)
+        return -self._start_density.distance(self._at(X), self._variances)
 
     def decision_function(self, X: Any) -> FloatArray:
         """Score over the threshold: below 0 for foreign starts, shape (n_cases,)."""
@@ -321,19 +319,21 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         """-1 for foreign starts, else 1, shape (n_cases,)."""
         return np.where(self.decision_function(X) < 0.0, -1, 1)
 
-    def what_is_off(self, X: Any) -> NDArray[Any]:
+    def likely_shift(self, X: Any) -> NDArray[Any]:
         """For foreign starts what explains them best, a key of `ADVICE`; empty for the others, shape (n_cases,)."""
         at = self._at(X)
         foreign = self._over(at) < 0.0
         names = np.full(len(foreign), "", dtype=object)
         if foreign.any():
-            names[foreign] = self._world.off(type(at)(*(part[foreign] for part in at)), self._variances)
+            names[foreign] = self._start_density.likely_departure(
+                type(at)(*(part[foreign] for part in at)), self._variances
+            )
         return names
 
     def _over(self, at: Any) -> FloatArray:
-        level = np.maximum(at.energy / self._world.freedom, _QUIETEST)
+        level = np.maximum(at.energy / self._start_density.freedom, _QUIETEST)
         threshold = np.interp(np.log(level), self.levels_, self.offset_)
-        over: FloatArray = -self._world.distance(at, self._variances) - threshold
+        over: FloatArray = -self._start_density.distance(at, self._variances) - threshold
         return over
 
     @property
@@ -342,14 +342,14 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         return low**2, high**2
 
     @property
-    def _world(self) -> World:
-        return _world(fitting_recipe(self.recipe, self.n_features_in_))
+    def _start_density(self) -> StartDensity:
+        return _start_density(fitting_recipe(self.recipe, self.n_features_in_))
 
     def _at(self, X: Any) -> Any:
         _, cases = measured_cases(self, X)
-        return self._world.coordinates(cases.reshape(len(cases), -1))
+        return self._start_density.coordinates(cases.reshape(len(cases), -1))
 
 
 @lru_cache(maxsize=4)
-def _world(recipe: Recipe) -> World:
-    return World.from_recipe(recipe)
+def _start_density(recipe: Recipe) -> StartDensity:
+    return StartDensity.from_recipe(recipe)

@@ -1,1 +1,0 @@
-"""The learned opinion on recordings and on the cases of data sets."""
