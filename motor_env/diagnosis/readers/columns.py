@@ -30,7 +30,7 @@ from motor_env.diagnosis.readers.headers import (
 )
 from motor_env.diagnosis.readers.noise import filled
 from motor_env.diagnosis.readers.suggestions import Suggestions
-from motor_env.diagnosis.readers.text.block import Table
+from motor_env.diagnosis.readers.text_block import Table
 from motor_env.motor.parameters import FloatArray
 
 _NONE = "none"

@@ -17,8 +17,8 @@ from motor_env.diagnosis.readers.columns import recognise
 from motor_env.diagnosis.readers.headers import SI, ColumnChoice
 from motor_env.diagnosis.readers.noise import filled
 from motor_env.diagnosis.readers.tables import read_table
-from motor_env.diagnosis.readers.text.block import FEWEST_SAMPLES, Table
-from motor_env.diagnosis.readers.text.number_parser import MOST_ROWS
+from motor_env.diagnosis.readers.text_block import FEWEST_SAMPLES, Table
+from motor_env.diagnosis.readers.text_numbers import MOST_ROWS
 from motor_env.motor.parameters import FloatArray
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from motor_env.diagnosis.readers.headers import (
     name_parts,
     unit_quantity,
 )
-from motor_env.diagnosis.readers.text.block import Table
+from motor_env.diagnosis.readers.text_block import Table
 
 _SCALE = "SCALE is how many A a volt is, 10 for a probe of 100 mV/A"
 _OFFSET = "SCALE and OFFSET are those of the converter's counts, such as *0.0132-6.76"

@@ -23,8 +23,8 @@ from motor_env.common.errors import InputError, require_extra
 from motor_env.common.files import LARGEST_DATA_BYTES, LARGEST_TABLE_BYTES, read_file
 from motor_env.diagnosis.readers import array_parser
 from motor_env.diagnosis.readers.headers import understand
-from motor_env.diagnosis.readers.text.block import FEWEST_SAMPLES, MOST_COLUMNS, Table, TextTable, cells
-from motor_env.diagnosis.readers.text.number_parser import large_block, whole_block
+from motor_env.diagnosis.readers.text_block import FEWEST_SAMPLES, MOST_COLUMNS, Table, TextTable, cells
+from motor_env.diagnosis.readers.text_numbers import large_block, whole_block
 from motor_env.motor.parameters import FloatArray
 
 LARGEST_WHOLE_BYTES = 50_000_000

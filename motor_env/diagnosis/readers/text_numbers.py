@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.readers.text.block import (
+from motor_env.diagnosis.readers.text_block import (
     CLOCK,
     CUT_OFF,
     Block,
