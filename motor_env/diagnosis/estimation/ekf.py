@@ -38,6 +38,7 @@ from motor_env.diagnosis.estimation.parameter_index import (
     OFFSET_I,
     OFFSET_W,
     SQUARE,
+    STRIBECK,
     WALK,
     B,
     J,
@@ -55,6 +56,7 @@ or runs steadily under the first voltage; SWITCH: switched on AFTER seconds befo
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
 OUTLIER_SDS = 6.0  # of an innovation, beyond which it counts no more
 _STEADY_STEPS = 12
+_NOT_SIMPLE = np.array([STRIBECK, GEAR, HEATING, NOISE_V, NOISE_T, WALK])
 
 
 @inlined
@@ -372,3 +374,83 @@ def predict_each(
         logs[row] = _run(
             of, dt_s, voltage[k], readings, seen, marks[k], learn, out[row], reach[k], usual, after, n, room
         )
+
+
+def are_simple(p: FloatArray, marks: FloatArray) -> bool:
+    """Return whether all rows are simple motors, shape (m, N_VALUES), and all marks a start's, shape (supplies, n)."""
+    first, others = marks[:, 0], marks[:, 1:]
+    is_start = bool((first >= REST).all()) and not ((others != 0.0) & (others != SWITCH)).any()
+    return is_start and not p[:, _NOT_SIMPLE].any()
+
+
+def room_of_simple() -> tuple[FloatArray, ...]:
+    """Return arrays in which `predict_simple_each` works."""
+    return tuple(np.zeros(shape) for shape in ((2, 3, 1, 3, 6), (5,), (4,), (3, 5), (3, 6, 6)))
+
+
+@inlined
+def _advance_simple(
+    of: FloatArray,
+    lag: tuple[float, float, float],
+    x: FloatArray,
+    u: FloatArray,
+    p: FloatArray,
+    f: FloatArray,
+) -> None:
+    w = x[1]
+    # It stands before the switch. There, dry friction would have each interval cut into parts.
+    if x[0] == w == x[3] == x[4] == u[0] == u[1] == 0.0 and abs(u[2]) <= p[COULOMB]:
+        return
+    parts = smooth_step(of[0, 0], x, u, p, p[COULOMB], f)
+    if parts > 0:
+        braked_step(of[1 if parts == FINE else (2 if parts > 1 else 0), 0], x, u, p, p[COULOMB], f, parts)
+    if p[LAG_I] <= 0.0:
+        x[3] = x[0]
+    x[4] = lag[0] * x[4] + lag[1] * w + lag[2] * x[1]
+
+
+@compiled
+def predict_simple_each(
+    p: FloatArray,
+    dt_s: float,
+    voltage: FloatArray,
+    marks: FloatArray,
+    which: NDArray[np.intp],
+    readings: FloatArray,
+    seen: FloatArray,
+    out: FloatArray,
+    logs: FloatArray,
+    room: tuple[FloatArray, ...],
+) -> None:
+    """Do what `predict_each` does, with its arguments, for simple starts."""
+    models, x, u, f, work = room
+    for row in range(len(p)):
+        of, table, supply = p[row], out[row], which[row]
+        lag = slow = lag_of(of, dt_s)
+        discretize_each(of, dt_s, models[0], work)
+        if of[AFTER] > 0.0:
+            discretize_each(of, of[AFTER], models[1], work)
+            slow = lag_of(of, of[AFTER])
+        weights = 1.0 / of[NOISE_I], 1.0 / of[NOISE_W]
+        log_i, log_w, total = math.log(of[NOISE_I] ** 2), math.log(of[NOISE_W] ** 2), 0.0
+        for k in range(voltage.shape[1]):
+            mark = marks[supply, k]
+            if mark >= REST:
+                x[:] = 0.0
+            if mark == STEADY:
+                steady(of, voltage[supply, k, 1], x)
+            elif mark != REST:
+                u[0], u[1], u[2] = voltage[supply, k, 0], voltage[supply, k, 1], of[LOAD] + table[k, 4]
+                if mark == SWITCH:
+                    _advance_simple(models[1], slow, x, u, of, f)
+                else:
+                    _advance_simple(models[0], lag, x, u, of, f)
+            table[k, 2], table[k, 3] = x[3] + of[OFFSET_I], x[4] + of[OFFSET_W]
+            table[k, 0], table[k, 1] = readings[k, 0] - table[k, 2], readings[k, 1] - table[k, 3]
+            for c in range(2):
+                if seen[c] > 0.0 and readings[k, c] == readings[k, c]:
+                    table[k, c] *= weights[c]
+                    total += log_i if c == 0 else log_w
+                else:
+                    table[k, c] = 0.0
+        logs[row] = total

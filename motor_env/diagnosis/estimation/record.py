@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from motor_env.diagnosis.estimation import simple
 from motor_env.diagnosis.estimation.ekf import (
     BEGIN,
     FOUND,
@@ -18,7 +17,10 @@ from motor_env.diagnosis.estimation.ekf import (
     OPEN,
     REST,
     SWITCH,
+    are_simple,
     predict_each,
+    predict_simple_each,
+    room_of_simple,
     room_to_work,
 )
 from motor_env.diagnosis.estimation.parameter_index import (
@@ -184,8 +186,8 @@ class Record:
         voltage, marks = (np.stack([each[n] for each in supplies.values()]) for n in (0, 1))
         which = np.array([list(supplies).index(key) for key in keys])
         logs, read = np.zeros(len(p)), (self.readings, self.seen)
-        if simple.are_simple(p, marks):
-            simple.run_each(p, self.dt_s, voltage, marks, which, *read, out, logs, simple.room())
+        if are_simple(p, marks):
+            predict_simple_each(p, self.dt_s, voltage, marks, which, *read, out, logs, room_of_simple())
         else:
             reach = 1e-9 + np.abs(voltage).max((1, 2))
             predict_each(p, self.dt_s, voltage, marks, reach, which, *read, learn, out, logs, room_to_work())

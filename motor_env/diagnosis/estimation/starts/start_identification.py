@@ -11,7 +11,6 @@ import numpy as np
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.model_selection import STRONG_EVIDENCE
 from motor_env.diagnosis.estimation.problem import Problem, Solution
-from motor_env.diagnosis.estimation.score_tests import score_tests, supply_effects
 from motor_env.diagnosis.estimation.starts.start_fit import UNTOLD_LOG_SD, StartFit, record_of
 from motor_env.diagnosis.estimation.starts.start_prior import CURVE, StartPrior, start_prior
 from motor_env.diagnosis.estimation.uncertainty import (
@@ -20,6 +19,8 @@ from motor_env.diagnosis.estimation.uncertainty import (
     model_error,
     normalised,
     sandwich,
+    score_tests,
+    supply_effects,
 )
 from motor_env.diagnosis.readers.noise import constant_lines
 from motor_env.diagnosis.readers.start import Start
