@@ -1,8 +1,7 @@
-"""Extended Kalman filter of a recorded motor, compiled, on the steps of `motor_env.diagnosis.estimation.integrator`.
+"""Extended Kalman filter of a recorded motor, compiled, on the steps of `integrator`.
 
-State: [current, speed, load torque, shown current, shown speed]; the last ones only where a model has them. Where the
-state is known at the first sample and nothing disturbs the motor, its covariance is zero: the innovations are the
-errors of a free run.
+State: [current, speed, load torque, shown current, shown speed], the last ones only where a model has them. Where the
+first state is known and nothing disturbs the motor, the covariance is zero: innovations are errors of a free run.
 """
 
 from __future__ import annotations
@@ -50,9 +49,10 @@ from motor_env.motor.compiled import compiled, compiled_part, inlined
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
 BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
-"""Marks of a sample. BEGIN: the first of a recording; OPEN: the circuit is open; LOST: after an interval of unknown
-voltage; FOUND: the state behind it is not known yet; REST, STEADY: the first of a motor that stands without current,
-or runs steadily under the first voltage; SWITCH: switched on AFTER seconds before the sample."""
+"""Marks of a sample. BEGIN: the first of a recording; OPEN: open circuit; LOST: the voltage before it is unknown;
+FOUND: the state is not known yet; REST, STEADY: the first of a motor at rest, or that runs steadily under the first
+voltage; SWITCH: switched on AFTER seconds before the sample.
+"""
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
 OUTLIER_SDS = 6.0  # of an innovation, beyond which it counts no more
 _STEADY_STEPS = 12
@@ -138,8 +138,7 @@ def begin(
 ) -> None:
     """Set the state at a recording's first sample as shown; the rest follows from the balance of voltages.
 
-    `shown` is what this sample and the next show, shape (2, 2), `volts` the voltage between them. Where a reading is
-    missing the recording begins again at the next sample.
+    `shown` is what this sample and the next show, shape (2, 2), `volts` the voltage between them.
     """
     for r in range(2):
         for c in range(2):
@@ -234,10 +233,7 @@ def _weigh(
     is_known: bool,
     row: FloatArray,
 ) -> tuple[float, float]:
-    """Weigh one reading into `n` states: its whitened innovation and variance; 0 and 1 where LOST or FOUND.
-
-    There a reading shows where the motor is, not what it is; a model that runs freely begins again at the reading.
-    """
+    """Weigh one reading into `n` states: its whitened innovation and variance; 0 and 1 where LOST or FOUND."""
     error, variance = shown - x[place], cov[place, place] + noise * noise
     inverse = 1.0 / variance
     white = error * math.sqrt(inverse)
@@ -275,7 +271,7 @@ def _run(
     n: int,
     room: tuple[FloatArray, ...],
 ) -> float:
-    """Filter one row of `predict_each`, with the models of an interval and of that after a switch."""
+    """Filter one row of `predict_each`."""
     m, x, cov, f, u, row, shown, work, _ = room
     lag, logs, warm_k = lag_of(p, dt_s), 0.0, 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
@@ -327,7 +323,7 @@ def _run(
 
 
 def room_to_work() -> tuple[FloatArray, tuple[FloatArray, ...]]:
-    """Return arrays in which `predict_each` works: to let numba make them takes a second of compiling."""
+    """Return arrays in which `predict_each` works; numba takes a second to compile their making."""
     shapes = ((3, 6), (5,), (5, 5), (3, 5), (4,), (5,), (2, 2), (3, 5, 5), (3, 6, 6))
     return np.zeros((2, 3, TEMPERATURES, 3, 6)), tuple(np.zeros(shape) for shape in shapes)
 
@@ -353,16 +349,16 @@ def predict_each(
         p: physical values and noise, shape (m, N_VALUES).
         dt_s: sampling interval.
         voltage: before and after the interval that ends at each sample, of each supply, shape (supplies, n, 2).
-        marks: see BEGIN; 0 for all other samples, shape (supplies, n).
+        marks: see BEGIN, shape (supplies, n); 0 for other samples.
         reach: the largest voltage, shape (supplies,).
         which: the supply of each vector of values, shape (m,).
         readings: current and speed, shape (n, 2); NaN where there is none.
         seen: 1 where a channel was recorded, shape (2,).
         learn: weigh readings in; without it the model runs freely.
-        out: whitened innovations, predicted readings, load, temperature, shape (m, n, 6); holds the load that is known
-            beforehand, and a filter leaves there what it estimates beside it.
+        out: whitened innovations, predicted readings, load, temperature, shape (m, n, 6); the load known beforehand is
+            read from it, and the estimated one is left there.
         logs: sums of the logarithms of the innovations' variances, shape (m,).
-        scratch: what `room_to_work` makes.
+        scratch: of `room_to_work`.
     """
     models, room = scratch
     for row in range(len(p)):
@@ -422,7 +418,7 @@ def predict_simple_each(
     logs: FloatArray,
     room: tuple[FloatArray, ...],
 ) -> None:
-    """Do what `predict_each` does, with its arguments, for simple starts."""
+    """Run `predict_each` in a third of the time, for simple starts: no disturbance, heating, gear or Stribeck curve."""
     models, x, u, f, work = room
     for row in range(len(p)):
         of, table, supply = p[row], out[row], which[row]

@@ -1,4 +1,8 @@
-"""The model of a motor at work: initial values, prediction errors, and the terms that the evidence supports."""
+"""Model selection for a motor at work: initial values by regression, and the terms that the evidence supports.
+
+Integrated over windows the equations need no derivative of a noisy signal. With current and speed they are linear in
+all unknowns; with the current alone for each of several resistances.
+"""
 
 from __future__ import annotations
 
@@ -166,7 +170,7 @@ def fit(record: Record) -> Solution:
 
 
 def _smallest_model(record: Record) -> Solution:
-    """Fit a record without alternatives; a long one from a part of it."""
+    """Fit a record without alternatives; a long one from a part."""
     if len(record.voltage_v) > 2 * SELECTION_SAMPLES:
         return _refit_to_all_samples(_smallest_model(record.sample(SELECTION_SAMPLES)), record)
     rivals = [_select_terms(first) for first in _initial_fits(record)]
@@ -180,9 +184,7 @@ def _smallest_model(record: Record) -> Solution:
 def _prefer_held_voltage(best: Solution) -> Solution:
     """Replace a fractional delay or a straight-line voltage by a held one if they win only by averaging noise.
 
-    Both average neighbours of the recorded voltage and its noise. So does a mean over three samples without a delay:
-    where it explains as much, there is none. A fit that blames all on a disturbing torque may be likelier and explain
-    less.
+    A mean over three samples without a delay averages that, too: where it explains as much, there is no delay.
     """
     timed = _remove_terms(best, ("delay",))
     is_straight = best.problem.record.hold == "straight"
@@ -204,10 +206,7 @@ def _prefer_held_voltage(best: Solution) -> Solution:
 
 
 def _with_timing_alternatives(best: Solution) -> Solution:
-    """Add fits with other voltage timing as alternatives where the voltage has no steps.
-
-    A lag of the voltage then looks like L/R. Only how a model errs that is never quite right decides between them.
-    """
+    """Add fits of other voltage timing as alternatives where the voltage has no steps: a lag then looks like L/R."""
     slopes = np.diff(best.problem.record.voltage_v)
     if np.nansum(np.abs(np.diff(slopes))) > np.nansum(np.abs(slopes)):
         return best
@@ -222,8 +221,7 @@ def _with_timing_alternatives(best: Solution) -> Solution:
 def _without_process_noise(best: Solution) -> Solution:
     """Add the fit without process noise as an alternative of the same misfit, if it explains nearly as much.
 
-    Both are right where the model is. Where it is not, process noise stands for what the model lacks, and a controller
-    makes that depend on the current: R may err by a half while the likelihood is sure of it. There the two differ.
+    Process noise stands for what the model lacks. Under a controller that depends on the current, and biases R.
     """
     if not {"noise_voltage", *_TORQUE_DISTURBANCES} & {*best.names}:
         return best
@@ -251,7 +249,7 @@ def _refit_to_all_samples(best: Solution, record: Record) -> Solution:
 
 
 def _fits_of_other_voltages(best: Solution, record: Record) -> list[Solution]:
-    """Fit without a delay under every other variant of the voltage, which the initial values may have missed."""
+    """Fit without a delay under every other variant of the voltage."""
     timed = _remove_terms(best, ("delay",))
     fits = []
     for behaved in _voltage_variants(record):
@@ -269,10 +267,9 @@ def _voltage_variants(record: Record) -> list[Record]:
 
 
 def _with_shape_parameters(best: Solution) -> Solution:
-    """Fit the shapes of brush drop and dry friction, too, under their prior.
+    """Fit the shapes of brush drop and dry friction under their prior, from several initial values.
 
-    Fits also begin from a quiet motor without offsets, as noise and a wandering load may have carried a fit away; and,
-    where dry friction and a constant load may stand for each other, from less and from more of it.
+    Noise and a walking load may have carried a fit away; dry friction and a constant load may stand for each other.
     """
     added = [best.problem.every[shape] for shape, of in SHAPES.items() if of in best.names]
     problem = best.problem.with_terms(added)
@@ -315,19 +312,19 @@ def _select_terms(first: Solution) -> Solution:
 
 
 def _output_error_fits(solutions: Sequence[Solution]) -> list[Solution]:
-    """Fit the same terms without process noise: output errors, which real model errors may leave ahead."""
+    """Fit the same terms without process noise, to output errors."""
     begun = [_remove_terms(solution, ("noise_voltage", *_TORQUE_DISTURBANCES)) for solution in solutions]
     return [less.problem.solve(less.theta, most=60) for less in begun]
 
 
 def _free_run_misfit(solution: Solution) -> float:
-    """Sum `_log_unexplained`; a fit with process noise must be behind by less than the margin."""
+    """Sum `_log_unexplained`."""
     left = _log_unexplained(solution)
     return float(left.sum()) + (0.0 if "noise_voltage" not in solution.names else -_CLEARLY * len(left))
 
 
 def _log_unexplained(solution: Solution) -> FloatArray:
-    """Return the logarithm of the share of each recorded channel's variance that the free run leaves."""
+    """Return the logarithm of the variance share that the free run leaves, each channel."""
     return np.log([max(1.0 - r2, 1e-12) for r2 in solution.explained() if r2 is not None])
 
 
@@ -377,7 +374,7 @@ def _initial_fits(record: Record) -> list[Solution]:
 
 
 def initial_problems(record: Record) -> list[tuple[Problem, FloatArray]]:
-    """Return problems with unknowns to begin from, out of regressions, smallest prediction errors first."""
+    """Return problems and initial unknowns out of regressions, smallest prediction errors first."""
     begun = [_initial_problem(record, values) for values in initial_values(record)]
     return sorted(begun, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
 

@@ -1,4 +1,4 @@
-"""`identify_operation`: what records of a motor at work tell of the motor, and what they do not."""
+"""Fits of records and windows of a motor at work, as quantities with intervals: `identify_operation`, `fit_window`."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _NO_WORK = 1e-12  # W, summed over the samples
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One quantity of the motor.
+    """Quantity of the motor with its interval.
 
     Attributes:
         name: as in the reports.

@@ -1,4 +1,4 @@
-"""How well the unknowns are known: Fisher information, residuals that are not white, terms that were left out."""
+"""Covariance of the unknowns: Fisher information, residuals that are not white, terms that were left out."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ intervals, see `benchmarks/repeatability.py`."""
 
 @dataclass(frozen=True, slots=True)
 class ScoreTest:
-    """What adding a term would do.
+    """Result of a score test: what adding a term would do.
 
     Attributes:
         chi_square: fall of -2 log likelihood.
@@ -71,7 +71,7 @@ def candidates(best: Solution) -> list[str]:
 def score_tests(
     best: Solution, every: dict[str, Term], tested: Sequence[str], sizes: Sequence[float] = ()
 ) -> dict[str, ScoreTest]:
-    """Test each of some terms without fitting it.
+    """Test terms without fitting them (score tests).
 
     Args:
         best: a fit without them.
@@ -96,11 +96,7 @@ def score_tests(
 
 
 class _ResidualSlopes:
-    """Residuals of a fit and their slopes at the point: what a further column of slopes would tell.
-
-    Wide steps of one unknown at a time make dry friction and a load look well determined where only standstill tells
-    them apart: with them more records of one motor disagreed.
-    """
+    """Residuals of a fit and their slopes at the point; wide steps made friction and load look better determined."""
 
     def __init__(self, best: Solution) -> None:
         self.base = best.problem.residuals(best.theta)
@@ -125,10 +121,9 @@ class _ResidualSlopes:
 
 
 def unmodelled_effects(best: Solution) -> list[ScoreTest]:
-    """Test what real motors have and no term says, each of its usual size (1), at the fitted motion.
+    """Test effects that no term models, each of its usual size (1), at the fitted motion.
 
-    Brushes whose resistance falls with the current (Holm 1967), at small currents, which bends the record, or at larger
-    ones, which looks like R; and a gear that loses torque, where it is no term.
+    Brushes whose resistance falls with the current (Holm 1967), at small and at larger currents, and a gear's loss.
     """
     problem, record = best.problem, best.problem.record
     if not record.seen[0]:
@@ -142,10 +137,7 @@ def unmodelled_effects(best: Solution) -> list[ScoreTest]:
 
 
 def quantisation_effects(best: Solution) -> list[ScoreTest]:
-    """Test what converters do to each channel, by a standard deviation, where all readings of one sign err alike.
-
-    Noise smaller than a step does not average it away, and a motor may stay within a few steps.
-    """
+    """Test half a converter's step, by a standard deviation, where all readings of one sign err alike."""
     record, erred = best.problem.record, []
     for channel in np.flatnonzero(record.seen):
         readings = record.readings.copy()
@@ -155,7 +147,7 @@ def quantisation_effects(best: Solution) -> list[ScoreTest]:
 
 
 def supply_effects(best: Solution) -> list[ScoreTest]:
-    """Test what may stand between a stated voltage and the motor, each of its usual size (1), at the fitted current.
+    """Test effects between a stated voltage and the motor, each of its usual size (1), at the fitted current.
 
     Brushes as in `unmodelled_effects`, and a supply that falls with the square of the current.
     """
@@ -166,7 +158,7 @@ def supply_effects(best: Solution) -> list[ScoreTest]:
 
 
 def _with_brush_resistance(best: Solution, knee: float, size: float) -> Problem:
-    """Return the problem behind brushes whose resistance falls with the current (Holm 1967), `size` times the usual."""
+    """Return the problem behind brushes whose resistance falls with the current, `size` times the usual."""
     record, current = best.problem.record, best.free[0][:, 2]
     volts, amps, _ = record.peaks
     lost = _BRUSHES * (size * volts) * current / (np.abs(current) + knee * amps)
@@ -206,9 +198,8 @@ def secants(problem: Problem, theta: FloatArray) -> FloatArray:
 def covariance(best: Solution) -> FloatArray:
     """Return the covariance of the unknowns that are no noises, with model error and the choice of terms.
 
-    A term that was left out counts with its posterior probability (Hoeting et al. 1999) under its usual size: it would
-    have moved the others, and left them less certain. Other optima count with theirs. So do `unmodelled_effects`,
-    `quantisation_effects`, and the model's error, in parts of the record and throughout.
+    A term that was left out counts with its posterior probability (Hoeting et al. 1999) under its usual size; other
+    optima with theirs. So do unmodelled effects, quantisation, and the model's error, in parts and throughout.
     """
     problem, chosen = best.problem, motor_unknowns(best.problem)
     white, rows = normalised(problem, best.theta, secants(problem, best.theta), chosen)
@@ -239,8 +230,7 @@ def covariance(best: Solution) -> FloatArray:
 def _systematic_covariance(best: Solution, chosen: Sequence[int]) -> FloatArray:
     """Return the covariance by the part of the free run's error that no number of samples averages away.
 
-    What no term says, as cogging, comes back whenever the motor moves alike, and looks like a part of what the terms
-    say. Innovations hide its size: a disturbing torque stands for it. White noise, which averages away, does not count.
+    What no term says, as cogging, comes back whenever the motor moves alike, and looks like a part of the terms.
     """
     problem, record = best.problem, best.problem.record
     moved, steps = problem.steps(best.theta, chosen)
@@ -270,9 +260,8 @@ def normalised(
         chosen: their positions.
 
     Returns:
-        Residuals of the samples, shape (n, channels); the derivatives of all residuals, and rows of a weak prior: a
-        standard deviation of 3 for a logarithm that no sample tells, and for the onset half an interval and half the
-        current's rise, as the fit's slope at one place does not see the bounds between two samples.
+        Residuals of the samples, shape (n, channels); derivatives of all residuals, and rows of a weak prior: standard
+        deviations of 3 for a logarithm, for the onset of half an interval and half the current's rise.
     """
     base, channels = problem.residuals(theta), int(problem.record.seen.sum())
     size, n = math.sqrt(float(base @ base) / problem.count), len(problem.record.voltage_v)
@@ -285,8 +274,8 @@ def sandwich(
 ) -> tuple[FloatArray, tuple[float, ...]]:
     """Return the covariance of unknowns under autocorrelated residuals, and independent samples by channel.
 
-    Each channel's residual is a stationary series with its autocovariance up to a tenth of the record (Bartlett window;
-    Newey & West 1987), and with no less power at any frequency than its white noise.
+    Residuals are stationary with their autocovariance up to a tenth of the record (Bartlett window; Newey & West 1987),
+    and no less power at any frequency than white noise.
 
     Args:
         white: residuals, see `normalised`.
@@ -313,7 +302,7 @@ def sandwich(
 
 
 def free_run_states(best: Solution) -> FloatArray:
-    """Return current and speed of the free run, and their slopes, shape (n, 4): what a model's error may follow."""
+    """Return current and speed of the free run, and their slopes, shape (n, 4)."""
     states = best.free[1][:, 2:4]
     return np.concatenate([states, np.gradient(states, axis=0)], axis=1)
 
@@ -321,14 +310,10 @@ def free_run_states(best: Solution) -> FloatArray:
 def model_error(white: FloatArray, rows: FloatArray, series: FloatArray, *, states: FloatArray) -> FloatArray:
     """Return the covariance that a model's error adds to that of a stationary series, shape (p, p).
 
-    A model that is wrong somewhere, as where a supply rises, errs most in samples that tell most, which no stationary
-    series shows. The scores of twenty parts of the record do: their scatter beyond the series' counts. They are scaled
-    to scatter by the information where the model is right (Bell & McCaffrey 2002); all parts have the same sum of
-    leverages.
-
-    Under a periodic command all parts in time err alike. So the record is also cut by its states: into twenty parts of
-    small to large current, and so on. Of these only what exceeds chance counts, for p unknowns (Marchenko & Pastur
-    1967).
+    A wrong model errs most in samples that tell most. The scores of twenty parts of the record show it: their scatter
+    beyond the series', scaled by the information where the model is right (Bell & McCaffrey 2002). Under a periodic
+    command all parts in time err alike, so the record is also cut by its states; of these only what exceeds chance
+    counts, for p unknowns (Marchenko & Pastur 1967).
 
     Args:
         white: residuals, see `normalised`.
@@ -407,8 +392,7 @@ def _inverse(information: FloatArray) -> FloatArray:
 def _coloured_product(columns: FloatArray, covariance: FloatArray, noise: float) -> FloatArray:
     """Return the covariance matrix of a stationary series times columns, shape (n, m).
 
-    A short series' spectrum scatters by a third at each frequency; power below the white noise is chance, and would
-    make a steady level look better known than its noise allows.
+    Power below the white noise is chance, and would make a level look better known than noise allows.
 
     Args:
         columns: shape (n, m).

@@ -1,4 +1,4 @@
-"""Columns of a table as the quantities of a recording: recognised by their headers, or named by the user."""
+"""Columns of a table as the quantities of a recording: recognised by headers, or named by the user."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _DENSEST = 0.9  # of a step of the rounding: times further apart hardly repeat
 
 @dataclass(frozen=True, slots=True)
 class Suggestions:
-    """What may be suggested for a table.
+    """Sentences that suggest the option which names a table's column.
 
     Attributes:
         path: of the file.
@@ -94,7 +94,7 @@ class Suggestions:
         )
 
     def ambiguous(self, quantity: str, columns: Sequence[int]) -> str:
-        """Return the sentence for columns that look alike; each that can be the quantity is offered."""
+        """Return the sentence for columns that look alike."""
         fitting = self._beside([k for k in columns if self.can_be(quantity, k)])
         options = [f"--column {_quoted(f'{quantity}={self.name(k)}')}" for k in fitting[:_MOST_NAMED]]
         if quantity not in ("time", "current"):
@@ -106,7 +106,7 @@ class Suggestions:
         return f"{self.path}: the columns {alike} {both} look like the {quantity}; {which}"
 
     def missing_current(self, free: Collection[int]) -> str:
-        """Return the sentence for a file without a column of the current among the free ones."""
+        """Return the sentence for a file without a current."""
         fitting = self._beside([k for k in free if self.can_be("current", k)])
         said = [k for k in fitting if "current" in kinds_named(self.meanings[k].name)]
         if not fitting:
@@ -141,7 +141,7 @@ class Suggestions:
         return f"--column {_quoted(f'{quantity}={self.name(k)}*SCALE')}, where {words}"
 
     def times(self) -> str:
-        """Return the option for a column that may be the time, with `or` behind it; empty where none can be."""
+        """Return the option for a column that may be the time; empty where none can be."""
         fitting = [k for k in range(len(self.meanings)) if self._is_free(k) and self.can_be("time", k)]
         options = [f"--column {_quoted(f'time={self.name(k)}:UNIT')}" for k in fitting[:_MOST_NAMED]]
         return f"name it: {' or '.join(options)} (UNIT is s, ms or us), or " if options else ""
@@ -183,7 +183,7 @@ class Suggestions:
         ]
 
     def _beside(self, columns: list[int]) -> list[int]:
-        """Return columns of the motor of which one is chosen already, where the file has several motors."""
+        """Return the columns of the motor of which one is chosen already."""
         parts = [set(name_parts(self.meanings[k].name)) for k in self.chosen.values()]
         shared = [sum(len(own & set(name_parts(self.meanings[k].name))) for own in parts) for k in columns]
         return [k for k, count in zip(columns, shared, strict=True) if count == max(shared)]
@@ -194,7 +194,7 @@ def _quoted(option: str) -> str:
 
 
 class Column(NamedTuple):
-    """A quantity: SI values, where they come from in words, and what is odd about them."""
+    """A quantity: SI values, their origin in words, and warnings."""
 
     values: FloatArray
     origin: str
@@ -209,8 +209,7 @@ def recognise(
     A missing value is NaN; where the time is missing, all others are.
 
     Raises:
-        InputError: one of these two is missing, two columns look alike, or a column's unit is unknown; the sentence
-        names the option that helps.
+        InputError: one of these two is missing, two columns look alike, or a unit is unknown.
     """
     meanings = [understand(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
     missing = np.isnan(table.values)
@@ -254,7 +253,7 @@ def recognise(
 
 
 def _whole(values: FloatArray) -> FloatArray:
-    """Fill missing values; with whole numbers in columns of whole ones, as these may be counts."""
+    """Fill missing values; with whole numbers in columns of counts."""
     if not np.isnan(values).any():
         return values
     with np.errstate(invalid="ignore"):  # a file may hold a signalling NaN
@@ -264,7 +263,7 @@ def _whole(values: FloatArray) -> FloatArray:
 
 
 def _timed(time: Column, missing: NDArray[np.bool_]) -> Column:
-    """Extrapolate a time at its usual pace where it is missing at the begin and at the end."""
+    """Extrapolate a time where it is missing at begin and end."""
     known = np.flatnonzero(~missing)
     if len(known) in (0, 1, len(missing)):
         return time
@@ -276,11 +275,7 @@ def _timed(time: Column, missing: NDArray[np.bool_]) -> Column:
 def _restore(
     path: Path, columns: dict[str, Column], places: Mapping[str, int], missing: NDArray[np.bool_]
 ) -> None:
-    """Make the missing values of each quantity NaN again, all of them where the time is missing.
-
-    Raises:
-        InputError: one has no value at all.
-    """
+    """Make the missing values of each quantity NaN again, all of them where the time is missing."""
     untimed = missing[:, places["time"]] if "time" in places else np.zeros(len(missing), dtype=np.bool_)
     for quantity in sorted(places.keys() - {"time"}):  # a set's order changes from run to run
         lost = missing[:, places[quantity]] | untimed
@@ -302,11 +297,7 @@ def _unrounded(time: Column) -> Column:
 
 
 def _refuse_no_current(path: Path, columns: dict[str, Column]) -> None:
-    """Refuse a current that no motor draws, or that is computed from another column.
-
-    Raises:
-        InputError: it is.
-    """
+    """Refuse a current that no motor draws, or that is computed from another column."""
     current, origin, _ = columns["current"]
     largest = float(np.max(np.abs(current)))
     if largest > LARGEST_CURRENT_A:
@@ -323,7 +314,7 @@ def _refuse_no_current(path: Path, columns: dict[str, Column]) -> None:
 
 
 def _place(path: Path, table: Table, meanings: Sequence[Meaning], choice: ColumnChoice) -> int:
-    """Find the column that is meant: by its header, with or without its unit, or by its number in the file."""
+    """Find the column that is meant by header or number."""
     wanted = (choice.text, choice.column)
     lower = [text.lower() for text in wanted]
     for spelling, texts in (
@@ -385,7 +376,7 @@ def _chosen(suggested: Suggestions, k: int, choice: ColumnChoice) -> Column:
 def _column(
     suggested: Suggestions, meaning: Meaning, k: int, quantity: str, *, is_scaled: bool = False
 ) -> Column:
-    """Convert a column by its header's unit; without unit and scale it is SI, unless it holds counts."""
+    """Convert a column by its unit; without unit and scale it is SI, unless it holds counts."""
     table, name = suggested.table, suggested.name(k)
     header = f" ({table.names[k]})" if table.names[k] else ""
     unit = (
@@ -410,7 +401,7 @@ def _even(table: Table, begin_s: float, interval_s: float, reason: str) -> Colum
 
 
 def _counted(suggested: Suggestions, counter: int | None) -> Column:
-    """Make the time of a file that counts its samples, or only says how far apart they are."""
+    """Make the time of a file that counts its samples or tells their interval."""
     path, table = suggested.path, suggested.table
     unknown = any(meaning.quantity is None for meaning in suggested.meanings)
     if table.interval_s is None or (counter is None and unknown):

@@ -1,4 +1,4 @@
-"""A fitted start: what it tells, how well, and whether it looks like a motor's."""
+"""A fitted start: its quantities, its commutation ripple, and whether it looks like a motor's."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _USUAL = {
     "current": (1e-3, 5e3, "A"),
     "sampling rate": (20.0, 5e7, "Hz"),
 }
-"""Least and largest value (of the current: its peak) of brushed DC motors from pagers to traction, with a margin."""
+"""Least and largest value (of the current: its peak) of brushed DC motors, with a margin."""
 POOR_FIT = 0.75  # R2 of a start that no motor explains
 _TOLD = 0.3  # standard error of a logarithm, above which a quantity is not told
 UNTOLD_LOG_SD = 1.0
@@ -170,8 +170,7 @@ class StartFit:
     def whitened(self) -> FloatArray:
         """Residual of the running motor over the sensor's noise, shape (n, 1); NaN where the sensor shows nothing.
 
-        As the state is known at standstill and nothing disturbs the model, these are its Kalman filter's innovations,
-        where the sensor hides nothing.
+        These are the innovations of the start's Kalman filter, as nothing disturbs its model.
         """
         is_step = self.start.voltage_v is None
         begin = int(np.searchsorted(self.start.time_s, self.onset_s, side="right")) + 1 if is_step else 1
@@ -234,18 +233,13 @@ def record_of(start: Start) -> Record:
 
 
 def shows_turning(fit: StartFit) -> bool:
-    """Return whether the start tells K^2/J, or with the speed K, to a factor of e: a resistor and a coil have none."""
+    """Return whether the start tells K^2/J, or K with the speed, to a factor of e."""
     pull = next(n for n, name in enumerate(fit.quantity_names) if name.startswith("K"))
     return float(fit.log_covariance[pull, pull]) < UNTOLD_LOG_SD**2
 
 
 def is_blocked(fit: StartFit, time_constant_s: float) -> bool:
-    """Return whether the current hardly falls while a healthy motor runs up, and no motor is seen to turn.
-
-    Args:
-        fit: of a start.
-        time_constant_s: mechanical time constant of the healthy motor.
-    """
+    """Return whether the current hardly falls while a healthy motor runs up, and no motor is seen to turn."""
     if shows_turning(fit) or fit.start.alignment.saturation or fit.r2_current < POOR_FIT:
         return False
     lasts, current = float(fit.start.time_s[-1]) - fit.onset_s, fit.states[:, 0]
@@ -307,11 +301,7 @@ class CommutationRipple:
 
 
 def find_ripple(fit: StartFit) -> CommutationRipple | None:
-    """Find the commutation ripple of a start; None where no line stands out, or the ripple is a converter's.
-
-    Args:
-        fit: a fitted start from rest; a ripple of constant frequency has been taken off it.
-    """
+    """Find the commutation ripple of a start from rest; None where no line stands out, or it is a converter's."""
     start = fit.start
     begin = int(np.searchsorted(start.time_s, fit.onset_s, side="right"))
     n = len(start.time_s) - begin
@@ -349,7 +339,7 @@ def find_ripple(fit: StartFit) -> CommutationRipple | None:
 
 
 def ripple_quantities(fit: StartFit) -> tuple[float, float] | None:
-    """Return the frequency at the last speed, and K times the periods a turn, V s (s where the voltage is unknown)."""
+    """Return the ripple's frequency at the last speed, and K times the periods a turn, V s (or s)."""
     ripple = find_ripple(fit)
     if ripple is None:
         return None
