@@ -42,7 +42,7 @@ _QUIET_VALUES = {
     "load_walk": -4.0,
 }
 _TORQUE_DISTURBANCES = ("load_walk", "noise_torque")
-"""A torque that disturbs the motor wanders, or is another in each interval; at most one of the two."""
+"""Of the torques that disturb the motor, one that wanders and one of each interval, at most one is fitted."""
 _MOST_TRIED = 2
 _FEW_EVALUATIONS = 6
 _ALTERNATIVE, _HOPELESS = 0.1, 0.3  # of the number of readings
@@ -242,7 +242,7 @@ def _with_alternatives(best: Solution, others: Sequence[Solution]) -> Solution:
 
 
 def _refit_to_all_samples(best: Solution, record: Record) -> Solution:
-    """Fit the model of a part of a long record to all of it, with the terms that this supports in addition."""
+    """Fit the model of a part of a long record to all of it, with further terms."""
     hold = best.problem.record.hold
     record = replace(record if (best.problem.record.marks == ekf.OPEN).any() else record.closed(), hold=hold)
     return _forward_selection(replace(best.problem, record=record).solve(best.theta, most=_FEW_EVALUATIONS))

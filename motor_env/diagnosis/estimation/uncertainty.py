@@ -23,7 +23,7 @@ _SAG = 0.05  # of the supply's voltage, at the largest current
 _GEAR = 0.07
 """Share of the motor's torque that a gear usually takes."""
 _CONVERTED = math.sqrt(0.5 * (1.0 / 12.0 + 0.25))
-"""Error of a converter in steps (rms): it rounds, or cuts off, which takes half a step on average."""
+"""Error of a converter in steps (rms): it rounds, or cuts off."""
 _CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 _WIDEST = 1e3
 _ANYTHING_LOG_SD = 3.0
@@ -33,8 +33,7 @@ _DUST = 1e-6  # of the largest reading
 _NO_LESS = 1e-3  # of the squared error of a free model: the part that is not white is never none
 _BY_CHANCE = 4.0  # over the root of the number of samples: of the variance of white noise, by its differences
 _FOLLOWS = 0.15
-"""Share of the free run's error that may look like the unknowns; with it records of one motor agree within their
-intervals, see `benchmarks/repeatability.py`."""
+"""Share of the free run's error that may look like the unknowns, by `benchmarks/repeatability.py`."""
 
 
 @dataclass(frozen=True, slots=True)
