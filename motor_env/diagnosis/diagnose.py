@@ -15,12 +15,12 @@ from scipy.special import stdtrit
 
 from motor_env.common.arrays import instance
 from motor_env.common.errors import InputError, require_options
-from motor_env.diagnosis.estimation.starts.commutation import ripple_quantities
 from motor_env.diagnosis.estimation.starts.start_fit import (
     NOT_TURNING,
     POOR_FIT,
     StartFit as Identified,
     is_blocked,
+    ripple_quantities,
     shows_turning,
 )
 from motor_env.diagnosis.estimation.starts.start_identification import (

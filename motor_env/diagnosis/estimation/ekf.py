@@ -1,8 +1,7 @@
-"""Extended Kalman filter of a recorded motor, compiled, on the steps of `motor_env.diagnosis.estimation.integrator`.
+"""Extended Kalman filter of a recorded motor, compiled, on the steps of `integrator`.
 
-State: [current, speed, load torque, shown current, shown speed]; the last ones only where a model has them. Where the
-state is known at the first sample and nothing disturbs the motor, its covariance is zero: the innovations are the
-errors of a free run.
+State: [current, speed, load torque, shown current, shown speed], the last ones only where a model has them. Where the
+first state is known and nothing disturbs the motor, the covariance is zero: innovations are errors of a free run.
 """
 
 from __future__ import annotations
@@ -38,6 +37,7 @@ from motor_env.diagnosis.estimation.parameter_index import (
     OFFSET_I,
     OFFSET_W,
     SQUARE,
+    STRIBECK,
     WALK,
     B,
     J,
@@ -49,12 +49,14 @@ from motor_env.motor.compiled import compiled, compiled_part, inlined
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
 
 BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
-"""Marks of a sample. BEGIN: the first of a recording; OPEN: the circuit is open; LOST: after an interval of unknown
-voltage; FOUND: the state behind it is not known yet; REST, STEADY: the first of a motor that stands without current,
-or runs steadily under the first voltage; SWITCH: switched on AFTER seconds before the sample."""
+"""Marks of a sample. BEGIN: the first of a recording; OPEN: open circuit; LOST: the voltage before it is unknown;
+FOUND: the state is not known yet; REST, STEADY: the first of a motor at rest, or that runs steadily under the first
+voltage; SWITCH: switched on AFTER seconds before the sample.
+"""
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
 OUTLIER_SDS = 6.0  # of an innovation, beyond which it counts no more
 _STEADY_STEPS = 12
+_NOT_SIMPLE = np.array([STRIBECK, GEAR, HEATING, NOISE_V, NOISE_T, WALK])
 
 
 @inlined
@@ -136,8 +138,7 @@ def begin(
 ) -> None:
     """Set the state at a recording's first sample as shown; the rest follows from the balance of voltages.
 
-    `shown` is what this sample and the next show, shape (2, 2), `volts` the voltage between them. Where a reading is
-    missing the recording begins again at the next sample.
+    `shown` is what this sample and the next show, shape (2, 2), `volts` the voltage between them.
     """
     for r in range(2):
         for c in range(2):
@@ -232,10 +233,7 @@ def _weigh(
     is_known: bool,
     row: FloatArray,
 ) -> tuple[float, float]:
-    """Weigh one reading into `n` states: its whitened innovation and variance; 0 and 1 where LOST or FOUND.
-
-    There a reading shows where the motor is, not what it is; a model that runs freely begins again at the reading.
-    """
+    """Weigh one reading into `n` states: its whitened innovation and variance; 0 and 1 where LOST or FOUND."""
     error, variance = shown - x[place], cov[place, place] + noise * noise
     inverse = 1.0 / variance
     white = error * math.sqrt(inverse)
@@ -273,7 +271,7 @@ def _run(
     n: int,
     room: tuple[FloatArray, ...],
 ) -> float:
-    """Filter one row of `predict_each`, with the models of an interval and of that after a switch."""
+    """Filter one row of `predict_each`."""
     m, x, cov, f, u, row, shown, work, _ = room
     lag, logs, warm_k = lag_of(p, dt_s), 0.0, 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
@@ -325,7 +323,7 @@ def _run(
 
 
 def room_to_work() -> tuple[FloatArray, tuple[FloatArray, ...]]:
-    """Return arrays in which `predict_each` works: to let numba make them takes a second of compiling."""
+    """Return arrays in which `predict_each` works; numba takes a second to compile their making."""
     shapes = ((3, 6), (5,), (5, 5), (3, 5), (4,), (5,), (2, 2), (3, 5, 5), (3, 6, 6))
     return np.zeros((2, 3, TEMPERATURES, 3, 6)), tuple(np.zeros(shape) for shape in shapes)
 
@@ -351,16 +349,16 @@ def predict_each(
         p: physical values and noise, shape (m, N_VALUES).
         dt_s: sampling interval.
         voltage: before and after the interval that ends at each sample, of each supply, shape (supplies, n, 2).
-        marks: see BEGIN; 0 for all other samples, shape (supplies, n).
+        marks: see BEGIN, shape (supplies, n); 0 for other samples.
         reach: the largest voltage, shape (supplies,).
         which: the supply of each vector of values, shape (m,).
         readings: current and speed, shape (n, 2); NaN where there is none.
         seen: 1 where a channel was recorded, shape (2,).
         learn: weigh readings in; without it the model runs freely.
-        out: whitened innovations, predicted readings, load, temperature, shape (m, n, 6); holds the load that is known
-            beforehand, and a filter leaves there what it estimates beside it.
+        out: whitened innovations, predicted readings, load, temperature, shape (m, n, 6); the load known beforehand is
+            read from it, and the estimated one is left there.
         logs: sums of the logarithms of the innovations' variances, shape (m,).
-        scratch: what `room_to_work` makes.
+        scratch: of `room_to_work`.
     """
     models, room = scratch
     for row in range(len(p)):
@@ -372,3 +370,83 @@ def predict_each(
         logs[row] = _run(
             of, dt_s, voltage[k], readings, seen, marks[k], learn, out[row], reach[k], usual, after, n, room
         )
+
+
+def are_simple(p: FloatArray, marks: FloatArray) -> bool:
+    """Return whether all rows are simple motors, shape (m, N_VALUES), and all marks a start's, shape (supplies, n)."""
+    first, others = marks[:, 0], marks[:, 1:]
+    is_start = bool((first >= REST).all()) and not ((others != 0.0) & (others != SWITCH)).any()
+    return is_start and not p[:, _NOT_SIMPLE].any()
+
+
+def room_of_simple() -> tuple[FloatArray, ...]:
+    """Return arrays in which `predict_simple_each` works."""
+    return tuple(np.zeros(shape) for shape in ((2, 3, 1, 3, 6), (5,), (4,), (3, 5), (3, 6, 6)))
+
+
+@inlined
+def _advance_simple(
+    of: FloatArray,
+    lag: tuple[float, float, float],
+    x: FloatArray,
+    u: FloatArray,
+    p: FloatArray,
+    f: FloatArray,
+) -> None:
+    w = x[1]
+    # It stands before the switch. There, dry friction would have each interval cut into parts.
+    if x[0] == w == x[3] == x[4] == u[0] == u[1] == 0.0 and abs(u[2]) <= p[COULOMB]:
+        return
+    parts = smooth_step(of[0, 0], x, u, p, p[COULOMB], f)
+    if parts > 0:
+        braked_step(of[1 if parts == FINE else (2 if parts > 1 else 0), 0], x, u, p, p[COULOMB], f, parts)
+    if p[LAG_I] <= 0.0:
+        x[3] = x[0]
+    x[4] = lag[0] * x[4] + lag[1] * w + lag[2] * x[1]
+
+
+@compiled
+def predict_simple_each(
+    p: FloatArray,
+    dt_s: float,
+    voltage: FloatArray,
+    marks: FloatArray,
+    which: NDArray[np.intp],
+    readings: FloatArray,
+    seen: FloatArray,
+    out: FloatArray,
+    logs: FloatArray,
+    room: tuple[FloatArray, ...],
+) -> None:
+    """Run `predict_each` in a third of the time, for simple starts: no disturbance, heating, gear or Stribeck curve."""
+    models, x, u, f, work = room
+    for row in range(len(p)):
+        of, table, supply = p[row], out[row], which[row]
+        lag = slow = lag_of(of, dt_s)
+        discretize_each(of, dt_s, models[0], work)
+        if of[AFTER] > 0.0:
+            discretize_each(of, of[AFTER], models[1], work)
+            slow = lag_of(of, of[AFTER])
+        weights = 1.0 / of[NOISE_I], 1.0 / of[NOISE_W]
+        log_i, log_w, total = math.log(of[NOISE_I] ** 2), math.log(of[NOISE_W] ** 2), 0.0
+        for k in range(voltage.shape[1]):
+            mark = marks[supply, k]
+            if mark >= REST:
+                x[:] = 0.0
+            if mark == STEADY:
+                steady(of, voltage[supply, k, 1], x)
+            elif mark != REST:
+                u[0], u[1], u[2] = voltage[supply, k, 0], voltage[supply, k, 1], of[LOAD] + table[k, 4]
+                if mark == SWITCH:
+                    _advance_simple(models[1], slow, x, u, of, f)
+                else:
+                    _advance_simple(models[0], lag, x, u, of, f)
+            table[k, 2], table[k, 3] = x[3] + of[OFFSET_I], x[4] + of[OFFSET_W]
+            table[k, 0], table[k, 1] = readings[k, 0] - table[k, 2], readings[k, 1] - table[k, 3]
+            for c in range(2):
+                if seen[c] > 0.0 and readings[k, c] == readings[k, c]:
+                    table[k, c] *= weights[c]
+                    total += log_i if c == 0 else log_w
+                else:
+                    table[k, c] = 0.0
+        logs[row] = total

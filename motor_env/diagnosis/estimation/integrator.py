@@ -1,8 +1,8 @@
 """One interval of a recorded motor, compiled: exact steps of the linear part, dry friction and brush drop with events.
 
-Between two samples the linear motor, and a current sensor's lag, are solved exactly for a voltage that is a straight
-line. Coulomb friction and brush drop are constant inputs while motion and current keep their signs; else the interval
-is cut into parts in which both brake to zero and never beyond it.
+The linear motor and a current sensor's lag are solved exactly for a voltage that is a straight line. Friction and drop
+are constant inputs while motion and current keep their signs; else the interval is cut into parts, in which both brake
+to zero and never beyond it.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def _parts(least: float, change: float, knee: float) -> int:
 
 @inlined
 def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray) -> int:
-    """Advance an interval in which drop and friction stay as they are; return 0, else in how many parts to take it.
+    """Advance an interval in which drop and friction stay; return 0, else in how many parts to take it.
 
     Args:
         m: discrete model.
@@ -173,7 +173,7 @@ def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry:
 
 @inlined
 def _held_at_zero(before: float, free: float, reach: float) -> float:
-    """Return a value after an interval from that without the opposing input, which takes `reach` and turns at zero."""
+    """Return a value after an interval behind an opposing input, which takes `reach` and turns at zero."""
     sign = math.copysign(1.0, before if before != 0.0 else free)
     kept = free - sign * reach
     if kept * sign >= 0.0:
@@ -187,10 +187,7 @@ def _held_at_zero(before: float, free: float, reach: float) -> float:
 
 @inlined
 def _solve_knee(free: float, reach: float, knee: float, near: float) -> float:
-    """Solve i + reach i / hypot(i, knee) = free by Newton's method from a size near i.
-
-    The left side is concave beyond zero: from below each step stays below.
-    """
+    """Solve i + reach i / hypot(i, knee) = free by Newton's method from a size near i; each step stays below."""
     size = abs(free)
     least = max(size - reach, 0.0)
     i = min(max(near, least), size)
@@ -216,7 +213,7 @@ def _opposing_input(before: float, free: float, reach: float, knee: float) -> fl
 def braked_step(
     m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry: float, f: FloatArray, parts: int
 ) -> None:
-    """Advance an interval in equal parts; friction and drop turn where speed and current cross zero, or hold them."""
+    """Advance an interval in equal parts; friction and drop turn, or hold, where speed and current cross zero."""
     f[:] = 0.0
     f[0, 0] = f[1, 1] = f[2, 4] = 1.0
     rise = (u[1] - u[0]) / parts
@@ -256,7 +253,7 @@ def braked_step(
 def coasting_step(
     x: FloatArray, u: FloatArray, p: FloatArray, dry: float, dt_s: float, f: FloatArray
 ) -> None:
-    """Advance an interval with an open circuit, in equal parts: no current, the speed falls by friction and load."""
+    """Advance an interval with an open circuit, in equal parts: only friction and load act."""
     f[:] = 0.0
     f[1, 1] = 1.0
     part_s = dt_s / FINE

@@ -1,4 +1,8 @@
-"""The model of a motor at work: initial values, prediction errors, and the terms that the evidence supports."""
+"""Model selection for a motor at work: initial values by regression, and the terms that the evidence supports.
+
+Integrated over windows the equations need no derivative of a noisy signal. With current and speed they are linear in
+all unknowns; with the current alone for each of several resistances.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +13,22 @@ from itertools import product
 
 import numpy as np
 from scipy.ndimage import convolve1d
+from scipy.optimize import nnls
 
 from motor_env.diagnosis.estimation import ekf, parameter_index as index
-from motor_env.diagnosis.estimation.initial_values import initial_values
+from motor_env.diagnosis.estimation.preprocessing import median_noise
 from motor_env.diagnosis.estimation.problem import Problem, Solution
 from motor_env.diagnosis.estimation.record import HOLDS, Record
-from motor_env.diagnosis.estimation.score_tests import candidates, score_tests
 from motor_env.diagnosis.estimation.terms import SHAPES, Term, terms
+from motor_env.diagnosis.estimation.uncertainty import candidates, score_tests
+from motor_env.diagnosis.readers.noise import filled
 from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.motor.parameters import FloatArray
 
+_WINDOWS = (2, 5, 12, 30, 80, 200)
+_RESISTANCES = np.geomspace(0.04, 2.0, 9)
+_LEAST = 1e-9
+_LEAST_LAG = 0.3  # of R dt
 STRONG_EVIDENCE = 6.0
 SELECTION_SAMPLES = 2_000
 """Samples on which the model of a record more than twice as long is selected."""
@@ -32,11 +42,122 @@ _QUIET_VALUES = {
     "load_walk": -4.0,
 }
 _TORQUE_DISTURBANCES = ("load_walk", "noise_torque")
-"""A torque that disturbs the motor wanders, or is another in each interval; at most one of the two."""
+"""Of the torques that disturb the motor, one that wanders and one of each interval, at most one is fitted."""
 _MOST_TRIED = 2
 _FEW_EVALUATIONS = 6
 _ALTERNATIVE, _HOPELESS = 0.1, 0.3  # of the number of readings
 _CLEARLY = math.log(2.0)
+
+
+def initial_values(record: Record) -> list[FloatArray]:
+    """Return values to begin a fit from, each of shape (parameter_index.N_VALUES,)."""
+    guesses = []
+    for window in _WINDOWS:
+        if len(record.voltage_v) < 12 * window:
+            break
+        if record.seen.all():
+            guesses += [_from_current_and_speed(record, window, loaded=loaded) for loaded in (False, True)]
+        elif record.seen[0]:
+            guesses += [
+                _from_current(record, window, share, loaded=loaded)
+                for share in _RESISTANCES
+                for loaded in (False, True)
+            ]
+        else:
+            guesses.append(_from_speed(record, window))
+    return [values for values in guesses if values is not None]
+
+
+def _changes(sums: FloatArray, record: Record, width: int) -> FloatArray:
+    """Return the change of a series over each window within one recording."""
+    counted, starts = np.cumsum(record.begins), np.arange(0, len(sums) - width, max(width // 2, 1))
+    starts = starts[counted[starts + width] == counted[starts]]
+    return np.asarray(sums[starts + width] - sums[starts], dtype=np.float64)
+
+
+def _means(column: FloatArray, record: Record, width: int) -> FloatArray:
+    sums = np.concatenate([[0.0], np.cumsum(0.5 * (column[1:] + column[:-1]))])
+    return _changes(sums, record, width) / width
+
+
+def _slopes(column: FloatArray, record: Record, width: int) -> FloatArray:
+    return _changes(column, record, width) / (width * record.dt_s)
+
+
+def _volts(record: Record, width: int) -> FloatArray:
+    """Return the mean voltage of each window; it may be held between samples."""
+    sums = np.concatenate([[0.0], np.cumsum(record.between()[1:].mean(axis=1))])
+    return _changes(sums, record, width) / width
+
+
+def _solve(columns: list[FloatArray], target: FloatArray) -> FloatArray:
+    matrix = np.stack(columns, axis=1)
+    size = np.sqrt(np.mean(matrix**2, axis=0)) + 1e-300
+    solution: FloatArray = nnls(matrix / size, target)[0] / size
+    return solution
+
+
+def _torques(
+    columns: list[FloatArray], torque: FloatArray, *, loaded: bool
+) -> tuple[float, float, float, float]:
+    """Solve for inertia, viscous and dry friction, and a constant load of either sign if `loaded`."""
+    ones = np.ones(len(torque))
+    solution = _solve([*columns, ones, -ones] if loaded else columns, torque).tolist()
+    load = solution[3] - solution[4] if loaded else 0.0
+    return solution[0], solution[1], solution[2], load
+
+
+def _values(record: Record, **given: float) -> FloatArray:
+    """Return physical values with noises out of a regression's."""
+    values = np.zeros(index.N_VALUES)
+    for name, value in given.items():
+        values[getattr(index, name)] = value
+    values[index.L] = max(values[index.L], _LEAST_LAG * values[index.R] * record.dt_s)
+    values[index.NOISE_I] = median_noise(filled(record.readings[:, 0])) if record.seen[0] else 1.0
+    values[index.NOISE_W] = median_noise(filled(record.readings[:, 1])) if record.seen[1] else 1.0
+    return values
+
+
+def _from_current_and_speed(record: Record, window: int, *, loaded: bool) -> FloatArray | None:
+    """Regress current and speed: V = R i + L di/dt + K w + drop, K i = J dw/dt + B w + Tc sign(w)."""
+    i, w = filled(record.readings[:, 0]), filled(record.readings[:, 1])
+    mean_i, mean_w, direction = (_means(column, record, window) for column in (i, w, _sign(w)))
+    slope_i, slope_w = (_slopes(column, record, window) for column in (i, w))
+    r, inductance, k = _solve([mean_i, slope_i, mean_w], _volts(record, window))
+    if k <= 0.0 or r <= 0.0:
+        return None
+    inertia, drag, dry, load = _torques([slope_w, mean_w, direction], k * mean_i, loaded=loaded)
+    if inertia <= 0.0:
+        return None
+    return _values(record, R=r, L=inductance, K=k, J=inertia, B=drag, COULOMB=dry, LOAD=load)
+
+
+def _from_current(record: Record, window: int, share: float, *, loaded: bool) -> FloatArray | None:
+    """Regress the current alone, with K = 1: the speed is what R leaves of the voltage."""
+    volts, amps, _ = record.peaks
+    r, mean_i = share * volts / amps, _means(filled(record.readings[:, 0]), record, window)
+    w = _volts(record, window) - r * mean_i
+    slope = (w[2:] - w[:-2]) / (2.0 * max(window // 2, 1) * record.dt_s)
+    inertia, drag, dry, load = _torques([slope, w[1:-1], _sign(w)[1:-1]], mean_i[1:-1], loaded=loaded)
+    if inertia <= 0.0:
+        return None
+    return _values(record, R=r, K=1.0, J=inertia, B=drag, COULOMB=dry, LOAD=load)
+
+
+def _from_speed(record: Record, window: int) -> FloatArray | None:
+    """Regress the speed alone, with R = 1 and B = 0: V = K w + J/K dw/dt + Tc/K sign(w)."""
+    w = filled(record.readings[:, 1])
+    columns = [_means(w, record, window), _slopes(w, record, window), _means(_sign(w), record, window)]
+    k, lag, dead = _solve(columns, _volts(record, window))
+    if k <= 0.0 or lag <= 0.0:
+        return None
+    return _values(record, R=1.0, K=k, J=lag * k, COULOMB=dead * k)
+
+
+def _sign(w: FloatArray) -> FloatArray:
+    slow = 0.01 * float(np.quantile(np.abs(w), 0.99)) + _LEAST
+    direction: FloatArray = w / np.maximum(np.abs(w), slow)
+    return direction
 
 
 def fit(record: Record) -> Solution:
@@ -49,7 +170,7 @@ def fit(record: Record) -> Solution:
 
 
 def _smallest_model(record: Record) -> Solution:
-    """Fit a record without alternatives; a long one from a part of it."""
+    """Fit a record without alternatives; a long one from a part."""
     if len(record.voltage_v) > 2 * SELECTION_SAMPLES:
         return _refit_to_all_samples(_smallest_model(record.sample(SELECTION_SAMPLES)), record)
     rivals = [_select_terms(first) for first in _initial_fits(record)]
@@ -63,9 +184,7 @@ def _smallest_model(record: Record) -> Solution:
 def _prefer_held_voltage(best: Solution) -> Solution:
     """Replace a fractional delay or a straight-line voltage by a held one if they win only by averaging noise.
 
-    Both average neighbours of the recorded voltage and its noise. So does a mean over three samples without a delay:
-    where it explains as much, there is none. A fit that blames all on a disturbing torque may be likelier and explain
-    less.
+    A mean over three samples without a delay averages that, too: where it explains as much, there is no delay.
     """
     timed = _remove_terms(best, ("delay",))
     is_straight = best.problem.record.hold == "straight"
@@ -87,10 +206,7 @@ def _prefer_held_voltage(best: Solution) -> Solution:
 
 
 def _with_timing_alternatives(best: Solution) -> Solution:
-    """Add fits with other voltage timing as alternatives where the voltage has no steps.
-
-    A lag of the voltage then looks like L/R. Only how a model errs that is never quite right decides between them.
-    """
+    """Add fits of other voltage timing as alternatives where the voltage has no steps: a lag then looks like L/R."""
     slopes = np.diff(best.problem.record.voltage_v)
     if np.nansum(np.abs(np.diff(slopes))) > np.nansum(np.abs(slopes)):
         return best
@@ -105,8 +221,7 @@ def _with_timing_alternatives(best: Solution) -> Solution:
 def _without_process_noise(best: Solution) -> Solution:
     """Add the fit without process noise as an alternative of the same misfit, if it explains nearly as much.
 
-    Both are right where the model is. Where it is not, process noise stands for what the model lacks, and a controller
-    makes that depend on the current: R may err by a half while the likelihood is sure of it. There the two differ.
+    Process noise stands for what the model lacks. Under a controller that depends on the current, and biases R.
     """
     if not {"noise_voltage", *_TORQUE_DISTURBANCES} & {*best.names}:
         return best
@@ -127,14 +242,14 @@ def _with_alternatives(best: Solution, others: Sequence[Solution]) -> Solution:
 
 
 def _refit_to_all_samples(best: Solution, record: Record) -> Solution:
-    """Fit the model of a part of a long record to all of it, with the terms that this supports in addition."""
+    """Fit the model of a part of a long record to all of it, with further terms."""
     hold = best.problem.record.hold
     record = replace(record if (best.problem.record.marks == ekf.OPEN).any() else record.closed(), hold=hold)
     return _forward_selection(replace(best.problem, record=record).solve(best.theta, most=_FEW_EVALUATIONS))
 
 
 def _fits_of_other_voltages(best: Solution, record: Record) -> list[Solution]:
-    """Fit without a delay under every other variant of the voltage, which the initial values may have missed."""
+    """Fit without a delay under every other variant of the voltage."""
     timed = _remove_terms(best, ("delay",))
     fits = []
     for behaved in _voltage_variants(record):
@@ -152,10 +267,9 @@ def _voltage_variants(record: Record) -> list[Record]:
 
 
 def _with_shape_parameters(best: Solution) -> Solution:
-    """Fit the shapes of brush drop and dry friction, too, under their prior.
+    """Fit the shapes of brush drop and dry friction under their prior, from several initial values.
 
-    Fits also begin from a quiet motor without offsets, as noise and a wandering load may have carried a fit away; and,
-    where dry friction and a constant load may stand for each other, from less and from more of it.
+    Noise and a walking load may have carried a fit away; dry friction and a constant load may stand for each other.
     """
     added = [best.problem.every[shape] for shape, of in SHAPES.items() if of in best.names]
     problem = best.problem.with_terms(added)
@@ -198,19 +312,19 @@ def _select_terms(first: Solution) -> Solution:
 
 
 def _output_error_fits(solutions: Sequence[Solution]) -> list[Solution]:
-    """Fit the same terms without process noise: output errors, which real model errors may leave ahead."""
+    """Fit the same terms without process noise, to output errors."""
     begun = [_remove_terms(solution, ("noise_voltage", *_TORQUE_DISTURBANCES)) for solution in solutions]
     return [less.problem.solve(less.theta, most=60) for less in begun]
 
 
 def _free_run_misfit(solution: Solution) -> float:
-    """Sum `_log_unexplained`; a fit with process noise must be behind by less than the margin."""
+    """Sum `_log_unexplained`."""
     left = _log_unexplained(solution)
     return float(left.sum()) + (0.0 if "noise_voltage" not in solution.names else -_CLEARLY * len(left))
 
 
 def _log_unexplained(solution: Solution) -> FloatArray:
-    """Return the logarithm of the share of each recorded channel's variance that the free run leaves."""
+    """Return the logarithm of the variance share that the free run leaves, each channel."""
     return np.log([max(1.0 - r2, 1e-12) for r2 in solution.explained() if r2 is not None])
 
 
@@ -260,7 +374,7 @@ def _initial_fits(record: Record) -> list[Solution]:
 
 
 def initial_problems(record: Record) -> list[tuple[Problem, FloatArray]]:
-    """Return problems with unknowns to begin from, out of regressions, smallest prediction errors first."""
+    """Return problems and initial unknowns out of regressions, smallest prediction errors first."""
     begun = [_initial_problem(record, values) for values in initial_values(record)]
     return sorted(begun, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
 

@@ -1,4 +1,4 @@
-"""Recordings of a motor at work as one record: averaged where they may be, with their open circuits."""
+"""Preprocessing of recordings of a motor at work to one record, with averages and open circuits."""
 
 from __future__ import annotations
 
@@ -85,8 +85,7 @@ def open_circuit(voltage_v: FloatArray, readings: FloatArray, begins: FloatArray
     """Find where a motor coasts with an open circuit, shape (n,).
 
     The voltage jumps where the circuit opens and closes; a diode may carry the current until it is gone. Then there is
-    none, and the terminals' voltage moves with the speed, not in steps; or it is recorded as none and the speed moves.
-    Without a recorded speed a motor that stands counts as well.
+    none, and the terminals' voltage follows the speed, or is recorded as none while the speed moves.
     """
     current, peak = readings[:, 0], float(np.quantile(np.abs(voltage_v), 0.999))
     noise, largest = median_noise(current), float(np.quantile(np.abs(current), 0.99))
@@ -128,7 +127,7 @@ def _jumps(voltage_v: FloatArray) -> NDArray[np.bool_]:
 
 
 def median_noise(column: FloatArray) -> float:
-    """Return the standard deviation of white noise by the median second difference; a converter's step at least."""
+    """Return white noise's standard deviation by the median second difference; a converter's step at least."""
     second, moved = np.abs(np.diff(column, 2)), np.abs(np.diff(column))
     steps = moved[moved > 0.0]
     quantum = float(np.min(steps)) / math.sqrt(12.0) if len(steps) else 0.0
@@ -172,7 +171,7 @@ def _averageable(recording: Recording, wanted: int) -> int:
 
 
 def liveliest_stretches(recording: Recording, share: float, count: int = STRETCHES) -> list[Recording]:
-    """Return a share of a recording: of each of `count` equal parts the stretch in which the voltage moves most."""
+    """Return a share of a recording: the liveliest stretch of each of `count` equal parts."""
     n = len(recording.time_s)
     volts = recording.current_a if recording.voltage_v is None else recording.voltage_v
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(volts)))])
@@ -205,11 +204,7 @@ def at_terminals(
 
 
 def _columns(recording: Recording, factor: int) -> list[FloatArray]:
-    """Return means of voltage, current, speed (zeros where not recorded), and 1 where the recording begins.
-
-    Raises:
-        UnusableError: no voltage, neither current nor speed, or an aliased pulse-width modulation.
-    """
+    """Return means of voltage, current, speed (zeros where not recorded), and 1 where the recording begins."""
     voltage, (has_current, has_speed) = recording.voltage_v, _seen(recording)
     if voltage is None:
         raise UnusableError("a motor at work can be identified only where the voltage was recorded")

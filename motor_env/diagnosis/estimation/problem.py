@@ -1,7 +1,7 @@
-"""Residuals of one choice of terms: whitened innovations of the Kalman filter; their least squares.
+"""Least-squares problem of one choice of terms: whitened innovations of the Kalman filter.
 
 Times the geometric mean of their standard deviations, their sum of squares is the concentrated likelihood (Ljung 1999,
-ch. 7): one least-squares fit finds motor and noise together.
+ch. 7): one fit finds motor and noise together.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ _LEAST_NOISE = 1e-7  # of what was believed before
 _LARGEST = 1e100  # of an innovation: its square is a number
 STEP = 1e-4
 _ENOUGH = 0.01
-"""Of -2 log likelihood: a fit ends with a step that gains less. One standard error of a parameter costs 1."""
+"""Of -2 log likelihood: a fit ends with a step that gains less. One standard error costs 1."""
 WIDTHS = (1e-3, 0.1)
 """Least and largest step over which the slope of residuals with kinks is taken."""
 _WORTH, _MOST_OUT = 1.0, 20
-"""Of -2 log likelihood: what wide slopes must promise for a fit to go on, and its gain; evaluations."""
+"""Of -2 log likelihood: what wide slopes must promise, and the gain; evaluations."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Residuals of one choice of terms.
+    """Least-squares problem of one choice of terms.
 
     Attributes:
         record: what is fitted.
@@ -96,7 +96,7 @@ class Problem:
     def jacobian(
         self, theta: FloatArray, base: FloatArray, chosen: Sequence[int] | None = None
     ) -> FloatArray:
-        """Return one-sided derivatives of the residuals, which are `base` there, by all or the chosen unknowns."""
+        """Return one-sided derivatives of the residuals, `base` at theta, by all or the chosen unknowns."""
         moved, steps = self.steps(theta, range(len(theta)) if chosen is None else chosen)
         slopes: FloatArray = ((self.residuals_each(moved) - base) / steps[:, None]).T
         return slopes
@@ -111,10 +111,7 @@ class Problem:
         return moved, steps
 
     def secants(self, theta: FloatArray, chosen: Sequence[int], steps: FloatArray) -> FloatArray:
-        """Return derivatives by chosen unknowns over wide steps in both directions, within the bounds.
-
-        Where the motor starts and stops the residuals have kinks: an interval needs their slope over its width.
-        """
+        """Return derivatives by chosen unknowns over wide steps both ways: residuals have kinks at standstill."""
         low, high = self.bounds
         rows, below = np.arange(len(chosen)), np.tile(theta, (len(chosen), 1))
         above = below.copy()
@@ -216,8 +213,7 @@ class Solution:
     def escape_local_minimum(self) -> Solution:
         """Continue a fit that is caught between two jumps of its likelihood; return it if there is no way out.
 
-        Where the motor starts or stops at another sample the likelihood jumps. Between two such jumps derivatives at a
-        point see no way out; those over steps as wide as the unknowns are uncertain may.
+        The likelihood jumps where the motor starts or stops at another sample. Slopes over wide steps see beyond.
         """
         problem, theta, motor = self.problem, self.theta, motor_unknowns(self.problem)
         base, (low, high) = problem.residuals(theta), problem.bounds
@@ -254,7 +250,7 @@ class Solution:
         return filtered, record.predict(values, learn=False, load=filtered[:, 4])[0]
 
     def explained(self) -> tuple[float | None, float | None]:
-        """Return the share of the variance of current and speed that the free run explains; None where not used."""
+        """Return the share of current's and speed's variance that the free run explains; None where not used."""
         record = self.problem.record
         left = record.readings - self.free[1][:, 2:4]
         r2 = [

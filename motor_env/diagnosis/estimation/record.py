@@ -1,4 +1,4 @@
-"""What is fitted: voltage, current and speed of one or several recordings of a motor, in a row."""
+"""Record of a motor to fit: voltage, current and speed of one or several recordings in a row."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from motor_env.diagnosis.estimation import simple
 from motor_env.diagnosis.estimation.ekf import (
     BEGIN,
     FOUND,
@@ -18,7 +17,10 @@ from motor_env.diagnosis.estimation.ekf import (
     OPEN,
     REST,
     SWITCH,
+    are_simple,
     predict_each,
+    predict_simple_each,
+    room_of_simple,
     room_to_work,
 )
 from motor_env.diagnosis.estimation.parameter_index import (
@@ -36,7 +38,7 @@ from motor_env.motor.parameters import FloatArray
 
 Hold = Literal["held", "straight", "late"]
 HOLDS: tuple[Hold, ...] = ("held", "straight", "late")
-"""The voltage of a sample lasts until the next; runs straight to it; or has lasted since the one before."""
+"""The voltage of a sample lasts until the next, runs straight to it, or has lasted since the one before."""
 CURVE_PARTS = 5
 """Parts of a supply's rise of free shape."""
 _OF_SUPPLY = np.r_[DELAY, ONSET, RISE, np.arange(CURVE.start, CURVE.stop)]
@@ -88,7 +90,7 @@ class Record:
 
     @property
     def told(self) -> NDArray[np.bool_]:
-        """Readings that tell the motor's quantities, shape (n, 2): all that are there and not behind a hole."""
+        """Readings that tell the motor's quantities, shape (n, 2): all but those behind a hole."""
         told: NDArray[np.bool_] = np.isfinite(self.readings) & np.outer(
             (self.marks != LOST) & (self.marks != FOUND), self.seen > 0.0
         )
@@ -121,7 +123,7 @@ class Record:
 
     @property
     def steps(self) -> FloatArray:
-        """Smallest step between two readings of current, of speed, shape (2,); 0 where they never change."""
+        """Smallest step of current and speed, shape (2,); 0 where they never change."""
         moves = np.abs(np.diff(self.readings, axis=0, prepend=np.nan))
         moves[~(moves > _DUST * np.nanmax(np.abs(self.readings), axis=0, initial=0.0))] = np.inf
         least = moves.min(axis=0)
@@ -145,7 +147,7 @@ class Record:
         return np.ascontiguousarray(np.stack(pairs[self.hold], axis=1))
 
     def supply(self, values: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return the voltage over each interval, see `between`; marks; seconds from a switch to the sample after it."""
+        """Return the voltage over each interval, see `between`; marks; seconds from a switch to the next sample."""
         if self.onset_s is None:
             return self.between(float(values[DELAY])), self.marks, 0.0
         since = self.dt_s * np.arange(len(self.voltage_v)) - (self.onset_s + values[ONSET])
@@ -184,8 +186,8 @@ class Record:
         voltage, marks = (np.stack([each[n] for each in supplies.values()]) for n in (0, 1))
         which = np.array([list(supplies).index(key) for key in keys])
         logs, read = np.zeros(len(p)), (self.readings, self.seen)
-        if simple.are_simple(p, marks):
-            simple.run_each(p, self.dt_s, voltage, marks, which, *read, out, logs, simple.room())
+        if are_simple(p, marks):
+            predict_simple_each(p, self.dt_s, voltage, marks, which, *read, out, logs, room_of_simple())
         else:
             reach = 1e-9 + np.abs(voltage).max((1, 2))
             predict_each(p, self.dt_s, voltage, marks, reach, which, *read, learn, out, logs, room_to_work())
@@ -210,7 +212,7 @@ class Record:
         return replace(self, marks=np.where(self.marks == OPEN, 0.0, self.marks))
 
     def sample(self, count: int) -> Record:
-        """Return `count` of its samples: evenly spread stretches of equal length."""
+        """Return `count` of its samples in evenly spread stretches."""
         firsts = np.arange(STRETCHES) * (len(self.voltage_v) // STRETCHES)
         some = (firsts[:, None] + np.arange(count // STRETCHES)).ravel()
         marks, readings = self.marks[some], self.readings[some]
@@ -224,7 +226,7 @@ class Record:
 
 
 def with_begins(marks: FloatArray, readings: FloatArray, seen: FloatArray) -> FloatArray:
-    """Mark recordings as begun until the voltage is known and each channel is read twice in a row."""
+    """Mark recordings as begun until the voltage is known and each channel is read twice."""
     marks = marks.copy()
     is_read: NDArray[np.bool_] = np.all(np.isfinite(readings[:, seen > 0.0]), axis=1)
     known = is_read[:-1] & is_read[1:] & (marks[1:] != LOST)
@@ -240,9 +242,8 @@ def with_holes(
 ) -> FloatArray:
     """Mark a record whose voltage has missing samples.
 
-    Unknown is the voltage of two intervals before such a sample and two after it, as it may be held either way and come
-    late. Then LOST lasts until each channel is read, FOUND until each is read once more, which finds the states that no
-    reading shows.
+    It is unknown for two intervals before and after such a sample, as it may be held either way and come late. LOST
+    lasts until each channel is read, FOUND until each is read once more.
     """
     unknown = np.pad(missing, 2)
     lost: NDArray[np.bool_] = unknown[:-4] | unknown[1:-3] | unknown[2:-2] | unknown[3:-1]
@@ -260,7 +261,7 @@ def with_holes(
 
 
 def mean_rise(values: FloatArray, begin_s: FloatArray, end_s: FloatArray) -> FloatArray:
-    """Return the mean over intervals [begin, end] of a supply that rises to 1 in straight parts."""
+    """Return the mean over intervals of a supply that rises to 1 in straight parts."""
     if values[RISE] <= 0.0:
         return np.ones_like(begin_s)
     shares = np.append(1.0, values[CURVE])

@@ -1,4 +1,4 @@
-"""Unknowns of a recorded motor: index, unit, bounds and prior of each."""
+"""Table of a recorded motor's unknowns: index, unit, bounds and prior of each."""
 
 from __future__ import annotations
 

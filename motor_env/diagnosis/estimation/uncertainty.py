@@ -1,24 +1,30 @@
-"""How well the unknowns are known: Fisher information, residuals that are not white, terms that were left out."""
+"""Covariance of the unknowns: Fisher information, residuals that are not white, terms that were left out."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
 
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.problem import WIDTHS, Problem, Solution, motor_unknowns
-from motor_env.diagnosis.estimation.score_tests import (
-    candidates,
-    quantisation_effects,
-    score_tests,
-    unmodelled_effects,
-)
+from motor_env.diagnosis.estimation.terms import Term
 from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.motor.parameters import FloatArray
 
+_NO_NUMBER = 1e60
+_BRUSHES = 0.04  # of the largest voltage
+_KNEES = {0.1: 1.0, 1.0: 2.0}
+"""Share of the largest current at which half of the brushes' voltage is there: that voltage over the usual."""
+_SAG = 0.05  # of the supply's voltage, at the largest current
+_GEAR = 0.07
+"""Share of the motor's torque that a gear usually takes."""
+_CONVERTED = math.sqrt(0.5 * (1.0 / 12.0 + 0.25))
+"""Error of a converter in steps (rms): it rounds, or cuts off."""
+_CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
 _WIDEST = 1e3
 _ANYTHING_LOG_SD = 3.0
 _PARTS = 20  # of a record, whose scores are compared
@@ -27,8 +33,147 @@ _DUST = 1e-6  # of the largest reading
 _NO_LESS = 1e-3  # of the squared error of a free model: the part that is not white is never none
 _BY_CHANCE = 4.0  # over the root of the number of samples: of the variance of white noise, by its differences
 _FOLLOWS = 0.15
-"""Share of the free run's error that may look like the unknowns; with it records of one motor agree within their
-intervals, see `benchmarks/repeatability.py`."""
+"""Share of the free run's error that may look like the unknowns, by `benchmarks/repeatability.py`."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreTest:
+    """Result of a score test: what adding a term would do.
+
+    Attributes:
+        chi_square: fall of -2 log likelihood.
+        value, sd: of the unknown.
+        moves: of the other unknowns, for one unit of it.
+    """
+
+    chi_square: float
+    value: float
+    sd: float
+    moves: FloatArray
+
+
+def candidates(best: Solution) -> list[str]:
+    """Name the terms that a record may tell and the model lacks."""
+    seen, names = best.problem.record.seen, best.problem.names
+    left = [name for name in _CANDIDATES if name not in names]
+    if "heating" in names and "cooling" not in names:
+        left.append("cooling")
+    if not seen[0]:
+        left = [name for name in left if name not in {"sensor_lag", "heating", "cooling", "load_square"}]
+    if not seen[1]:
+        left = [name for name in left if name != "speed_lag"]
+    if not seen.all():  # one of them alone cannot tell it from other friction
+        left = [name for name in left if name != "gear_loss"]
+    return left
+
+
+def score_tests(
+    best: Solution, every: dict[str, Term], tested: Sequence[str], sizes: Sequence[float] = ()
+) -> dict[str, ScoreTest]:
+    """Test terms without fitting them (score tests).
+
+    Args:
+        best: a fit without them.
+        every: all terms.
+        tested: names of those that are tested.
+        sizes: of each term over its usual one, of which the most telling counts; by default it is small.
+    """
+    if not tested:
+        return {}
+    direction = _ResidualSlopes(best)
+    tests = {}
+    for name in tested:
+        term = every[name]
+        problem = best.problem.with_terms([term])
+        sides = np.array([min(size * term.usual, term.high) for size in sizes] or [term.slope_at])
+        moved = problem.residuals_each(np.column_stack([np.tile(best.theta, (len(sides), 1)), sides]))
+        moved = np.delete(moved, len(direction.base), axis=1)
+        test = direction.test(moved, sides, is_positive=term.low >= 0.0)
+        if test is not None:
+            tests[name] = test
+    return tests
+
+
+class _ResidualSlopes:
+    """Residuals of a fit and their slopes at the point; wide steps made friction and load look better determined."""
+
+    def __init__(self, best: Solution) -> None:
+        self.base = best.problem.residuals(best.theta)
+        self.jacobian = best.problem.jacobian(best.theta, self.base)
+        self.variance = float(self.base @ self.base) / best.problem.count
+        self.inverse = np.linalg.pinv(self.jacobian)
+
+    def test(self, moved: FloatArray, sides: FloatArray, *, is_positive: bool) -> ScoreTest | None:
+        """Test the most telling of several sizes of an addition, by residuals, shape (m, n); None where none tells."""
+        moved = np.clip(moved, -_NO_NUMBER, _NO_NUMBER)  # a size at which the model has no numbers
+        columns = (moved - self.base).T / sides
+        moves = -self.inverse @ columns
+        columns = columns + self.jacobian @ moves
+        information = np.maximum(np.sum(columns**2, axis=0), 1e-300)
+        values = -(self.base @ columns) / information
+        gains = np.where((values < 0.0) & is_positive, 0.0, values**2 * information / self.variance)
+        most = int(np.argmax(gains))
+        if information[most] <= 1e-12 * self.variance:
+            return None
+        sd = math.sqrt(self.variance / information[most])
+        return ScoreTest(float(gains[most]), float(values[most]), sd, moves[:, most])
+
+
+def unmodelled_effects(best: Solution) -> list[ScoreTest]:
+    """Test effects that no term models, each of its usual size (1), at the fitted motion.
+
+    Brushes whose resistance falls with the current (Holm 1967), at small and at larger currents, and a gear's loss.
+    """
+    problem, record = best.problem, best.problem.record
+    if not record.seen[0]:
+        return []
+    lacked = [_with_brush_resistance(best, *usual) for usual in _KNEES.items()]
+    if "gear_loss" not in best.names:
+        geared = problem.known.copy()
+        geared[index.GEAR] = _GEAR
+        lacked.append(replace(problem, known=geared))
+    return _unit_size_tests(best, lacked)
+
+
+def quantisation_effects(best: Solution) -> list[ScoreTest]:
+    """Test half a converter's step, by a standard deviation, where all readings of one sign err alike."""
+    record, erred = best.problem.record, []
+    for channel in np.flatnonzero(record.seen):
+        readings = record.readings.copy()
+        readings[:, channel] += _CONVERTED * record.steps[channel] * np.sign(readings[:, channel])
+        erred.append(replace(best.problem, record=replace(record, readings=readings)))
+    return _unit_size_tests(best, erred)
+
+
+def supply_effects(best: Solution) -> list[ScoreTest]:
+    """Test effects between a stated voltage and the motor, each of its usual size (1), at the fitted current.
+
+    Brushes as in `unmodelled_effects`, and a supply that falls with the square of the current.
+    """
+    record, current = best.problem.record, best.free[0][:, 2]
+    lost = _SAG * record.voltage_v * (current / np.abs(current).max()) ** 2
+    sagged = replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
+    return _unit_size_tests(best, [_with_brush_resistance(best, min(_KNEES), 1.0), sagged], is_positive=True)
+
+
+def _with_brush_resistance(best: Solution, knee: float, size: float) -> Problem:
+    """Return the problem behind brushes whose resistance falls with the current, `size` times the usual."""
+    record, current = best.problem.record, best.free[0][:, 2]
+    volts, amps, _ = record.peaks
+    lost = _BRUSHES * (size * volts) * current / (np.abs(current) + knee * amps)
+    return replace(best.problem, record=replace(record, voltage_v=record.voltage_v - lost))
+
+
+def _unit_size_tests(
+    best: Solution, lacked: Sequence[Problem], *, is_positive: bool = False
+) -> list[ScoreTest]:
+    """Test each problem that has something of size 1 which that of the fit lacks."""
+    direction = _ResidualSlopes(best)
+    tests = [
+        direction.test(each.residuals(best.theta)[None], np.ones(1), is_positive=is_positive)
+        for each in lacked
+    ]
+    return [test for test in tests if test is not None]
 
 
 def information_covariance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
@@ -52,9 +197,8 @@ def secants(problem: Problem, theta: FloatArray) -> FloatArray:
 def covariance(best: Solution) -> FloatArray:
     """Return the covariance of the unknowns that are no noises, with model error and the choice of terms.
 
-    A term that was left out counts with its posterior probability (Hoeting et al. 1999) under its usual size: it would
-    have moved the others, and left them less certain. Other optima count with theirs. So do `unmodelled_effects`,
-    `quantisation_effects`, and the model's error, in parts of the record and throughout.
+    A term that was left out counts with its posterior probability (Hoeting et al. 1999) under its usual size; other
+    optima with theirs. So do unmodelled effects, quantisation, and the model's error, in parts and throughout.
     """
     problem, chosen = best.problem, motor_unknowns(best.problem)
     white, rows = normalised(problem, best.theta, secants(problem, best.theta), chosen)
@@ -85,8 +229,7 @@ def covariance(best: Solution) -> FloatArray:
 def _systematic_covariance(best: Solution, chosen: Sequence[int]) -> FloatArray:
     """Return the covariance by the part of the free run's error that no number of samples averages away.
 
-    What no term says, as cogging, comes back whenever the motor moves alike, and looks like a part of what the terms
-    say. Innovations hide its size: a disturbing torque stands for it. White noise, which averages away, does not count.
+    What no term says, as cogging, comes back whenever the motor moves alike, and looks like a part of the terms.
     """
     problem, record = best.problem, best.problem.record
     moved, steps = problem.steps(best.theta, chosen)
@@ -116,9 +259,8 @@ def normalised(
         chosen: their positions.
 
     Returns:
-        Residuals of the samples, shape (n, channels); the derivatives of all residuals, and rows of a weak prior: a
-        standard deviation of 3 for a logarithm that no sample tells, and for the onset half an interval and half the
-        current's rise, as the fit's slope at one place does not see the bounds between two samples.
+        Residuals of the samples, shape (n, channels); derivatives of all residuals, and rows of a weak prior: standard
+        deviations of 3 for a logarithm, for the onset of half an interval and half the current's rise.
     """
     base, channels = problem.residuals(theta), int(problem.record.seen.sum())
     size, n = math.sqrt(float(base @ base) / problem.count), len(problem.record.voltage_v)
@@ -131,8 +273,8 @@ def sandwich(
 ) -> tuple[FloatArray, tuple[float, ...]]:
     """Return the covariance of unknowns under autocorrelated residuals, and independent samples by channel.
 
-    Each channel's residual is a stationary series with its autocovariance up to a tenth of the record (Bartlett window;
-    Newey & West 1987), and with no less power at any frequency than its white noise.
+    Residuals are stationary with their autocovariance up to a tenth of the record (Bartlett window; Newey & West 1987),
+    and no less power at any frequency than white noise.
 
     Args:
         white: residuals, see `normalised`.
@@ -159,7 +301,7 @@ def sandwich(
 
 
 def free_run_states(best: Solution) -> FloatArray:
-    """Return current and speed of the free run, and their slopes, shape (n, 4): what a model's error may follow."""
+    """Return current and speed of the free run, and their slopes, shape (n, 4)."""
     states = best.free[1][:, 2:4]
     return np.concatenate([states, np.gradient(states, axis=0)], axis=1)
 
@@ -167,14 +309,10 @@ def free_run_states(best: Solution) -> FloatArray:
 def model_error(white: FloatArray, rows: FloatArray, series: FloatArray, *, states: FloatArray) -> FloatArray:
     """Return the covariance that a model's error adds to that of a stationary series, shape (p, p).
 
-    A model that is wrong somewhere, as where a supply rises, errs most in samples that tell most, which no stationary
-    series shows. The scores of twenty parts of the record do: their scatter beyond the series' counts. They are scaled
-    to scatter by the information where the model is right (Bell & McCaffrey 2002); all parts have the same sum of
-    leverages.
-
-    Under a periodic command all parts in time err alike. So the record is also cut by its states: into twenty parts of
-    small to large current, and so on. Of these only what exceeds chance counts, for p unknowns (Marchenko & Pastur
-    1967).
+    A wrong model errs most in samples that tell most. The scores of twenty parts of the record show it: their scatter
+    beyond the series', scaled by the information where the model is right (Bell & McCaffrey 2002). Under a periodic
+    command all parts in time err alike, so the record is also cut by its states; of these only what exceeds chance
+    counts, for p unknowns (Marchenko & Pastur 1967).
 
     Args:
         white: residuals, see `normalised`.
@@ -253,8 +391,7 @@ def _inverse(information: FloatArray) -> FloatArray:
 def _coloured_product(columns: FloatArray, covariance: FloatArray, noise: float) -> FloatArray:
     """Return the covariance matrix of a stationary series times columns, shape (n, m).
 
-    A short series' spectrum scatters by a third at each frequency; power below the white noise is chance, and would
-    make a steady level look better known than its noise allows.
+    Power below the white noise is chance, and would make a level look better known than noise allows.
 
     Args:
         columns: shape (n, m).

@@ -22,10 +22,10 @@ import numpy as np
 from motor_env.common.errors import InputError, require_extra
 from motor_env.common.files import end_with_parent
 from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.operation_fit import WindowFit, fit_window
 from motor_env.diagnosis.estimation.preprocessing import from_recordings
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
 from motor_env.diagnosis.estimation.starts.start_identification import NUISANCES, identify
-from motor_env.diagnosis.estimation.window import WindowFit, fit_window
 from motor_env.diagnosis.fleet.initial_fit import (
     REASONS,
     FitCache,

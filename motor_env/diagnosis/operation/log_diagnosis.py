@@ -12,10 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.operation_fit import identify_record
+from motor_env.diagnosis.estimation.operation_fit import LOAD, identify_record
 from motor_env.diagnosis.estimation.preprocessing import at_terminals, from_recordings
 from motor_env.diagnosis.estimation.record import STRETCHES, Record
-from motor_env.diagnosis.estimation.window import LOAD
 from motor_env.diagnosis.operation.operating_conditions import NEEDED, needed_columns
 from motor_env.diagnosis.operation.window_baseline import (
     chosen_terms,

@@ -11,15 +11,18 @@ import numpy as np
 from motor_env.diagnosis.estimation import parameter_index as places
 from motor_env.diagnosis.estimation.operation_fit import (
     FEWEST_STEPS,
+    LOAD,
     UNSEEN_STEPS,
     OperationFit as Operation,
+    WindowFit,
+    fit_window,
     identify_operation,
+    without_load,
 )
 from motor_env.diagnosis.estimation.preprocessing import MOST, from_recordings
 from motor_env.diagnosis.estimation.problem import Solution
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
-from motor_env.diagnosis.estimation.window import LOAD, WindowFit, fit_window, without_load
 from motor_env.diagnosis.operation.operating_conditions import (
     FAR,
     NEEDED,

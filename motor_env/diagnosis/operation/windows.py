@@ -17,9 +17,9 @@ import numpy as np
 
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.operation_fit import WindowFit, fit_window, per_log
 from motor_env.diagnosis.estimation.preprocessing import block_means, from_recordings, missing_blocks
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.diagnosis.estimation.window import WindowFit, fit_window, per_log
 from motor_env.diagnosis.operation.operating_conditions import (
     FAR,
     condition_features,

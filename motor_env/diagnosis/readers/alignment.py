@@ -1,4 +1,4 @@
-"""Where a start begins, and what the quiet part before it tells of the sensor."""
+"""Onset of a start, and what the quiet part before it tells of the sensor."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _CLIPPED_DROP = 4.5  # steps: a round peak in steps leaves its top slowly, a cli
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """The start of the motor in a recording.
+    """Alignment of a start in its recording.
 
     Attributes:
         onset_index: first sample that clearly belongs to the start.
@@ -45,7 +45,7 @@ class Alignment:
         offset_a: mean current of the quiet part; 0 without one.
         noise_a: standard deviation of a current sample, from its differences.
         quantum_a: smallest step of the current.
-        unseen_level_a: standard deviation of the converter's error in a steady current, however long it is.
+        unseen_level_a: standard deviation of the converter's error in a steady current.
         rectified: the sensor shows no current below 0.
         saturation: that the current is clipped, in words; else empty.
         defects: of the recording, in words, the saturation among them.
@@ -123,11 +123,7 @@ def _level_before(current: FloatArray, span: float) -> float:
 
 
 def _onset(rise: FloatArray, noise: float) -> int:
-    """Return the first sample of the start: from the first clear rise back to its foot.
-
-    Raises:
-        UnusableError: the current never leaves its noise.
-    """
+    """Return the first sample of the start: the foot of the first clear rise."""
     peak = float(np.max(rise))
     if peak < _CROSSING_NOISES * noise:
         raise UnusableError(
@@ -145,10 +141,7 @@ def _onset(rise: FloatArray, noise: float) -> int:
 
 
 def _is_rectified(current: FloatArray, onset: int, quantum: float) -> bool:
-    """Return whether the sensor shows none below 0: no negative sample, and many zeros before the start.
-
-    Where the steps are as large as the noise, no reading below 0 was thrown away.
-    """
+    """Return whether the sensor shows none below 0: no negative sample, and many zeros before the start."""
     if onset == 0 or np.any(current < 0.0) or float(np.mean(current[:onset] == 0.0)) <= _RECTIFIED_SHARE:
         return False
     return quantum < min(_COARSE_STEP * float(np.ptp(current)), difference_noise(current[onset:]))
@@ -162,7 +155,7 @@ def _saturation(current: FloatArray, quantum: float) -> str:
 
 
 def clipped_run(current: FloatArray, quantum: float) -> int:
-    """Return the number of samples in a row at the top of a clipped channel; 0 where it is not clipped."""
+    """Return the longest run at the top of a clipped channel; 0 where it is not clipped."""
     top = float(np.max(np.abs(current)))
     at_top = np.abs(np.abs(current) - top) <= 1e-9 * top
     firsts, ends = stretches(at_top)

@@ -1,8 +1,7 @@
-"""Parses a file of MATLAB, HDF5 or Excel from standard input, or of Parquet by its path, in a process of its own.
+"""Parser of MATLAB, HDF5 and Excel files from standard input, and Parquet by path, in a process of its own.
 
-What comes out: a line of JSON with how many rows are one, and name and shape of each array of numbers, then their
-values as bytes of float64. Of a workbook it is the text of a sheet as CSV.
-A file that cannot be parsed ends it with status 1 and a sentence on standard error.
+Writes a line of JSON with how many rows are one, and name and shape of each array, then the values as bytes of float64;
+of a workbook the text of a sheet as CSV. What cannot be parsed ends it with status 1 and a sentence.
 
 This file is run as a script: it imports nothing of the package.
 """
@@ -29,17 +28,13 @@ _MOST_SHEET_ROWS = 2**20  # of Excel; a forged number of a row is filled up with
 
 
 def check_count(numbers: int, most: int = MOST_NUMBERS) -> None:
-    """Refuse more numbers than a recording holds.
-
-    Raises:
-        ValueError: they are more.
-    """
+    """Refuse more numbers than a recording holds by a ValueError."""
     if numbers > most:
         raise ValueError(f"it unpacks to {numbers:,} numbers; at most {most:,} are read")
 
 
 def parse_matlab(content: bytes) -> dict[str, Any]:
-    """Return a MATLAB file's variables; those of structs by their own name, `struct.name` where that occurs twice."""
+    """Return a MATLAB file's variables; those of structs by their own name where that is unique."""
     from scipy.io import loadmat
 
     variables = loadmat(cast("Any", io.BytesIO(content)), simplify_cells=True)

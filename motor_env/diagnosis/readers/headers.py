@@ -1,4 +1,4 @@
-"""Headers of columns: which quantity, in which unit, what the user says instead, and what its numbers rule out."""
+"""Meaning of columns' headers: quantity, unit, what the user says instead, and what the numbers rule out."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ _SAID = {
         r"|event|count|tick|case$|ambient|distance|line$|force|kraft|vibration|sound|humidity|dir(ection)?$|enable",
     }.items()
 }
-"""What words of a name say beside those above: a reference is wanted, not measured; another is no quantity here."""
+"""What other words of a name say: a reference is wanted, not measured; another is no quantity here."""
 _PART = re.compile(r"[A-Z]+(?![a-zß-ÿ])|[A-Zß-ÿ]?[a-zß-ÿ]+|\d+|[ωΩ]")
 _CHANNEL = re.compile(r"(?i)\b(ch|channel|kanal|canal|c|a|ain|in|probe|input)[ _.]*(\d+|[a-d])(?![a-z0-9])")
 _COUNTED = frozenset(("counts", "count", "adc", "lsb", "digits", "digit", "units"))
@@ -82,14 +82,14 @@ LARGEST_CURRENT_A = 1_000.0
 LARGE_CURRENT_A = 100.0
 """Beyond it a current that the user named is warned of."""
 _MANY_WHOLE = 20
-"""Different whole numbers: counts of a converter or of a clock, not a voltage that is 0 or 12."""
+"""Different whole numbers, of a converter's or a clock's counts."""
 _FEWEST_LEVELS = 50  # of numbers whose rounding can be told from noise
 _MOST_COMPARED = 20_000  # samples
 
 
 @dataclass(frozen=True, slots=True)
 class ColumnChoice:
-    """A column that the user names: `current=CH2:mA`, `current=3:mA`, `current=CH2*10-0.05`.
+    """Choice of a column: `current=CH2:mA`, `current=3:mA`, `current=CH2*10-0.05`.
 
     Attributes:
         quantity: of `QUANTITIES`.
@@ -160,7 +160,7 @@ class ColumnChoice:
 
 
 class Meaning(NamedTuple):
-    """What a header says.
+    """Meaning of a header.
 
     Attributes:
         quantity: of the name, or of the unit where the name says nothing; None where neither does.
@@ -181,7 +181,7 @@ def unit_key(unit: str) -> str:
 
 
 def unit_quantity(unit: str) -> str | None:
-    """Return the quantity that is measured in a unit; None for no unit of a recording."""
+    """Return the quantity that has a unit; None for no unit of a recording."""
     return _UNIT_QUANTITIES.get(unit_key(unit))
 
 
@@ -192,7 +192,7 @@ def is_unit_cell(cell: str) -> bool:
 
 
 def understand(header: str, unit: str = "") -> Meaning:
-    """Interpret a header such as `current_a`, `I (mA)`, `Speed [rpm]`, `t_ms`, with the unit that stands elsewhere."""
+    """Interpret a header such as `current_a`, `I (mA)`, `Speed [rpm]`, `t_ms`, and a unit that stands elsewhere."""
     name = header.strip()
     match = _UNIT_IN_HEADER.match(name)
     if match:
@@ -223,7 +223,7 @@ def name_parts(name: str) -> list[str]:
 
 
 def kinds_named(name: str) -> frozenset[str]:
-    """Return what the words or single letters of a name say that it is: quantities, `reference`, `other`."""
+    """Return the quantities that words or single letters of a name say, `reference` and `other` included."""
     parts = name_parts(name)
     return _words_of(name) | {_WORDS[part] for part in (*parts, _word(name)) if part in _WORDS}
 
@@ -234,7 +234,7 @@ def is_other(name: str, quantity: str, said: frozenset[str] | None = None) -> bo
     Args:
         name: of the column.
         quantity: in doubt.
-        said: what the name says; by default what its words do, since a letter counts less than a unit.
+        said: what the name says, by default its words: a letter counts less than a unit.
     """
     said = _words_of(name) if said is None else said
     if "reference" in said and quantity in ("current", "speed"):
@@ -248,7 +248,7 @@ def _words_of(name: str) -> frozenset[str]:
 
 
 def is_channel(name: str) -> bool:
-    """Return whether a name is an instrument's channel, whose volts may be a probe's."""
+    """Return whether a name is an instrument's channel."""
     return bool(_CHANNEL.search(name))
 
 
@@ -274,7 +274,7 @@ def _split(word: str) -> tuple[str, str]:
 
 
 def has_counts(values: FloatArray, averaged: int = 1) -> bool:
-    """Return whether numbers are a converter's or a clock's: whole, or whole times `averaged` for means."""
+    """Return whether numbers are counts: whole, or whole times `averaged` for means."""
     sums = values * averaged
     is_whole = np.abs(sums - np.round(sums)) <= 1e-6 * (averaged > 1)
     return bool(np.all(is_whole)) and len(np.unique(sums)) > _MANY_WHOLE
@@ -282,7 +282,7 @@ def has_counts(values: FloatArray, averaged: int = 1) -> bool:
 
 @np.errstate(over="ignore", invalid="ignore")  # of numbers that nobody measured
 def follows(values: FloatArray, other: FloatArray, of: str) -> bool:
-    """Return whether numbers are a linear function of others, to rounding: computed from them, not measured.
+    """Return whether numbers are computed from others: a linear function of them, to rounding.
 
     Args:
         values: those of the current.

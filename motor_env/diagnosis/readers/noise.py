@@ -1,4 +1,4 @@
-"""Noise and ripple of a sensor: how large, which samples stand out, what steps hide, lines of constant frequency."""
+"""Noise of a sensor: its size, outliers, rounding, and lines of constant frequency."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ _MOST_LINES = 8
 
 
 def difference_noise(values: FloatArray) -> float:
-    """Return the standard deviation of white noise on a smooth curve, from second differences, without outliers.
+    """Return the standard deviation of white noise on a smooth curve, from its second differences (variance 6 sigma^2).
 
-    The second difference of white noise has the variance 6 sigma^2. Its smallest three quarters are squared and
-    averaged: a median of a converter's few steps would jump by a half of the noise.
+    The smallest three quarters are squared and averaged: a median would jump by a converter's steps.
     """
     if len(values) < FEW:
         return 0.0
@@ -43,7 +42,7 @@ def difference_noise(values: FloatArray) -> float:
 
 
 def explainable(values: FloatArray) -> float:
-    """Return the share of the variance that is not white noise, which a model can explain; 0.4 at least."""
+    """Return the share of the variance that is not white noise; 0.4 at least."""
     noise = difference_noise(values) ** 2 / max(float(np.var(values)), 1e-300)
     return 1.0 - min(noise, _MOST_NOISE)
 
@@ -51,8 +50,7 @@ def explainable(values: FloatArray) -> float:
 def floor_noise(values: FloatArray) -> float:
     """Return the standard deviation of white noise beside lines of any frequency, as a residual's ripple.
 
-    The smallest nine tenths of the periodogram above an eighth of the sampling rate are averaged: lines hold few
-    values, model error lies below. Powers of white noise are exponentially distributed.
+    The smallest nine tenths of the periodogram above an eighth of the sampling rate are averaged.
     """
     n = len(values)
     if n < _FEWEST_FOR_SPECTRUM:
@@ -66,10 +64,7 @@ def floor_noise(values: FloatArray) -> float:
 
 
 def outlier_samples(current: FloatArray) -> tuple[int, ...]:
-    """Find single samples far off two neighbours on each side, which agree among themselves.
-
-    More than one in a thousand are the nature of the signal: none is an outlier then.
-    """
+    """Find single samples far off two neighbours on each side; none where they are more than one in a thousand."""
     if len(current) < _FEWEST_FOR_WILD:
         return ()
     around = np.stack([current[:-4], current[1:-3], current[3:-1], current[4:]])
@@ -104,9 +99,9 @@ def filled(values: FloatArray) -> FloatArray:
 
 
 def quantisation_bias(quiet: FloatArray, noise: float, quantum: float) -> float:
-    """Return a converter's bias of a steady current, by the quiet part, or without one by the noise throughout.
+    """Return a converter's bias of a steady current, by the quiet part, or by the noise throughout.
 
-    Noise dithers it away: the bias falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).
+    Noise dithers it away: it falls as exp(-2 pi^2 (noise / step)^2) (Widrow & Kollar 2008, ch. 4).
     """
     if len(quiet) == 0:
         before = math.sqrt(max(noise**2 - quantum**2 / 12.0, 0.0))
@@ -118,10 +113,7 @@ def quantisation_bias(quiet: FloatArray, noise: float, quantum: float) -> float:
 
 
 def _noise_before_rounding(quiet: FloatArray, quantum: float) -> float:
-    """Return the most likely standard deviation of noise before rounding, from the counts of its steps.
-
-    The variance less step^2 / 12 (Sheppard) is too small where the noise is below half a step.
-    """
+    """Return the most likely noise before rounding, by the counts of steps; Sheppard's fails below half a step."""
     codes, counts = np.unique(np.rint((quiet - quiet.min()) / quantum), return_counts=True)
     if len(codes) == 1:
         return 0.0
@@ -159,7 +151,6 @@ def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLi
     """Find lines that stand out of a residual's upper spectrum, strongest first: a converter's PWM.
 
     A line holds more than a third of the power above a sixteenth of the sampling rate that stronger lines leave.
-    Aliased lines keep their power and lose their true frequency.
     """
     left = residual - residual.mean()
     lines: list[PeriodicLine] = []
@@ -173,9 +164,7 @@ def periodic_lines(residual: FloatArray, time_s: FloatArray) -> tuple[PeriodicLi
 
 
 def constant_lines(residual: FloatArray, time_s: FloatArray, speed: FloatArray) -> tuple[PeriodicLine, ...]:
-    """Find lines that stand out of a current's residual.
-
-    Where the strongest one is sharper over the angle than over time, it is the commutator's: there are none.
+    """Find lines that stand out of a current's residual; none where the strongest is sharper over the angle.
 
     Args:
         residual: shape (n,).
@@ -193,7 +182,7 @@ def constant_lines(residual: FloatArray, time_s: FloatArray, speed: FloatArray) 
 def over_angle(
     values: FloatArray, time_s: FloatArray, speed: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Resample values evenly over the motor's angle, in seconds at its last speed; None where it does not turn.
+    """Resample values evenly over the motor's angle; None where it does not turn.
 
     Args:
         values: shape (n,).
@@ -201,7 +190,7 @@ def over_angle(
         speed: in any unit, shape (n,).
 
     Returns:
-        The even axis and the values on it, each of shape (n,).
+        The angle in seconds at the last speed, and the values on it, each of shape (n,).
     """
     n = len(time_s)
     last = float(np.mean(speed[-max(n // 20, 1) :]))

@@ -1,4 +1,4 @@
-"""Profiles: how the files of one instrument are read, kept for the next time."""
+"""Profile of an instrument: how its files are read, kept for the next time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from motor_env.motor.toml_files import NotNegative, OneLine, Positive, from_dict
 
 @dataclass(frozen=True)
 class Profile:
-    """What the user says of an instrument's files.
+    """Reading options of an instrument's files.
 
     Attributes:
         column: choices of columns, as `ColumnChoice.parse` reads them.

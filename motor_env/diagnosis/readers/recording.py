@@ -1,4 +1,4 @@
-"""Reading recordings of real motors: all becomes SI on an even time axis."""
+"""Recordings of real motors as read from files: SI units on an even time axis."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from motor_env.diagnosis.readers.columns import recognise
 from motor_env.diagnosis.readers.headers import SI, ColumnChoice
 from motor_env.diagnosis.readers.noise import filled
 from motor_env.diagnosis.readers.tables import read_table
-from motor_env.diagnosis.readers.text.block import FEWEST_SAMPLES, Table
-from motor_env.diagnosis.readers.text.number_parser import MOST_ROWS
+from motor_env.diagnosis.readers.text_block import FEWEST_SAMPLES, Table
+from motor_env.diagnosis.readers.text_numbers import MOST_ROWS
 from motor_env.motor.parameters import FloatArray
 
 if TYPE_CHECKING:
@@ -44,8 +44,8 @@ class UnusableError(ValueError):
 class Recording:
     """One recording, in SI units, on an even time axis.
 
-    NaN, None or a masked value is a missing sample. It is filled in a straight line, so that pictures and first guesses
-    have numbers, and is kept as `missing`, so that no fit takes them for readings.
+    NaN, None or a masked value is a missing sample: it is filled in a straight line for pictures and first guesses, and
+    kept as `missing`, so that no fit takes it for a reading.
 
     Attributes:
         path: where it was read from.
@@ -57,7 +57,7 @@ class Recording:
         columns: how the columns were understood, for the user.
         averaged: number of samples of the file whose mean is one sample here.
         warnings: contradictions in what was said of the columns.
-        missing: which samples of voltage (or duty), current and speed are missing, shape (n_samples, 3); None for none.
+        missing: missing samples of voltage (or duty), current and speed, shape (n_samples, 3); None for none.
 
     Raises:
         ValueError: columns that are no numbers, not as long as `time_s`, or infinite.
@@ -109,7 +109,7 @@ def cut(record: _Record, part: slice) -> _Record:
 
 
 def stretches(flags: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first sample of each run in which a flag is set, and the first after it."""
+    """Return first sample and end of each run in which a flag is set."""
     edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
     return edges[::2], edges[1::2]
 
@@ -145,7 +145,7 @@ def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoi
 
 
 def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:
-    """Say how files were read: each way once, without numbers and ranges of samples.
+    """Say how files were read, each way once.
 
     Args:
         readings: files, with the `columns` of their recordings.
@@ -215,7 +215,7 @@ def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:
 
 
 def _without_gaps(time_s: FloatArray, steps: FloatArray) -> tuple[slice, tuple[str, ...]]:
-    """Return the longest stretch of samples without a long gap, and a note where there is one."""
+    """Return the longest stretch without a long gap, and a note where there is one."""
     gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps))
     edges = [0, *(gaps + 1).tolist(), len(time_s)]
     begin, end = max(pairwise(edges), key=lambda stretch: stretch[1] - stretch[0])
@@ -231,14 +231,13 @@ def resampled(
 ) -> tuple[FloatArray, dict[str, FloatArray], tuple[str, ...]]:
     """Put columns on an even time axis; note where they had to be changed.
 
-    A clock that is not quite even is interpolated. Where an even one left samples out, or changed its rate, the values
-    between two samples are NaN, one at least in an interval of another length: an interpolated voltage would step at
-    another time than the motor's.
+    An uneven clock is interpolated. Where an even one left samples out or changed its rate, values between two samples
+    are NaN, one at least: an interpolated voltage would step at another time than the motor's.
 
     Args:
         time_s: rising.
         columns: their values at these times.
-        step_s: interval of the samples before, where there were any; else the usual one is that of most samples.
+        step_s: the usual interval, by default that of most samples.
     """
     count, steps = len(time_s), np.diff(time_s)
     even = np.linspace(time_s[0], time_s[-1], count)
@@ -274,7 +273,7 @@ def resampled(
 def _usual_step(
     steps: FloatArray, before_s: float | None, *, is_other: bool
 ) -> tuple[float, NDArray[np.bool_], bool]:
-    """Return the usual step, which steps are about as long, and whether they are alike enough for a clock."""
+    """Return the usual step, which steps are as long, and whether they are alike enough for a clock."""
     about = float(np.median(steps))
     if before_s is not None and (is_other or (np.abs(steps - before_s) <= _AS_LONG * before_s).any()):
         about = before_s
@@ -286,10 +285,7 @@ def _usual_step(
 def _placed_samples(
     time_s: FloatArray, step_s: float, is_usual: NDArray[np.bool_]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return samples and their places on an even axis: neighbours a usual step apart, others two places at least.
-
-    Samples too close to those before are left out.
-    """
+    """Return samples and their places on an even axis; samples too close to those before are left out."""
     firsts = np.append(0, np.flatnonzero(~is_usual) + 1)
     samples, places, end = [], [], -2
     for first, last in pairwise([*firsts.tolist(), len(time_s)]):

@@ -1,4 +1,4 @@
-"""Decide whether a recording is a start or a motor at work, by what the voltage does."""
+"""Regime of a recording, a start or a motor at work, by its voltage."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LEVEL, _OFF_LEVEL = 0.05, 0.02  # of the way between two levels; share of the s
 
 
 class RegimeDecision(NamedTuple):
-    """What a recording is taken for.
+    """Decision what a recording is taken for.
 
     Attributes:
         regime: start (one or several), or a motor at work.
@@ -48,7 +48,7 @@ class RegimeDecision(NamedTuple):
 
 
 def taken_for(recording: Recording, regime: str = "auto", start: int | None = None) -> RegimeDecision:
-    """Decide what a recording is: as asked, by what its voltage does, or a start where one is chosen.
+    """Decide what a recording is: as asked, by its voltage, or a start where one is chosen.
 
     Raises:
         InputError: an unknown regime.
@@ -67,8 +67,7 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
 def operation_evidence(recording: Recording) -> str | None:
     """Say what shows that a recording is no plain start; None for starts.
 
-    A start is a supply that goes from off to on and stays; short gaps in it are a bouncing switch. Several starts in
-    one file lie apart by pauses.
+    A start is a supply that goes from off to on and stays; short gaps are a bouncing switch, pauses lie between starts.
     """
     voltage = recording.voltage_v if recording.voltage_v is not None else recording.duty
     if voltage is None:
@@ -100,7 +99,7 @@ def operation_evidence(recording: Recording) -> str | None:
 
 
 def _restarts_turning(recording: Recording, share: FloatArray, is_off: NDArray[np.bool_]) -> bool:
-    """Return whether the motor turns when switched on again: by its speed, else by an inrush that is too small."""
+    """Return whether the motor turns when switched on again, by its speed or too small an inrush."""
     on = np.flatnonzero(~is_off)
     restarts = on[1:][np.diff(on) * recording.dt_s > BOUNCE_S]
     if len(restarts) == 0:
@@ -135,8 +134,7 @@ def _is_turning(recording: Recording, samples: NDArray[np.intp]) -> bool:
 def refuse_aliased(voltage_v: FloatArray, current_a: FloatArray) -> None:
     """Refuse a raw pulse-width modulation that was sampled more slowly than it switches: its mean is lost.
 
-    Its voltage jumps between two levels, or stays at one; the current follows neither jumps nor noise, at once or until
-    the next jump.
+    Its voltage jumps between two levels, or stays at one; the current follows neither jumps nor noise.
 
     Raises:
         UnusableError: it is one.
@@ -177,7 +175,7 @@ def changes(share: FloatArray) -> int:
 
 
 def slow_rises(share: FloatArray, dt_s: float) -> int:
-    """Count how often a voltage climbs by a fifth of its top, and more slowly than any switch."""
+    """Count how often a voltage climbs by a fifth of its top more slowly than any switch."""
     block = max(round(_BLOCK_S / dt_s), 1)
     means = share[: len(share) // block * block].reshape(-1, block).mean(axis=1)
     count, climbs, extreme, since = 0, False, math.inf, 0

@@ -1,4 +1,4 @@
-"""The starts of a recording: cut apart, turned and aligned, with what is known of supply and sensors."""
+"""Starts of a recording: cut apart, turned and aligned, with what is known of supply and sensors."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ MOST_STARTS = 200
 
 @dataclass(frozen=True, slots=True)
 class Circuit:
-    """What the user knows of the measuring circuit.
+    """Measuring circuit, as far as the user knows it.
 
     Attributes:
-        shunt_ohm: resistance in series with the motor: shunt and leads; it is not the motor's.
+        shunt_ohm: resistance of shunt and leads in series with the motor, which is not the motor's.
         sensor_lag_s: time constant of the current sensor; it is not fitted then.
     """
 
@@ -46,7 +46,7 @@ class Circuit:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What is fitted: one start, turned so that its current is positive.
+    """One start to fit, turned so that its current is positive.
 
     Attributes:
         time_s: shape (n_samples,).
@@ -57,8 +57,8 @@ class Start:
         voltage_known: whether volts are volts.
         alignment: onset and quiet part.
         from_rest: whether the motor stands before; else it runs steadily under the first voltage.
-        circuit: what is known of the measuring circuit.
-        lines: ripple of constant frequency in the current of the running motor, which belongs to the supply.
+        circuit: the measuring circuit.
+        lines: ripple of the supply in the running motor's current.
         missing: which samples of current and speed are missing, shape (n_samples, 2); None for none.
     """
 
@@ -101,16 +101,16 @@ class Start:
 
 
 def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circuit | None = None) -> Start:
-    """Align a recording, leave out what follows the end of its supply, and decide what is known of that.
+    """Align a recording, leave out what follows the end of its supply, and find its voltage.
 
     Args:
         recording: as read.
-        voltage_v: level of the supply, given by the user or the data sheet, for a recording without a voltage.
-        circuit: what is known of the measuring circuit.
+        voltage_v: level of the supply, for a recording without a voltage.
+        circuit: the measuring circuit.
 
     Raises:
         UnusableError: no start, or too few samples after it; a shunt without a known voltage; a voltage that is on
-        before the recording begins; missing samples where voltage or current rise.
+            before the recording begins; missing samples where voltage or current rise.
     """
     alignment, missing = align(recording), recording.missing
     end = end_of_supply(recording, alignment)
@@ -176,11 +176,7 @@ def _supply(
 
 
 def _refuse_begun(current: FloatArray, voltage: FloatArray) -> None:
-    """Refuse a start that began before its recording: a running motor's current moves as its voltage does.
-
-    Raises:
-        UnusableError: the voltage is on in the first sample, and does not go where the current goes.
-    """
+    """Refuse a start that began before its recording: its voltage is on at once, and the current does not follow."""
     peak = int(np.argmax(np.abs(current - current[0])))
     moved = np.sign(current[peak] - current[0]) * (voltage[: peak + 1] - voltage[0])
     if moved.max() < OFF * np.max(np.abs(voltage)):
@@ -191,11 +187,7 @@ def _refuse_begun(current: FloatArray, voltage: FloatArray) -> None:
 
 
 def _refuse_lost_onset(missing: NDArray[np.bool_], onset: int) -> None:
-    """Refuse a hole of several samples where the current begins to rise: it hides the onset and L.
-
-    Raises:
-        UnusableError: there is one.
-    """
+    """Refuse a hole of several samples where the current begins to rise: it hides the onset and L."""
     for first, end in zip(*stretches(missing), strict=True):
         if first - 1 <= onset <= end and end - first > 1:
             raise UnusableError(
@@ -204,11 +196,7 @@ def _refuse_lost_onset(missing: NDArray[np.bool_], onset: int) -> None:
 
 
 def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: float) -> None:
-    """Refuse a measured voltage with a hole in which it changes.
-
-    Raises:
-        UnusableError: there is one.
-    """
+    """Refuse a measured voltage with a hole in which it changes."""
     firsts, ends = stretches(missing)
     before, after = np.maximum(firsts - 1, 0), np.minimum(ends, len(voltage) - 1)
     change = np.abs(voltage[after] - voltage[before])
@@ -223,8 +211,8 @@ def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: 
 def split_starts(recording: Recording) -> list[Recording]:
     """Split a recording into its starts, each with the rest before it; one with one start is returned as it is.
 
-    A start is the rise of the recorded voltage from rest, else the inrush of the current: a rise beyond half of the
-    largest, after less than a quarter of it for a while. Parts are named after the file, with #2.
+    A start is the rise of the recorded voltage from rest, else the inrush: a rise beyond half of the largest current
+    after less than a quarter of it. Parts are named after the file, with #2.
     """
     if recording.voltage_v is not None:
         voltage = without_outliers(recording.voltage_v, outlier_samples(recording.voltage_v))
@@ -266,7 +254,7 @@ def chosen_starts(recording: Recording, number: int | None = None) -> list[Recor
 
 
 def _whole(parts: list[Recording]) -> list[Recording]:
-    """Return the starts that lie in the recording: no first that had begun, no last that ends too soon."""
+    """Return the starts that lie in the recording as a whole."""
     volts = [np.abs(part.voltage_v) for part in parts if part.voltage_v is not None]
     if not volts:
         return parts
@@ -291,7 +279,7 @@ def _rises_from_rest(values: FloatArray, dt_s: float, *, rest: float) -> list[in
 
 
 def _switched_off(recording: Recording, begin: int, following: int) -> int:
-    """Return where the motor is switched off between two starts: the voltage falls, or the current's level changes."""
+    """Return where the motor is switched off between two starts."""
     if recording.voltage_v is not None:
         is_off = np.abs(recording.voltage_v[begin:following]) < OFF * np.abs(recording.voltage_v).max()
         firsts, ends = stretches(is_off)  # a switch may bounce before
@@ -301,7 +289,7 @@ def _switched_off(recording: Recording, begin: int, following: int) -> int:
 
 
 def _rest_begin(recording: Recording, end: int, begin: int) -> int:
-    """Return from where the motor rests before a start: nothing brakes it, by the last quarter of the pause."""
+    """Return from where the motor rests before a start, by the last quarter of the pause."""
     first = end
     for shown in (recording.current_a, recording.speed_rad_s):
         if shown is not None:
@@ -316,8 +304,7 @@ def _rest_begin(recording: Recording, end: int, begin: int) -> int:
 def end_of_supply(recording: Recording, alignment: Alignment) -> int:
     """Return the first sample after which a start's supply is off for good; the number of samples where it stays on.
 
-    Without voltage and duty the current shows it: it falls to that of the quiet part at once, or a brake turns it
-    round.
+    Without voltage and duty, the current falls to that of the quiet part at once, or a brake turns it round.
     """
     n, begin = len(recording.time_s), alignment.onset_index
     supply = recording.voltage_v if recording.voltage_v is not None else recording.duty
@@ -344,14 +331,14 @@ def end_of_supply(recording: Recording, alignment: Alignment) -> int:
 
 
 def _fall_begin(running: FloatArray, end: int, noise_a: float) -> int:
-    """Return where a fall begins that has ended: L lets the current fall for a while."""
+    """Return where a fall begins that has ended."""
     while end > 0 and running[end - 1] > running[end] + _NOISE * noise_a:
         end -= 1
     return end
 
 
 def _change_of_level(values: FloatArray) -> int:
-    """Return the first sample of the second level: the least-squares split in two; 0 for fewer than two samples."""
+    """Return the first sample of the second level, by least squares; 0 for fewer than two samples."""
     if len(values) < 2:
         return 0
     n = np.arange(1, len(values))

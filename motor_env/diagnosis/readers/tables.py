@@ -1,7 +1,7 @@
-"""Tables out of the files that people have: text, workbooks, .mat, .npy, .npz, Parquet. None of them may run code.
+"""Tables out of text, workbooks, .mat, .npy, .npz and Parquet. None of them may run code.
 
-Compiled parsers of involved formats crash on some damaged files, and a small file may unpack to gigabytes: MATLAB,
-HDF5, workbooks and Parquet are parsed in a process of their own (`array_parser`), with limits of memory and time.
+Compiled parsers crash on some damaged files, and a small file may unpack to gigabytes: MATLAB, HDF5, workbooks and
+Parquet are parsed in a process of their own (`array_parser`), with limits of memory and time.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from motor_env.common.errors import InputError, require_extra
 from motor_env.common.files import LARGEST_DATA_BYTES, LARGEST_TABLE_BYTES, read_file
 from motor_env.diagnosis.readers import array_parser
 from motor_env.diagnosis.readers.headers import understand
-from motor_env.diagnosis.readers.text.block import FEWEST_SAMPLES, MOST_COLUMNS, Table, TextTable, cells
-from motor_env.diagnosis.readers.text.number_parser import large_block, whole_block
+from motor_env.diagnosis.readers.text_block import FEWEST_SAMPLES, MOST_COLUMNS, Table, TextTable, cells
+from motor_env.diagnosis.readers.text_numbers import large_block, whole_block
 from motor_env.motor.parameters import FloatArray
 
 LARGEST_WHOLE_BYTES = 50_000_000
@@ -94,7 +94,7 @@ def _content(path: Path, largest: int = LARGEST_DATA_BYTES) -> bytes:
 
 
 def _decoded(path: Path, content: bytes) -> str:
-    """Decode text in UTF-8 or UTF-16, or in the code page of an old scope."""
+    """Decode text in UTF-8, UTF-16, or an old scope's code page."""
     _refuse_foreign(path, content)
     wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     for encoding in ["utf-16"] if wide else ["utf-8-sig", "cp1252"]:
@@ -167,11 +167,7 @@ def _unreadable(path: Path, kind: str, reason: object) -> InputError:
 
 
 def _columns(path: Path, arrays: dict[str, Any], averaged: int, wanted: Sequence[str]) -> Table:
-    """Return the table of the arrays of one length, a wanted one's or the most frequent, and of a matrix's columns.
-
-    Raises:
-        InputError: no such array, an infinite value, or a quantity would be lost with an array of another length.
-    """
+    """Return the table of the arrays of one length, a wanted one's or the most frequent, and of a matrix's columns."""
     numbers: dict[str, FloatArray] = {
         name: np.squeeze(given).astype(np.float64)
         for name, given in arrays.items()

@@ -9,8 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.estimation.starts.commutation import ripple_quantities
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified, ripple_quantities
 from motor_env.diagnosis.estimation.starts.start_identification import NUISANCES, identify, identify_best
 from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
 from motor_env.diagnosis.readers.start import Start

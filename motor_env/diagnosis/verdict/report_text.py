@@ -8,8 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from motor_env.diagnosis.estimation.starts.commutation import constants_at, find_ripple
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified, implausible
+from motor_env.diagnosis.estimation.starts.start_fit import (
+    StartFit as Identified,
+    constants_at,
+    find_ripple,
+    implausible,
+)
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.diagnosis.verdict.hypotheses import Fitted
 from motor_env.diagnosis.verdict.judgement import Diagnosis, Judgement

@@ -10,9 +10,9 @@ import pytest
 
 from motor_env import FaultKind, Recording, commission
 from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation.operation_fit import WindowFit, fit_window
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
-from motor_env.diagnosis.estimation.window import WindowFit, fit_window
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
 from motor_env.diagnosis.operation import window_baseline, windows

@@ -18,10 +18,10 @@ from motor_env.cli import main
 from motor_env.diagnosis import batch
 from motor_env.diagnosis.commission import Commissioned, commission
 from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.record import Record
 
 # Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
-from motor_env.diagnosis.estimation.window import WindowFit
+from motor_env.diagnosis.estimation.operation_fit import WindowFit
+from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.operation import window_baseline, windows
 from motor_env.diagnosis.operation.operating_conditions import (
     condition_distance,

@@ -1,4 +1,4 @@
-"""A fitted start: what it tells, how well, and whether it looks like a motor's."""
+"""A fitted start: its quantities, its commutation ripple, and whether it looks like a motor's."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from motor_env.diagnosis.estimation.ekf import REST, STEADY
 from motor_env.diagnosis.estimation.operation_fit import OperationFit
 from motor_env.diagnosis.estimation.problem import Solution, r_squared
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.diagnosis.readers.noise import difference_noise, floor_noise
+from motor_env.diagnosis.readers.noise import difference_noise, floor_noise, over_angle
 from motor_env.diagnosis.readers.start import Start, mean_tail
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.parameters import FloatArray, MotorParameters
@@ -26,7 +26,7 @@ _USUAL = {
     "current": (1e-3, 5e3, "A"),
     "sampling rate": (20.0, 5e7, "Hz"),
 }
-"""Least and largest value (of the current: its peak) of brushed DC motors from pagers to traction, with a margin."""
+"""Least and largest value (of the current: its peak) of brushed DC motors, with a margin."""
 POOR_FIT = 0.75  # R2 of a start that no motor explains
 _TOLD = 0.3  # standard error of a logarithm, above which a quantity is not told
 UNTOLD_LOG_SD = 1.0
@@ -35,6 +35,11 @@ NOT_TURNING = (
     "the current does not show that a motor turns: the recording ends too early, the rotor is blocked, or this is no"
     " motor (a resistor, a coil)"
 )
+_FEWEST_SAMPLES = 256
+_FEWEST_PERIODS = 15.0
+_PADDING = 4
+_BACKGROUND_BINS = 401
+_STRONG = 200.0  # times the background's power; the largest of 10,000 bins of white noise reaches about 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +170,7 @@ class StartFit:
     def whitened(self) -> FloatArray:
         """Residual of the running motor over the sensor's noise, shape (n, 1); NaN where the sensor shows nothing.
 
-        As the state is known at standstill and nothing disturbs the model, these are its Kalman filter's innovations,
-        where the sensor hides nothing.
+        These are the innovations of the start's Kalman filter, as nothing disturbs its model.
         """
         is_step = self.start.voltage_v is None
         begin = int(np.searchsorted(self.start.time_s, self.onset_s, side="right")) + 1 if is_step else 1
@@ -229,18 +233,13 @@ def record_of(start: Start) -> Record:
 
 
 def shows_turning(fit: StartFit) -> bool:
-    """Return whether the start tells K^2/J, or with the speed K, to a factor of e: a resistor and a coil have none."""
+    """Return whether the start tells K^2/J, or K with the speed, to a factor of e."""
     pull = next(n for n, name in enumerate(fit.quantity_names) if name.startswith("K"))
     return float(fit.log_covariance[pull, pull]) < UNTOLD_LOG_SD**2
 
 
 def is_blocked(fit: StartFit, time_constant_s: float) -> bool:
-    """Return whether the current hardly falls while a healthy motor runs up, and no motor is seen to turn.
-
-    Args:
-        fit: of a start.
-        time_constant_s: mechanical time constant of the healthy motor.
-    """
+    """Return whether the current hardly falls while a healthy motor runs up, and no motor is seen to turn."""
     if shows_turning(fit) or fit.start.alignment.saturation or fit.r2_current < POOR_FIT:
         return False
     lasts, current = float(fit.start.time_s[-1]) - fit.onset_s, fit.states[:, 0]
@@ -282,3 +281,87 @@ def implausible(fit: StartFit | OperationFit) -> list[str]:
                 " the recording"
             )
     return sentences
+
+
+@dataclass(frozen=True, slots=True)
+class CommutationRipple:
+    """The strongest line of the current over the angle.
+
+    Attributes:
+        frequency_hz: of the ripple at the last sample's speed.
+        standard_error_hz: of that frequency, from the line's height over its background.
+        amplitude_a: of the line.
+        strength: power over the background's.
+    """
+
+    frequency_hz: float
+    standard_error_hz: float
+    amplitude_a: float
+    strength: float
+
+
+def find_ripple(fit: StartFit) -> CommutationRipple | None:
+    """Find the commutation ripple of a start from rest; None where no line stands out, or it is a converter's."""
+    start = fit.start
+    begin = int(np.searchsorted(start.time_s, fit.onset_s, side="right"))
+    n = len(start.time_s) - begin
+    if n < _FEWEST_SAMPLES or not start.from_rest:
+        return None
+    time_s, residual = start.time_s[begin:], fit.residual_a[begin:]
+    turning = over_angle(residual, time_s, fit.states[begin:, 1])
+    if turning is None:
+        return None
+    even, resampled = turning
+    window = np.hanning(n)
+    power = np.abs(np.fft.rfft((resampled - resampled.mean()) * window, _PADDING * n)) ** 2
+    frequency = np.fft.rfftfreq(_PADDING * n, even[1])
+    in_band = (frequency > _FEWEST_PERIODS / even[-1]) & (frequency < 0.45 / start.dt_s)
+    if not in_band.any():
+        return None
+    from scipy.ndimage import median_filter  # it takes long to import, and few need it
+
+    # The median of the power of noise is log 2 of its mean.
+    background = median_filter(power, _BACKGROUND_BINS, mode="nearest") / math.log(2.0)
+    strength = np.where(in_band, power / np.maximum(background, 1e-300), 0.0)
+    peak = int(np.argmax(np.where(strength > _STRONG, power, 0.0)))
+    if strength[peak] <= _STRONG:
+        return None
+    left, middle, right = np.log(power[peak - 1 : peak + 2])
+    offset = 0.5 * (left - right) / (left - 2.0 * middle + right)
+    frequency_hz = float(frequency[peak] + offset * (frequency[1] - frequency[0]))
+    return CommutationRipple(
+        frequency_hz=frequency_hz,
+        # Cramer-Rao for a windowed line: sqrt(6 / (4 pi^2 SNR)) / T, with the window's loss.
+        standard_error_hz=math.sqrt(6.0 / strength[peak]) / (math.pi * float(even[-1])),
+        amplitude_a=2.0 * math.sqrt(float(power[peak])) / float(window.sum()),
+        strength=float(strength[peak]),
+    )
+
+
+def ripple_quantities(fit: StartFit) -> tuple[float, float] | None:
+    """Return the ripple's frequency at the last speed, and K times the periods a turn, V s (or s)."""
+    ripple = find_ripple(fit)
+    if ripple is None:
+        return None
+    return ripple.frequency_hz, back_emf_v(fit) / (2.0 * math.pi * ripple.frequency_hz)
+
+
+def constants_at(fit: StartFit, speed_rad_s: float) -> dict[str, float]:
+    """Return K, J and B by name at a known last speed, over volt where the voltage is unknown.
+
+    There V = R i + K w; with K, J follows from K^2/J and B from B/J.
+    """
+    constant, p = back_emf_v(fit) / speed_rad_s, fit.parameters
+    # The fit's K^2/J and B/J hold whatever K it believed.
+    factor = float(constant / np.max(p.back_emf_constant_v_s_per_rad)) ** 2
+    inertia = factor * float(np.max(p.inertia_kg_m2))
+    friction = factor * float(np.max(p.viscous_friction_n_m_s_per_rad))
+    per_volt = "" if fit.start.voltage_known else "/V"
+    return {f"K{per_volt}": constant, f"J{per_volt}": inertia, f"B{per_volt}": friction}
+
+
+def back_emf_v(fit: StartFit) -> float:
+    """Return the back-EMF at the end of the start: what R leaves of the voltage (1 V where it is unknown)."""
+    tail = slice(-max(len(fit.states) // 20, 1), None)
+    ohm = float(np.max(fit.parameters.resistance_ohm)) + fit.start.circuit.shunt_ohm
+    return float(fit.start.level_v - ohm * np.mean(fit.states[tail, 0]))

@@ -1,4 +1,4 @@
-"""A motor's parameters from one real start, by least squares, with the terms for which there is evidence."""
+"""Least-squares fit of one real start, with the terms for which there is evidence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.model_selection import STRONG_EVIDENCE
 from motor_env.diagnosis.estimation.problem import Problem, Solution
-from motor_env.diagnosis.estimation.score_tests import score_tests, supply_effects
 from motor_env.diagnosis.estimation.starts.start_fit import UNTOLD_LOG_SD, StartFit, record_of
 from motor_env.diagnosis.estimation.starts.start_prior import CURVE, StartPrior, start_prior
 from motor_env.diagnosis.estimation.uncertainty import (
@@ -20,6 +19,8 @@ from motor_env.diagnosis.estimation.uncertainty import (
     model_error,
     normalised,
     sandwich,
+    score_tests,
+    supply_effects,
 )
 from motor_env.diagnosis.readers.noise import constant_lines
 from motor_env.diagnosis.readers.start import Start
@@ -31,8 +32,7 @@ _WILD_SPREADS = 10.0
 _USUAL_LAG = 0.03  # L/R over the mechanical time constant, where brushed motors have 0.01 to 0.1
 _SMALL, _LARGEST_MOVE = 0.01, 3.0
 NUISANCES = ("supply_ramp", "supply_curve", "sensor_lag", "speed_lag", "dead_zone")
-"""Terms that do not touch the motor, which a diagnosis may add. One start hardly separates Coulomb from viscous
-friction, or a brush drop from the supply: these would take the friction out of the comparison."""
+"""Terms that do not touch the motor, which a diagnosis may add. Friction and brush drop would take what is compared."""
 EXTENSIONS = (*NUISANCES, "coulomb", "brush_drop")
 """All terms, for where nothing is compared."""
 SCORED_SIZES = tuple(np.exp([-2.0, 0.0, 2.0, 4.0]).tolist())  # a long lag looks different from a short one
@@ -49,17 +49,15 @@ def identify(
     typical: Mapping[str, float] | None = None,
     simpler: StartFit | None = None,
 ) -> StartFit:
-    """Fit the model to a start.
-
-    Lines of constant frequency and outliers in the residual are taken off, and the fit is repeated.
+    """Fit the model to a start; take lines of constant frequency and outliers off, and fit again.
 
     Args:
         start: what to fit.
         model: terms beside the textbook's, of EXTENSIONS.
         constant: K to assume where only the current is measured, which tells K^2/J and B/J alone.
         typical: quantities of such a motor by name, where known: one more initial guess, and a prior of 30 % on L where
-        the model makes it ambiguous.
-        simpler: a fit of the same start that lacks the last term of the model, to begin from.
+            the model makes it ambiguous.
+        simpler: a fit that lacks the last term of the model, to begin from.
 
     Raises:
         UnusableError: the current flows against the voltage.
@@ -159,7 +157,7 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
 
 
 def _hidden_inductance(problem: Problem, theta: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """Return how the unknowns move with an inductance of a usual size: a supply that rises slowly may hide it."""
+    """Return how the unknowns move with an inductance of a usual size, which a slowly rising supply may hide."""
     values, at = problem.values(theta), problem.names.index("L")
     usual = _USUAL_LAG * values[index.J] * (values[index.R] / values[index.K]) ** 2 / values[index.L]
     moved = theta.copy()
@@ -185,8 +183,7 @@ def _middle_of_rise(problem: Problem, values: FloatArray, covariance: FloatArray
 def evidence(simple: StartFit, rich: StartFit) -> float:
     """Return the drop of the Bayesian information criterion (Schwarz 1978) by a richer model; above 6 is strong.
 
-    Samples are counted as independent ones, as many as the richer model's residual leaves (Raftery 1995). A typical L
-    counts by its prior: a lag of the sensor is more likely than an L that is three times as large.
+    Independent samples count, as many as the richer model's residual leaves (Raftery 1995), and the prior of L.
     """
     gain = sum(
         n * math.log(max(before, 1e-300) / max(after, 1e-300))
@@ -239,8 +236,8 @@ def identify_best(
 def _is_applicable(name: str, start: Start, model: tuple[str, ...], *, knows_inductance: bool) -> bool:
     """Return whether a recording can tell one more term.
 
-    A measured voltage has no ramp. A step cannot separate a brush drop from a lower supply. Only a known L separates a
-    current sensor's lag from L/R in a step. An amplifier that hides small currents hides negative ones, too.
+    A measured voltage has no ramp. A step cannot separate a brush drop from a lower supply, nor a sensor's lag from L/R
+    unless L is known. An amplifier that hides small currents hides negative ones, too.
     """
     step = start.voltage_v is None
     applies = {

@@ -1,4 +1,4 @@
-"""A start to fit: rough values, typical values and the priors of its terms."""
+"""Prior of a start to fit: rough values, typical values and its terms."""
 
 from __future__ import annotations
 
@@ -64,10 +64,7 @@ def _current(start: Start) -> FloatArray:
 
 
 def absolute_parameters(told: Mapping[str, float], constant: float) -> dict[str, float]:
-    """Return R, L, K, J and B as far as quantities tell them, with the assumed K.
-
-    The current alone depends on K^2/J and B/J only.
-    """
+    """Return R, L, K, J and B as far as quantities tell them: the current alone needs an assumed K."""
     values = {"K": constant} | {
         name.replace("(J V)", "J").replace("/V", ""): value for name, value in told.items()
     }
@@ -79,7 +76,7 @@ def absolute_parameters(told: Mapping[str, float], constant: float) -> dict[str,
 
 @dataclass(frozen=True, slots=True)
 class StartPrior:
-    """A start to fit, with what is known beforehand.
+    """Start to fit, with what is known beforehand.
 
     Attributes:
         start: what is fitted.
@@ -120,7 +117,7 @@ class StartPrior:
         )
 
     def initial_guesses(self, problem: Problem) -> list[FloatArray]:
-        """Return the typical motor where known, and for each of three inductances the best of a small grid."""
+        """Return initial guesses: the typical motor, and for each of three inductances the best of a small grid."""
         begin = np.array([0.0 if term.is_log else _FIRST_SIZES[1] * term.usual for term in problem.free])
         begin[len(begin) - len(self.ends) :] = 0.0
         fits = []
@@ -148,7 +145,7 @@ class StartPrior:
         return guesses
 
     def is_typical(self, theta: FloatArray) -> bool:
-        """Return whether the parameters are typical to a factor of e: then no other optimum is sought."""
+        """Return whether the parameters are typical to a factor of e."""
         return len(self.typical) == len(self.core) and all(
             abs(value - self.typical[name]) < 1.0 for value, name in zip(theta, self.core, strict=False)
         )
@@ -159,10 +156,7 @@ class StartPrior:
 
 
 def hides_inductance(model: Sequence[str]) -> bool:
-    """Return whether a term is a lag between voltage and current, as L/R is: each may pass for the other.
-
-    A measured voltage has no ramp; under any voltage the current sensor's lag and L/R can change places.
-    """
+    """Return whether a term is a lag between voltage and current, as L/R is: each may pass for the other."""
     return not _LAGS.isdisjoint(model)
 
 

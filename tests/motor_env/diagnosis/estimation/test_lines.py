@@ -10,10 +10,9 @@ from operation_simulator import draw_motor, simulate
 
 from motor_env import Recording
 from motor_env.diagnosis.estimation import parameter_index as index
-from motor_env.diagnosis.estimation.operation_fit import identify_operation, without_lines
+from motor_env.diagnosis.estimation.operation_fit import fit_window, identify_operation, without_lines
 from motor_env.diagnosis.estimation.preprocessing import from_recordings
 from motor_env.diagnosis.estimation.problem import Solution
-from motor_env.diagnosis.estimation.window import fit_window
 
 # Reaches in: what the fits of starts and of logs take for ripple.
 from motor_env.diagnosis.readers.noise import constant_lines

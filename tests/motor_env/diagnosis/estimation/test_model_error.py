@@ -13,13 +13,13 @@ from motor_env.diagnosis.estimation import model_selection as fitting, parameter
 from motor_env.diagnosis.estimation.model_selection import fit
 from motor_env.diagnosis.estimation.problem import Solution, motor_unknowns
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.diagnosis.estimation.score_tests import unmodelled_effects
 from motor_env.diagnosis.estimation.uncertainty import (
     covariance,
     excess_covariance,
     model_error,
     normalised,
     sandwich,
+    unmodelled_effects,
 )
 
 # Reaches in: of a residual, white noise alone averages away.

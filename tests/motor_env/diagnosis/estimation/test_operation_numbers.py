@@ -24,13 +24,15 @@ from motor_env.diagnosis.estimation import (
     parameter_index as index,
     uncertainty,
 )
-from motor_env.diagnosis.estimation.initial_values import _sign, initial_values
+from motor_env.diagnosis.estimation.model_selection import _sign, initial_values
 from motor_env.diagnosis.estimation.operation_fit import (
     OperationFit,
     _drag,
     _refuse_poor_fit,
+    fit_window,
     identify_operation,
     identify_record,
+    without_load,
 )
 from motor_env.diagnosis.estimation.preprocessing import (
     at_terminals,
@@ -42,15 +44,16 @@ from motor_env.diagnosis.estimation.preprocessing import (
 )
 from motor_env.diagnosis.estimation.problem import Problem, Solution, motor_unknowns
 from motor_env.diagnosis.estimation.record import Hold, Record
-from motor_env.diagnosis.estimation.score_tests import ScoreTest, candidates, score_tests
 from motor_env.diagnosis.estimation.terms import terms
 from motor_env.diagnosis.estimation.uncertainty import (
+    ScoreTest,
+    candidates,
     information_covariance,
     normalised,
     sandwich,
+    score_tests,
     secants,
 )
-from motor_env.diagnosis.estimation.window import fit_window, without_load
 from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.diagnosis.readers.regime import RegimeDecision

@@ -14,19 +14,16 @@ from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.model_selection import STRONG_EVIDENCE
 from motor_env.diagnosis.estimation.problem import Problem, Solution
 from motor_env.diagnosis.estimation.record import rectified_mean
-from motor_env.diagnosis.estimation.score_tests import score_tests, supply_effects
-from motor_env.diagnosis.estimation.starts.commutation import (
-    back_emf_v,
-    constants_at,
-    find_ripple,
-    ripple_quantities,
-)
 from motor_env.diagnosis.estimation.starts.start_fit import (
     NOT_TURNING,
     StartFit,
+    back_emf_v,
+    constants_at,
+    find_ripple,
     implausible,
     is_blocked,
     record_of,
+    ripple_quantities,
     shows_turning,
 )
 from motor_env.diagnosis.estimation.starts.start_identification import (
@@ -45,6 +42,8 @@ from motor_env.diagnosis.estimation.uncertainty import (
     model_error,
     normalised,
     sandwich,
+    score_tests,
+    supply_effects,
 )
 
 # Reaches in: starts are aligned by hand, their onset known; dense matrices need the floor of a residual's noise.

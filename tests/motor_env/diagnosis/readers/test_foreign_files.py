@@ -15,7 +15,7 @@ from suggested_options import fits, has_blanks, options_of
 from motor_env import ColumnChoice, Recording, cli, read_recording
 from motor_env.diagnosis.readers.columns import evenly_rounded
 from motor_env.diagnosis.readers.headers import follows
-from motor_env.diagnosis.readers.text.block import legend_of
+from motor_env.diagnosis.readers.text_block import legend_of
 from motor_env.motor.parameters import FloatArray
 
 _DEEPEST = 5  # options one after another

@@ -19,9 +19,8 @@ from recording_bytes import bytes_of
 from scipy.io import savemat
 
 from motor_env import InputError, Recording, cli, read_recording
-from motor_env.diagnosis.readers import array_parser, tables
+from motor_env.diagnosis.readers import array_parser, tables, text_numbers as pieces
 from motor_env.diagnosis.readers.start import chosen_starts, split_starts
-from motor_env.diagnosis.readers.text import number_parser as pieces
 from motor_env.motor.parameters import FloatArray
 
 EXAMPLES = Path(__file__).parents[4] / "examples"

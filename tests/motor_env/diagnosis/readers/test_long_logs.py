@@ -14,8 +14,7 @@ from motor_env import ColumnChoice, InputError, Recording, read_recording
 
 # Reaches in: which stretches of a long log are fitted is pinned without the fit.
 from motor_env.diagnosis.estimation.preprocessing import from_recordings
-from motor_env.diagnosis.readers import array_parser, tables
-from motor_env.diagnosis.readers.text import number_parser as pieces
+from motor_env.diagnosis.readers import array_parser, tables, text_numbers as pieces
 
 ROWS, RATE_HZ = 5_000, 1_000.0
 

@@ -1,4 +1,4 @@
-"""The block of numbers in a text file: its cells, its header or legend, and the instrument's settings beside it."""
+"""Block of numbers in a text file: its cells, header or legend, and the instrument's settings beside it."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class TextTable:
     rows: tuple[list[str], ...]
 
     def number(self, cell: str) -> float | None:
-        """Return a cell as a number; None where it is none, or has a point where the decimal mark is a comma."""
+        """Return a cell as a number; None where it is none, or has the wrong decimal mark."""
         if (self.decimal_comma and "." in cell) or "_" in cell:
             return None
         try:
@@ -74,13 +74,13 @@ class TextTable:
             return None
 
     def numbers(self, row: list[str], columns: Sequence[int]) -> int:
-        """Count which of these columns hold a number in a row."""
+        """Count the columns that hold a number in a row."""
         return sum(column < len(row) and self.number(row[column]) is not None for column in columns)
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """How a block of numbers stands in its file.
+    """Place and form of a block of numbers in its file.
 
     Attributes:
         table: the file's cells, or those of its beginning and its end.
@@ -88,7 +88,7 @@ class Block:
         begin: line of the file where they begin.
         columns: which columns hold numbers, and times of a clock.
         clocks: those of a clock among them.
-        width: cells of a row, empty ones at its end left out.
+        width: cells of a row, without empty ones at its end.
         names: header of each column, else empty strings.
         units: unit of each column out of a row of units, else empty strings.
         remarks: on the form.
@@ -113,11 +113,7 @@ def filled(row: Sequence[str]) -> int:
 
 
 def cells(path: Path, lines: Sequence[str]) -> TextTable:
-    """Split lines into cells.
-
-    Raises:
-        InputError: they are no table.
-    """
+    """Split lines into cells."""
     delimiter = _delimiter_of(lines)
     kept = list(rows_of(path, lines, delimiter))
     near_end = (cell for _, row in kept[-_LOOK_AHEAD:] for cell in row)
@@ -126,11 +122,7 @@ def cells(path: Path, lines: Sequence[str]) -> TextTable:
 
 
 def rows_of(path: Path, lines: Sequence[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and cells of each line that is not blank.
-
-    Raises:
-        InputError: they are no table.
-    """
+    """Yield number and cells of each line that is not blank; InputError where they are no table."""
     if delimiter == " ":
         yield from ((n, row) for n, line in enumerate(lines, 1) if (row := line.split()))
         return
@@ -142,7 +134,7 @@ def rows_of(path: Path, lines: Sequence[str], delimiter: str) -> Iterator[tuple[
 
 
 def _delimiter_of(lines: Sequence[str]) -> str:
-    """Return the delimiter of most lines at the end of the file; a comma where there is none."""
+    """Return the delimiter of most lines at the file's end; else a comma."""
     tail = [line for line in lines[-_LOOK_AHEAD:] if line.strip()]
     frequent = (mark for mark in "\t;," if sum(mark in line for line in tail) > _MOST * len(tail))
     blanks = sum(len(line.split()) > 1 for line in tail) > _MOST * len(tail)
@@ -224,7 +216,7 @@ def _numbers_in(path: Path, lines: list[str]) -> Block:
 
 
 def _with_damaged_rows(table: TextTable, columns: Sequence[int], first: int) -> int:
-    """Return the begin of the block with damaged first rows: with a number, below a header without any."""
+    """Return the begin of the block with damaged first rows."""
     rows, begin = table.rows, first
     while (
         begin > 0
@@ -239,13 +231,7 @@ def _with_damaged_rows(table: TextTable, columns: Sequence[int], first: int) -> 
 
 
 def _header(block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return names and units of the columns; a row of nothing but units above the block is theirs.
-
-    A legend in comment lines counts more.
-
-    Raises:
-        InputError: it names more or fewer columns than the block has.
-    """
+    """Return names and units of the columns, out of a legend in comments, else of the rows above."""
     table, columns = block.table, block.columns
     comments = (table.delimiter.join(row) for row in table.rows[: block.first] if is_comment(row))
     if legend := legend_of(comments, block.width):
@@ -283,12 +269,7 @@ def is_comment(row: list[str]) -> bool:
 
 
 def legend_of(lines: Iterable[str], width: int) -> dict[int, tuple[str, str]]:
-    """Return name and unit of each column, counted from 0, out of `%  7  8 Motor current left, right [A]`; else empty.
-
-    Args:
-        lines: those above the numbers.
-        width: columns of the file.
-    """
+    """Return name and unit of each column from 0, out of `%  7  8 Motor current left, right [A]`; else empty."""
     legend: dict[int, tuple[str, str]] = {}
     spans: dict[int, int] = {}
     for match in filter(None, map(_LINE.match, lines)):
@@ -301,14 +282,14 @@ def legend_of(lines: Iterable[str], width: int) -> dict[int, tuple[str, str]]:
 
 
 def _columns(numbers: str) -> range | list[int]:
-    """Return the columns of `7 8`, of `16 .. 35`, and of `19 28`, which stands for all between."""
+    """Return the columns of `7 8`, `16 .. 35` and `19 28`, all between."""
     given = [int(number) for number in re.findall(r"\d+", numbers)]
     first, last = given[0], given[-1]
     return range(first, last + 1) if len(given) == 2 and first < last else given
 
 
 def _named(text: str, count: int) -> Iterator[tuple[str, str]]:
-    """Yield a name and a unit for each of the columns of a line."""
+    """Yield name and unit of each column of a line."""
     text = text.partition(":")[0].partition("=")[0].strip()
     units = _UNIT.search(text)
     listed = [unit.strip() for unit in units[1].split(",")] if units else []
@@ -341,9 +322,7 @@ class Table:
         numbers: of each column in the file, counted from 1.
         where: the word for the lines: line or row.
         remarks: on the file's form.
-        begin_s: time of the first sample, by the settings above the numbers.
-        interval_s: time between two samples, by the settings; None where they do not say.
-        samples: number of samples, by the settings; None where they do not say.
+        begin_s, interval_s, samples: the time axis, by the instrument's settings; None where they do not say.
         averaged: number of rows of the file whose mean is one row here.
     """
 
@@ -396,7 +375,7 @@ def table_of(block: Block, values: FloatArray, lines: Sequence[int], averaged: i
 
 
 def _settings(block: Block) -> Iterator[tuple[str, str]]:
-    """Yield name and text of each setting: above the header, beside it, beside the numbers."""
+    """Yield name and text of each setting beside or above the numbers."""
     table, first = block.table, block.first
     beside = min(block.columns)
     rows = [*table.rows[:first], *(row[:beside] for row in table.rows[first : first + _BESIDE])]
@@ -416,7 +395,7 @@ def _settings(block: Block) -> Iterator[tuple[str, str]]:
 
 
 def _units(block: Block, settings: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the columns' units, out of the settings where the headers have none."""
+    """Return the columns' units, out of the settings where headers have none."""
     text = settings.get("vertical units", settings.get("units", "")).strip()
     stated = dict(re.findall(r"(\w+):\s*(\w+)", text))
     listed = [cell.strip() for cell in text.split(",")]

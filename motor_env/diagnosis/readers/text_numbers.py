@@ -1,4 +1,4 @@
-"""The numbers of a text file: read whole, or in pieces with neighbours averaged so that memory holds them."""
+"""Numbers of a text file: read whole, or in pieces with neighbours averaged so that memory holds them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.readers.text.block import (
+from motor_env.diagnosis.readers.text_block import (
     CLOCK,
     CUT_OFF,
     Block,
@@ -34,7 +34,7 @@ _SMALL_BYTES = 4_000_000
 
 
 def whole_block(path: Path, text: str) -> Table:
-    """The block of numbers in a text, with the header above it.
+    """Return the block of numbers in a text, with the header above it.
 
     Raises:
         InputError: there is none, or a cell in it is no number.
@@ -47,7 +47,7 @@ def whole_block(path: Path, text: str) -> Table:
 
 
 def large_block(path: Path) -> Table:
-    """The block of numbers in a file that begins and ends as text; neighbours are averaged beyond MOST_ROWS.
+    """Return the numbers of a large text file; neighbours are averaged beyond MOST_ROWS.
 
     Raises:
         InputError: there is no block, it tells the time by a clock, or a cell in it is no number.
@@ -75,7 +75,7 @@ def large_block(path: Path) -> Table:
 
 
 def _pieces(file: BinaryIO, block: Block) -> Iterator[FloatArray]:
-    """Yield the numbers of each piece of whole lines, shape (rows, columns); several are parsed at once."""
+    """Yield the numbers of each piece of whole lines, shape (rows, columns)."""
     line = block.begin
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         waiting: deque[Future[tuple[FloatArray, Sequence[int]]]] = deque()
@@ -93,7 +93,7 @@ def _pieces(file: BinaryIO, block: Block) -> Iterator[FloatArray]:
 
 
 def _means(parts: Iterable[FloatArray], factor: int) -> FloatArray:
-    """Return means of neighbouring rows of all parts, without the last incomplete ones, shape (rows, columns)."""
+    """Return means of neighbouring rows of all parts, shape (rows, columns)."""
     means, rest = [], None
     for part in parts:
         values = part if rest is None else np.concatenate([rest, part])
@@ -105,11 +105,7 @@ def _means(parts: Iterable[FloatArray], factor: int) -> FloatArray:
 
 
 def _numbers(block: Block, piece: bytes, begin: int, rows: int) -> tuple[FloatArray, Sequence[int]]:
-    """Return the numbers of whole lines, shape (rows, columns), and the file's line of each row, from `begin`.
-
-    Raises:
-        InputError: a cell is no number.
-    """
+    """Return the numbers of whole lines, shape (rows, columns), and each row's line in the file."""
     for quick in (_plain_numbers, _most_numbers, _numbers_with_holes):
         with suppress(ValueError, KeyError):
             values = quick(block, piece, rows)
@@ -119,10 +115,7 @@ def _numbers(block: Block, piece: bytes, begin: int, rows: int) -> tuple[FloatAr
 
 
 def _plain_numbers(block: Block, piece: bytes, rows: int) -> FloatArray:
-    """Parse a small block of nothing but numbers in rows of one length; ValueError for any other.
-
-    To import pandas takes as long as to read some megabytes without it.
-    """
+    """Parse a small block of nothing but numbers, without pandas, which imports slowly; ValueError for any other."""
     table = block.table
     if len(piece) > _SMALL_BYTES or block.clocks or table.decimal_comma or table.delimiter == " ":
         raise ValueError("no small block of numbers with points")
@@ -163,7 +156,7 @@ def _most_numbers(block: Block, piece: bytes, rows: int, *, holes: bool = False)
 
 
 def _numbers_with_holes(block: Block, piece: bytes, rows: int) -> FloatArray:
-    """Parse a piece with empty cells as NaN; ValueError where a row ends before them."""
+    """Parse a piece with empty cells as NaN; ValueError for a short row."""
     mark = None if block.table.delimiter == " " else block.table.delimiter.encode()
     if min(len(line.split(mark)) for line in piece.removesuffix(b"\n").split(b"\n")) <= max(block.columns):
         raise ValueError("a row that ends too soon")
@@ -171,7 +164,7 @@ def _numbers_with_holes(block: Block, piece: bytes, rows: int) -> FloatArray:
 
 
 def _numbers_cell_by_cell(block: Block, lines: list[str], begin: int) -> tuple[FloatArray, Sequence[int]]:
-    """Parse a piece with blank lines and quotes; a sentence names the cell that is no number."""
+    """Parse a piece with blank lines and quotes; InputError for a cell that is no number."""
     table = block.table
     at: list[int] = []
     columns: list[list[Any]] = [[] for _ in block.columns]
@@ -195,7 +188,7 @@ def _numbers_cell_by_cell(block: Block, lines: list[str], begin: int) -> tuple[F
 
 
 def _value(block: Block, place: int, row: list[str], line: int) -> float | str:
-    """Return the number of a cell, NaN of an empty one; its text in a column of a clock."""
+    """Return the number of a cell, NaN of an empty one, the text of a clock's."""
     column = block.columns[place]
     cell = row[column] if column < len(row) else ""
     where = f"{block.table.path}, line {line}: the column {block.names[place] or f'number {column + 1}'}"

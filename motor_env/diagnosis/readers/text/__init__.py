@@ -1,1 +1,0 @@
-"""Recordings in text files: cells, the block of numbers, the settings of the instrument."""
