@@ -44,7 +44,7 @@ def watch(
         columns: Names of the columns, such as time_s,voltage_v,current_a,speed_rad_s, where no line says them.
         baud: Of the serial port.
     """
-    from motor_env.diagnosis.streaming import command
+    from motor_env.diagnosis.streaming import watch as command
     from motor_env.diagnosis.streaming.watch import LearningPhase
 
     return command.run(

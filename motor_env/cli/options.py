@@ -15,7 +15,7 @@ from motor_env.common.console import json_text, printable
 from motor_env.common.errors import InputError
 
 if TYPE_CHECKING:
-    from motor_env.diagnosis.fleet import initial_fit
+    from motor_env.diagnosis.fleet import fits as initial_fit
     from motor_env.diagnosis.readers.profiles import Profile
 
 
@@ -115,7 +115,7 @@ class Measurement(Reading):
 
     def of_fleet(self, regime: str) -> initial_fit.Reading:
         """How the records of a fleet are read: each has one piece, so that none is asked for."""
-        from motor_env.diagnosis.fleet import initial_fit
+        from motor_env.diagnosis.fleet import fits as initial_fit
 
         if self.start is not None:
             raise InputError("--start does not go with a fleet: give each start in a file of its own")

@@ -26,6 +26,7 @@ from motor_env.diagnosis.readers.recording import (
 from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
 from motor_env.diagnosis.readers.start import Circuit, chosen_starts, prepare, split_starts
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows, to_motor
 from motor_env.diagnosis.verdict.healthy_spread import (
     detectable_changes,
     explain_disagreement,
@@ -34,7 +35,6 @@ from motor_env.diagnosis.verdict.healthy_spread import (
     learn_starts,
 )
 from motor_env.diagnosis.verdict.hypotheses import Fitted
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.verdict.report_text import UNITS, describe_friction_share
 from motor_env.diagnosis.verdict.sensor_diagnosis import learn_signs
 from motor_env.motor.assumptions import lines as lines_of

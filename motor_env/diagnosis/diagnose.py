@@ -35,13 +35,12 @@ from motor_env.diagnosis.readers.recording import Recording, UnusableError, reco
 from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
 from motor_env.diagnosis.readers.start import Circuit, Start, chosen_starts, prepare
 from motor_env.diagnosis.verdict import judgement as verdict, report_text as formats
-from motor_env.diagnosis.verdict.channels import sensor_judgement
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift, reference_of
 from motor_env.diagnosis.verdict.hypotheses import alarm_share, compare
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.diagnosis.verdict.scaling_errors import SWAPPED, is_unlike_motor
-from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors
+from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors, sensor_judgement
 from motor_env.motor import identifiable as quantities
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Healthy, Starts

@@ -17,7 +17,7 @@ from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import Recording, UnusableError, recording_of
 from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
 from motor_env.diagnosis.readers.start import Circuit, chosen_starts, prepare
-from motor_env.diagnosis.verdict.motor_files import describe_undetermined, motor_of_log, to_motor
+from motor_env.diagnosis.verdict.healthy_motor import describe_undetermined, motor_of_log, to_motor
 from motor_env.diagnosis.verdict.report_text import (
     TWO_SIDED,
     describe_r2,

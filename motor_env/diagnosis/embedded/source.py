@@ -12,18 +12,20 @@ from scipy.signal import dlsim
 from motor_env.common.errors import InputError
 from motor_env.common.files import filling, require_ours, write_text
 from motor_env.common.pages.html import render
-from motor_env.diagnosis.embedded.arithmetic import (
+from motor_env.diagnosis.embedded.monitor import DEAD_AFTER, Monitor, Readings
+from motor_env.diagnosis.embedded.twin import (
     LARGEST,
     NOTHING_BITS,
     SOMETHING_BITS,
     STATISTIC_BITS,
     Numbers,
+    SampleVerdict,
     Values,
     fixed_point,
     floating,
+    readings_of,
+    run_twin,
 )
-from motor_env.diagnosis.embedded.monitor import DEAD_AFTER, Monitor, Readings
-from motor_env.diagnosis.embedded.twin import SampleVerdict, readings_of, run_twin
 
 _HEALTHY_CHECKS, _FAULTY_CHECKS, _MOST_DOUBLINGS = 8, 8, 60
 _RESERVED = (

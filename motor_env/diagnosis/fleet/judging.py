@@ -17,11 +17,10 @@ from motor_env.common.errors import InputError, require_options
 from motor_env.common.pages.html import render
 from motor_env.common.pages.svg import Axis, Chart
 from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.fleet.fits import Map
-from motor_env.diagnosis.fleet.initial_fit import Reading
-from motor_env.diagnosis.fleet.learning import LearnedFleet, learn_fleet
+from motor_env.diagnosis.fleet.fits import Map, Reading
+from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet
 from motor_env.diagnosis.fleet.population import HealthyPopulation
-from motor_env.diagnosis.fleet.unit import FleetUnit, UnitId
+from motor_env.diagnosis.fleet.unit import FleetUnit
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.verdict.hypotheses import Difference
 from motor_env.diagnosis.verdict.judgement import Verdict

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from motor_env.common.errors import InputError, require_several
 from motor_env.diagnosis.commission import interval_lines, intervals
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
-from motor_env.diagnosis.fleet.fits import FleetFits, Map, fit_fleet
-from motor_env.diagnosis.fleet.initial_fit import Reading
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
+from motor_env.diagnosis.fleet.fits import FleetFits, Map, Reading, fit_fleet
 from motor_env.diagnosis.fleet.population import HealthyPopulation, Motors, learn_population
-from motor_env.diagnosis.fleet.unit import UnitId, unit_ids
 from motor_env.diagnosis.operation.windows import viscous
+from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows, to_motor
 from motor_env.diagnosis.verdict.healthy_spread import START_SPREAD, learn_starts
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.verdict.scaling_errors import POWERS
 from motor_env.motor import identifiable
 from motor_env.motor.data_sheet import Motor, Tolerance
@@ -41,11 +41,63 @@ PRIOR_SPREAD = Tolerance(
 """Spread from motor to motor that is believed before any is seen: about that of a fleet of real gear motors (see
 docs/fleet.md). One that is too small costs false alarms in small fleets, one that is too large costs power."""
 _MANY = 500
+_GROUPS = ("machine", "motor", "repeat")
 _GAINS = ("voltage", "current", "speed")
 _NONE = 1e-6
 _LEAST_PROBABILITY = (
     0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
 )
+
+
+class UnitId(NamedTuple):
+    """Machine and place of a motor.
+
+    Attributes:
+        machine: that the motor is part of.
+        motor: its place in the machine, such as left or right; empty where machines have one motor each.
+    """
+
+    machine: str
+    motor: str = ""
+
+    @property
+    def name(self) -> str:
+        """Join both, as tables show it."""
+        return f"{self.machine} {self.motor}".strip()
+
+
+def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
+    """Read machine and motor from each file's name.
+
+    Args:
+        files: recordings.
+        group: regular expression searched in a file's name without its ending, with named groups machine, motor and
+            repeat; without it each file is a machine of its own.
+
+    Raises:
+        InputError: no regular expression, one without these groups, or a name that it does not match.
+    """
+    if group is None:
+        return [UnitId(path.stem) for path in files]
+    try:
+        pattern = re.compile(group)
+    except re.error as error:
+        raise InputError(f"--group must be a regular expression, got {group!r} ({error})") from None
+    known = set(pattern.groupindex)
+    if not known or known - set(_GROUPS):
+        raise InputError(f"--group must have named groups of {', '.join(_GROUPS)}, got {sorted(known)}")
+    if not known & {"machine", "motor"}:
+        raise InputError("--group must have a group machine or motor: a repeat alone tells no motor")
+    found = []
+    for path in files:
+        match = pattern.search(path.stem)
+        if match is None:
+            raise InputError(f"{path}: --group {group!r} does not match its name")
+        parts = match.groupdict(default="")
+        # Motors without machines are machines of one motor each.
+        machine = parts.get("machine") or parts.get("motor", "")
+        found.append(UnitId(machine, parts.get("motor", "") if "machine" in known else ""))
+    return found
 
 
 @dataclass(frozen=True)
@@ -131,10 +183,10 @@ class LearnedFleet:
         )
 
     @cached_property
-    def _healthy_starts(self) -> list[Identified]:
+    def _healthy_starts(self) -> list[StartFit]:
         """List the starts of motors that seem healthy."""
         pairs = zip(self.fits.by_file.values(), self.core.probability[self.records.motor], strict=True)
-        return [fit for fit, sure in pairs if isinstance(fit, Identified) and sure > _LEAST_PROBABILITY]
+        return [fit for fit, sure in pairs if isinstance(fit, StartFit) and sure > _LEAST_PROBABILITY]
 
     def _predictive(self, core: HealthyPopulation, position: str | None) -> tuple[FloatArray, FloatArray]:
         """Return centre and covariance of another healthy motor's record."""
@@ -196,8 +248,8 @@ def at_centre(windows: Windows, centre: FloatArray) -> Windows:
     """Set the windows' parameters to logarithms of R, K, J and the drag over the speed."""
     known = windows.physical.copy()
     drag = math.exp(centre[3]) / viscous(known, windows.speed_rad_s)
-    known[[places.R, places.K, places.J]] = np.exp(centre[:3])
-    known[[places.B, places.COULOMB]] *= drag
+    known[[index.R, index.K, index.J]] = np.exp(centre[:3])
+    known[[index.B, index.COULOMB]] *= drag
     return replace(windows, physical=known)
 
 

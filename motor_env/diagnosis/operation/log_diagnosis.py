@@ -16,7 +16,6 @@ from motor_env.diagnosis.estimation.operation_fit import identify_record
 from motor_env.diagnosis.estimation.preprocessing import at_terminals, from_recordings
 from motor_env.diagnosis.estimation.record import STRETCHES, Record
 from motor_env.diagnosis.estimation.window import LOAD
-from motor_env.diagnosis.operation.operating_conditions import NEEDED, needed_columns
 from motor_env.diagnosis.operation.window_baseline import (
     chosen_terms,
     effective_speed,
@@ -24,7 +23,14 @@ from motor_env.diagnosis.operation.window_baseline import (
     turns_one_way,
     window_length_s,
 )
-from motor_env.diagnosis.operation.windows import WindowJudge, judge_of, viscous, windows_of
+from motor_env.diagnosis.operation.windows import (
+    NEEDED,
+    WindowJudge,
+    judge_of,
+    needed_columns,
+    viscous,
+    windows_of,
+)
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
 from motor_env.diagnosis.readers.start import Circuit
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE

@@ -20,15 +20,17 @@ from motor_env.diagnosis.estimation.problem import Solution
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
 from motor_env.diagnosis.estimation.window import LOAD, WindowFit, fit_window, without_load
-from motor_env.diagnosis.operation.operating_conditions import (
+from motor_env.diagnosis.operation.sequential_monitor import checked_calibration
+from motor_env.diagnosis.operation.windows import (
     FAR,
+    MOST_SAMPLES,
     NEEDED,
     condition_features,
+    over_speed,
     rms_volts,
     sorted_by_condition,
+    windows_of,
 )
-from motor_env.diagnosis.operation.sequential_monitor import checked_calibration
-from motor_env.diagnosis.operation.windows import MOST_SAMPLES, over_speed, windows_of
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
 from motor_env.diagnosis.verdict.healthy_spread import RECORD_SPREAD, next_window, usual_condition_windows
 from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow

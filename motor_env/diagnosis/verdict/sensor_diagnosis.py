@@ -2,22 +2,363 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Literal
+from itertools import permutations
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.readers.alignment import align
+from motor_env.diagnosis.estimation import ekf as kernel, parameter_index as places
+from motor_env.diagnosis.estimation.record import Record
+from motor_env.diagnosis.readers.alignment import align, clipped_run
+from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
 from motor_env.diagnosis.readers.start import Circuit
-from motor_env.diagnosis.verdict.channels import ChannelRecord, find_failure, sensor_judgement
-from motor_env.diagnosis.verdict.judgement import Judgement
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.scaling_errors import READ_SO
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
+
+_HELD = 1e9  # times the inertia: the rotor stays where it is
+
+
+class ChannelRecord(NamedTuple):
+    """Channels of a record.
+
+    Attributes:
+        dt_s: sampling interval.
+        voltage_v: shape (n,).
+        current_a, speed_rad_s: shape (n,); None for a channel without a column.
+        has_sign: whether the sign of the voltage is known.
+        at_work: whether it is a log. The offset of a start is no failure: its quiet part gives it.
+        is_taught: whether the healthy motor was learned from recordings. A data sheet knows neither signs nor ranges of
+            the sensors.
+    """
+
+    dt_s: float
+    voltage_v: FloatArray
+    current_a: FloatArray | None
+    speed_rad_s: FloatArray | None
+    has_sign: bool = True
+    at_work: bool = True
+    is_taught: bool = True
+
+    def from_sample(self, first: int) -> ChannelRecord:
+        """Return the record from a sample on."""
+        current, speed = (
+            None if each is None else each[first:] for each in (self.current_a, self.speed_rad_s)
+        )
+        return self._replace(voltage_v=self.voltage_v[first:], current_a=current, speed_rad_s=speed)
+
+
+def free_run(
+    physical: FloatArray, voltage_v: FloatArray, dt_s: float, *, from_rest: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Simulate current and speed under a voltage, from the steady state or from rest; all of shape (n,)."""
+    values = physical.copy()
+    values[[places.NOISE_I, places.NOISE_W]], values[places.NOISE_V : places.WALK + 1] = 1.0, 0.0
+    n = len(voltage_v)
+    marks = np.append(kernel.REST if from_rest else kernel.STEADY, np.zeros(n - 1))
+    table = Record(dt_s, voltage_v, np.zeros((n, 2)), np.zeros(2), marks).predict(values, learn=False)[0]
+    return table[:, 2], table[:, 3]
+
+
+def held_current(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> FloatArray:
+    """Simulate the current of a held rotor, of the winding alone without brushes, shape (n,)."""
+    values = physical.copy()
+    values[places.J], values[places.DROP] = _HELD * physical[places.J], 0.0
+    return free_run(values, voltage_v, dt_s, from_rest=True)[0]
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def correlation(one: FloatArray | None, other: FloatArray | None, *, about: float | None = None) -> float:
+    """Correlate two channels, about their means or a given value; 0 if one is constant or missing."""
+    if one is None or other is None:
+        return 0.0
+    a, b = (each - (each.mean() if about is None else about) for each in (one, other))
+    product = rms(a) * rms(b)
+    return float(np.mean(a * b)) / product if product > 0.0 else 0.0
+
+
+_NOTHING = 0.05  # of the healthy motor's size: a smaller channel is dead ...
+_A_SCALE = 0.7  # ... unless so much of its variance follows the motor: then it has another unit
+# Correlations, from the same motion to the opposite one.
+_ALIKE, _APART, _AGAINST, _OPPOSITE = 0.8, 0.3, -0.2, -0.6
+_SAME_SIZE = 2.0
+_FEWEST, _SHORTEST = 20, 0.05  # equal samples at the end, and their share of the record
+_MOVES, _NOISE_BEFORE = 0.2, 200  # of a channel's range; samples
+_ON = 0.1  # of the largest voltage
+_ABOVE, _MOSTLY = 1.1, 0.5  # what the motor shows over the top of a clipped channel; share of the samples
+_OFFSET_AT_REST, _OFFSET = 0.05, 0.15  # of the current of a rotor that is held
+_STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
+
+
+def sensor_judgement(kind: str, why: str) -> Judgement:
+    """Judge a piece with a failed sensor: its kind and the evidence, and nothing of the motor."""
+    fault = FaultKind(kind)
+    return Judgement(Verdict.SENSOR, (why, fault.finding), fault_kind=fault, kind_probability=1.0)
+
+
+def find_failure(record: ChannelRecord, physical: FloatArray) -> Judgement | None:
+    """Find the failed sensor of a record, given nearly the motor's physical values; None if none failed."""
+    current, speed = free_run(physical, record.voltage_v, record.dt_s, from_rest=not record.at_work)
+    if not (np.isfinite(current).all() and np.isfinite(speed).all()):
+        return None
+    expected = record._replace(current_a=current, speed_rad_s=speed)
+    if not record.has_sign:  # the motor is taken to turn as it is read to do
+        pair = (record.current_a, current) if record.speed_rad_s is None else (record.speed_rad_s, speed)
+        turned = -1.0 if correlation(*pair, about=0.0) < 0.0 else 1.0
+        volts = turned * record.voltage_v
+        record, expected = (
+            record._replace(voltage_v=volts),
+            ChannelRecord(record.dt_s, volts, turned * current, turned * speed),
+        )
+    checks = [_check_swapped, _check_dead, _check_stuck]
+    checks += [_check_contradiction, _check_clipped] if record.at_work or record.is_taught else []
+    checks += [_check_offset] if record.at_work else []
+    failures = (check(record, expected, physical) for check in checks)
+    return next(filter(None, failures), None)
+
+
+def _channels(
+    record: ChannelRecord, expected: ChannelRecord
+) -> Iterator[tuple[str, str, FloatArray, FloatArray]]:
+    """Yield name, unit, readings and expected values of each channel that has a column."""
+    channels = (
+        ("current", "A", record.current_a, expected.current_a),
+        ("speed", "rad/s", record.speed_rad_s, expected.speed_rad_s),
+    )
+    for name, unit, shown, healthy in channels:
+        if shown is not None and healthy is not None:
+            yield name, unit, shown, healthy
+
+
+def _predict_from_others(
+    record: ChannelRecord, physical: FloatArray
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Predict current and speed, each by the voltage and the other one, whatever the load is."""
+    if record.current_a is None or record.speed_rad_s is None:
+        return None, None
+    ohm, constant = float(physical[places.R]), float(physical[places.K])
+    current = held_current(physical, record.voltage_v - constant * record.speed_rad_s, record.dt_s)
+    return current, (record.voltage_v - ohm * record.current_a) / constant
+
+
+def _smallest_step(values: FloatArray) -> float:
+    """Return the smallest step; infinite if there is none."""
+    steps = np.abs(np.diff(values))
+    return float(np.min(steps, where=steps > 0.0, initial=np.inf))
+
+
+def _is_turning(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> bool | None:
+    """Whether the current is that of a turning motor (True) or of a held rotor (False); None for neither."""
+    if record.current_a is None or expected.current_a is None:
+        return None
+    blocked = held_current(physical, record.voltage_v, record.dt_s)
+    error, error_held = rms(record.current_a - expected.current_a), rms(record.current_a - blocked)
+    if error < _MOSTLY * error_held and correlation(record.current_a, expected.current_a) > _ALIKE:
+        return True
+    return False if error_held < error else None
+
+
+def _check_dead(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
+    """Find a channel without a signal, if another shows that the motor turns, or there is no other."""
+    for name, unit, shown, healthy in _channels(record, expected):
+        if rms(shown) >= _NOTHING * rms(healthy) or correlation(shown, healthy) ** 2 >= _A_SCALE:
+            continue
+        why = f"the {name} is {rms(shown):.3g} {unit} effective where the healthy motor shows {rms(healthy):.3g}"
+        if name == "current":
+            turns = abs(correlation(record.speed_rad_s, expected.speed_rad_s, about=0.0)) > _ALIKE
+            is_dead = turns or (record.speed_rad_s is None and record.is_taught)
+            return sensor_judgement("current_dead", f"{why} {unit}") if is_dead else None
+        turning = _is_turning(record, expected, physical)
+        if turning or record.current_a is None:
+            return sensor_judgement("speed_dead", f"{why} {unit}")
+        if turning is None:
+            neither = "and the current is neither that of this motor nor that of a held rotor"
+            return Judgement(Verdict.UNUSABLE, (f"{why} {unit}, {neither}",))
+    return None
+
+
+def _check_stuck(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
+    """Find a channel that ends in equal values while the motor moves, or that loses its noise."""
+    on = np.abs(record.voltage_v) > _ON * np.max(np.abs(record.voltage_v))
+    for name, _, shown, healthy in _channels(record, expected):
+        others = np.flatnonzero(shown != shown[-1])
+        first = int(others[-1]) + 1 if len(others) else 0
+        powered = healthy[first:][on[first:]]
+        if len(shown) - first < max(_FEWEST, _SHORTEST * len(shown)) or len(powered) < _FEWEST:
+            continue
+        is_none = abs(float(shown[-1])) < _NOTHING * rms(healthy)
+        if is_none and not _motor_runs_on(name, first, record, expected, physical):
+            continue
+        quantum, before = _smallest_step(shown[:first]), shown[max(first - _NOISE_BEFORE, 0) : first]
+        is_noisy = len(before) > _FEWEST and difference_noise(before) > quantum
+        is_moving = np.ptp(powered) > max(_MOVES * np.ptp(healthy), 3.0 * min(quantum, np.ptp(shown)))
+        if is_moving or is_noisy:
+            count = len(shown) - first
+            words = f"the {name} reads {shown[-1]:.4g} for its last {count} samples, while the motor runs"
+            return sensor_judgement(f"{name}_stuck", words)
+    return None
+
+
+def _motor_runs_on(
+    name: str, first: int, record: ChannelRecord, expected: ChannelRecord, physical: FloatArray
+) -> bool:
+    """Whether the other channel shows that the motor moves from a sample on."""
+    if name == "speed":
+        return bool(_is_turning(record.from_sample(first), expected.from_sample(first), physical))
+    speed = record.speed_rad_s
+    return speed is not None and bool(np.ptp(speed[first:]) > _MOVES * np.ptp(speed))
+
+
+def _check_swapped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
+    """Find another order of the columns in which, and only in which, they are those of the healthy motor."""
+    if (
+        record.current_a is None
+        or record.speed_rad_s is None
+        or not record.has_sign
+        or _matches_motor(record, expected)
+    ):
+        return None
+    names, columns = ("voltage", "current", "speed"), (record.voltage_v, record.current_a, record.speed_rad_s)
+    for order in list(permutations(range(3)))[1:]:
+        volts, amps, speed = (columns[n] for n in order)
+        read = ChannelRecord(record.dt_s, volts, amps, speed)
+        if _matches_motor(read, ChannelRecord(record.dt_s, volts, *free_run(physical, volts, record.dt_s))):
+            moved = " and ".join(name for n, name in enumerate(names) if order[n] != n)
+            return sensor_judgement("swapped", f"{moved} {READ_SO}")
+    return None
+
+
+def _matches_motor(record: ChannelRecord, expected: ChannelRecord) -> bool:
+    """Whether all channels move as expected, and about as far."""
+    return all(
+        correlation(shown, healthy) > _ALIKE and _has_similar_size(shown, healthy)
+        for _, _, shown, healthy in _channels(record, expected)
+    )
+
+
+def _has_similar_size(shown: FloatArray, healthy: FloatArray) -> bool:
+    return 1.0 / _SAME_SIZE < rms(shown) / max(rms(healthy), 1e-300) < _SAME_SIZE
+
+
+def _check_contradiction(
+    record: ChannelRecord, expected: ChannelRecord, physical: FloatArray
+) -> Judgement | None:
+    """Find a channel that contradicts the others: it is reversed, or another motor's."""
+    by_speed, by_current = _predict_from_others(record, physical)
+    current = correlation(record.current_a, expected.current_a)
+    speed = correlation(record.speed_rad_s, expected.speed_rad_s, about=0.0)
+    is_pair = by_speed is None  # voltage, and one of the others
+    by_both = correlation(record.current_a, by_speed)
+    current_at_most, current_agreed = (
+        max(current, by_both),
+        correlation(expected.current_a, by_speed) > _ALIKE,
+    )
+    speed_at_most = max(
+        correlation(record.speed_rad_s, expected.speed_rad_s), correlation(record.speed_rad_s, by_current)
+    )
+    speed_agreed = correlation(expected.speed_rad_s, by_current) > _ALIKE
+    # A noisy or a coarse channel, such as a speed by few edges, cannot be more alike than its noise allows.
+    apart = {
+        name: _APART * _highest_correlation(shown, healthy)
+        for name, _, shown, healthy in _channels(record, expected)
+    }
+    # What a speed in another unit says of the current is nothing, and the other way round.
+    sizes = {
+        name: _has_similar_size(shown, healthy) for name, _, shown, healthy in _channels(record, expected)
+    }
+    against = (current_agreed and current_at_most < _AGAINST) or (by_both < _OPPOSITE and current < -_AGAINST)
+    shown = {
+        ("voltage_polarity", "current and speed both go against the voltage of the healthy motor"): (
+            speed < -_ALIKE and current < _AGAINST
+        ),
+        ("speed_polarity", "the speed goes against the voltage, and the current does not"): speed < -_ALIKE,
+        ("current_polarity", "the current goes against the voltage of the healthy motor"): (
+            is_pair and record.has_sign and current < -_ALIKE
+        ),
+        ("current_polarity", "the current goes against voltage and speed"): speed > _ALIKE and against,
+        ("swapped", "the current is not that of the motor that has this voltage and speed"): (
+            speed > _ALIKE and sizes["speed"] and current_agreed and current_at_most < apart["current"]
+        ),
+        ("swapped", "the speed is not that of the motor that has this voltage and current"): (
+            current > _ALIKE and sizes["current"] and speed_agreed and speed_at_most < apart["speed"]
+        ),
+    }
+    return next(
+        (sensor_judgement(kind, words) for (kind, words), is_shown in shown.items() if is_shown), None
+    )
+
+
+def _highest_correlation(shown: FloatArray, healthy: FloatArray) -> float:
+    """Return the correlation of the healthy motor's values with themselves under the noise of a channel."""
+    return float(np.std(healthy) / max(np.hypot(np.std(healthy), difference_noise(shown)), 1e-300))
+
+
+def _check_clipped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
+    """Find a channel that stands at its largest value where the motor goes beyond, and follows it elsewhere."""
+    by_speed, _ = _predict_from_others(record, physical)
+    for name, unit, shown, free in _channels(record, expected):
+        healthy = free if name == "speed" or by_speed is None else by_speed
+        top = float(np.max(np.abs(shown)))
+        flat = np.abs(np.abs(shown) - top) <= 1e-9 * top
+        if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(shown, _smallest_step(shown)):
+            continue
+        # An encoder of few edges stands at its largest value, too, but not wherever the motor shows more.
+        above = np.abs(healthy) > _ABOVE * top
+        both = np.count_nonzero(above & flat)
+        is_more = bool(both > _MOSTLY * max(np.count_nonzero(flat), np.count_nonzero(above)))
+        # What a controller holds stands still in the healthy motor, too.
+        is_more = is_more and float(np.ptp(np.abs(healthy[flat]))) > (_ABOVE - 1.0) * top
+        limited = np.clip(healthy, -top, top)
+        if is_more and correlation(shown, limited) > _ALIKE and rms(shown - limited) < _MOSTLY * rms(shown):
+            most = float(np.max(np.abs(healthy)))
+            words = f"{int(flat.sum())} samples of the {name} stand at {top:.4g} {unit}"
+            return sensor_judgement(
+                f"{name}_clipped", f"{words}, where the healthy motor reaches {most:.3g} {unit}"
+            )
+    return None
+
+
+def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
+    """Find a constant offset of the current: at rest, or of a motor that reverses."""
+    current, speed = record.current_a, record.speed_rad_s
+    if current is None or speed is None or correlation(record.current_a, expected.current_a) < _ALIKE:
+        return None
+    sizes = [np.abs(each) / np.max(np.abs(each)) for each in (record.voltage_v, speed)]
+    rests = (sizes[0] < _STANDS) & (sizes[1] < _STANDS)
+    rests[1:] &= rests[:-1].copy()  # a current may be that of the voltage before
+    turning = [float(np.mean((sign * speed > 0.0) & (sizes[1] > _ON))) for sign in (-1.0, 1.0)]
+    known = float(physical[places.OFFSET_I])
+    by_speed = np.asarray(_predict_from_others(record, physical)[0]) - known
+    if np.count_nonzero(rests) >= _FEWEST:
+        # A controller may hold a small voltage, of which a rotor that stands draws its current. A speed in another unit
+        # is none at rest.
+        held = record.voltage_v / physical[places.R]
+        offset = min((float(np.mean((current - each)[rests])) for each in (by_speed, held)), key=abs)
+        most = _OFFSET_AT_REST
+    elif min(turning) > _TURNS_BACK:
+        shapes = np.stack([np.ones(len(current)), by_speed, speed, np.sign(speed)], axis=1)
+        offset, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
+    else:
+        return None
+    # No offset where the healthy motor had one is no failure: the fit's may be no sensor's. That of a current in mA
+    # counts in A.
+    offset = min(offset, offset - known, key=abs) / max(rms(current) / rms(by_speed), 1.0)
+    if abs(offset) < most * float(np.max(np.abs(record.voltage_v)) / physical[places.R]):
+        return None
+    return sensor_judgement(
+        "current_offset", f"the current is off by {offset:.3g} A at every voltage and speed"
+    )
+
 
 _BACKWARDS = "the current has the other sign than in all healthy starts: it is reversed, or the motor started backwards"
 

@@ -36,7 +36,7 @@ from motor_env.diagnosis.prognosis import files as trends
 from motor_env.diagnosis.readers.profiles import Profile, load_profile
 from motor_env.diagnosis.readers.regime import RegimeDecision as Taken
 from motor_env.diagnosis.readers.start import Circuit
-from motor_env.diagnosis.streaming import command
+from motor_env.diagnosis.streaming import watch as command
 from motor_env.diagnosis.verdict.judgement import Judgement
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

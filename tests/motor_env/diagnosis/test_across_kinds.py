@@ -26,9 +26,13 @@ from motor_env import (
 from motor_env.diagnosis.estimation import parameter_index as places
 from motor_env.diagnosis.readers.regime import taken_for
 from motor_env.diagnosis.verdict.decision import decide
-from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift, reference_of
+from motor_env.diagnosis.verdict.healthy_motor import (
+    Reference,
+    ReferenceShift,
+    motor_of_windows,
+    reference_of,
+)
 from motor_env.diagnosis.verdict.hypotheses import Difference, FittedWindow, joint_share
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows
 from motor_env.diagnosis.verdict.report_page import reference_current
 from motor_env.diagnosis.verdict.scaling_errors import find_scaling_errors
 

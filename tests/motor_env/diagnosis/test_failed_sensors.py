@@ -20,10 +20,17 @@ from motor_env.common.errors import InputError
 # Reaches in: motors that one recording teaches, and the checks by themselves.
 from motor_env.diagnosis.estimation import parameter_index as places
 from motor_env.diagnosis.readers.start import Circuit
-from motor_env.diagnosis.verdict.channels import ChannelRecord, correlation, find_failure, free_run
 from motor_env.diagnosis.verdict.judgement import Judgement
-from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors, learn_signs, physical_values
-from motor_env.diagnosis.verdict.verdict_texts import VERDICT_TEXTS
+from motor_env.diagnosis.verdict.report_page import VERDICT_TEXTS
+from motor_env.diagnosis.verdict.sensor_diagnosis import (
+    ChannelRecord,
+    correlation,
+    diagnose_sensors,
+    find_failure,
+    free_run,
+    learn_signs,
+    physical_values,
+)
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray

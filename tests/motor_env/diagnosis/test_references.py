@@ -20,8 +20,8 @@ from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyo
 from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.diagnosis.readers.start import Circuit, prepare
 from motor_env.diagnosis.verdict import (
+    healthy_motor as motor_files,
     healthy_spread,
-    motor_files,
     report_page as page,
     report_text as formats,
 )

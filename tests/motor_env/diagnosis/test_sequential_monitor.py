@@ -14,21 +14,18 @@ from scipy import stats
 from motor_env import InputError, Recording
 from motor_env.diagnosis.estimation import parameter_index as places
 from motor_env.diagnosis.operation import sequential_monitor
-from motor_env.diagnosis.operation.operating_conditions import condition_features
-from motor_env.diagnosis.operation.score_calibration import (
-    fault_directions,
-    learn_calibration,
-    normal_scores,
-)
 from motor_env.diagnosis.operation.sequential_monitor import (
     EFFECT_SIZES,
     YEAR_S,
     SequentialMonitor,
     checked_calibration,
+    fault_directions,
     is_alarm,
+    learn_calibration,
+    normal_scores,
     updated_sums,
 )
-from motor_env.diagnosis.operation.windows import WindowJudge, judge_of
+from motor_env.diagnosis.operation.windows import WindowJudge, condition_features, judge_of
 from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.motor.healthy import Healthy, OperatingCondition, ScoreCalibration, Windows

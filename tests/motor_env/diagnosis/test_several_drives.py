@@ -16,17 +16,18 @@ from motor_env.diagnosis.estimation.window import WindowFit, fit_window
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
 from motor_env.diagnosis.operation import window_baseline, windows
-from motor_env.diagnosis.operation.operating_conditions import off_others, sorted_by_condition
-from motor_env.diagnosis.operation.score_calibration import learn_calibration
-from motor_env.diagnosis.operation.sequential_monitor import YEAR_S, SequentialMonitor
+from motor_env.diagnosis.operation.sequential_monitor import YEAR_S, SequentialMonitor, learn_calibration
 from motor_env.diagnosis.operation.window_baseline import learn_windows
 from motor_env.diagnosis.operation.windows import (
     CONDITION_SPREAD,
     DRIVEN_OTHERWISE,
     WindowJudge,
     judge_of,
+    off_others,
+    sorted_by_condition,
     windows_of,
 )
+from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows
 from motor_env.diagnosis.verdict.healthy_spread import (
     RECORD_SPREAD,
     detectable_changes,
@@ -37,7 +38,6 @@ from motor_env.diagnosis.verdict.healthy_spread import (
 )
 from motor_env.diagnosis.verdict.hypotheses import FittedWindow
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows
 from motor_env.motor.healthy import Healthy, OperatingCondition
 from motor_env.motor.parameters import FloatArray
 

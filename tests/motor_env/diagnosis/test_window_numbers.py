@@ -23,18 +23,16 @@ from motor_env.diagnosis.estimation.record import Record
 # Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
 from motor_env.diagnosis.estimation.window import WindowFit
 from motor_env.diagnosis.operation import window_baseline, windows
-from motor_env.diagnosis.operation.operating_conditions import (
-    condition_distance,
-    condition_features,
-    rms_volts,
-)
 from motor_env.diagnosis.operation.window_baseline import learn_windows
 from motor_env.diagnosis.operation.windows import (
     WARMTH,
     WindowJudge,
     averaged,
+    condition_distance,
+    condition_features,
     judge_of,
     over_speed,
+    rms_volts,
     viscous,
     windows_of,
 )
@@ -43,7 +41,7 @@ from motor_env.diagnosis.readers.regime import RegimeDecision as Taken
 from motor_env.diagnosis.readers.start import Circuit
 from motor_env.diagnosis.verdict import hypotheses, report_text as formats
 from motor_env.diagnosis.verdict.decision import decide
-from motor_env.diagnosis.verdict.healthy_motor import Reference
+from motor_env.diagnosis.verdict.healthy_motor import Reference, motor_of_windows
 from motor_env.diagnosis.verdict.healthy_spread import learn_without, predictive_t
 from motor_env.diagnosis.verdict.hypotheses import (
     EXPONENTS,
@@ -54,7 +52,6 @@ from motor_env.diagnosis.verdict.hypotheses import (
     joint_share,
 )
 from motor_env.diagnosis.verdict.judgement import Judgement
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows
 from motor_env.diagnosis.verdict.sensor_diagnosis import physical_values
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction, warmth_direction

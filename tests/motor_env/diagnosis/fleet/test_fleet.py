@@ -15,11 +15,9 @@ from scipy.stats import f as fisher, t as student_t
 from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.fleet.fits import fit_fleet, processes
-from motor_env.diagnosis.fleet.initial_fit import FitCache, InitialFit, Reading
+from motor_env.diagnosis.fleet.fits import FitCache, InitialFit, Reading, fit_fleet, processes
 from motor_env.diagnosis.fleet.judging import FleetDiagnosis, common_cause, diagnose_fleet
-from motor_env.diagnosis.fleet.learning import LearnedFleet, learn_fleet
-from motor_env.diagnosis.fleet.unit import UnitId
+from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet
 from motor_env.diagnosis.verdict.hypotheses import Difference, FittedWindow
 from motor_env.diagnosis.verdict.judgement import Verdict
 from motor_env.envs import MonitorEnv

@@ -26,17 +26,16 @@ from motor_env.common.console import ExitStatus
 from motor_env.diagnosis.estimation import parameter_index as places
 from motor_env.diagnosis.operation.windows import WindowJudge, judge_of
 from motor_env.diagnosis.readers.recording import UnusableError
-from motor_env.diagnosis.streaming import command, watch as watching
-from motor_env.diagnosis.streaming.command import showing
+from motor_env.diagnosis.streaming import watch as command, watch as watching
 from motor_env.diagnosis.streaming.sources import NEW_FILE, SILENCE, Notice, Piece, lines
 from motor_env.diagnosis.streaming.state import State
-from motor_env.diagnosis.streaming.watch import Event, LearningPhase, Watch
-from motor_env.diagnosis.verdict.channels import sensor_judgement
+from motor_env.diagnosis.streaming.watch import Event, LearningPhase, Watch, showing
 
 # Reaches in: the judge of windows is replaced, or is given fits made by hand, and answers in its own types.
 from motor_env.diagnosis.verdict.decision import decide
 from motor_env.diagnosis.verdict.hypotheses import Change, FittedWindow
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.sensor_diagnosis import sensor_judgement
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.parameters import RAD_S_PER_RPM
