@@ -202,13 +202,15 @@ def _of_sisters(
     """`commission` with sisters: of a fleet, or of one motor beside the fleet's file; what was learned, in words."""
     from motor_env.diagnosis.fleet.learning import learn_fleet
     from motor_env.diagnosis.fleet.unit import update_unit
-    from motor_env.diagnosis.readers.recording import describe_reading as understood, read_recording
+    from motor_env.diagnosis.readers.recording import describe_reading, read_recording
     from motor_env.motor.data_sheet import load_motor, save_motor
 
     if motor is not None:
         learned = update_unit(files, load_motor(motor), name, reading=reading)
         read = [(path, read_recording(path, reading.columns).columns) for path in files]
-        text = "\n".join([f"{_recordings(files, 'own ')} beside the sisters of {motor}", *understood(read)])
+        text = "\n".join(
+            [f"{_recordings(files, 'own ')} beside the sisters of {motor}", *describe_reading(read)]
+        )
     else:
         with sisters.fitted(files, reading) as how:
             fleet = learn_fleet(files, **how)

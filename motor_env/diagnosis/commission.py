@@ -14,16 +14,16 @@ from scipy.special import stdtrit
 from motor_env.common.errors import InputError, require_options, require_several
 from motor_env.diagnosis.diagnose import explain_unusable
 from motor_env.diagnosis.estimation.preprocessing import at_terminals
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.operation.window_baseline import learn_windows
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import (
     Recording,
     UnusableError,
-    describe_reading as understood,
+    describe_reading,
     recording_of,
 )
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
+from motor_env.diagnosis.readers.regime import RegimeDecision, taken_for
 from motor_env.diagnosis.readers.start import Circuit, chosen_starts, prepare, split_starts
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows, to_motor
@@ -93,7 +93,7 @@ class Commissioned:
     smallest: dict[str, float]
     undecided: dict[str, int]
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE
-    taken: tuple[Taken, ...] = ()
+    taken: tuple[RegimeDecision, ...] = ()
     read: tuple[str, ...] = ()
 
     @property
@@ -118,7 +118,7 @@ class Commissioned:
         if healthy.windows is not None:
             piece, kind = "window", f" of {healthy.windows.window_s:g} s"
             drives = len(healthy.windows.drives)
-        explained = [fit.r2_current for fit in self.fits if isinstance(fit, Identified)]
+        explained = [fit.r2_current for fit in self.fits if isinstance(fit, StartFit)]
         quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
         smallest = ", ".join(f"{fault} {severity:.1%}" for fault, severity in self.smallest.items())
         friction = describe_friction_share(healthy.own_friction)
@@ -149,7 +149,7 @@ class Commissioned:
         """Draw a self-contained HTML page: the spread of each quantity; of starts also their fits and residuals."""
         from motor_env.diagnosis.verdict.report_page import page_of_fits, spread_chart
 
-        starts = [fit for fit in self.fits if isinstance(fit, Identified)]
+        starts = [fit for fit in self.fits if isinstance(fit, StartFit)]
         smallest = ", ".join(f"{kind.replace('_', ' ')} {share:.0%}" for kind, share in self.smallest.items())
         return page_of_fits(
             f"Interval of the next healthy {'start' if starts else 'window'} ({1.0 - self.false_alarm_rate:.0%})",
@@ -248,11 +248,13 @@ def commission(
         )
         fits = tuple(starts)
     detectable = detectable_changes(motor, fits, temperature_c, false_alarm_rate)
-    words = tuple(understood((recording.path, recording.columns) for recording in read))
+    words = tuple(describe_reading((recording.path, recording.columns) for recording in read))
     return Commissioned(motor, fits, *detectable, false_alarm_rate, taken, words)
 
 
-def _require_one_regime(read: Sequence[Recording], taken: Sequence[Taken], word: str) -> tuple[Taken, ...]:
+def _require_one_regime(
+    read: Sequence[Recording], taken: Sequence[RegimeDecision], word: str
+) -> tuple[RegimeDecision, ...]:
     """Require starts only or logs only; return the regime, each reason once. Repeated starts count as a log.
 
     Raises:
@@ -276,7 +278,7 @@ def fit_starts(
     voltage_v: float | None = None,
     circuit: Circuit | None = None,
     constant: float | None = None,
-) -> list[Identified]:
+) -> list[StartFit]:
     """Fit the healthy starts of recordings by `fit_healthy`; a recording may hold several.
 
     Raises:
@@ -307,7 +309,7 @@ def fit_starts(
     return fits
 
 
-def _own_friction(fits: Sequence[Identified], no_load_current_a: float) -> float:
+def _own_friction(fits: Sequence[StartFit], no_load_current_a: float) -> float:
     """Return the motor's own share of the drag, by its currents without and with the load.
 
     Raises:

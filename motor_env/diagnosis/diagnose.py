@@ -19,7 +19,7 @@ from motor_env.diagnosis.estimation.starts.commutation import ripple_quantities
 from motor_env.diagnosis.estimation.starts.start_fit import (
     NOT_TURNING,
     POOR_FIT,
-    StartFit as Identified,
+    StartFit,
     is_blocked,
     shows_turning,
 )
@@ -32,16 +32,16 @@ from motor_env.diagnosis.estimation.starts.start_identification import (
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.noise import explainable
 from motor_env.diagnosis.readers.recording import Recording, UnusableError, recording_of
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
+from motor_env.diagnosis.readers.regime import RegimeDecision, taken_for
 from motor_env.diagnosis.readers.start import Circuit, Start, chosen_starts, prepare
-from motor_env.diagnosis.verdict import judgement as verdict, report_text as formats
+from motor_env.diagnosis.verdict import judgement as verdict, report_text
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift, reference_of
 from motor_env.diagnosis.verdict.hypotheses import alarm_share, compare
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.diagnosis.verdict.scaling_errors import SWAPPED, is_unlike_motor
 from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors, sensor_judgement
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.model import steady_state
@@ -71,18 +71,18 @@ class Diagnosis(verdict.Diagnosis):
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Quantities of the piece that the verdict rests on: value, standard error, interval (95 %) and unit."""
         fit = self.decisive.fit
-        return {} if fit is None else formats.quantities_json(fit)
+        return {} if fit is None else report_text.quantities_json(fit)
 
     def to_json(self) -> dict[str, Any]:
         """Return one JSON object; its schema is docs/output.schema.json."""
-        return formats.as_json(self)
+        return report_text.as_json(self)
 
     def __repr__(self) -> str:
         return self.text()
 
     def text(self, *, verbose: bool = False) -> str:
         """Describe the verdict for a maintenance engineer; `verbose` adds how well model and filter fit."""
-        return formats.as_text(self, verbose=verbose)
+        return report_text.as_text(self, verbose=verbose)
 
     def page(self) -> str:
         """Draw a self-contained HTML page: the verdict, what to do first, and what it rests on."""
@@ -135,7 +135,7 @@ def diagnose(
         motor = load_motor(motor)
     taken = taken_for(recording, regime, start)
     if regime == "auto" and start is None and _is_like_healthy_windows(recording, motor):
-        taken = Taken("operation", "as its healthy recordings")
+        taken = RegimeDecision("operation", "as its healthy recordings")
     known: dict[str, Any] = {"voltage_v": voltage_v, "circuit": circuit, "temperature_c": temperature_c}
     if taken.regime == "operation":
         for option, value in (("start", start), ("sensor-lag", circuit and circuit.sensor_lag_s)):
@@ -238,7 +238,7 @@ def judge_start(
     return judgement if starts is None else _add_ripple(judgement, fit, starts, rate)
 
 
-def _add_ripple(judgement: Judgement, fit: Identified, starts: Starts, rate: float) -> Judgement:
+def _add_ripple(judgement: Judgement, fit: StartFit, starts: Starts, rate: float) -> Judgement:
     """Add what the commutation ripple says of speed and K; the verdict stays."""
     ripple = ripple_quantities(fit)
     if ripple is None or not (starts.ripple_hz and starts.ripple_constant_v_s and starts.ripple_log_sd):
@@ -264,7 +264,7 @@ def _reference(start: Start, motor: Motor | None, temperature_c: float | None) -
     """Return the reference for a start; None without a motor."""
     if motor is None:
         return None
-    names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
+    names = identifiable.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
     return reference_of(motor, names, temperature_c=temperature_c, shift=_reference_shift(start, motor))
 
 
@@ -295,7 +295,7 @@ def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
     return ReferenceShift(driving, math.sqrt(all_dry), abs(math.log(all_dry)) / math.sqrt(12.0))
 
 
-def explain_unusable(fit: Identified) -> str | None:
+def explain_unusable(fit: StartFit) -> str | None:
     """Explain why a fit cannot carry a verdict; None if it can."""
     clipped = fit.start.alignment.saturation
     if clipped:

@@ -9,13 +9,13 @@ from typing import Any
 
 from motor_env.common.errors import InputError, require_options, require_several
 from motor_env.diagnosis.diagnose import explain_unusable
-from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation, identify_operation
+from motor_env.diagnosis.estimation.operation_fit import OperationFit, identify_operation
 from motor_env.diagnosis.estimation.preprocessing import at_terminals
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified, implausible
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit, implausible
 from motor_env.diagnosis.estimation.starts.start_identification import EXTENSIONS, identify_best
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import Recording, UnusableError, recording_of
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
+from motor_env.diagnosis.readers.regime import RegimeDecision, taken_for
 from motor_env.diagnosis.readers.start import Circuit, chosen_starts, prepare
 from motor_env.diagnosis.verdict.healthy_motor import describe_undetermined, motor_of_log, to_motor
 from motor_env.diagnosis.verdict.report_text import (
@@ -53,16 +53,16 @@ class Identification:
         constant: torque constant in N m/A, where known beforehand.
     """
 
-    starts: tuple[tuple[Recording, Identified], ...]
+    starts: tuple[tuple[Recording, StartFit], ...]
     logs: tuple[Recording, ...]
-    taken: Mapping[Path, Taken]
-    joint: Operation | None = None
+    taken: Mapping[Path, RegimeDecision]
+    joint: OperationFit | None = None
     trouble: str = ""
     periods_per_turn: float | None = None
     constant: float | None = None
 
     @property
-    def usable(self) -> list[Identified]:
+    def usable(self) -> list[StartFit]:
         """Fits of the starts that a motor explains."""
         return [fit for _, fit in self.starts if explain_unusable(fit) is None]
 
@@ -106,7 +106,7 @@ class Identification:
         """Draw a self-contained HTML page: measured beside fitted current and speed of each start and of all logs."""
         from motor_env.diagnosis.verdict.report_page import page_of_fits
 
-        fits: dict[str, Identified | Operation] = {
+        fits: dict[str, StartFit | OperationFit] = {
             f"{recording.path.name}, start {number}": fit
             for number, (recording, fit) in enumerate(self.starts, 1)
         }
@@ -114,7 +114,7 @@ class Identification:
             fits[", ".join(recording.path.name for recording in self.logs)] = self.joint
         return page_of_fits("Fits of the recordings", fits)
 
-    def _start_json(self, recording: Recording, fit: Identified) -> dict[str, Any]:
+    def _start_json(self, recording: Recording, fit: StartFit) -> dict[str, Any]:
         return {
             "files": [str(recording.path)],
             "taken_for": self.taken[recording.path]._asdict(),
@@ -170,7 +170,7 @@ def _text(fields: Mapping[str, Any]) -> str:
     }
     lines = [
         f"{files}: model {' + '.join(fields['model'])}; 95 % intervals",
-        f"  taken for {Taken(**fields['taken_for'])}",
+        f"  taken for {RegimeDecision(**fields['taken_for'])}",
         "  read: " + "; ".join(fields["columns"]),
         *quantity_lines(rows, beside),
     ]
@@ -194,7 +194,7 @@ def _text(fields: Mapping[str, Any]) -> str:
     return "\n".join([*lines, *(f"  note: {sentence}" for sentence in fields["not_told"])])
 
 
-def _log_quantities(joint: Operation) -> dict[str, dict[str, Any]]:
+def _log_quantities(joint: OperationFit) -> dict[str, dict[str, Any]]:
     return {
         q.name: estimate_json(q.value, (q.high - q.low) / (2.0 * TWO_SIDED), (q.low, q.high), q.unit)
         | {"determined": q.is_told}
@@ -241,7 +241,7 @@ def identify(
     require_several("recordings", several, (Recording, str, Path))
     read = [recording_of(each, columns) for each in several]
     taken = {recording.path: taken_for(recording, regime, start) for recording in read}
-    starts: list[tuple[Recording, Identified]] = []
+    starts: list[tuple[Recording, StartFit]] = []
     for recording in read:
         if taken[recording.path].regime == "operation":
             continue

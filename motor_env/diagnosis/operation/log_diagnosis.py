@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.operation_fit import identify_record
 from motor_env.diagnosis.estimation.preprocessing import at_terminals, from_recordings
 from motor_env.diagnosis.estimation.record import STRETCHES, Record
@@ -96,7 +96,7 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
         joint = identify_record(from_recordings([whole]))
         physical = known_of(joint.solution)
         drag = viscous(physical, effective_speed(joint))
-        logs = np.log([*physical[[places.R, places.K, places.J]], drag])
+        logs = np.log([*physical[[index.R, index.K, index.J]], drag])
         spread = judge.reference.log_covariance + np.diag(np.square(_COARSE))
         difference = Difference(logs - judge.reference.log_values, spread, EXPONENTS, NORMAL_DOF)
         misread = describe_scaling_errors(

@@ -20,7 +20,7 @@ from motor_env.diagnosis.readers.recording import Recording
 from motor_env.diagnosis.verdict.healthy_spread import PRIOR_WEIGHT
 from motor_env.diagnosis.verdict.hypotheses import EXPONENTS, NAMES, FittedWindow
 from motor_env.diagnosis.verdict.judgement import Judgement
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.healthy import Healthy, ScoreCalibration
 from motor_env.motor.parameters import FloatArray
 
@@ -35,7 +35,9 @@ def fault_directions() -> tuple[FloatArray, FloatArray]:
 
     Those of the faults with a name, and up and down each quantity; each once. Shapes (n, 4) and (n,).
     """
-    named = [quantities.visible_direction(kind, EXPONENTS) for kind in quantities.nameable_kinds(EXPONENTS)]
+    named = [
+        identifiable.visible_direction(kind, EXPONENTS) for kind in identifiable.nameable_kinds(EXPONENTS)
+    ]
     rows = np.array([*named, *np.eye(_P), *-np.eye(_P)])
     unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     first = [n for n, row in enumerate(unit) if not np.isclose(unit[:n], row).all(axis=1).any()]

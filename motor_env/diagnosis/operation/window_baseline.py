@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.operation_fit import (
     FEWEST_STEPS,
     UNSEEN_STEPS,
-    OperationFit as Operation,
+    OperationFit,
     identify_operation,
 )
 from motor_env.diagnosis.estimation.preprocessing import MOST, from_recordings
 from motor_env.diagnosis.estimation.problem import Solution
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.estimation.window import LOAD, WindowFit, fit_window, without_load
 from motor_env.diagnosis.operation.sequential_monitor import checked_calibration
 from motor_env.diagnosis.operation.windows import (
@@ -48,7 +48,7 @@ fits say, and as they scatter."""
 _ONE_WAY = 0.9  # of the turns
 _LEFT = 0.05
 """Torque that is another one in each interval, over the drag, from which on the model lacks something of the motor."""
-_NOISES = slice(places.NOISE_I, places.WALK + 1)
+_NOISES = slice(index.NOISE_I, index.WALK + 1)
 
 
 def learn_windows(
@@ -103,7 +103,7 @@ def learn_windows(
             _condition(some, usual_condition_windows(some, groups), features, found) for some in groups
         )
         off = logs - np.log([conditions[n].values for n in of])
-    spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
+    spreads = [covariance + excess_covariance(covariance, fit.covariance) for fit in fits]
     ratios = list(logs - centre)
     warm = 0.0 if steady else TEMPERATURE_K
     windows = Windows(
@@ -129,21 +129,21 @@ def learn_windows(
     return Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows), found
 
 
-def _lacks(joint: Operation) -> bool:
+def _lacks(joint: OperationFit) -> bool:
     """Say whether the model leaves torque unexplained; where it does not, it errs under far drives only."""
     known = joint.solution.values
-    drag = known[places.COULOMB] + known[places.B] * effective_speed(joint)
-    return bool(known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag)
+    drag = known[index.COULOMB] + known[index.B] * effective_speed(joint)
+    return bool(known[index.WALK] > 0.0 or known[index.NOISE_T] > _LEFT * drag)
 
 
-def turns_one_way(joint: Operation) -> bool:
+def turns_one_way(joint: OperationFit) -> bool:
     """Say whether the motor turns one way, but for a twentieth of its turns."""
     speed = joint.expected[:, 1]
     return bool(abs(np.mean(speed)) > _ONE_WAY * np.mean(np.abs(speed)))
 
 
 def chosen_terms(
-    records: Sequence[Record], joint: Operation, *, steady: bool = False
+    records: Sequence[Record], joint: OperationFit, *, steady: bool = False
 ) -> tuple[FloatArray, tuple[str, ...], list[WindowFit]]:
     """Choose a window's terms; return the physical values that windows share, the terms, and fits with these.
 
@@ -162,7 +162,7 @@ def chosen_terms(
         if max(told_sd, np.std([fit.logs[-1] for fit in fits])) < _TOLD:
             return known, with_load, fits
     if "load_walk" not in wanted:
-        known[places.WALK] = 0.0
+        known[index.WALK] = 0.0
     if steady:
         wanted = tuple(name for name in wanted if not name.startswith(("offset", "load_constant")))
     return known, wanted, [fit_window(record, known, wanted, one_way=one_way) for record in records]
@@ -187,7 +187,7 @@ def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float 
     return min(max(part_s, least_s, _SHORTEST * dt_s), *lengths_s)
 
 
-def effective_speed(joint: Operation) -> float:
+def effective_speed(joint: OperationFit) -> float:
     """Return the root mean square of the speed, at which the drag is told best."""
     return max(float(np.sqrt(np.mean(np.square(joint.expected[:, 1])))), 1e-9)
 
@@ -201,5 +201,5 @@ def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> flo
 def known_of(joint: Solution) -> FloatArray:
     """Return the joint fit's physical values without warmth: each window is taken at its own temperature."""
     known = joint.values
-    known[[places.HEATING, places.COOLING]] = 0.0
+    known[[index.HEATING, index.COOLING]] = 0.0
     return known

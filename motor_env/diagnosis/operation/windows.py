@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.preprocessing import block_means, from_recordings, missing_blocks
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.estimation.window import WindowFit, fit_window, per_log
@@ -28,7 +28,7 @@ from motor_env.diagnosis.verdict.healthy_motor import Reference, add_normal_spre
 from motor_env.diagnosis.verdict.hypotheses import EXPONENTS, NAMES, FittedWindow, alarm_share
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.diagnosis.verdict.sensor_diagnosis import ChannelRecord, find_failure
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.healthy import Healthy, OperatingCondition, Windows
 from motor_env.motor.parameters import FloatArray
 
@@ -128,13 +128,13 @@ CONDITION_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
 """Standard deviation of the logarithms of R, K, J and B under another condition that is not far: what the model lacks
 (stiction, a gear's teeth, brushes) is then taken for them in another way."""
 DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
-WARMTH = quantities.warmth_direction(EXPONENTS)
+WARMTH = identifiable.warmth_direction(EXPONENTS)
 
 
 def viscous(physical: FloatArray, speed_rad_s: float) -> float:
     """Return the drag over the speed of a motor of these physical values, at a speed."""
-    dry, fan = physical[places.COULOMB] / speed_rad_s, physical[places.SQUARE] * speed_rad_s
-    return float(max(physical[places.B] + dry + fan, 1e-300))
+    dry, fan = physical[index.COULOMB] / speed_rad_s, physical[index.SQUARE] * speed_rad_s
+    return float(max(physical[index.B] + dry + fan, 1e-300))
 
 
 def averaged(recording: Recording, window_s: float) -> Recording:
@@ -181,8 +181,8 @@ class WindowJudge:
         """Return the physical values of the healthy motor."""
         known = self.windows.physical.copy()
         values = np.exp(self.reference.log_values)
-        known[[places.R, places.K, places.J]] = values[:3]
-        known[places.DRAG] = values[3] / viscous(self.windows.physical, self.windows.speed_rad_s)
+        known[[index.R, index.K, index.J]] = values[:3]
+        known[index.DRAG] = values[3] / viscous(self.windows.physical, self.windows.speed_rad_s)
         return known
 
     def fitted(self, record: Record) -> FittedWindow:
@@ -258,7 +258,7 @@ class WindowJudge:
     def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
         """Choose the windows that are judged, of many."""
         values, length = self.physical(), len(parts[0].time_s)
-        values[places.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
+        values[index.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
         misfits = np.zeros(len(parts))
         for first in range(0, len(parts), _TOGETHER):
             some = slice(first, min(first + _TOGETHER, len(parts)))
@@ -340,9 +340,9 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
     reference = reference_of(healthy)
     if healthy.windows is None or reference is None or reference.names != NAMES:
         raise UnusableError(f"the healthy pieces of {motor} do not tell {', '.join(NAMES)} of windows")
-    if len(healthy.windows.physical) != places.N_VALUES:
+    if len(healthy.windows.physical) != index.N_VALUES:
         raise InputError(
-            f"{motor}: healthy.windows.physical must have {places.N_VALUES} values,"
+            f"{motor}: healthy.windows.physical must have {index.N_VALUES} values,"
             f" got {len(healthy.windows.physical)}"
         )
     references = [reference_of(healthy.under(condition)) for condition in healthy.windows.drives]

@@ -28,7 +28,7 @@ from motor_env.diagnosis.operation.sequential_monitor import SequentialMonitor
 from motor_env.diagnosis.operation.window_baseline import FEWEST_WINDOWS, learn_windows
 from motor_env.diagnosis.operation.windows import averaged, judge_of
 from motor_env.diagnosis.readers.headers import LARGEST_CURRENT_A, understand
-from motor_env.diagnosis.readers.recording import Recording, UnusableError, resampled as evened
+from motor_env.diagnosis.readers.recording import Recording, UnusableError, resampled
 from motor_env.diagnosis.streaming.sources import (
     LONGEST_LINE,
     NEW_FILE,
@@ -286,7 +286,7 @@ class Watch:
             if values["voltage"].any() and not np.ptp(values[name]):
                 text = f"the {name} of a whole window is {values[name][0]:.6g}"
                 return self._broken("stuck_sensor", text)
-        even_s, values, _ = evened(time_s, values, self._step_s)
+        even_s, values, _ = resampled(time_s, values, self._step_s)
         recording = Recording(Path("stream"), even_s, values["current"], values["voltage"], values["speed"])
         if abs(recording.dt_s - self._pace.dt_s) < _SAME_STEP * self._pace.dt_s:
             self._step_s = self._pace.dt_s

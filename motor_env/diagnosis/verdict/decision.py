@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.verdict.healthy_motor import Reference
 from motor_env.diagnosis.verdict.hypotheses import (
     Change,
@@ -247,7 +247,7 @@ def _name_fault(
 
 def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
     """Judge the noise of the current; `limit` is in standard deviations of its logarithm."""
-    if reference.log_noise is None or not isinstance(fit, Identified):
+    if reference.log_noise is None or not isinstance(fit, StartFit):
         return healthy
     # Coarse steps, a rectifier and a dead zone change the noise seen: it tells nothing. Healthy starts were recorded
     # with the same sensor, and hold the same.

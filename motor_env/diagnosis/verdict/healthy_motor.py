@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.operation_fit import OperationFit
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.estimation.starts.start_prior import hides_inductance
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.assumptions import assumptions
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Healthy
@@ -28,7 +28,7 @@ _SMALL = 1e-3
 
 
 def to_motor(
-    fits: Sequence[Identified],
+    fits: Sequence[StartFit],
     name: str,
     *,
     healthy: Healthy | None = None,
@@ -61,14 +61,14 @@ def to_motor(
     )
 
 
-def _mean_if_significant(fits: Sequence[Identified], name: str) -> float:
+def _mean_if_significant(fits: Sequence[StartFit], name: str) -> float:
     """Return the mean of an extension over fits; 0 if it is within two standard errors of 0."""
     each = [fit.fitted_extension.get(name, (0.0, 0.0)) for fit in fits]
     mean, error = np.mean(each, axis=0)[0], float(np.linalg.norm([e for _, e in each])) / len(each)
     return float(mean) if mean > _DIFFERENT * error else 0.0
 
 
-def describe_undetermined(fit: Identified) -> list[str]:
+def describe_undetermined(fit: StartFit) -> list[str]:
     """Describe in sentences what this recording leaves undetermined."""
     deviations = np.sqrt(np.diag(fit.log_covariance))
     limits = {
@@ -91,7 +91,7 @@ def describe_undetermined(fit: Identified) -> list[str]:
     ]
 
 
-def motor_of_log(fit: Operation, name: str) -> Motor:
+def motor_of_log(fit: OperationFit, name: str) -> Motor:
     """Return the motor that was identified at work.
 
     Raises:
@@ -103,8 +103,8 @@ def motor_of_log(fit: Operation, name: str) -> Motor:
     return replace(
         _motor_of(values, name),
         nominal_voltage_v=fit.record.peaks[0],
-        current_noise_a=float(values[places.NOISE_I]),
-        speed_noise_rad_s=float(values[places.NOISE_W]),
+        current_noise_a=float(values[index.NOISE_I]),
+        speed_noise_rad_s=float(values[index.NOISE_W]),
         notes=fit.notes,
     )
 
@@ -115,7 +115,7 @@ def motor_of_windows(healthy: Healthy, name: str) -> Motor:
     assert windows is not None  # noqa: S101  # it was learned from them
     motor = _motor_of(windows.physical, name)
     volts = 1.0 if windows.peaks is None else windows.peaks[0]
-    drag = float(windows.physical[places.B]) * windows.speed_rad_s
+    drag = float(windows.physical[index.B]) * windows.speed_rad_s
     return replace(
         motor,
         kind="commissioned",
@@ -136,15 +136,15 @@ def _motor_of(values: FloatArray, name: str) -> Motor:
         name=name,
         kind="identified",
         parameters=MotorParameters(
-            resistance_ohm=float(values[places.R]),
-            inductance_h=float(values[places.L]),
-            back_emf_constant_v_s_per_rad=float(values[places.K]),
-            torque_constant_n_m_per_a=float(values[places.K]),
-            inertia_kg_m2=float(values[places.J]),
-            viscous_friction_n_m_s_per_rad=float(values[places.B]),
+            resistance_ohm=float(values[index.R]),
+            inductance_h=float(values[index.L]),
+            back_emf_constant_v_s_per_rad=float(values[index.K]),
+            torque_constant_n_m_per_a=float(values[index.K]),
+            inertia_kg_m2=float(values[index.J]),
+            viscous_friction_n_m_s_per_rad=float(values[index.B]),
         ),
-        coulomb_friction_n_m=float(values[places.COULOMB]),
-        brush_drop_v=float(values[places.DROP]),
+        coulomb_friction_n_m=float(values[index.COULOMB]),
+        brush_drop_v=float(values[index.DROP]),
     )
 
 
@@ -152,7 +152,7 @@ NORMAL_DOF = 1e6  # of a covariance that is known
 SHEET_NOISE_SD = 0.10
 MEASURED_TEMPERATURE_K = 4.0
 """Standard deviation of the winding's temperature about a measured one."""
-_FRICTION, _VOLTAGE = quantities.PARAMETERS.index("B"), quantities.PARAMETERS.index("V")
+_FRICTION, _VOLTAGE = identifiable.PARAMETERS.index("B"), identifiable.PARAMETERS.index("V")
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,8 +200,10 @@ class Reference:
     @property
     def time_constant_s(self) -> float:
         """Mechanical time constant R J / K^2 of a healthy motor; infinite if the quantities do not determine it."""
-        exponents = quantities.matrix(self.names)
-        wanted = np.array([{"R": 1.0, "J": 1.0, "K": -2.0}.get(name, 0.0) for name in quantities.PARAMETERS])
+        exponents = identifiable.matrix(self.names)
+        wanted = np.array(
+            [{"R": 1.0, "J": 1.0, "K": -2.0}.get(name, 0.0) for name in identifiable.PARAMETERS]
+        )
         powers = wanted @ np.linalg.pinv(exponents)
         return math.exp(powers @ self.log_values) if np.allclose(powers @ exponents, wanted) else math.inf
 
@@ -224,7 +226,7 @@ class ReferenceShift(NamedTuple):
     @property
     def logs(self) -> FloatArray:
         """Logarithms of R, L, K, J, B and V over those of the file."""
-        logs = np.full(len(quantities.PARAMETERS), -math.log(self.driving))
+        logs = np.full(len(identifiable.PARAMETERS), -math.log(self.driving))
         logs[_VOLTAGE] = 0.0
         logs[_FRICTION] += math.log(self.friction)
         return logs
@@ -256,19 +258,19 @@ def reference_of(
             temperature_c=temperature_c,
             shift=shift,
         )
-    exponents = quantities.matrix(names)
+    exponents = identifiable.matrix(names)
     if exponents[:, _VOLTAGE].any():
         return None
     # V is held at what the recording says; its tolerance scales the current, so it acts on all but ratios like B/J.
     scale = exponents.sum(axis=1)
-    logs = quantities.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
+    logs = identifiable.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
     shift = shift or ReferenceShift()
     logs += shift.logs
     return Reference(
         source=f"{'data sheet' if motor.kind == 'data_sheet' else f'{motor.kind} motor'} {motor.name}",
         names=names,
         log_values=exponents @ logs,
-        log_covariance=exponents @ quantities.tolerance_covariance(motor.tolerance) @ exponents.T
+        log_covariance=exponents @ identifiable.tolerance_covariance(motor.tolerance) @ exponents.T
         + motor.tolerance.supply**2 * np.outer(scale, scale)
         + shift.friction_log_sd**2 * np.outer(exponents[:, _FRICTION], exponents[:, _FRICTION]),
         log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
@@ -291,7 +293,7 @@ def reference_of_pieces(
     not stand for the errors of this fit.
     """
     # Each wanted quantity as powers of the known ones: K^2/J of K and J, where the healthy starts had a speed.
-    known, wanted = quantities.matrix(healthy.quantities), quantities.matrix(names)
+    known, wanted = identifiable.matrix(healthy.quantities), identifiable.matrix(names)
     powers = wanted @ np.linalg.pinv(known)
     follow: NDArray[np.bool_] = np.all(np.isclose(powers @ known, wanted), axis=1)
     if not follow.any():

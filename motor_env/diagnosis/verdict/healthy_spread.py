@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from motor_env.diagnosis.estimation.starts.commutation import ripple_quantities
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.estimation.starts.start_identification import NUISANCES, identify, identify_best
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.readers.start import Start
 from motor_env.diagnosis.verdict.decision import alarm_limits, decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, reference_of
@@ -33,7 +33,7 @@ _DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
 _SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm between starts; so many are an outlier
 
 
-def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> list[Identified]:
+def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> list[StartFit]:
     """Fit healthy starts with one common model, which the evidence prefers in most of them.
 
     The second of two fits begins at the median of the first ones, so that no start stays in an optimum of its own.
@@ -88,7 +88,7 @@ def next_piece(
     logs = np.array([fit.log_values for fit in fits])
     error = np.mean([fit.white_covariance for fit in fits], axis=0)
     prior = np.eye(logs.shape[1]) * prior_sd**2 + error
-    return predictive_t(logs, prior if lent is None else prior + beyond(prior, lent))
+    return predictive_t(logs, prior if lent is None else prior + excess_covariance(prior, lent))
 
 
 def next_window(
@@ -131,7 +131,7 @@ def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Heal
     )
 
 
-def learn_starts(fits: Sequence[Identified]) -> Healthy:
+def learn_starts(fits: Sequence[StartFit]) -> Healthy:
     """Learn the distribution of the next start from one or more healthy starts, fitted with the same model.
 
     The prior standard deviation of every quantity is 2 %.
@@ -158,7 +158,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
     return Healthy(len(fits), freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
 
 
-def explain_disagreement(fits: Sequence[Identified]) -> str | None:
+def explain_disagreement(fits: Sequence[StartFit]) -> str | None:
     """Explain which quantity differs too much between healthy starts; None if they agree."""
     logs = np.array([fit.log_values for fit in fits])
     for name, column in zip(fits[0].quantity_names, logs.T, strict=True):
@@ -168,7 +168,7 @@ def explain_disagreement(fits: Sequence[Identified]) -> str | None:
     return None
 
 
-def explain_outlier(fits: Sequence[Identified], number: int) -> str | None:
+def explain_outlier(fits: Sequence[StartFit], number: int) -> str | None:
     """Explain why a healthy start is an outlier; None if it agrees with the others."""
     others = np.array([fit.log_values for n, fit in enumerate(fits) if n != number])
     if len(others) < 2:
@@ -212,7 +212,7 @@ def detectable_changes(
 
 def _reference(motor: Motor, fit: Fitted, temperature_c: float | None) -> Reference:
     reference = reference_of(
-        motor, fit.quantity_names, are_starts=isinstance(fit, Identified), temperature_c=temperature_c
+        motor, fit.quantity_names, are_starts=isinstance(fit, StartFit), temperature_c=temperature_c
     )
     assert reference is not None  # noqa: S101  # it was learned from these quantities
     return reference

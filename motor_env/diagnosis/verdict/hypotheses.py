@@ -15,17 +15,17 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from scipy import linalg, optimize, special
 
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.verdict.healthy_motor import NORMAL_DOF, Reference, add_normal_spread
 from motor_env.diagnosis.verdict.load_hypotheses import LoadHypothesis, possible_loads
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
 NAMES = ("R", "K", "J", "B")
 """Quantities of a window; B is the drag over the speed."""
-EXPONENTS = quantities.matrix(NAMES)
+EXPONENTS = identifiable.matrix(NAMES)
 _HOTTEST_K, _LEAST_FACTOR = 100.0, 0.5  # beyond them no quantity follows the temperature in a straight line
 _SEVERITY_PRIOR = 0.30  # scale of the half-Cauchy prior of a severity
 _HEALTHY_PRIOR = 0.8
@@ -36,7 +36,7 @@ _LARGEST_LOG = 30.0
 # Standard deviation of each parameter beside a fault, over the square of the fault's step; and the largest step.
 _MODEL_ERROR, _FURTHEST = 0.04, math.log(10.0)
 _LAG_IN_L = 0.3  # of the step of R's logarithm, by which L may move as well
-_R, _L, _VOLTAGE, *_IMITATED = (quantities.PARAMETERS.index(name) for name in "RLVKJB")
+_R, _L, _VOLTAGE, *_IMITATED = (identifiable.PARAMETERS.index(name) for name in "RLVKJB")
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1
 _DIRECTIONS = 4096
 _ROUNDING = 1e6 * float(np.finfo(np.float64).eps)  # of the largest: a smaller variance is none
@@ -65,7 +65,7 @@ class FittedWindow:
         return self.log_covariance
 
 
-Fitted = Identified | FittedWindow
+Fitted = StartFit | FittedWindow
 """A fitted piece of a recording: a start, or a window of a motor at work."""
 
 
@@ -158,7 +158,7 @@ class Explanation:
 
 def alarm_share(rate: float, exponents: FloatArray) -> float:
     """Return the rate of one test: those of the faults, the noise and the whole share it (Bonferroni)."""
-    return rate / (len(quantities.nameable_kinds(exponents)) + _NOISE_AND_OMNIBUS)
+    return rate / (len(identifiable.nameable_kinds(exponents)) + _NOISE_AND_OMNIBUS)
 
 
 @lru_cache(maxsize=16)
@@ -176,7 +176,8 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
     """
     n, root = len(covariance), np.linalg.inv(np.linalg.cholesky(covariance))
     axes = [
-        root @ quantities.visible_direction(kind, exponents) for kind in quantities.nameable_kinds(exponents)
+        root @ identifiable.visible_direction(kind, exponents)
+        for kind in identifiable.nameable_kinds(exponents)
     ]
     along = np.max(_directions(n) @ np.transpose([axis / np.linalg.norm(axis) for axis in axes]), axis=1)
 
@@ -200,7 +201,7 @@ def covariance_with_fault(difference: Difference, kind: FaultKind, step: float) 
     """
     parameters = difference.exponents[:, :_VOLTAGE]
     variances = np.full(_VOLTAGE, _MODEL_ERROR * min(abs(step), _FURTHEST) ** 2) ** 2
-    variances[_L] += (_LAG_IN_L * step * quantities.fault_direction(kind)[_R]) ** 2
+    variances[_L] += (_LAG_IN_L * step * identifiable.fault_direction(kind)[_R]) ** 2
     return np.asarray(difference.covariance + parameters * variances @ parameters.T, dtype=np.float64)
 
 
@@ -222,8 +223,8 @@ def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) 
     """Explain a difference by each visible fault; by default by those that the quantities can name."""
     response = difference.exponents if difference.response is None else difference.response
     explanations = []
-    for kind in quantities.nameable_kinds(difference.exponents) if kinds is None else kinds:
-        direction = quantities.visible_direction(kind, response)
+    for kind in identifiable.nameable_kinds(difference.exponents) if kinds is None else kinds:
+        direction = identifiable.visible_direction(kind, response)
         if np.linalg.norm(direction) >= _LEAST:
             z, step, step_sd = project(difference, direction)
             covariance = covariance_with_fault(difference, kind, step)
@@ -237,7 +238,7 @@ def is_separable(difference: Difference, kind: FaultKind) -> bool:
 
     Shorted turns move K too; a warm winding hides their R, and without L only K is left of them.
     """
-    direction = quantities.visible_direction(kind, difference.exponents)
+    direction = identifiable.visible_direction(kind, difference.exponents)
     winding = ~difference.exponents[:, _IMITATED].any(axis=1)
     if not direction[winding].any() or not direction[~winding].any():
         return True
@@ -354,7 +355,7 @@ def form_hypotheses(fit: Fitted, reference: Reference, rate: float) -> list[Hypo
     rows, same_warmth = shared_rows(fit, reference), covariance_at_one_temperature(fit, reference)
     exponents, freedom, hypotheses = fit.exponents[rows], reference.degrees_of_freedom, []
     share = alarm_share(rate, exponents)
-    if isinstance(fit, Identified):
+    if isinstance(fit, StartFit):
         loads = possible_loads(fit, reference.own_friction)
     else:
         loads = [LoadHypothesis(None, fit.exponents, reference.own_friction or 1.0)]
@@ -419,5 +420,5 @@ def covariance_at_one_temperature(fit: Fitted, reference: Reference) -> FloatArr
     healthy, rows = reference.log_covariance, shared_rows(fit, reference)
     own = fit.white_covariance if reference.includes_fit_error else fit.log_covariance
     error = own[np.ix_(rows, rows)]
-    added = beyond(healthy, error) if reference.includes_fit_error else error
+    added = excess_covariance(healthy, error) if reference.includes_fit_error else error
     return np.asarray((healthy + added) * reference.excess, dtype=np.float64)

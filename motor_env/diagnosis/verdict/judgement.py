@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from motor_env.common.console import ExitStatus
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.readers.recording import Recording
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken
+from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.verdict.healthy_motor import Reference
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
 from motor_env.filters.consistency import Consistency, check_consistency
@@ -113,9 +113,9 @@ class Judgement:
         return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
 
     @property
-    def identified(self) -> Identified | None:
+    def identified(self) -> StartFit | None:
         """Fit of a start; None for other pieces."""
-        return self.fit if isinstance(self.fit, Identified) else None
+        return self.fit if isinstance(self.fit, StartFit) else None
 
     @property
     def consistency(self) -> Consistency | None:
@@ -135,7 +135,7 @@ class Diagnosis:
     """Verdict on a recording, by judgements on its pieces; for attributes see `diagnose.Diagnosis`."""
 
     recording: Recording
-    taken: Taken
+    taken: RegimeDecision
     pieces: tuple[Judgement, ...]
     of: int = 1
     periods_per_turn: float | None = None

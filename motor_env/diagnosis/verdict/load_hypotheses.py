@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.readers.start import mean_tail
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.parameters import FloatArray
 
 LOADS = {"constant": "a constant load", "fan": "a load that grows with the square of the speed"}
@@ -22,7 +22,7 @@ _OF_THE_DRAG = 0.95  # the load's share: the rest stays viscous
 _STEP = 0.01
 _ROUNDS = 4
 _FARTHEST = 3.0  # logarithm of a factor on a parameter
-_FRICTION = quantities.PARAMETERS.index("B")
+_FRICTION = identifiable.PARAMETERS.index("B")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +42,10 @@ class LoadHypothesis:
     @property
     def warmth(self) -> FloatArray:
         """Change of the logarithms per kelvin, shape (n,); a load does not fall with the temperature."""
-        return quantities.warmth_direction(self.response, self.own_friction)
+        return identifiable.warmth_direction(self.response, self.own_friction)
 
 
-def possible_loads(fit: Identified, own: float | None) -> list[LoadHypothesis]:
+def possible_loads(fit: StartFit, own: float | None) -> list[LoadHypothesis]:
     """Return what may make the drag, viscous friction first; `own` is the motor's share of it, None if unknown.
 
     Dry friction looks like a constant load, and is the motor's own.
@@ -64,7 +64,7 @@ def possible_loads(fit: Identified, own: float | None) -> list[LoadHypothesis]:
     ]
 
 
-def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | None:
+def _response(fit: StartFit, load: str, inverse: FloatArray) -> FloatArray | None:
     """Return the response of a `LoadHypothesis`; None if no motor with that load looks like this start.
 
     More drag is a torque that does not depend on the speed, as that of a faulty bearing. `inverse` is
@@ -82,7 +82,7 @@ def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | N
     return np.column_stack([fit.exponents[:, free] @ textbooks, fit.exponents[:, -1]])
 
 
-def _textbook_inverse(fit: Identified) -> FloatArray:
+def _textbook_inverse(fit: StartFit) -> FloatArray:
     """Return how the free logarithms of a textbook fit follow samples of `_simulate`, shape (n_free, n_samples)."""
     textbook = _simulate(fit, np.zeros(5))
     columns = [(_simulate(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free_parameters(fit)]
@@ -93,14 +93,14 @@ def _textbook_inverse(fit: Identified) -> FloatArray:
     return np.asarray(inverse, dtype=np.float64)
 
 
-def _free_parameters(fit: Identified) -> list[int]:
+def _free_parameters(fit: StartFit) -> list[int]:
     """Return which of R, L, K, J and B are free in the fit: K if the speed was recorded."""
     has_speed = fit.start.speed_rad_s is not None
-    return [n for n, name in enumerate(quantities.PARAMETERS[:-1]) if name != "K" or has_speed]
+    return [n for n, name in enumerate(identifiable.PARAMETERS[:-1]) if name != "K" or has_speed]
 
 
 def _simulate(
-    fit: Identified,
+    fit: StartFit,
     logs: FloatArray,
     load: str | None = None,
     *,
@@ -117,17 +117,17 @@ def _simulate(
         late: how much later it starts, in samples.
     """
     p, speed = fit.physical, abs(mean_tail(fit.states[:, 1]))
-    drag = p[places.B] * speed
-    p[[places.R, places.L, places.K, places.J, places.B]] *= np.exp(logs)
+    drag = p[index.B] * speed
+    p[[index.R, index.L, index.K, index.J, index.B]] *= np.exp(logs)
     if load is not None:
-        carried = _OF_THE_DRAG * p[places.B] * speed
-        p[places.B] *= 1.0 - _OF_THE_DRAG
+        carried = _OF_THE_DRAG * p[index.B] * speed
+        p[index.B] *= 1.0 - _OF_THE_DRAG
         constant, fan = (carried, 0.0) if load == "constant" else (0.0, carried)
-        p[places.COULOMB], p[places.SQUARE] = constant + added * drag, fan / speed**2
+        p[index.COULOMB], p[index.SQUARE] = constant + added * drag, fan / speed**2
     if fit.start.voltage_v is None:
-        p[places.ONSET] += late * fit.start.dt_s
+        p[index.ONSET] += late * fit.start.dt_s
     else:
-        p[places.DELAY] += late
+        p[index.DELAY] += late
     states = fit.solution.problem.record.predict(p, learn=False)[0][:, 2:4]
     channels = [states[:, 0] / np.std(fit.residual_a)]
     if fit.start.speed_rad_s is not None:

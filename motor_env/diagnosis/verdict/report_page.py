@@ -10,10 +10,10 @@ import numpy as np
 from motor_env.common.console import printable
 from motor_env.common.pages.html import render
 from motor_env.common.pages.svg import Axis, Chart, round_ticks
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
-from motor_env.diagnosis.estimation.starts.start_prior import absolute_parameters as absolute
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.operation_fit import OperationFit
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
+from motor_env.diagnosis.estimation.starts.start_prior import absolute_parameters
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
 from motor_env.diagnosis.verdict.judgement import Diagnosis, Judgement, Verdict
 from motor_env.diagnosis.verdict.report_text import as_text, describe_r2, warnings_of
@@ -213,7 +213,7 @@ def page(diagnosis: Diagnosis) -> str:
 
 
 def page_of_fits(
-    title: str, fits: Mapping[str, Identified | Operation], *, spread: str = "", note: str = ""
+    title: str, fits: Mapping[str, StartFit | OperationFit], *, spread: str = "", note: str = ""
 ) -> str:
     """Draw the page of fits: measured beside fitted current and speed, and the residuals.
 
@@ -240,9 +240,9 @@ def page_of_fits(
     )
 
 
-def _fit_charts(fit: Identified | Operation) -> Iterator[str]:
+def _fit_charts(fit: StartFit | OperationFit) -> Iterator[str]:
     """Draw current and speed with their residuals, of a log also the voltage, without uncounted samples."""
-    if isinstance(fit, Identified):
+    if isinstance(fit, StartFit):
         time, unit = 1e3 * (fit.start.time_s - fit.onset_s), "ms"
         measured = [fit.start.current_a, fit.start.speed_rad_s]
         counted = [fit.start.counted, np.full(len(time), fill_value=True)]
@@ -292,12 +292,12 @@ def reference_current(judgement: Judgement) -> FloatArray | None:
     if fit is None or reference is None:
         return None
     believed = float(np.max(fit.parameters.back_emf_constant_v_s_per_rad))
-    value = absolute(
+    value = absolute_parameters(
         dict(zip(fit.quantity_names, fit.values.tolist(), strict=True)) | reference.values, believed
     )
     physical = fit.physical
     for name in "RLKJB":
-        physical[getattr(places, name)] = value[name]
+        physical[getattr(index, name)] = value[name]
     return fit.run(physical)[:, 0] + fit.start.alignment.offset_a
 
 
@@ -340,7 +340,7 @@ def _ratio_axis(changes: Sequence[Change]) -> Axis:
     return Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True)
 
 
-def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -> tuple[str, str]:
+def _currents(fit: StartFit, expected: FloatArray | None, *, is_fault: bool) -> tuple[str, str]:
     """Draw the measured current beside the healthy motor's, and their difference; empty without a healthy motor.
 
     The difference is averaged over a fiftieth of the recording, with the sensor's noise as a band. If the curves of a

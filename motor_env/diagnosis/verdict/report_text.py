@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from motor_env.diagnosis.estimation.starts.commutation import constants_at, find_ripple
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified, implausible
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit, implausible
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.diagnosis.verdict.hypotheses import Fitted
 from motor_env.diagnosis.verdict.judgement import Diagnosis, Judgement
@@ -101,12 +101,12 @@ def _judgement_json(judgement: Judgement) -> dict[str, Any]:
     }
 
 
-def warnings_of(recording: Recording, fit: Identified | None) -> list[str]:
+def warnings_of(recording: Recording, fit: StartFit | None) -> list[str]:
     """Return sentences on what looks wrong with the columns or the values that they give."""
     return [*recording.warnings, *([] if fit is None else implausible(fit))]
 
 
-def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
+def ripple_json(fit: StartFit, periods_per_turn: float | None) -> dict[str, Any] | None:
     """Return speed and constants by the commutation ripple; None without one."""
     ripple = find_ripple(fit)
     if ripple is None:
@@ -162,7 +162,7 @@ def exp_or_none(log: float) -> float | None:
     return math.exp(log) if log < _LARGEST_LOG else None
 
 
-def extensions_json(fit: Identified) -> dict[str, Any]:
+def extensions_json(fit: StartFit) -> dict[str, Any]:
     """Return the extensions with standard errors and intervals, 95 %."""
     units = _EXTENSION_UNITS if fit.start.voltage_known else _EXTENSION_UNITS | _PER_VOLT
     return {

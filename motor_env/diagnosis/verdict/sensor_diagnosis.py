@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from motor_env.diagnosis.estimation import ekf as kernel, parameter_index as places
+from motor_env.diagnosis.estimation import ekf, parameter_index as index
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.readers.alignment import align, clipped_run
 from motor_env.diagnosis.readers.noise import difference_noise
@@ -59,9 +59,9 @@ def free_run(
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate current and speed under a voltage, from the steady state or from rest; all of shape (n,)."""
     values = physical.copy()
-    values[[places.NOISE_I, places.NOISE_W]], values[places.NOISE_V : places.WALK + 1] = 1.0, 0.0
+    values[[index.NOISE_I, index.NOISE_W]], values[index.NOISE_V : index.WALK + 1] = 1.0, 0.0
     n = len(voltage_v)
-    marks = np.append(kernel.REST if from_rest else kernel.STEADY, np.zeros(n - 1))
+    marks = np.append(ekf.REST if from_rest else ekf.STEADY, np.zeros(n - 1))
     table = Record(dt_s, voltage_v, np.zeros((n, 2)), np.zeros(2), marks).predict(values, learn=False)[0]
     return table[:, 2], table[:, 3]
 
@@ -69,7 +69,7 @@ def free_run(
 def held_current(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> FloatArray:
     """Simulate the current of a held rotor, of the winding alone without brushes, shape (n,)."""
     values = physical.copy()
-    values[places.J], values[places.DROP] = _HELD * physical[places.J], 0.0
+    values[index.J], values[index.DROP] = _HELD * physical[index.J], 0.0
     return free_run(values, voltage_v, dt_s, from_rest=True)[0]
 
 
@@ -146,7 +146,7 @@ def _predict_from_others(
     """Predict current and speed, each by the voltage and the other one, whatever the load is."""
     if record.current_a is None or record.speed_rad_s is None:
         return None, None
-    ohm, constant = float(physical[places.R]), float(physical[places.K])
+    ohm, constant = float(physical[index.R]), float(physical[index.K])
     current = held_current(physical, record.voltage_v - constant * record.speed_rad_s, record.dt_s)
     return current, (record.voltage_v - ohm * record.current_a) / constant
 
@@ -337,12 +337,12 @@ def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: Floa
     rests = (sizes[0] < _STANDS) & (sizes[1] < _STANDS)
     rests[1:] &= rests[:-1].copy()  # a current may be that of the voltage before
     turning = [float(np.mean((sign * speed > 0.0) & (sizes[1] > _ON))) for sign in (-1.0, 1.0)]
-    known = float(physical[places.OFFSET_I])
+    known = float(physical[index.OFFSET_I])
     by_speed = np.asarray(_predict_from_others(record, physical)[0]) - known
     if np.count_nonzero(rests) >= _FEWEST:
         # A controller may hold a small voltage, of which a rotor that stands draws its current. A speed in another unit
         # is none at rest.
-        held = record.voltage_v / physical[places.R]
+        held = record.voltage_v / physical[index.R]
         offset = min((float(np.mean((current - each)[rests])) for each in (by_speed, held)), key=abs)
         most = _OFFSET_AT_REST
     elif min(turning) > _TURNS_BACK:
@@ -353,7 +353,7 @@ def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: Floa
     # No offset where the healthy motor had one is no failure: the fit's may be no sensor's. That of a current in mA
     # counts in A.
     offset = min(offset, offset - known, key=abs) / max(rms(current) / rms(by_speed), 1.0)
-    if abs(offset) < most * float(np.max(np.abs(record.voltage_v)) / physical[places.R]):
+    if abs(offset) < most * float(np.max(np.abs(record.voltage_v)) / physical[index.R]):
         return None
     return sensor_judgement(
         "current_offset", f"the current is off by {offset:.3g} A at every voltage and speed"
@@ -398,7 +398,7 @@ def diagnose_sensors(
         # A column that never moves, as it did not where the motor was learned.
         record = record._replace(speed_rad_s=None)
     physical = physical_values(motor)
-    physical[places.R] += 0.0 if circuit is None else circuit.shunt_ohm
+    physical[index.R] += 0.0 if circuit is None else circuit.shunt_ohm
     failure = find_failure(record._replace(at_work=at_work, is_taught=motor.healthy is not None), physical)
     return None if failure is None else failure.on(recording)
 
@@ -408,13 +408,13 @@ def physical_values(motor: Motor) -> FloatArray:
     if motor.healthy is not None and motor.healthy.windows is not None:
         physical = motor.healthy.windows.physical.copy()
         learned = dict(zip(motor.healthy.quantities, motor.healthy.values.tolist(), strict=True))
-        places_of = {"R": places.R, "K": places.K, "J": places.J}
+        places_of = {"R": index.R, "K": index.K, "J": index.J}
         for name in learned.keys() & places_of:
             physical[places_of[name]] = learned[name]
         return physical
-    known, values = motor.parameters, np.zeros(places.N_VALUES)
+    known, values = motor.parameters, np.zeros(index.N_VALUES)
     constant = np.sqrt(known.back_emf_constant_v_s_per_rad * np.asarray(known.torque_constant_n_m_per_a))
-    values[[places.R, places.L, places.K, places.J, places.B, places.COULOMB, places.DROP]] = (
+    values[[index.R, index.L, index.K, index.J, index.B, index.COULOMB, index.DROP]] = (
         known.resistance_ohm,
         known.inductance_h,
         constant,

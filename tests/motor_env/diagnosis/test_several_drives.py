@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from motor_env import FaultKind, Recording, commission
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.estimation.window import WindowFit, fit_window
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
@@ -114,7 +114,7 @@ def test_windows_of_a_rare_drive_scatter_no_less_than_those_of_the_usual_one() -
     rare = [FittedWindow(np.full(4, 1.0 + 0.001 * n), error, np.zeros((1, 2))) for n in range(2)]
     logs = np.array([fit.log_values for fit in rare])
     of_usual = next_window(usual, steady=True)[1]
-    believed = error + beyond(error, of_usual)
+    believed = error + excess_covariance(error, of_usual)
     assert np.diag(believed)[0] == pytest.approx(of_usual[0, 0], rel=0.1)
     assert believed[3, 3] > 4.0  # its own error is larger
     centre, covariance, freedom = next_window(rare, steady=False, usual=usual)
@@ -355,7 +355,7 @@ def test_a_fit_begins_at_what_its_own_drive_has_taught(
     judge, begun = judge_of(taught), list[float]()
 
     def spy(record: Record, known: FloatArray, *args: Any, **options: Any) -> WindowFit:
-        begun.append(float(known[places.K]))
+        begun.append(float(known[index.K]))
         return fit_window(record, known, *args, **options)
 
     monkeypatch.setattr(windows, "fit_window", spy)
