@@ -122,7 +122,7 @@ def verdicts(name: str, noise: float, rng: np.random.Generator) -> list[str]:
     said += ["nearly"] if way >= 0.8 else []
     if found.forecasts:
         (one,) = found.forecasts
-        if one.trends and one.is_told:
+        if one.trends and one.has_remaining_life:
             said += ["life", "life far"] if way >= 0.6 else ["life"]
             said += (
                 ["too early"] if life > one.life.high else ["too late"] if life < one.life.low else ["hold"]

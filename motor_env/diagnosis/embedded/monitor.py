@@ -33,7 +33,7 @@ class Readings(NamedTuple):
 
     def counts(self, *given: float | None) -> Self:
         """Return what one count is worth: as given, else powers of ten of which 1e7 to 1e8 make these readings."""
-        tens = [10.0 ** (math.floor(math.log10(most)) - 7) for most in self]
+        tens = [10.0 ** (math.floor(math.log10(largest)) - 7) for largest in self]
         chosen = zip(tens, given or 3 * [None], strict=True)
         return type(self)(*(ten if count is None else count for ten, count in chosen))
 
@@ -64,8 +64,8 @@ class CusumBank:
     def thresholds_for(self, arl0: float) -> tuple[float, ...]:
         """Solve the threshold of each sum; all have an equal share of the false alarms."""
         overlap = min(_OVERLAP / math.sqrt(arl0), 0.1) if len(self.shifts) > 1 else 0.0
-        alone = arl0 * len(self.shifts) * (1.0 - overlap)
-        return tuple(Cusum(shift, two_sided=True).threshold_for(arl0=alone).value for shift in self.shifts)
+        own_arl0 = arl0 * len(self.shifts) * (1.0 - overlap)
+        return tuple(Cusum(shift, two_sided=True).threshold_for(arl0=own_arl0).value for shift in self.shifts)
 
 
 @dataclass(frozen=True, slots=True)

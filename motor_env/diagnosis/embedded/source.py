@@ -155,13 +155,13 @@ def checks(monitor: Monitor, n: Numbers) -> list[Check]:
     read = (model.transition, model.gain[:, :1], sensor @ model.transition, sensor @ model.gain[:, :1])
     _, expected, _ = dlsim((*read, model.dt_s), np.full(_HEALTHY_CHECKS + _FAULTY_CHECKS, voltage_v))
     noise = np.sqrt(np.diag(monitor.kalman.measurement_covariance))[:, None]
-    for off in np.ldexp(4.0, range(_MOST_DOUBLINGS)):
+    for offset in np.ldexp(4.0, range(_MOST_DOUBLINGS)):
         measured = expected.T + noise * np.where(np.arange(len(expected)) % 2, -0.5, 0.5)
-        measured[0, _HEALTHY_CHECKS:] += off * noise[0]
+        measured[0, _HEALTHY_CHECKS:] += offset * noise[0]
         measured[0, -1] = 4.0 * monitor.limits.current_a
         readings = readings_of(n, measured[None], voltage_v)
         (verdicts,), (statistics,) = run_twin(n, readings)
-        if SampleVerdict.FAULT in verdicts or off > monitor.limits.current_a / noise[0]:
+        if SampleVerdict.FAULT in verdicts or offset > monitor.limits.current_a / noise[0]:
             break
     samples = zip(readings[0].T, statistics, verdicts.tolist(), strict=True)
     return [Check(reading, statistic, SampleVerdict(verdict).name) for reading, statistic, verdict in samples]

@@ -33,8 +33,8 @@ from motor_env.diagnosis.estimation.preprocessing import at_terminals, from_reco
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.estimation.starts.start_identification import NUISANCES, identify, identify_best
 from motor_env.diagnosis.estimation.window import WindowFit, fit_window
-from motor_env.diagnosis.operation.window_baseline import effective_speed, known_of
-from motor_env.diagnosis.operation.windows import averaged, over_speed, rms_volts
+from motor_env.diagnosis.operation.window_baseline import effective_speed, values_without_warming
+from motor_env.diagnosis.operation.windows import averaged, rms_volts, with_drag_over_speed
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import Recording, describe_reading, recording_of
 from motor_env.diagnosis.readers.regime import taken_for
@@ -131,7 +131,7 @@ def fit_record(reading: Reading, path: Path) -> InitialFit:
     return InitialFit(
         names=fitted.solution.names,
         quantities=NAMES,
-        values=tuple(known_of(fitted.solution).tolist()),
+        values=tuple(values_without_warming(fitted.solution).tolist()),
         hold=fitted.record.hold,
         speed_rad_s=effective_speed(fitted),
         rms_volts=rms_volts(log),
@@ -162,7 +162,7 @@ class FitCache:
     def __init__(self, path: Path | None, reading: Reading) -> None:
         self.path = path
         self.reading = sha256(repr(reading).encode()).hexdigest()[:16]
-        self.found: dict[str, InitialFit] = {}
+        self.cached: dict[str, InitialFit] = {}
         self.file: IO[str] | None = None
         if path is not None and path.exists():
             self._read(path)
@@ -177,7 +177,7 @@ class FitCache:
         for number, line in enumerate(lines[1:], 2):
             try:
                 row = json.loads(line)
-                self.found[str(row["record"])] = _FIRST.validate_python(row["first"])
+                self.cached[str(row["record"])] = _FIRST.validate_python(row["first"])
             except (ValueError, LookupError, TypeError, RecursionError):
                 raise InputError(f"{path}: line {number} is no kept fit; give another file") from None
         if last:
@@ -190,7 +190,7 @@ class FitCache:
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.file = self.path.open("a", encoding="utf-8")
-            if not self.found and self.path.stat().st_size == 0:
+            if not self.cached and self.path.stat().st_size == 0:
                 print(self._head(), file=self.file, flush=True)
         return self
 
@@ -199,14 +199,14 @@ class FitCache:
             self.file.close()
 
     def __contains__(self, path: Path) -> bool:
-        return _record(path) in self.found
+        return _record(path) in self.cached
 
     def __getitem__(self, path: Path) -> InitialFit:
-        return self.found[_record(path)]
+        return self.cached[_record(path)]
 
     def add(self, path: Path, first: InitialFit) -> None:
         """Keep a fit."""
-        self.found[_record(path)] = first
+        self.cached[_record(path)] = first
         if self.file is not None:
             row = {"record": _record(path), "first": first._asdict()}
             print(json.dumps(row), file=self.file, flush=True)
@@ -294,11 +294,11 @@ def fit_fleet(
         windows = _common_log_model(good, reading)
         job = partial(fit_log, reading, windows)
     by_file: dict[Path, Fitted] = {}
-    for path, again in zip(good, each(job, list(good)), strict=True):
-        if isinstance(again, str):
-            failures[path] = again
+    for path, refit in zip(good, each(job, list(good)), strict=True):
+        if isinstance(refit, str):
+            failures[path] = refit
         else:
-            by_file[path] = again
+            by_file[path] = refit
         progress(path)
     read = tuple(describe_reading((path, notes) for path, (_, notes) in zip(files, looks, strict=True)))
     return FleetFits(by_file, quantities, windows, failures, reading, read)
@@ -346,13 +346,13 @@ def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) ->
         rms_volts=(min(fit.rms_volts for fit in initial), max(fit.rms_volts for fit in initial)),
         peaks=tuple(np.median([fit.peaks for fit in initial], axis=0).tolist()),
     )
-    some = list(initial_fits)[:: -(-len(initial_fits) // _MOST_TRIED)]
+    sample = list(initial_fits)[:: -(-len(initial_fits) // _MOST_TRIED)]
     tried = []
     for share in _DRY:
         known = known.copy()
         known[[index.B, index.COULOMB]] = (1.0 - share) * drag / speed, share * drag
         tried.append(replace(windows, physical=known))
-    fits = [[_fit_window(reading, candidate, path) for path in some] for candidate in tried]
+    fits = [[_fit_window(reading, candidate, path) for path in sample] for candidate in tried]
     misfits = [sum(math.inf if isinstance(fit, str) else fit.misfit for fit in each) for each in fits]
     return tried[int(np.argmin(misfits))]
 
@@ -374,7 +374,7 @@ def _fit_window(reading: Reading, windows: Windows, path: Path) -> WindowFit | s
 def fit_log(reading: Reading, windows: Windows, path: Path) -> FittedWindow | str:
     """Fit a log, with the drag over the speed."""
     fit = _fit_window(reading, windows, path)
-    return fit if isinstance(fit, str) else over_speed(fit, windows.physical, windows.speed_rad_s)
+    return fit if isinstance(fit, str) else with_drag_over_speed(fit, windows.physical, windows.speed_rad_s)
 
 
 Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]

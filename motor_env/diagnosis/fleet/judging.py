@@ -123,20 +123,20 @@ def diagnose_fleet(
 
 def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[FleetUnit]:
     """Judge the motors of a machine by those of all others."""
-    core, units = fleet.core_without(machine), []
+    population, units = fleet.population_without(machine), []
     for unit_id in dict.fromkeys(each for each in fleet.unit_of.values() if each.machine == machine):
         if unit_id.motor not in fleet.positions:
             raise InputError(
                 f"no motor of the place {unit_id.motor} can be fitted: nothing judges {unit_id.name}"
             )
         own = [path for path, each in fleet.unit_of.items() if each == unit_id]
-        motor = fleet.motor("a healthy one", core, unit_id.motor)
+        motor = fleet.motor("a healthy one", population, unit_id.motor)
         records = {
             path: diagnose(path, motor, false_alarm_rate=rate / len(own), **fleet.fits.reading.options)
             for path in own
         }
         units.append(
-            FleetUnit(unit_id, records, fleet.fits.quantities, _difference_from(fleet, core, unit_id))
+            FleetUnit(unit_id, records, fleet.fits.quantities, _difference_from(fleet, population, unit_id))
         )
     alike = common_cause(
         [unit.difference for unit in units if unit.difference is not None], fleet.fits.quantities, rate
@@ -160,19 +160,21 @@ def common_cause(differences: Sequence[Difference], names: tuple[str, ...], rate
     )
 
 
-def _difference_from(fleet: LearnedFleet, core: HealthyPopulation, unit_id: UnitId) -> Difference | None:
+def _difference_from(
+    fleet: LearnedFleet, population: HealthyPopulation, unit_id: UnitId
+) -> Difference | None:
     """Compare a motor with the population; None without a fit."""
     if unit_id not in fleet.motors:
         return None
     number = fleet.motors.index(unit_id)
     kept = np.array([n == number for n in range(len(fleet.motors))])
-    logs, errors = fleet.records.subset(kept).means(core.within)
+    logs, errors = fleet.records.subset(kept).means(population.within)
     at = fleet.positions.index(unit_id.motor)
     return Difference(
-        logs[0] - core.centres[at],
-        core.next_motor(at) + errors[0],
+        logs[0] - population.centres[at],
+        population.next_motor(at) + errors[0],
         identifiable.matrix(fleet.fits.quantities),
-        core.degrees_of_freedom,
+        population.degrees_of_freedom,
     )
 
 

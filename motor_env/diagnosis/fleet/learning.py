@@ -88,7 +88,7 @@ def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
         raise InputError(f"--group must have named groups of {', '.join(_GROUPS)}, got {sorted(known)}")
     if not known & {"machine", "motor"}:
         raise InputError("--group must have a group machine or motor: a repeat alone tells no motor")
-    found = []
+    matched = []
     for path in files:
         match = pattern.search(path.stem)
         if match is None:
@@ -96,8 +96,8 @@ def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
         parts = match.groupdict(default="")
         # Motors without machines are machines of one motor each.
         machine = parts.get("machine") or parts.get("motor", "")
-        found.append(UnitId(machine, parts.get("motor", "") if "machine" in known else ""))
-    return found
+        matched.append(UnitId(machine, parts.get("motor", "") if "machine" in known else ""))
+    return matched
 
 
 @dataclass(frozen=True)
@@ -138,69 +138,78 @@ class LearnedFleet:
         )
 
     @cached_property
-    def core(self) -> HealthyPopulation:
+    def population(self) -> HealthyPopulation:
         """Learn the healthy population of all motors."""
         return learn_population(self.records)
 
-    def core_without(self, machine: str) -> HealthyPopulation:
+    def population_without(self, machine: str) -> HealthyPopulation:
         """Learn that of all other machines."""
         if len({motor.machine for motor in self.motors}) > _MANY:
-            return self.core  # one machine of so many moves nothing
+            return self.population  # one machine of so many moves nothing
         kept = np.array([motor.machine != machine for motor in self.motors])
         others = self.records.subset(kept)
         if len(np.unique(others.position)) < len(self.positions):
             raise InputError(f"no other machine than {machine} has a motor in the same place")
-        return learn_population(others, begin=self.core)
+        return learn_population(others, begin=self.population)
 
-    def motor(self, name: str, core: HealthyPopulation | None = None, position: str | None = None) -> Motor:
+    def motor(
+        self, name: str, population: HealthyPopulation | None = None, position: str | None = None
+    ) -> Motor:
         """Make the healthy motor, as motor files hold it.
 
         Args:
             name: of it.
-            core: population; that of all motors unless given.
+            population: of healthy motors; that of all unless given.
             position: place in the machine; without it, a motor of any place.
         """
-        healthy = self._healthy(self.core if core is None else core, position)
+        healthy = self._healthy(self.population if population is None else population, position)
         if self.fits.windows is not None:
             volts = (self.fits.windows.peaks or (None,))[0]
             return replace(motor_of_windows(healthy, name), nominal_voltage_v=volts)
         return to_motor(self._healthy_starts, name, healthy=healthy)
 
-    def _healthy(self, core: HealthyPopulation, position: str | None = None) -> Healthy:
+    def _healthy(self, population: HealthyPopulation, position: str | None = None) -> Healthy:
         """Predict another healthy motor."""
-        centre, covariance = self._predictive(core, position)
-        count = len(core.probability)
+        centre, covariance = self._predictive(population, position)
+        count = len(population.probability)
         return Healthy(
             count,
-            core.degrees_of_freedom,
+            population.degrees_of_freedom,
             self.fits.quantities,
             np.exp(centre),
             covariance,
             0.0,
             windows=None if self.fits.windows is None else at_centre(self.fits.windows, centre),
             starts=None if self.fits.windows is not None else learn_starts(self._healthy_starts).starts,
-            fleet=Fleet(count, core.within),
+            fleet=Fleet(count, population.within),
         )
 
     @cached_property
     def _healthy_starts(self) -> list[StartFit]:
         """List the starts of motors that seem healthy."""
-        pairs = zip(self.fits.by_file.values(), self.core.probability[self.records.motor], strict=True)
+        pairs = zip(self.fits.by_file.values(), self.population.probability[self.records.motor], strict=True)
         return [fit for fit, sure in pairs if isinstance(fit, StartFit) and sure > _LEAST_PROBABILITY]
 
-    def _predictive(self, core: HealthyPopulation, position: str | None) -> tuple[FloatArray, FloatArray]:
+    def _predictive(
+        self, population: HealthyPopulation, position: str | None
+    ) -> tuple[FloatArray, FloatArray]:
         """Return centre and covariance of another healthy motor's record."""
         if position is not None:
             at = self.positions.index(position)
-            return core.centres[at], core.next_motor(at) + core.within
-        centre, off = core.centres.mean(axis=0), core.centres - core.centres.mean(axis=0)
-        apart = off.T @ off / max(len(off) - 1, 1)
-        return centre, core.between + core.centre_covariances.mean(axis=0) + apart + core.within
+            return population.centres[at], population.next_motor(at) + population.within
+        centre, deviations = (
+            population.centres.mean(axis=0),
+            population.centres - population.centres.mean(axis=0),
+        )
+        between_positions = deviations.T @ deviations / max(len(deviations) - 1, 1)
+        return centre, population.between + population.centre_covariances.mean(
+            axis=0
+        ) + between_positions + population.within
 
     def text(self, rate: float) -> str:
         """Say what was learned, with the interval of the next healthy motor."""
-        healthy, freedom = self._healthy(self.core), self.core.degrees_of_freedom
-        sick = int(np.sum(self.core.probability < _LEAST_PROBABILITY))
+        healthy, freedom = self._healthy(self.population), self.population.degrees_of_freedom
+        sick = int(np.sum(self.population.probability < _LEAST_PROBABILITY))
         seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
         lines = [
             f"{len(self.motors)} motors with {len(self.fits.by_file)} records; {sick} of them {seem} nothing",
@@ -215,14 +224,14 @@ class LearnedFleet:
     def _positions(self) -> list[str]:
         if len(self.positions) < 2:
             return []
-        off = np.expm1(self.core.centres - self.core.centres.mean(axis=0))
+        deviations = np.expm1(self.population.centres - self.population.centres.mean(axis=0))
         return [
             f"  {position}: "
             + ", ".join(
                 f"{name} {change:+.0%}"
                 for name, change in zip(self.fits.quantities, row.tolist(), strict=True)
             )
-            for position, row in zip(self.positions, off, strict=True)
+            for position, row in zip(self.positions, deviations, strict=True)
         ]
 
 

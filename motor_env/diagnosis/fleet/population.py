@@ -152,32 +152,39 @@ def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> 
             _run_em(first, motors, share)
             for first in (_initial_population(motors), _initial_population(motors, 1.0))
         ]
-        core, _ = max(ends, key=lambda end: end[1])
+        population, _ = max(ends, key=lambda end: end[1])
     else:
         at_once = replace(begin, between=begin.between + begin.within, probability=np.ones(len(motors.logs)))
-        core, _ = _run_em(at_once, motors, share)
-    total, of_records = core.between, motors.within_covariance()
+        population, _ = _run_em(at_once, motors, share)
+    total, of_records = population.between, motors.within_covariance()
     within = np.diag(np.minimum(of_records.diagonal(), _MOST_WITHIN * total.diagonal()))
     return replace(
-        core,
+        population,
         between=floor_covariance(total - within, (1.0 - _MOST_WITHIN) * total),
         within=within,
-        probability=np.bincount(motors.motor, core.probability) / repeats,
+        probability=np.bincount(motors.motor, population.probability) / repeats,
     )
 
 
-def _run_em(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
+def _run_em(
+    population: HealthyPopulation, motors: Motors, share: FloatArray
+) -> tuple[HealthyPopulation, float]:
     """Repeat rounds until they settle; also return the logarithm of the posterior probability."""
     for _ in range(_ROUNDS):
-        before, (core, likelihood) = core, _em_round(core, motors, share)
-        moved = max(np.abs(core.centres - before.centres).max(), np.abs(core.between - before.between).max())
+        before, (population, likelihood) = population, _em_round(population, motors, share)
+        moved = max(
+            np.abs(population.centres - before.centres).max(),
+            np.abs(population.between - before.between).max(),
+        )
         if moved < _CONVERGED:
             break
-    log_size = float(np.linalg.slogdet(core.between)[1])
+    log_size = float(np.linalg.slogdet(population.between)[1])
     believed = (
-        -0.5 * PRIOR_WEIGHT * (log_size + float(np.trace(np.linalg.solve(core.between, motors.between))))
+        -0.5
+        * PRIOR_WEIGHT
+        * (log_size + float(np.trace(np.linalg.solve(population.between, motors.between))))
     )
-    return core, likelihood + believed
+    return population, likelihood + believed
 
 
 def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> HealthyPopulation:
@@ -234,36 +241,38 @@ def _log_density(residual: FloatArray, covariance: FloatArray) -> FloatArray:
     return found
 
 
-def _em_round(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
+def _em_round(
+    population: HealthyPopulation, motors: Motors, share: FloatArray
+) -> tuple[HealthyPopulation, float]:
     """Update probabilities, centres and spread once; also return the log likelihood before.
 
     Each record counts by its share of its motor, shape (n_records,).
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
-    residual, spread = logs - core.centres[position], core.between + errors
+    residual, spread = logs - population.centres[position], population.between + errors
     log_healthy = _log_density(residual, spread)
-    every = [_log_density(residual, spread + way) for way in motors.sick]
+    every = [_log_density(residual, spread + extra) for extra in motors.sick]
     log_sick = np.logaddexp.reduce(every, axis=0) - math.log(len(every))
-    sick = (_SICK + float(share @ (1.0 - core.probability))) / (_SICK_OF + float(share.sum()))
+    sick = (_SICK + float(share @ (1.0 - population.probability))) / (_SICK_OF + float(share.sum()))
     healthy = 1.0 / (1.0 + sick / (1.0 - sick) * np.exp(np.clip(log_sick - log_healthy, -500.0, 500.0)))
     counts = share * healthy
     likelihood = float(share @ np.logaddexp(log_healthy + math.log1p(-sick), log_sick + math.log(sick)))
     weights = np.linalg.inv(spread) * counts[:, None, None]
     centres, covariances = [], []
-    for n in range(len(core.centres)):
+    for n in range(len(population.centres)):
         here = position == n
         covariance = np.linalg.inv(weights[here].sum(axis=0))
         centres.append(covariance @ np.einsum("npq,nq->p", weights[here], logs[here]))
         covariances.append(covariance)
     residual = logs - np.stack(centres)[position]
-    gain = core.between @ np.linalg.inv(spread)
+    gain = population.between @ np.linalg.inv(spread)
     own = np.einsum("npq,nq->np", gain, residual)
-    left = core.between - gain @ core.between
-    scatter = np.einsum("n,npq->pq", counts, own[:, :, None] * own[:, None, :] + left)
+    posterior = population.between - gain @ population.between
+    scatter = np.einsum("n,npq->pq", counts, own[:, :, None] * own[:, None, :] + posterior)
     freedom = max(float(counts.sum()) - len(centres), 0.0) + PRIOR_WEIGHT
     between = (scatter + PRIOR_WEIGHT * motors.between) / freedom
     after = replace(
-        core,
+        population,
         centres=np.stack(centres),
         centre_covariances=np.stack(covariances),
         between=0.5 * (between + between.T),

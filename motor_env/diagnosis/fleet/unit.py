@@ -77,14 +77,14 @@ def combine_with_records(healthy: Healthy, logs: FloatArray, errors: FloatArray)
         healthy.log_covariance - healthy.fleet.log_within, 1e-6 * healthy.log_covariance
     )
     prior, information = np.linalg.inv(between), np.linalg.inv(within + errors)
-    left = np.linalg.inv(prior + information.sum(axis=0))
-    centre = left @ (prior @ np.log(healthy.values) + np.einsum("npq,nq->p", information, logs))
+    posterior = np.linalg.inv(prior + information.sum(axis=0))
+    centre = posterior @ (prior @ np.log(healthy.values) + np.einsum("npq,nq->p", information, logs))
     return replace(
         healthy,
         pieces=len(logs),
         degrees_of_freedom=healthy.degrees_of_freedom + len(logs),
         values=np.exp(centre),
-        log_covariance=left + within,
+        log_covariance=posterior + within,
         windows=None if healthy.windows is None else at_centre(healthy.windows, centre),
         fleet=replace(healthy.fleet, log_within=within),
     )
@@ -112,8 +112,8 @@ def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
 
 def _within_covariance(logs: FloatArray, errors: FloatArray, fleet: Fleet) -> FloatArray:
     """Estimate the scatter from record to record; own records count by their number."""
-    off = logs - logs.mean(axis=0)
-    scatter = off.T @ off - max(len(logs) - 1, 0) * errors.mean(axis=0)
+    deviations = logs - logs.mean(axis=0)
+    scatter = deviations.T @ deviations - max(len(logs) - 1, 0) * errors.mean(axis=0)
     spread = (scatter + PRIOR_WEIGHT * fleet.log_within) / (len(logs) - 1 + PRIOR_WEIGHT)
     return floor_covariance(spread, fleet.log_within / PRIOR_WEIGHT)
 
@@ -167,7 +167,7 @@ class FleetUnit:
         )
 
     @property
-    def telling(self) -> Diagnosis:
+    def decisive(self) -> Diagnosis:
         """Choose the record that the verdict rests on: the surest of those with a fault."""
         faults = [record for record in self.records.values() if record.verdict.is_fault]
         calm = [record for record in self.records.values() if record.verdict is Verdict.HEALTHY]
@@ -177,7 +177,7 @@ class FleetUnit:
     @property
     def verdict(self) -> Verdict:
         """Verdict on the motor."""
-        return self.telling.verdict
+        return self.decisive.verdict
 
     @property
     def odd(self) -> str:
@@ -193,7 +193,7 @@ class FleetUnit:
 
     def to_json(self) -> dict[str, Any]:
         """Build one object for programs."""
-        record = self.telling
+        record = self.decisive
         return {
             "motor": self.unit_id.name,
             "machine": self.unit_id.machine,
@@ -213,7 +213,7 @@ class FleetUnit:
     @property
     def shown_severity(self) -> str:
         """Format the severity of its fault; empty without one."""
-        severity = self.telling.severity
+        severity = self.decisive.severity
         return f"{severity:+.0%}" if severity and self.verdict.is_fault else ""
 
     @property
@@ -228,7 +228,7 @@ class FleetUnit:
     @property
     def _reason(self) -> str:
         """Give the verdict's first reason, without denying other quantities that the table names."""
-        reason, kind, far = self.telling.reasons[0], self.telling.decisive.fault_kind, self._far
+        reason, kind, far = self.decisive.reasons[0], self.decisive.decisive.fault_kind, self._far
         if kind is None or not far:
             return reason
         moved = identifiable.visible_direction(kind, identifiable.matrix(tuple(far)))

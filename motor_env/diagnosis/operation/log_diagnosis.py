@@ -17,10 +17,10 @@ from motor_env.diagnosis.estimation.preprocessing import at_terminals, from_reco
 from motor_env.diagnosis.estimation.record import STRETCHES, Record
 from motor_env.diagnosis.estimation.window import LOAD
 from motor_env.diagnosis.operation.window_baseline import (
-    chosen_terms,
+    choose_window_terms,
     effective_speed,
-    known_of,
     turns_one_way,
+    values_without_warming,
     window_length_s,
 )
 from motor_env.diagnosis.operation.windows import (
@@ -77,9 +77,9 @@ def judge_log(
     try:
         judge = judge_for(whole, motor, temperature_c)
         judged, count = judge.judge(whole, rate)
-        if any(is_far_from_healthy(one) for one in judged):
+        if any(is_far_from_healthy(judgement) for judgement in judged):
             judged = _as_a_whole(judged, whole, judge)
-        if all(one.verdict is Verdict.UNUSABLE for one in judged):
+        if all(judgement.verdict is Verdict.UNUSABLE for judgement in judged):
             from_recordings([whole])  # may say why
     except UnusableError as error:
         return [Judgement(Verdict.UNUSABLE, (str(error),)).on(whole)], 1
@@ -94,23 +94,28 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
     """
     with suppress(UnusableError):
         joint = identify_record(from_recordings([whole]))
-        physical = known_of(joint.solution)
+        physical = values_without_warming(joint.solution)
         drag = viscous(physical, effective_speed(joint))
         logs = np.log([*physical[[index.R, index.K, index.J]], drag])
         spread = judge.reference.log_covariance + np.diag(np.square(_COARSE))
         difference = Difference(logs - judge.reference.log_values, spread, EXPONENTS, NORMAL_DOF)
-        misread = describe_scaling_errors(
+        scaling = describe_scaling_errors(
             find_scaling_errors(difference, NAMES, _CLEAR, DEFAULT_FALSE_ALARM_RATE)
         )
-        if misread:
-            return [_misread(one, misread) if one.verdict.is_fault else one for one in judged]
+        if scaling:
+            return [
+                _misread(judgement, scaling) if judgement.verdict.is_fault else judgement
+                for judgement in judged
+            ]
     return judged
 
 
-def _misread(judgement: Judgement, misread: str) -> Judgement:
+def _misread(judgement: Judgement, scaling: str) -> Judgement:
     """Give a window's judgement what the whole log says instead of what its own fit did."""
-    own = (one for one in judgement.reasons if one != BEYOND_WEAR and not one.startswith(EXPLAINED))
-    return judgement.as_other(misread, *own)
+    own = (
+        reason for reason in judgement.reasons if reason != BEYOND_WEAR and not reason.startswith(EXPLAINED)
+    )
+    return judgement.as_other(scaling, *own)
 
 
 def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = None) -> WindowJudge:
@@ -131,14 +136,14 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)
     window_s, speed = window_length_s([recording], _WINDOWS, _SHORTEST * settles_s), effective_speed(joint)
-    physical, terms = known_of(joint.solution), joint.solution.names
+    physical, terms = values_without_warming(joint.solution), joint.solution.names
     if set(LOAD) & set(terms):
         records = []
         for part in windows_of(recording, window_s)[:_WINDOWS]:
             with suppress(UnusableError):  # as at rest
                 records.append(replace(from_recordings([part]), hold=joint.record.hold))
         if records:
-            physical, terms, _ = chosen_terms(records, joint)
+            physical, terms, _ = choose_window_terms(records, joint)
     reference = reference_of(
         motor,
         NAMES,

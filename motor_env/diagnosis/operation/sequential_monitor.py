@@ -59,12 +59,12 @@ def learn_calibration(
         prior_sd: how far each logarithm may drift for no known reason, shape (4,); 0 where only a fault moves it.
         temperature_k: how much warmer or colder the motor may be, one standard deviation.
     """
-    off, count = logs - logs.mean(axis=0), len(logs)
-    white = np.linalg.solve(np.linalg.cholesky(errors), off[..., None])[..., 0]
+    deviations, count = logs - logs.mean(axis=0), len(logs)
+    white = np.linalg.solve(np.linalg.cholesky(errors), deviations[..., None])[..., 0]
     white -= white.mean(axis=0)
     scatter = white.T @ white
-    alike = max(float(np.trace(scatter)) / _P / (count - 1), 1e-12) * np.eye(_P)
-    covariance = (scatter + PRIOR_WEIGHT * alike) / (count - 1 + PRIOR_WEIGHT)
+    isotropic = max(float(np.trace(scatter)) / _P / (count - 1), 1e-12) * np.eye(_P)
+    covariance = (scatter + PRIOR_WEIGHT * isotropic) / (count - 1 + PRIOR_WEIGHT)
     unit = np.linalg.solve(np.linalg.cholesky(covariance), white.T)
     kurtosis = float(np.mean(unit**4) / np.mean(unit**2) ** 2) + math.sqrt(24.0 / unit.size)
     drift = np.diag(np.square(prior_sd)) + temperature_k**2 * np.outer(WARMTH, WARMTH)
@@ -72,11 +72,11 @@ def learn_calibration(
         windows=count,
         covariance=covariance,
         degrees_of_freedom=4.0 + 6.0 / max(kurtosis - 3.0, _LEAST_EXCESS),
-        drift_covariance=drift + np.cov(off.T) / count,
+        drift_covariance=drift + np.cov(deviations.T) / count,
     )
 
 
-def believed_calibration(log_covariance: FloatArray, freedom: float, windows: int) -> ScoreCalibration:
+def uncompared_calibration(log_covariance: FloatArray, freedom: float, windows: int) -> ScoreCalibration:
     """Return the calibration of a motor whose windows were not compared: their spread counts as a drift."""
     return ScoreCalibration(max(windows, 2), np.eye(_P), max(freedom, 2.0), log_covariance)
 
@@ -108,10 +108,10 @@ def normal_scores(
     probability = min(max(1.0 / windows_between_alarms, _FARTHER[0]), _FARTHER[1])
     allowed = -float(stdtrit(calibration.windows - 1, probability))
     bias = allowed * np.sqrt(np.einsum("pd,pq,qd->d", slopes, drift, slopes))
-    taught = calibration.windows + PRIOR_WEIGHT - 1.0
-    left = max(taught - _P + 1.0, 1.0)
-    freedom = min(left, calibration.degrees_of_freedom)
-    tails = stdtr(freedom, (bias - logs @ slopes) / math.sqrt(taught / left))
+    learned_freedom = calibration.windows + PRIOR_WEIGHT - 1.0
+    reduced_freedom = max(learned_freedom - _P + 1.0, 1.0)
+    freedom = min(reduced_freedom, calibration.degrees_of_freedom)
+    tails = stdtr(freedom, (bias - logs @ slopes) / math.sqrt(learned_freedom / reduced_freedom))
     scores: FloatArray = -ndtri(tails)
     return np.where(np.isnan(scores), 0.0, scores)
 
@@ -158,14 +158,16 @@ def checked_calibration(
     (directions, weights), count = fault_directions(), len(logs)
     others = [np.flatnonzero(np.arange(count) != n) for n in range(count)]
     each = [
-        learn_calibration(logs[some], errors[some], prior_sd, temperature_k=temperature_k) for some in others
+        learn_calibration(logs[rows], errors[rows], prior_sd, temperature_k=temperature_k) for rows in others
     ]
-    off = [logs[n] - logs[some].mean(axis=0) for n, some in enumerate(others)]
+    deviations = [logs[n] - logs[rows].mean(axis=0) for n, rows in enumerate(others)]
     holds = True
     for threshold in THRESHOLDS.tolist():
         sums, alarms = np.zeros((len(directions), len(EFFECT_SIZES))), 0
         for n, calibration in enumerate(each):
-            sums = updated_sums(sums, normal_scores(calibration, off[n], errors[n], directions, threshold))
+            sums = updated_sums(
+                sums, normal_scores(calibration, deviations[n], errors[n], directions, threshold)
+            )
             if is_alarm(sums, weights, threshold):
                 sums, alarms = np.zeros_like(sums), alarms + 1
         holds &= bool(gammainc(alarms, count / threshold) >= _UNLIKELY)  # of so many or more
@@ -200,7 +202,7 @@ class SequentialMonitor:
         self.judge, self.alarm_active = judge, False
         # At most every other window alarms.
         self.windows = max(YEAR_S / false_alarms_per_year / judge.windows.window_s, 2.0)
-        self._calibration = judge.windows.calibration or believed_calibration(
+        self._calibration = judge.windows.calibration or uncompared_calibration(
             healthy.log_covariance, healthy.degrees_of_freedom, healthy.pieces
         )
         self._directions, self._weights = fault_directions()
@@ -224,8 +226,8 @@ class SequentialMonitor:
 
         is_known = distance <= 1.0
         self.alarm_active &= is_known
-        judged, _ = self.judge.judge(window, 1.0 / self.windows, update if is_known else None)
-        return judged[0]
+        judgements, _ = self.judge.judge(window, 1.0 / self.windows, update if is_known else None)
+        return judgements[0]
 
     def update(self, logs: FloatArray, error: FloatArray) -> bool:
         """Add a window to the evidence; return whether there is an alarm, or one goes on.
@@ -274,5 +276,5 @@ def _time(seconds: float) -> str:
     """A time in the largest unit that it fills."""
     sizes = {"year": YEAR_S, "day": 86_400.0, "hour": 3600.0, "minute": 60.0}
     unit = next((unit for unit, size in sizes.items() if seconds >= size), "minute")
-    shown = f"{seconds / sizes[unit]:.3g}"
-    return f"{shown} {unit}" + "s" * (shown != "1")
+    number = f"{seconds / sizes[unit]:.3g}"
+    return f"{number} {unit}" + "s" * (number != "1")

@@ -78,9 +78,9 @@ def condition_distance(features: FloatArray, others: FloatArray) -> FloatArray:
         features: of the window, shape (3, 17).
         others: of the others, shape (n, 3, 17).
     """
-    levels, off = len(_LEVELS), np.abs(others - features)
+    levels, offset = len(_LEVELS), np.abs(others - features)
     sizes = np.sqrt(np.mean(np.square(others[..., :levels]), axis=2))
-    distances = np.maximum(off[..., :levels].mean(axis=2), off[..., levels:].mean(axis=2))
+    distances = np.maximum(offset[..., :levels].mean(axis=2), offset[..., levels:].mean(axis=2))
     return np.asarray(np.min(distances / np.maximum(sizes, np.finfo(float).tiny), axis=1), dtype=np.float64)
 
 
@@ -91,7 +91,7 @@ def nearest(features: FloatArray, conditions: Sequence[OperatingCondition]) -> t
     return place, distances[place]
 
 
-def sorted_by_condition(features: FloatArray, times: float) -> tuple[NDArray[np.intp], float]:
+def group_by_condition(features: FloatArray, times: float) -> tuple[NDArray[np.intp], float]:
     """Sort windows by condition: that of each, shape (n,), and up to which distance conditions are alike.
 
     Windows are alike if they are as near to each other as each is to the one nearest to it, or so many times as far.
@@ -100,24 +100,24 @@ def sorted_by_condition(features: FloatArray, times: float) -> tuple[NDArray[np.
         features: of the windows, shape (n, 3, 17).
         times: how many.
     """
-    distances = np.array([condition_distance(one, features) for one in features])
+    distances = np.array([condition_distance(window, features) for window in features])
     others = distances + np.diag(np.full(len(features), np.inf))
     alike = times * max(ALIKE, float(others.min(axis=1).max()))
     _, condition = connected_components(distances <= alike, directed=False)
     return np.asarray(condition, dtype=np.intp), alike
 
 
-def off_others(conditions: Sequence[OperatingCondition]) -> FloatArray:
+def condition_offsets(conditions: Sequence[OperatingCondition]) -> FloatArray:
     """Compare R, K, J and B of each condition with the median of the others, all logarithms, shape (n_conditions, 4).
 
     It is 0 for one with more windows than all others together, as these tell nothing of it, and of none at all.
     """
-    off = np.zeros((max(len(conditions), 1), 4))
+    offset = np.zeros((max(len(conditions), 1), 4))
     logs, counts = [np.log(each.values) for each in conditions], [len(each.pieces) for each in conditions]
     for k, log in enumerate(logs):
         if 2 * counts[k] <= sum(counts):
-            off[k] = log - np.median(logs[:k] + logs[k + 1 :], axis=0)
-    return off
+            offset[k] = log - np.median(logs[:k] + logs[k + 1 :], axis=0)
+    return offset
 
 
 MOST_SAMPLES = 6_000
@@ -156,7 +156,7 @@ def windows_of(recording: Recording, window_s: float) -> list[Recording]:
     return [cut(recording, slice(n * length, (n + 1) * length)) for n in range(count)]
 
 
-def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
+def with_drag_over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
     """Give a window's fit the drag over the speed instead of a factor on the drag of the physical values."""
     drag = math.log(viscous(physical, speed_rad_s))
     logs = fit.logs + np.array([0.0, 0.0, 0.0, drag])
@@ -190,7 +190,7 @@ class WindowJudge:
         windows = self.windows
         record = replace(record, hold=windows.hold)
         fit = fit_window(record, self.physical(), windows.terms, one_way=windows.one_way)
-        return over_speed(fit, windows.physical, windows.speed_rad_s)
+        return with_drag_over_speed(fit, windows.physical, windows.speed_rad_s)
 
     def condition_of(self, recording: Recording) -> tuple[int, float]:
         """Find the healthy condition that a recording's last window is like, and how far off: above 1 it is not."""
@@ -217,8 +217,8 @@ class WindowJudge:
             place: of the nearest condition.
             fit: of the window.
         """
-        off = off_others(self.windows.drives)[place]
-        times = float(np.sqrt(np.mean(np.square(off / CONDITION_SPREAD)[:-1])))
+        offset = condition_offsets(self.windows.drives)[place]
+        times = float(np.sqrt(np.mean(np.square(offset / CONDITION_SPREAD)[:-1])))
         spread = CONDITION_SPREAD * max(times, 1.0)
         spread[-1] *= max(per_log(math.exp(fit.log_values[-1] - self.reference.log_values[-1])), 1.0)
         return spread
@@ -251,11 +251,11 @@ class WindowJudge:
             raise UnusableError(
                 f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
             )
-        chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(sampled, parts)
-        judged = [self._judged(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen]
-        return judged if len(self.references) < 2 else _confirmed(judged), len(parts)
+        chosen = range(len(parts)) if len(parts) <= MANY else self._choose_windows(sampled, parts)
+        judged = [self._judge_window(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen]
+        return judged if len(self.references) < 2 else _require_half_of_windows(judged), len(parts)
 
-    def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
+    def _choose_windows(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
         """Choose the windows that are judged, of many."""
         values, length = self.physical(), len(parts[0].time_s)
         values[index.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
@@ -277,23 +277,23 @@ class WindowJudge:
             return None
         return find_failure(ChannelRecord(part.dt_s, volts, part.current_a, speed), self.physical())
 
-    def _judged(
+    def _judge_window(
         self, part: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None
     ) -> Judgement:
         failed = self.failed_sensor(part)
         if failed is not None:
             return failed
-        place, strange = self.condition_of(part)
-        alike = self.under(place)
+        place, distance = self.condition_of(part)
+        judge = self.under(place)
         try:
             record = from_recordings([part])
             # From the mean of conditions that are far apart it may stay in a notch between them.
-            fit = alike.fitted(record)
+            fit = judge.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
-        reference = alike.reference if strange <= 1.0 else self.reference
+        reference = judge.reference if distance <= 1.0 else self.reference
         judged = decide(fit, reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
-        if judged.verdict is Verdict.UNUSABLE or strange <= 1.0:
+        if judged.verdict is Verdict.UNUSABLE or distance <= 1.0:
             return judged
         if not judged.verdict.is_fault:
             return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
@@ -301,29 +301,31 @@ class WindowJudge:
         condition = np.diag(np.square(self.condition_spread(place, fit)))
         spread = add_normal_spread(own, condition, share, self.reference.degrees_of_freedom)
         allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
-        if allowed.verdict.is_fault and strange <= FAR:
+        if allowed.verdict.is_fault and distance <= FAR:
             return replace(allowed, reasons=(*allowed.reasons, DRIVEN_OTHERWISE))
         return _as_unusable(allowed, judged.reasons[0])
 
 
-def _as_unusable(judged: Judgement, said: str) -> Judgement:
+def _as_unusable(judged: Judgement, reason: str) -> Judgement:
     """Judge a window that is driven otherwise unusable, and say what would be said of one that is not."""
     why = f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
-    return replace(judged.as_other(f"{why} {said}"), verdict=Verdict.UNUSABLE, confidence=None)
+    return replace(judged.as_other(f"{why} {reason}"), verdict=Verdict.UNUSABLE, confidence=None)
 
 
-def _confirmed(judged: list[Judgement]) -> list[Judgement]:
+def _require_half_of_windows(judged: list[Judgement]) -> list[Judgement]:
     """Check faults under unknown conditions, of a motor with several: a true one shows in half of these windows.
 
     A window that is driven like none of them is compared with all together, and each of them is off in its own way. A
     fault moves all such windows alike; what the model lacks is beyond the wide limits in a few.
     """
-    otherwise = [any(why.startswith(DRIVEN_OTHERWISE) for why in one.reasons) for one in judged]
-    faults = [is_other and one.verdict.is_fault for one, is_other in zip(judged, otherwise, strict=True)]
+    otherwise = [any(why.startswith(DRIVEN_OTHERWISE) for why in window.reasons) for window in judged]
+    faults = [
+        is_other and window.verdict.is_fault for window, is_other in zip(judged, otherwise, strict=True)
+    ]
     if 2 * sum(faults) >= sum(otherwise):
         return judged
     each = zip(judged, faults, strict=True)
-    return [_as_unusable(one, one.reasons[0]) if is_fault else one for one, is_fault in each]
+    return [_as_unusable(window, window.reasons[0]) if is_fault else window for window, is_fault in each]
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
@@ -346,4 +348,4 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
             f" got {len(healthy.windows.physical)}"
         )
     references = [reference_of(healthy.under(condition)) for condition in healthy.windows.drives]
-    return WindowJudge(healthy.windows, reference, tuple(one for one in references if one is not None))
+    return WindowJudge(healthy.windows, reference, tuple(each for each in references if each is not None))

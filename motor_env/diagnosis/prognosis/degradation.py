@@ -239,23 +239,23 @@ class Degradation:
 
         Of more than 300 grid points those at 300 even steps of the cumulated weight are taken.
         """
-        some, share = np.arange(len(self.weights)), self.weights
-        if len(some) > _MOST_PASSAGES:
+        chosen, share = np.arange(len(self.weights)), self.weights
+        if len(chosen) > _MOST_PASSAGES:
             even = (np.arange(_MOST_PASSAGES) + 0.5) / _MOST_PASSAGES
-            some = np.minimum(np.searchsorted(np.cumsum(self.weights), even), len(some) - 1)
+            chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), even), len(chosen) - 1)
             share = np.full(_MOST_PASSAGES, 1.0 / _MOST_PASSAGES)
-        covariance = self.covariance[some]
-        spread = covariance[:, 0, 0] + self.limit_variance[some]
-        off = np.sqrt(spread)[:, None] * _LEVEL_NODES
+        covariance = self.covariance[chosen]
+        spread = covariance[:, 0, 0] + self.limit_variance[chosen]
+        deviation = np.sqrt(spread)[:, None] * _LEVEL_NODES
         slope = covariance[:, 0, 1] / spread
         variance = np.maximum(covariance[:, 1, 1] - slope * covariance[:, 0, 1], 0.0)
         return (
-            (self.sign * self.limit - self.level[some, None] - off).ravel(),
-            (self.drift[some, None] + slope[:, None] * off).ravel(),
+            (self.sign * self.limit - self.level[chosen, None] - deviation).ravel(),
+            (self.drift[chosen, None] + slope[:, None] * deviation).ravel(),
             np.repeat(variance, len(_LEVEL_NODES)),
-            np.repeat(self.diffusion[some], len(_LEVEL_NODES)),
+            np.repeat(self.diffusion[chosen], len(_LEVEL_NODES)),
             np.outer(share, _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()).ravel(),
-            np.repeat(some, len(_LEVEL_NODES)),
+            np.repeat(chosen, len(_LEVEL_NODES)),
         )
 
     def probability_beyond(self, share: float) -> float:
@@ -276,20 +276,22 @@ class Degradation:
         pace = abs(self.mean_drift) + 1e-3 * abs(reach) / float(self.span.max())
         axis = np.geomspace(1e-4, 1e3, _LIFE_POINTS) * max(abs(reach) / pace, 1e-3 * float(self.span.max()))
         cdf = np.maximum.accumulate(self.passage(axis))
-        wanted = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]
-        low, median, high = np.exp(np.interp(wanted, cdf, np.log(axis), left=-np.inf, right=np.inf)).tolist()
+        quantiles = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]
+        low, median, high = np.exp(
+            np.interp(quantiles, cdf, np.log(axis), left=-np.inf, right=np.inf)
+        ).tolist()
         return RemainingLife(low, median, high, level, self.probability_beyond(1.0), float(cdf[-1]))
 
     def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Predict mean and standard deviation of the level at times after the last estimate."""
         times = np.asarray(ahead, dtype=np.float64)
-        moved = self._scale_ahead(times)
-        mean = self.level + self.drift * moved
+        elapsed = self._scale_ahead(times)
+        mean = self.level + self.drift * elapsed
         spread = (
             self.covariance[:, 0, 0]
-            + 2.0 * moved * self.covariance[:, 0, 1]
-            + moved**2 * self.covariance[:, 1, 1]
-            + self.diffusion**2 * moved
+            + 2.0 * elapsed * self.covariance[:, 0, 1]
+            + elapsed**2 * self.covariance[:, 1, 1]
+            + self.diffusion**2 * elapsed
         )
         centre, square = mean @ self.weights, (spread + mean**2) @ self.weights
         return self.sign * centre, np.sqrt(np.maximum(square - centre**2, 0.0))

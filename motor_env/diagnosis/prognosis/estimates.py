@@ -69,9 +69,9 @@ def date_of(text: str) -> float | None:
     match = _ISO.search(text) or _MONTH_FIRST.search(text)
     if match is None:
         return None
-    found = {name: int(_MONTHS.get(part, part)) for name, part in match.groupdict(default="0").items()}
+    fields = {name: int(_MONTHS.get(part, part)) for name, part in match.groupdict(default="0").items()}
     with suppress(ValueError):  # there is no such day
-        return datetime(**found, tzinfo=UTC).timestamp() / SECONDS_PER_DAY
+        return datetime(**fields, tzinfo=UTC).timestamp() / SECONDS_PER_DAY
     return None
 
 

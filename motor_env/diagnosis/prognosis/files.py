@@ -175,7 +175,7 @@ def _limit_json(trend: Trend, forecast: Forecast) -> dict[str, Any]:
         "close": forecast.close,
         "probability_reached": forecast.life.probability_reached,
         "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
-        "remaining_life": life if forecast is trend.leading and forecast.is_told else None,
+        "remaining_life": life if forecast is trend.leading and forecast.has_remaining_life else None,
         "withheld": forecast.withheld or None,
     }
 
@@ -259,7 +259,7 @@ def _draw_chart(trend: Trend) -> str:
     shown = np.concatenate([relative - error, relative + error, [1.0], factors])
     low, high = float(shown.min()), float(shown.max())
     room = 0.06 * max(high - low, 1e-6)
-    forecast = trend.leading if trend.leading is not None and trend.leading.is_told else None
+    forecast = trend.leading if trend.leading is not None and trend.leading.has_remaining_life else None
     left, last, ahead = float(series.time[0]), float(series.time[-1]), 0.0
     if forecast is not None:
         end = next(x for x in (forecast.life.high, forecast.life.median, last - left) if math.isfinite(x))

@@ -61,7 +61,7 @@ class Forecast:
     withheld: str = ""
 
     @property
-    def is_told(self) -> bool:
+    def has_remaining_life(self) -> bool:
         """Whether the remaining life is told."""
         return self.trends and not (self.reached or self.withheld)
 
@@ -181,9 +181,9 @@ def _jump(relative: Series, factors: Sequence[float]) -> str:
         return ""
     at, start = float(relative.time[jump[0]]), relative.start
     moment = f"{at:.4g} {relative.unit}" if start is None else f"{start + timedelta(days=at):%Y-%m-%d}"
-    said = f"a jump of {_percent(jump[1])} at {moment} (a repair or a step)"
+    words = f"a jump of {_percent(jump[1])} at {moment} (a repair or a step)"
     away = [factor for factor in factors if (factor - 1.0) * jump[1] < 0.0]
-    return said + (
+    return words + (
         f", judged since then against {' and '.join(_percent(f - 1.0) for f in away)}: " if away else ": "
     )
 
@@ -288,11 +288,11 @@ def last_jump(series: Series, sign: float = 0.0) -> tuple[int, float] | None:
         return None
     fits = []
     for k in range(_FEWEST, n - _FEWEST + 1):
-        some = slice(max(k - _BESIDE, 0), k + _BESIDE)
-        time = series.time[some] - series.time[k]
+        around = slice(max(k - _BESIDE, 0), k + _BESIDE)
+        time = series.time[around] - series.time[k]
         design = np.stack([np.ones(len(time)), time / np.ptp(time), time >= 0.0], axis=1)
-        both = np.linalg.inv(design.T @ design)
-        fits.append(((both @ (design.T @ series.estimate[some]))[2], math.sqrt(both[2, 2])))
+        covariance = np.linalg.inv(design.T @ design)
+        fits.append(((covariance @ (design.T @ series.estimate[around]))[2], math.sqrt(covariance[2, 2])))
     height, error = np.array(fits).T
     z = height / error
     spread = max(_MAD * float(np.median(np.abs(z))), 0.5 * float(np.median(series.standard_error)))

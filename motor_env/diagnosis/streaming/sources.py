@@ -52,22 +52,22 @@ def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
         pieces: of a source.
         rest: whether what follows the last line end is a line, too.
     """
-    left, heard_s, is_silent = bytearray(), time.monotonic(), False
+    left, last_line_s, is_silent = bytearray(), time.monotonic(), False
     for piece in pieces:
         if isinstance(piece, Notice):
             left.clear()
             yield piece
-            heard_s, is_silent = time.monotonic(), piece.kind == "unplugged"
+            last_line_s, is_silent = time.monotonic(), piece.kind == "unplugged"
             continue
         left += piece
         if b"\n" in piece:
             *whole, left = left.split(b"\n")
             yield from (bytes(line) + b"\n" for line in whole)
-            heard_s, is_silent = time.monotonic(), False  # now: a window may have been judged meanwhile
+            last_line_s, is_silent = time.monotonic(), False  # now: a window may have been judged meanwhile
         if len(left) > LONGEST_LINE:
             yield bytes(left)
             left.clear()
-        if not is_silent and time.monotonic() - heard_s > SILENCE_S:
+        if not is_silent and time.monotonic() - last_line_s > SILENCE_S:
             is_silent = True
             yield SILENCE
     if left and rest:
@@ -131,11 +131,11 @@ def _standard_input() -> Iterator[Piece]:
 
 def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece]:
     """Read a file. Each read begins with the block before it: where that is another one, so is the file."""
-    file, following = _opened(path), None
+    file, successor = _open(path), None
     try:
         while True:
-            if follow and following is None:  # asked first, so that the old one is read to its end
-                following = _following(path, file)
+            if follow and successor is None:  # asked first, so that the old one is read to its end
+                successor = _open_successor(path, file)
             file.seek(min(at - len(before), os.fstat(file.fileno()).st_size))
             block = file.read(len(before) + _CHUNK)
             if not block.startswith(before):
@@ -148,9 +148,9 @@ def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece
             yield piece
             if piece:
                 continue
-            if following is not None:
+            if successor is not None:
                 file.close()
-                file, following, at, before = following, None, 0, b""
+                file, successor, at, before = successor, None, 0, b""
                 yield Notice(NEW_FILE, f"{path} is another file now: read from its begin")
             elif follow:
                 time.sleep(_PAUSE_S)
@@ -158,22 +158,22 @@ def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece
                 return
     finally:
         file.close()
-        if following is not None:
-            following.close()
+        if successor is not None:
+            successor.close()
 
 
-def _opened(path: Path) -> FileIO:
+def _open(path: Path) -> FileIO:
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is no regular file; a port is serial:PORT, and a pipe standard input")
     return FileIO(path)
 
 
-def _following(path: Path, file: FileIO) -> FileIO | None:
+def _open_successor(path: Path, file: FileIO) -> FileIO | None:
     """Open another file in its place, once something is in it: before that, the old one may still grow."""
     with suppress(FileNotFoundError):
         now = path.stat()
         if now.st_size > 0 and not os.path.samestat(now, os.fstat(file.fileno())):
-            return _opened(path)
+            return _open(path)
     return None
 
 
@@ -239,14 +239,14 @@ def _mqtt(broker: _Broker) -> Iterator[Piece]:
     if broker.user:
         client.username_pw_set(broker.user, broker.password)
 
-    def subscribe(*given: Any) -> None:
-        if given[3].is_failure:
-            waiting.offer(Notice("unplugged", f"{broker.host} refuses: {given[3]}".lower()))
+    def subscribe(*arguments: Any) -> None:
+        if arguments[3].is_failure:
+            waiting.offer(Notice("unplugged", f"{broker.host} refuses: {arguments[3]}".lower()))
         else:
             client.subscribe(broker.topic, qos=1)
 
     client.on_connect = subscribe
-    client.on_message = lambda *given: waiting.offer(bytes(given[2].payload).rstrip(b"\r\n") + b"\n")
+    client.on_message = lambda *arguments: waiting.offer(bytes(arguments[2].payload).rstrip(b"\r\n") + b"\n")
     client.on_disconnect = lambda *_: waiting.offer(Notice("unplugged", f"{broker.host} is gone"))
     try:
         client.connect(broker.host, broker.port)

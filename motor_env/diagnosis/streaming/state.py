@@ -84,10 +84,12 @@ class State:
         except (ValueError, TypeError, RecursionError) as error:
             reason = "nested too deep" if isinstance(error, RecursionError) else error
             raise InputError(f"{path}: is no state of watch ({reason}); give another file") from None
-        for what, kept, given in (("motor file", state.motor, motor), ("source", state.source, source)):
-            if kept != given:
-                told = f", {kept[:200]!r}, and not of {given!r}" if what == "source" else " than this one"
-                raise InputError(f"{path}: is the state of another {what}{told}; give another --state")
+        for what, saved, current in (("motor file", state.motor, motor), ("source", state.source, source)):
+            if saved != current:
+                detail = (
+                    f", {saved[:200]!r}, and not of {current!r}" if what == "source" else " than this one"
+                )
+                raise InputError(f"{path}: is the state of another {what}{detail}; give another --state")
         return state
 
     def save(self, path: Path) -> None:

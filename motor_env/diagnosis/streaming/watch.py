@@ -112,28 +112,30 @@ class EventThrottle:
     """
 
     def __init__(self) -> None:
-        self._said_s: dict[str, tuple[float, float]] = {}
-        self._held: dict[str, Event] = {}
+        self._emitted_s: dict[str, tuple[float, float]] = {}
+        self._pending: dict[str, Event] = {}
 
-    def passed(self, events: Iterable[Event], streamed_s: float) -> Iterator[Event]:
+    def filter(self, events: Iterable[Event], streamed_s: float) -> Iterator[Event]:
         """Yield those that are said now, and those that were held back and are due."""
         for event in events:
             if event.kind not in _OFTEN:
                 yield event
             else:
-                held = self._held.get(event.kind)
-                self._held[event.kind] = event if held is None else replace(event, count=held.count + 1)
-        if self._held:
+                pending = self._pending.get(event.kind)
+                self._pending[event.kind] = (
+                    event if pending is None else replace(event, count=pending.count + 1)
+                )
+        if self._pending:
             now_s = (streamed_s, time.monotonic())
-            for kind in list(self._held):
-                before_s = self._said_s.get(kind, (-math.inf, -math.inf))
+            for kind in list(self._pending):
+                before_s = self._emitted_s.get(kind, (-math.inf, -math.inf))
                 if any(now - before >= _SECOND for now, before in zip(now_s, before_s, strict=True)):
-                    self._said_s[kind] = now_s
-                    yield self._held.pop(kind)
+                    self._emitted_s[kind] = now_s
+                    yield self._pending.pop(kind)
 
-    def rest(self) -> Iterator[Event]:
+    def flush(self) -> Iterator[Event]:
         """Yield what is still held back when the lines end."""
-        yield from self._held.values()
+        yield from self._pending.values()
 
 
 @dataclass
@@ -214,33 +216,33 @@ class Watch:
         return "" if isinstance(self._phase, LearningPhase) else self._phase.describe_false_alarm_rate()
 
     @property
-    def _pace(self) -> Windows | LearningPhase:
+    def _timing(self) -> Windows | LearningPhase:
         """What tells the length of a window and the sampling interval."""
         return self._phase if isinstance(self._phase, LearningPhase) else self._phase.judge.windows
 
     def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
         """Yield the events of lines and of what their source says."""
         for line in lines:
-            yield from self._throttle.passed(self._counted(line), self._streamed_s)
-        yield from self._throttle.rest()
+            yield from self._throttle.filter(self._count_events(line), self._streamed_s)
+        yield from self._throttle.flush()
         if not self._columns and self.state.counts["malformed"]:
             raise InputError(f"no line names the columns time, voltage, current and speed; {_NAME_THEM}")
 
-    def _counted(self, line: Piece) -> Iterator[Event]:
+    def _count_events(self, line: Piece) -> Iterator[Event]:
         if isinstance(line, Notice):
             if line.kind == NEW_FILE:
                 self.state.begin()
-            events: Iterable[Event] = [self._broken(line.kind, line.text)]
+            events: Iterable[Event] = [self._restart_window(line.kind, line.text)]
             self._last, self._is_begin = None, True
         else:
             is_begin, self._is_begin = self._is_begin, line.endswith(b"\n")
             self.state.advance(line)
-            events = self._line(line) if is_begin else ()
+            events = self._parse_line(line) if is_begin else ()
         for event in events:
             self.state.counts[event.name] += 1
             yield event
 
-    def _line(self, line: bytes) -> Iterator[Event]:
+    def _parse_line(self, line: bytes) -> Iterator[Event]:
         # A file may begin with a mark of its encoding, and several may be joined.
         text = line[: LONGEST_LINE + 1].removeprefix(BOM_UTF8).decode("utf-8", "replace").strip()
         if len(line) > LONGEST_LINE:
@@ -252,28 +254,30 @@ class Watch:
         except (ValueError, IndexError):
             sample = []
         if sample and math.isfinite(sum(sample)) and abs(sample[2]) <= LARGEST_CURRENT_A:
-            yield from self._sample(sample)
+            yield from self._add_sample(sample)
         # A device that begins anew says its header again.
         elif text and text[0] != "#" and not self._read_header(text):
             yield Event(self._time_s, "malformed", text[:60])
 
-    def _sample(self, sample: list[float]) -> Iterator[Event]:
+    def _add_sample(self, sample: list[float]) -> Iterator[Event]:
         last, self._last = self._last, sample
         if last is not None:
             self._same = self._same + 1 if last[2] == sample[2] and sample[1] else 0
             if self._same == STUCK_AFTER:
-                yield self._broken("stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A")
+                yield self._restart_window(
+                    "stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A"
+                )
             if self._same >= STUCK_AFTER:
                 return
             step = sample[0] - last[0]
             if step <= 0.0:
-                yield self._broken("time_jump", f"{-step:.6g} s back")
-            elif step > _GAP_STEPS * self._pace.dt_s:
-                yield self._broken("gap", f"{step:.6g} s without a sample")
+                yield self._restart_window("time_jump", f"{-step:.6g} s back")
+            elif step > _GAP_STEPS * self._timing.dt_s:
+                yield self._restart_window("gap", f"{step:.6g} s without a sample")
             else:
                 self._streamed_s += step
         self._window.extend(sample)
-        if sample[0] - self._window[0] >= self._pace.window_s:
+        if sample[0] - self._window[0] >= self._timing.window_s:
             event = self._close_window()
             if isinstance(self._phase, SequentialMonitor):  # before it is said: with it the state is kept
                 self.state.memory = self._phase.state_dict
@@ -285,19 +289,19 @@ class Watch:
         for name in ("current", "speed"):
             if values["voltage"].any() and not np.ptp(values[name]):
                 text = f"the {name} of a whole window is {values[name][0]:.6g}"
-                return self._broken("stuck_sensor", text)
+                return self._restart_window("stuck_sensor", text)
         even_s, values, _ = resampled(time_s, values, self._step_s)
         recording = Recording(Path("stream"), even_s, values["current"], values["voltage"], values["speed"])
-        if abs(recording.dt_s - self._pace.dt_s) < _SAME_STEP * self._pace.dt_s:
-            self._step_s = self._pace.dt_s
+        if abs(recording.dt_s - self._timing.dt_s) < _SAME_STEP * self._timing.dt_s:
+            self._step_s = self._timing.dt_s
         if isinstance(self._phase, LearningPhase):
-            return self._learned(recording, self._phase)
+            return self._learn(recording, self._phase)
         try:
-            return self._verdict(self._phase.diagnose(recording))
+            return self._window_event(self._phase.diagnose(recording))
         except UnusableError as error:
             return Event(self._time_s, "window", "unusable", reason=str(error))
 
-    def _learned(self, recording: Recording, phase: LearningPhase) -> Event:
+    def _learn(self, recording: Recording, phase: LearningPhase) -> Event:
         phase.recordings.append(averaged(recording, phase.window_s))
         learned_s = len(phase.recordings) * phase.window_s
         words = f"{learned_s:g} of {phase.learn_s:g} s"
@@ -311,7 +315,7 @@ class Watch:
         self._monitor(healthy)
         return Event(self._time_s, "learned", f"{words}: {self.describe_false_alarm_rate()}")
 
-    def _verdict(self, window: Judgement) -> Event:
+    def _window_event(self, window: Judgement) -> Event:
         ratios = {change.name: change.ratio for change in window.changes}
         moved = {change.name for change in window.changes if change.significant}
         # No wear moves both.
@@ -329,7 +333,7 @@ class Watch:
             undecided=tuple(change.name for change in window.changes if change.verdict == "undecided"),
         )
 
-    def _broken(self, kind: str, text: str) -> Event:
+    def _restart_window(self, kind: str, text: str) -> Event:
         self._window = array("d")
         return Event(self._time_s, kind, text)
 
@@ -378,23 +382,23 @@ def run(
     """
     if name is None and follow:
         raise InputError("--follow needs a log; standard input is waited for anyway")
-    known = _known(motor) if learning is None or motor.exists() else learning
-    seen = State.load(state, _digest(motor), identity(name))
-    seen.header = columns or seen.header
-    watcher = Watch(known, seen, false_alarms_per_year=false_alarms_per_year)
+    healthy = _load_healthy(motor) if learning is None or motor.exists() else learning
+    watched = State.load(state, _digest(motor), identity(name))
+    watched.header = columns or watched.header
+    watcher = Watch(healthy, watched, false_alarms_per_year=false_alarms_per_year)
     if rate := watcher.describe_false_alarm_rate():
         sys.stderr.write(f"{rate}\n")
-    before = seen.last_read.encode("latin-1")
-    pieces = source(name, follow=follow, baud=baud, offset=seen.offset, last_read=before)
-    with suppress(KeyboardInterrupt), showing(seen.counts) as show:  # Ctrl-C is the usual end of a watch
+    before = watched.last_read.encode("latin-1")
+    pieces = source(name, follow=follow, baud=baud, offset=watched.offset, last_read=before)
+    with suppress(KeyboardInterrupt), showing(watched.counts) as show:  # Ctrl-C is the usual end of a watch
         for event in watcher.events(lines(pieces, rest=not follow)):
             show(event)
             if event.kind == "learned" and watcher.healthy is not None:
                 save_motor(motor_of_windows(watcher.healthy, motor.stem), motor)
-                seen.motor = _digest(motor)
+                watched.motor = _digest(motor)
             if state is not None and event.kind in ("window", "learned", NEW_FILE):
-                seen.save(state)
-    return int(seen.exit_status)
+                watched.save(state)
+    return int(watched.exit_status)
 
 
 def watch(
@@ -426,7 +430,7 @@ def _digest(motor: Path) -> str:
     return hashlib.sha256(read_file(motor, LARGEST_NOTE_BYTES)).hexdigest() if motor.exists() else ""
 
 
-def _known(motor: Path) -> Healthy:
+def _load_healthy(motor: Path) -> Healthy:
     """Load what windows have taught of the motor of a file."""
     try:
         return _windows_of(load_motor(motor))
@@ -447,7 +451,7 @@ def _windows_of(motor: Motor) -> Healthy:
 def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
     """Yield the function that shows an event; the counts are those of all events."""
     if not sys.stdout.isatty():
-        yield _line
+        yield _print_line
         return
     from rich.console import Group
     from rich.live import Live
@@ -470,7 +474,7 @@ def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
         yield show
 
 
-def _line(event: Event) -> None:
+def _print_line(event: Event) -> None:
     sys.stdout.write(event.as_json() + "\n")
     sys.stdout.flush()
 

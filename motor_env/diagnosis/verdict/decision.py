@@ -49,7 +49,7 @@ from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
-_TELLING_WARMTH_K = 8.0
+_NOTABLE_WARMTH_K = 8.0
 # Sizes of changes; a ratio beyond the last is that of a quantity which the healthy pieces hardly told.
 _DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
 _LEFT_OVER = 0.01
@@ -138,10 +138,10 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
     if reference.includes_fit_error:
         spread = fit.white_covariance[np.ix_(rows, rows)]
     smallest = smallest_changes(replace(hypothesis.difference, covariance=spread), limits.z)
-    unseen = tuple(_describe_undecided(smallest, reference.source))
-    if len(unseen) == len(_CHECKED_FAULTS):
-        return replace(healthy, verdict=Verdict.UNUSABLE, reasons=unseen, severity=None, confidence=None)
-    healthy = replace(healthy, reasons=(*healthy.reasons, *unseen))
+    undecided = tuple(_describe_undecided(smallest, reference.source))
+    if len(undecided) == len(_CHECKED_FAULTS):
+        return replace(healthy, verdict=Verdict.UNUSABLE, reasons=undecided, severity=None, confidence=None)
+    healthy = replace(healthy, reasons=(*healthy.reasons, *undecided))
     return _check_noise(healthy, fit, reference, limits.noise_z)
 
 
@@ -164,7 +164,7 @@ def _explain_alarm(
 
     first = hypotheses[0]
     scales = find_scaling_errors(first.difference, reference.names, limit, rate)
-    also = [describe_scaling_errors(scales)] if scales else []
+    scaling = [describe_scaling_errors(scales)] if scales else []
     # What has taught no sensors says nothing of their gains.
     gains = [scale.gain for scale in scales if scale.gain is not None and reference.is_taught]
     for hypothesis in hypotheses[:1] if any(map(suffices, first.faults)) else hypotheses:
@@ -177,27 +177,27 @@ def _explain_alarm(
             if gains:
                 probability = probabilities(difference, [*faults, *gains])
                 share = sum(probability[gain.kind] for gain in gains)
-                also[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
+                scaling[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
                 if share > probability[best.kind]:
                     break
             judgement = _name_fault(healthy, reference, as_fitted, probability, hypothesis.load.name)
-            return replace(judgement, reasons=(*judgement.reasons, *also))
+            return replace(judgement, reasons=(*judgement.reasons, *scaling))
     if gains and len(gains) == len(scales):
         probability = probabilities(first.difference, [*first.faults, *gains])
         # Two that explain alike differ by rounding: the one that is named first counts.
         likeliest = max(gains, key=lambda gain: round(probability[gain.kind], 9))
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
             judgement = _name_fault(healthy, reference, likeliest, probability, None)
-            return replace(judgement, reasons=(*also, *judgement.reasons))
+            return replace(judgement, reasons=(*scaling, *judgement.reasons))
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
     # These cannot be named: a coupled load would look the same.
-    alike = (
+    unnameable = (
         f"it may be {fault.kind} by {fault.severity:.0%} ({fault.kind.finding}), or a coupled load: a recording of the"
         " speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
-    other = healthy.as_other(*also, *_describe_changes(healthy.changes, reference.source), *alike)
+    other = healthy.as_other(*scaling, *_describe_changes(healthy.changes, reference.source), *unnameable)
     return replace(other, confidence=probabilities(first.difference, first.faults)["other"])
 
 
@@ -210,7 +210,7 @@ def _describe_warming(
     kelvin, sd = estimate_warming(
         hypothesis.difference.log_ratios, same_warmth, hypothesis.load.warmth, reference.temperature_k
     )
-    if abs(kelvin) < max(_TELLING_WARMTH_K, 2.0 * sd):
+    if abs(kelvin) < max(_NOTABLE_WARMTH_K, 2.0 * sd):
         return ()
     word = "warmer" if kelvin > 0.0 else "colder"
     return (

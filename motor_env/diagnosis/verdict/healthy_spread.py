@@ -74,7 +74,7 @@ def predictive_sd(values: FloatArray, prior_sd: float) -> float:
 
 
 def next_piece(
-    fits: Sequence[Fitted], prior_sd: float, lent: FloatArray | None = None
+    fits: Sequence[Fitted], prior_sd: float, borrowed: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return mean, covariance and degrees of freedom of the next healthy piece's logarithms.
 
@@ -83,12 +83,12 @@ def next_piece(
     Args:
         fits: healthy pieces with the same quantities.
         prior_sd: prior standard deviation of each logarithm from piece to piece.
-        lent: covariance of other pieces, used where it is larger.
+        borrowed: covariance of other pieces, used where it is larger.
     """
     logs = np.array([fit.log_values for fit in fits])
     error = np.mean([fit.white_covariance for fit in fits], axis=0)
     prior = np.eye(logs.shape[1]) * prior_sd**2 + error
-    return predictive_t(logs, prior if lent is None else prior + excess_covariance(prior, lent))
+    return predictive_t(logs, prior if borrowed is None else prior + excess_covariance(prior, borrowed))
 
 
 def next_window(
@@ -101,23 +101,28 @@ def next_window(
         steady: only a fault moves the motor, also from record to record.
         usual: healthy windows of the usual drive, if `fits` are few of another one: those scatter no less.
     """
-    lent = next_window(usual, steady=True)[1] if usual else None
-    centre, covariance, freedom = next_piece(fits, 0.0, lent)
+    borrowed = next_window(usual, steady=True)[1] if usual else None
+    centre, covariance, freedom = next_piece(fits, 0.0, borrowed)
     return centre, covariance if steady else covariance + np.diag(np.square(RECORD_SPREAD)), freedom
 
 
-def usual_condition_windows(few: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
+def usual_condition_windows(pieces: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
     """Return the windows of the usual drive if those of another one are few beside them, else none."""
     usual = max(drives, key=len)
-    return usual if len(usual) >= _FEW_BESIDE * len(few) else ()
+    return usual if len(usual) >= _FEW_BESIDE * len(pieces) else ()
 
 
 def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     """Learn from all healthy pieces but one, with the same model; of windows from those of the same drive."""
     drives = () if healthy.windows is None else healthy.windows.drives
-    alike = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
-    others = [fits[n] for n in alike if n != number]
-    usual = [fits[n] for n in usual_condition_windows(alike, [drive.pieces for drive in drives] or [alike])]
+    same_condition = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
+    others = [fits[n] for n in same_condition if n != number]
+    usual = [
+        fits[n]
+        for n in usual_condition_windows(
+            same_condition, [drive.pieces for drive in drives] or [same_condition]
+        )
+    ]
     if healthy.windows is None:
         centre, covariance, freedom = next_piece(others, START_SPREAD)
     else:
@@ -194,10 +199,10 @@ def detectable_changes(
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was just learned
     drives = () if healthy.windows is None else healthy.windows.drives
-    taught = [(fits[drive.pieces[0]], healthy.under(drive)) for drive in drives] or [(fits[0], healthy)]
+    conditions = [(fits[drive.pieces[0]], healthy.under(drive)) for drive in drives] or [(fits[0], healthy)]
     smallest: dict[str, float] = {}
-    for fit, some in taught:
-        reference = _reference(replace(motor, healthy=some), fit, temperature_c)
+    for fit, healthy_there in conditions:
+        reference = _reference(replace(motor, healthy=healthy_there), fit, temperature_c)
         hypotheses = form_hypotheses(fit, reference, rate)
         limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
         for kind, severity in smallest_detectable(hypotheses, reference.own_friction, limits.z).items():

@@ -255,12 +255,12 @@ def _fit_charts(fit: StartFit | OperationFit) -> Iterator[str]:
     for (name, symbol), values, fitted, rows in zip(channels, measured, fit.expected.T, counted, strict=True):
         if values is None:
             continue
-        kept = np.flatnonzero(rows)
-        kept = kept[:: max(len(kept) // _MOST_POINTS, 1)]
-        both = {"measured": values[kept], "healthy": fitted[kept]}
-        yield _chart(time[kept], both, symbol, f"{name}, measured and fitted", time_unit=unit)
-        residual = {"beyond": values[kept] - fitted[kept]}
-        yield _chart(time[kept], residual, symbol, f"{name}: residual", time_unit=unit)
+        rows_shown = np.flatnonzero(rows)
+        rows_shown = rows_shown[:: max(len(rows_shown) // _MOST_POINTS, 1)]
+        curves = {"measured": values[rows_shown], "healthy": fitted[rows_shown]}
+        yield _chart(time[rows_shown], curves, symbol, f"{name}, measured and fitted", time_unit=unit)
+        residual = {"beyond": values[rows_shown] - fitted[rows_shown]}
+        yield _chart(time[rows_shown], residual, symbol, f"{name}: residual", time_unit=unit)
 
 
 def spread_chart(fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, Any]]) -> str:
@@ -334,8 +334,8 @@ def _ratio_axis(changes: Sequence[Change]) -> Axis:
     edge = float(np.clip(1.1 * widest, 1.1, 8.0))
     ticks: list[float] = []
     for tick in _RATIOS:
-        apart = min((abs(np.log(tick / other)) for other in ticks), default=1.0)
-        if 1.0 / edge <= tick <= edge and apart > 0.36 * np.log(edge):
+        difference = min((abs(np.log(tick / drawn)) for drawn in ticks), default=1.0)
+        if 1.0 / edge <= tick <= edge and difference > 0.36 * np.log(edge):
             ticks.append(tick)
     return Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True)
 
@@ -356,10 +356,13 @@ def _currents(fit: StartFit, expected: FloatArray | None, *, is_fault: bool) -> 
         curves["healthy"] = expected[shown]
     whole_ms, current = time_ms[shown], ""
     if expected is not None and is_fault:
-        apart = np.abs(moving_average(measured - expected, span))[begin:]
-        if np.max(apart) < _COINCIDE * np.ptp(curves["healthy"]):
+        difference = np.abs(moving_average(measured - expected, span))[begin:]
+        if np.max(difference) < _COINCIDE * np.ptp(curves["healthy"]):
             current = _end_chart(
-                time_ms, moving_average(measured, span), moving_average(expected, span), float(np.max(apart))
+                time_ms,
+                moving_average(measured, span),
+                moving_average(expected, span),
+                float(np.max(difference)),
             )
     label = "Measured current and that of the healthy motor"
     current = current or _chart(whole_ms, curves, "A", label)

@@ -78,11 +78,11 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def correlation(one: FloatArray | None, other: FloatArray | None, *, about: float | None = None) -> float:
+def correlation(first: FloatArray | None, second: FloatArray | None, *, about: float | None = None) -> float:
     """Correlate two channels, about their means or a given value; 0 if one is constant or missing."""
-    if one is None or other is None:
+    if first is None or second is None:
         return 0.0
-    a, b = (each - (each.mean() if about is None else about) for each in (one, other))
+    a, b = (each - (each.mean() if about is None else about) for each in (first, second))
     product = rms(a) * rms(b)
     return float(np.mean(a * b)) / product if product > 0.0 else 0.0
 
@@ -90,7 +90,7 @@ def correlation(one: FloatArray | None, other: FloatArray | None, *, about: floa
 _NOTHING = 0.05  # of the healthy motor's size: a smaller channel is dead ...
 _A_SCALE = 0.7  # ... unless so much of its variance follows the motor: then it has another unit
 # Correlations, from the same motion to the opposite one.
-_ALIKE, _APART, _AGAINST, _OPPOSITE = 0.8, 0.3, -0.2, -0.6
+_ALIKE, _LOW_CORRELATION, _AGAINST, _OPPOSITE = 0.8, 0.3, -0.2, -0.6
 _SAME_SIZE = 2.0
 _FEWEST, _SHORTEST = 20, 0.05  # equal samples at the end, and their share of the record
 _MOVES, _NOISE_BEFORE = 0.2, 200  # of a channel's range; samples
@@ -135,9 +135,9 @@ def _channels(
         ("current", "A", record.current_a, expected.current_a),
         ("speed", "rad/s", record.speed_rad_s, expected.speed_rad_s),
     )
-    for name, unit, shown, healthy in channels:
-        if shown is not None and healthy is not None:
-            yield name, unit, shown, healthy
+    for name, unit, measured, healthy in channels:
+        if measured is not None and healthy is not None:
+            yield name, unit, measured, healthy
 
 
 def _predict_from_others(
@@ -170,10 +170,10 @@ def _is_turning(record: ChannelRecord, expected: ChannelRecord, physical: FloatA
 
 def _check_dead(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """Find a channel without a signal, if another shows that the motor turns, or there is no other."""
-    for name, unit, shown, healthy in _channels(record, expected):
-        if rms(shown) >= _NOTHING * rms(healthy) or correlation(shown, healthy) ** 2 >= _A_SCALE:
+    for name, unit, measured, healthy in _channels(record, expected):
+        if rms(measured) >= _NOTHING * rms(healthy) or correlation(measured, healthy) ** 2 >= _A_SCALE:
             continue
-        why = f"the {name} is {rms(shown):.3g} {unit} effective where the healthy motor shows {rms(healthy):.3g}"
+        why = f"the {name} is {rms(measured):.3g} {unit} effective where the healthy motor shows {rms(healthy):.3g}"
         if name == "current":
             turns = abs(correlation(record.speed_rad_s, expected.speed_rad_s, about=0.0)) > _ALIKE
             is_dead = turns or (record.speed_rad_s is None and record.is_taught)
@@ -190,21 +190,21 @@ def _check_dead(record: ChannelRecord, expected: ChannelRecord, physical: FloatA
 def _check_stuck(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """Find a channel that ends in equal values while the motor moves, or that loses its noise."""
     on = np.abs(record.voltage_v) > _ON * np.max(np.abs(record.voltage_v))
-    for name, _, shown, healthy in _channels(record, expected):
-        others = np.flatnonzero(shown != shown[-1])
+    for name, _, measured, healthy in _channels(record, expected):
+        others = np.flatnonzero(measured != measured[-1])
         first = int(others[-1]) + 1 if len(others) else 0
         powered = healthy[first:][on[first:]]
-        if len(shown) - first < max(_FEWEST, _SHORTEST * len(shown)) or len(powered) < _FEWEST:
+        if len(measured) - first < max(_FEWEST, _SHORTEST * len(measured)) or len(powered) < _FEWEST:
             continue
-        is_none = abs(float(shown[-1])) < _NOTHING * rms(healthy)
+        is_none = abs(float(measured[-1])) < _NOTHING * rms(healthy)
         if is_none and not _motor_runs_on(name, first, record, expected, physical):
             continue
-        quantum, before = _smallest_step(shown[:first]), shown[max(first - _NOISE_BEFORE, 0) : first]
+        quantum, before = _smallest_step(measured[:first]), measured[max(first - _NOISE_BEFORE, 0) : first]
         is_noisy = len(before) > _FEWEST and difference_noise(before) > quantum
-        is_moving = np.ptp(powered) > max(_MOVES * np.ptp(healthy), 3.0 * min(quantum, np.ptp(shown)))
+        is_moving = np.ptp(powered) > max(_MOVES * np.ptp(healthy), 3.0 * min(quantum, np.ptp(measured)))
         if is_moving or is_noisy:
-            count = len(shown) - first
-            words = f"the {name} reads {shown[-1]:.4g} for its last {count} samples, while the motor runs"
+            count = len(measured) - first
+            words = f"the {name} reads {measured[-1]:.4g} for its last {count} samples, while the motor runs"
             return sensor_judgement(f"{name}_stuck", words)
     return None
 
@@ -241,13 +241,13 @@ def _check_swapped(record: ChannelRecord, expected: ChannelRecord, physical: Flo
 def _matches_motor(record: ChannelRecord, expected: ChannelRecord) -> bool:
     """Whether all channels move as expected, and about as far."""
     return all(
-        correlation(shown, healthy) > _ALIKE and _has_similar_size(shown, healthy)
-        for _, _, shown, healthy in _channels(record, expected)
+        correlation(measured, healthy) > _ALIKE and _has_similar_size(measured, healthy)
+        for _, _, measured, healthy in _channels(record, expected)
     )
 
 
-def _has_similar_size(shown: FloatArray, healthy: FloatArray) -> bool:
-    return 1.0 / _SAME_SIZE < rms(shown) / max(rms(healthy), 1e-300) < _SAME_SIZE
+def _has_similar_size(measured: FloatArray, healthy: FloatArray) -> bool:
+    return 1.0 / _SAME_SIZE < rms(measured) / max(rms(healthy), 1e-300) < _SAME_SIZE
 
 
 def _check_contradiction(
@@ -268,16 +268,17 @@ def _check_contradiction(
     )
     speed_agreed = correlation(expected.speed_rad_s, by_current) > _ALIKE
     # A noisy or a coarse channel, such as a speed by few edges, cannot be more alike than its noise allows.
-    apart = {
-        name: _APART * _highest_correlation(shown, healthy)
-        for name, _, shown, healthy in _channels(record, expected)
+    lowest_correlation = {
+        name: _LOW_CORRELATION * _highest_correlation(measured, healthy)
+        for name, _, measured, healthy in _channels(record, expected)
     }
     # What a speed in another unit says of the current is nothing, and the other way round.
     sizes = {
-        name: _has_similar_size(shown, healthy) for name, _, shown, healthy in _channels(record, expected)
+        name: _has_similar_size(measured, healthy)
+        for name, _, measured, healthy in _channels(record, expected)
     }
     against = (current_agreed and current_at_most < _AGAINST) or (by_both < _OPPOSITE and current < -_AGAINST)
-    shown = {
+    contradictions = {
         ("voltage_polarity", "current and speed both go against the voltage of the healthy motor"): (
             speed < -_ALIKE and current < _AGAINST
         ),
@@ -287,30 +288,37 @@ def _check_contradiction(
         ),
         ("current_polarity", "the current goes against voltage and speed"): speed > _ALIKE and against,
         ("swapped", "the current is not that of the motor that has this voltage and speed"): (
-            speed > _ALIKE and sizes["speed"] and current_agreed and current_at_most < apart["current"]
+            speed > _ALIKE
+            and sizes["speed"]
+            and current_agreed
+            and current_at_most < lowest_correlation["current"]
         ),
         ("swapped", "the speed is not that of the motor that has this voltage and current"): (
-            current > _ALIKE and sizes["current"] and speed_agreed and speed_at_most < apart["speed"]
+            current > _ALIKE
+            and sizes["current"]
+            and speed_agreed
+            and speed_at_most < lowest_correlation["speed"]
         ),
     }
     return next(
-        (sensor_judgement(kind, words) for (kind, words), is_shown in shown.items() if is_shown), None
+        (sensor_judgement(kind, words) for (kind, words), is_shown in contradictions.items() if is_shown),
+        None,
     )
 
 
-def _highest_correlation(shown: FloatArray, healthy: FloatArray) -> float:
+def _highest_correlation(measured: FloatArray, healthy: FloatArray) -> float:
     """Return the correlation of the healthy motor's values with themselves under the noise of a channel."""
-    return float(np.std(healthy) / max(np.hypot(np.std(healthy), difference_noise(shown)), 1e-300))
+    return float(np.std(healthy) / max(np.hypot(np.std(healthy), difference_noise(measured)), 1e-300))
 
 
 def _check_clipped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """Find a channel that stands at its largest value where the motor goes beyond, and follows it elsewhere."""
     by_speed, _ = _predict_from_others(record, physical)
-    for name, unit, shown, free in _channels(record, expected):
+    for name, unit, measured, free in _channels(record, expected):
         healthy = free if name == "speed" or by_speed is None else by_speed
-        top = float(np.max(np.abs(shown)))
-        flat = np.abs(np.abs(shown) - top) <= 1e-9 * top
-        if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(shown, _smallest_step(shown)):
+        top = float(np.max(np.abs(measured)))
+        flat = np.abs(np.abs(measured) - top) <= 1e-9 * top
+        if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(measured, _smallest_step(measured)):
             continue
         # An encoder of few edges stands at its largest value, too, but not wherever the motor shows more.
         above = np.abs(healthy) > _ABOVE * top
@@ -319,11 +327,15 @@ def _check_clipped(record: ChannelRecord, expected: ChannelRecord, physical: Flo
         # What a controller holds stands still in the healthy motor, too.
         is_more = is_more and float(np.ptp(np.abs(healthy[flat]))) > (_ABOVE - 1.0) * top
         limited = np.clip(healthy, -top, top)
-        if is_more and correlation(shown, limited) > _ALIKE and rms(shown - limited) < _MOSTLY * rms(shown):
-            most = float(np.max(np.abs(healthy)))
+        if (
+            is_more
+            and correlation(measured, limited) > _ALIKE
+            and rms(measured - limited) < _MOSTLY * rms(measured)
+        ):
+            largest = float(np.max(np.abs(healthy)))
             words = f"{int(flat.sum())} samples of the {name} stand at {top:.4g} {unit}"
             return sensor_judgement(
-                f"{name}_clipped", f"{words}, where the healthy motor reaches {most:.3g} {unit}"
+                f"{name}_clipped", f"{words}, where the healthy motor reaches {largest:.3g} {unit}"
             )
     return None
 
@@ -342,18 +354,20 @@ def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: Floa
     if np.count_nonzero(rests) >= _FEWEST:
         # A controller may hold a small voltage, of which a rotor that stands draws its current. A speed in another unit
         # is none at rest.
-        held = record.voltage_v / physical[index.R]
-        offset = min((float(np.mean((current - each)[rests])) for each in (by_speed, held)), key=abs)
-        most = _OFFSET_AT_REST
+        standing_current_a = record.voltage_v / physical[index.R]
+        offset = min(
+            (float(np.mean((current - each)[rests])) for each in (by_speed, standing_current_a)), key=abs
+        )
+        limit = _OFFSET_AT_REST
     elif min(turning) > _TURNS_BACK:
         shapes = np.stack([np.ones(len(current)), by_speed, speed, np.sign(speed)], axis=1)
-        offset, most = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
+        offset, limit = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
     else:
         return None
     # No offset where the healthy motor had one is no failure: the fit's may be no sensor's. That of a current in mA
     # counts in A.
     offset = min(offset, offset - known, key=abs) / max(rms(current) / rms(by_speed), 1.0)
-    if abs(offset) < most * float(np.max(np.abs(record.voltage_v)) / physical[index.R]):
+    if abs(offset) < limit * float(np.max(np.abs(record.voltage_v)) / physical[index.R]):
         return None
     return sensor_judgement(
         "current_offset", f"the current is off by {offset:.3g} A at every voltage and speed"
@@ -408,9 +422,9 @@ def physical_values(motor: Motor) -> FloatArray:
     if motor.healthy is not None and motor.healthy.windows is not None:
         physical = motor.healthy.windows.physical.copy()
         learned = dict(zip(motor.healthy.quantities, motor.healthy.values.tolist(), strict=True))
-        places_of = {"R": index.R, "K": index.K, "J": index.J}
-        for name in learned.keys() & places_of:
-            physical[places_of[name]] = learned[name]
+        index_of = {"R": index.R, "K": index.K, "J": index.J}
+        for name in learned.keys() & index_of:
+            physical[index_of[name]] = learned[name]
         return physical
     known, values = motor.parameters, np.zeros(index.N_VALUES)
     constant = np.sqrt(known.back_emf_constant_v_s_per_rad * np.asarray(known.torque_constant_n_m_per_a))

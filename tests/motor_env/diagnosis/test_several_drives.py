@@ -22,9 +22,9 @@ from motor_env.diagnosis.operation.windows import (
     CONDITION_SPREAD,
     DRIVEN_OTHERWISE,
     WindowJudge,
+    condition_offsets,
+    group_by_condition,
     judge_of,
-    off_others,
-    sorted_by_condition,
     windows_of,
 )
 from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows
@@ -77,13 +77,13 @@ def test_windows_are_sorted_by_how_they_are_driven() -> None:
     levels = np.array([1.0, 1.1, 3.0, 1.2, 3.3])
     moved: FloatArray = np.zeros((5, 3, 17))
     moved[:, :, :10] = levels[:, None, None]  # a constant: as far apart as the levels, over the other's
-    drive, alike = sorted_by_condition(moved, 1.0)
+    drive, alike = group_by_condition(moved, 1.0)
     assert drive.tolist() == [0, 0, 1, 0, 1]
     assert alike == pytest.approx(0.12)  # 0.3 / 3.3 is less
-    farther, alike = sorted_by_condition(moved, 6.0)
+    farther, alike = group_by_condition(moved, 6.0)
     assert farther.tolist() == [0] * 5  # 1.8 / 3.0 is 0.6
     assert alike == pytest.approx(0.72)
-    spread, alike = sorted_by_condition(moved * np.array([1.0, 1.2, 1.0, 1.0, 1.3])[:, None, None], 1.0)
+    spread, alike = group_by_condition(moved * np.array([1.0, 1.2, 1.0, 1.0, 1.3])[:, None, None], 1.0)
     assert spread.tolist() == [0, 0, 1, 0, 1]
     assert alike == pytest.approx(1.29 / 3.0)
 
@@ -154,14 +154,14 @@ def test_how_far_a_drive_is_off_the_others() -> None:
             for n, row in zip(counts, rows, strict=False)
         ]
 
-    off = off_others(with_windows(2, 2, 4))
+    off = condition_offsets(with_windows(2, 2, 4))
     np.testing.assert_allclose(off[0], [-0.3, 0.1, -0.2, -1.35])
     np.testing.assert_allclose(off[2], [0.45, -0.2, 0.4, 2.7])
-    usual = off_others(with_windows(2, 2, 5))
+    usual = condition_offsets(with_windows(2, 2, 5))
     np.testing.assert_array_equal(usual[:2], off[:2])
     assert not usual[2].any()
-    assert off_others(with_windows(4)).tolist() == [[0.0] * 4]
-    assert off_others([]).tolist() == [[0.0] * 4]
+    assert condition_offsets(with_windows(4)).tolist() == [[0.0] * 4]
+    assert condition_offsets([]).tolist() == [[0.0] * 4]
 
 
 def test_a_window_is_compared_with_those_that_are_driven_alike(

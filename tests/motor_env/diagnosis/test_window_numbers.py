@@ -31,10 +31,10 @@ from motor_env.diagnosis.operation.windows import (
     condition_distance,
     condition_features,
     judge_of,
-    over_speed,
     rms_volts,
     viscous,
     windows_of,
+    with_drag_over_speed,
 )
 from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.diagnosis.readers.regime import RegimeDecision
@@ -121,7 +121,7 @@ def test_the_drag_of_a_window_is_told_over_the_speed() -> None:
     assert viscous(PHYSICAL, 50.0) == pytest.approx(2e-6 + 6e-6 + 0.5e-6)
     assert viscous(np.zeros(index.N_VALUES), 200.0) == 1e-300
     window = WindowFit(np.log([2.0, 0.03, 4e-6, 1.5]), spread(4), PHYSICAL, WHITE, 0.0)
-    fit = over_speed(window, PHYSICAL, 200.0)
+    fit = with_drag_over_speed(window, PHYSICAL, 200.0)
     np.testing.assert_allclose(np.exp(fit.log_values), [2.0, 0.03, 4e-6, 1.5 * 5.5e-6])
     assert fit.log_covariance is fit.white_covariance
     np.testing.assert_allclose(fit.log_covariance, spread(4))

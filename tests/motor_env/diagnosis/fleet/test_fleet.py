@@ -150,7 +150,7 @@ def test_the_records_of_a_motor_share_its_rate(
 
     def noted(path: Path, _: Motor, *, false_alarm_rate: float, **reading: object) -> Diagnosis:
         rates[path.stem] = false_alarm_rate
-        return found.units[-1].telling
+        return found.units[-1].decisive
 
     monkeypatch.setattr("motor_env.diagnosis.fleet.judging.learn_fleet", lambda *_, **__: more)
     monkeypatch.setattr("motor_env.diagnosis.fleet.judging.diagnose", noted)
@@ -159,7 +159,7 @@ def test_the_records_of_a_motor_share_its_rate(
 
 
 def test_a_motor_is_told_by_the_surest_of_its_faults(found: FleetDiagnosis) -> None:
-    healthy, worst = found.units[-1].telling, found.units[0].telling
+    healthy, worst = found.units[-1].decisive, found.units[0].decisive
 
     def record(verdict: Verdict, confidence: float) -> Diagnosis:
         return replace(worst, pieces=(replace(worst.decisive, verdict=verdict, confidence=confidence),))
@@ -176,7 +176,7 @@ def test_a_fleet_says_once_how_it_was_read(learned: LearnedFleet) -> None:
 
 def test_motors_of_one_machine_do_not_count_for_each_other(learned: LearnedFleet) -> None:
     """Both motors of a machine off alike are both odd, however many motors it has."""
-    core = learned.core_without("3")
+    core = learned.population_without("3")
     assert len(core.probability) == 6
     without = learned.motor("others", core, "left").healthy
     assert without is not None
@@ -316,7 +316,7 @@ def test_a_fleet_that_was_stopped_goes_on_where_it_was(starts: list[Path], tmp_p
     fitted.clear()
     found = learn_fleet(starts, group=GROUP, kept=kept, progress=fitted.append)
     assert fitted == [*starts[6:], *starts]  # first fits of the rest, then second ones of all
-    assert found.core.centres.tolist() == learn_fleet(starts, group=GROUP).core.centres.tolist()
+    assert found.population.centres.tolist() == learn_fleet(starts, group=GROUP).population.centres.tolist()
 
 
 def test_a_kept_fit_counts_only_for_the_file_as_it_was(tmp_path: Path) -> None:

@@ -292,7 +292,7 @@ def test_wear_that_accelerates_has_a_life_that_holds() -> None:
     day = np.arange(45.0)
     found = judge(history(1.0 + 0.002 * np.expm1(day / 12.0)), (1.25,)).forecasts[0]
     left = 12.0 * math.log(126.0) - 44.0
-    assert found.is_told
+    assert found.has_remaining_life
     assert found.life.low <= left <= found.life.high
     assert found.life.median < 2.0 * left  # a straight line would be 4 times too late
     assert found.wear.growth @ found.wear.weights > 1.0
