@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from motor_env.diagnosis.estimation import parameter_index as index
+
+# Reaches in: a log that is read wrongly is judged by its windows.
 from motor_env.diagnosis.operation import log_diagnosis as judging
 from motor_env.diagnosis.operation.windows import WindowJudge
 from motor_env.diagnosis.readers.recording import Recording

@@ -41,7 +41,7 @@ from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.motor.healthy import Healthy, OperatingCondition
 from motor_env.motor.parameters import FloatArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[4] / "benchmarks"))
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
 
 WINDOW = 400

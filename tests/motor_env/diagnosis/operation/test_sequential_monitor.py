@@ -26,6 +26,8 @@ from motor_env.diagnosis.operation.sequential_monitor import (
     updated_sums,
 )
 from motor_env.diagnosis.operation.windows import WindowJudge, condition_features, judge_of
+
+# Reaches in: windows are fits made by hand.
 from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.motor.healthy import Healthy, OperatingCondition, ScoreCalibration, Windows

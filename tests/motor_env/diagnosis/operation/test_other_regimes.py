@@ -29,7 +29,7 @@ from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[4] / "benchmarks"))
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
 
 

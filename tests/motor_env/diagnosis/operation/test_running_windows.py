@@ -25,7 +25,7 @@ from motor_env.diagnosis.verdict.judgement import Judgement
 from motor_env.motor import identifiable
 from motor_env.motor.healthy import Healthy, Windows
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[4] / "benchmarks"))
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
 
 COLUMNS = ("current_a", "voltage_v", "speed_rad_s")
