@@ -1,9 +1,8 @@
 """A motor at work, window by window: each is fitted, and compared with a healthy motor.
 
-All windows are fitted with the terms that the healthy ones were identified with jointly. What windows of one motor
-share is held there: brush drop, inductance, and how the drag divides into viscous and dry friction, so that regimes
-agree. What may change is R, K, J and the whole drag. Where the healthy windows tell friction from a load, as those that
-reverse do, a load that varies slowly is unknown in each window; elsewhere it is part of the drag.
+All windows share the terms of the joint healthy fit, and its brush drop, inductance and ratio of dry to viscous
+friction. Each window has its own R, K, J and drag. A slowly varying load is a further unknown if the healthy windows
+separate it from friction, as reversals do; otherwise it is part of the drag.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from motor_env.motor.healthy import Healthy, OperatingCondition, Windows
 from motor_env.motor.parameters import FloatArray
 
 ALIKE, FAR = 0.12, 3.0
-"""Distance of two windows up to which their conditions are alike, see `condition_distance`; and the multiple beyond
-which no fault is reported."""
+"""Largest distance of two windows under one condition, see `condition_distance`; multiple beyond which no fault is
+reported."""
 NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
 _LEVELS, _HALVINGS = np.linspace(0.05, 0.95, 10), range(3, 10)
 
@@ -56,7 +55,7 @@ def rms_volts(recording: Recording) -> float:
 
 
 def condition_features(part: Recording) -> FloatArray:
-    """Describe how a motor is driven: 10 quantiles and 7 moves of voltage, current and speed, shape (3, 17).
+    """Describe an operating condition by 10 quantiles and 7 moves of voltage, current and speed, shape (3, 17).
 
     The moves are the root mean squares of the change within an eighth of the recording, a sixteenth, ... a 512th.
     """
@@ -68,11 +67,11 @@ def condition_features(part: Recording) -> FloatArray:
 
 
 def condition_distance(features: FloatArray, others: FloatArray) -> FloatArray:
-    """Measure how far the condition of a window is from each of some others, shape (n,).
+    """Measure the distance of a window's condition from each of some others, shape (n,).
 
-    A drive commands the voltage, the speed or the current. A fault leaves what is commanded as it is, however much it
-    changes the rest. So the one that is most alike counts: the mean distance of its quantiles (Wasserstein) or that of
-    its moves, whichever is larger, over the root mean square of the quantiles.
+    A drive commands voltage, speed or current, and a fault does not change the commanded column. So the nearest column
+    counts: the larger of the mean distances of its quantiles (Wasserstein) and of its moves, over the root mean square
+    of the quantiles.
 
     Args:
         features: of the window, shape (3, 17).
@@ -85,20 +84,20 @@ def condition_distance(features: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def nearest(features: FloatArray, conditions: Sequence[OperatingCondition]) -> tuple[int, float]:
-    """Find the condition with the window that is least apart: its place, and how far."""
+    """Find the condition with the nearest window: its index and its distance."""
     distances = [float(condition_distance(features, each.moved).min()) for each in conditions]
     place = int(np.argmin(distances))
     return place, distances[place]
 
 
 def group_by_condition(features: FloatArray, times: float) -> tuple[NDArray[np.intp], float]:
-    """Sort windows by condition: that of each, shape (n,), and up to which distance conditions are alike.
+    """Group windows by condition: return the group of each, shape (n,), and the distance that links two windows.
 
-    Windows are alike if they are as near to each other as each is to the one nearest to it, or so many times as far.
+    That distance is a multiple of the largest one between nearest neighbours.
 
     Args:
         features: of the windows, shape (n, 3, 17).
-        times: how many.
+        times: the multiple.
     """
     distances = np.array([condition_distance(window, features) for window in features])
     others = distances + np.diag(np.full(len(features), np.inf))
@@ -108,9 +107,9 @@ def group_by_condition(features: FloatArray, times: float) -> tuple[NDArray[np.i
 
 
 def condition_offsets(conditions: Sequence[OperatingCondition]) -> FloatArray:
-    """Compare R, K, J and B of each condition with the median of the others, all logarithms, shape (n_conditions, 4).
+    """Subtract the median of the other conditions from log R, K, J and B of each, shape (n_conditions, 4).
 
-    It is 0 for one with more windows than all others together, as these tell nothing of it, and of none at all.
+    It is 0 for a condition with most of the windows, and without conditions.
     """
     offset = np.zeros((max(len(conditions), 1), 4))
     logs, counts = [np.log(each.values) for each in conditions], [len(each.pieces) for each in conditions]
@@ -125,14 +124,14 @@ MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 _REGIME = 2.0
 CONDITION_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
-"""Standard deviation of the logarithms of R, K, J and B under another condition that is not far: what the model lacks
-(stiction, a gear's teeth, brushes) is then taken for them in another way."""
+"""Standard deviation of the logarithms of R, K, J and B under another condition, from unmodelled effects (stiction,
+gear, brushes)."""
 DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
 WARMTH = identifiable.warmth_direction(EXPONENTS)
 
 
 def viscous(physical: FloatArray, speed_rad_s: float) -> float:
-    """Return the drag over the speed of a motor of these physical values, at a speed."""
+    """Return the drag over the speed of physical values, at a speed."""
     dry, fan = physical[index.COULOMB] / speed_rad_s, physical[index.SQUARE] * speed_rad_s
     return float(max(physical[index.B] + dry + fan, 1e-300))
 
@@ -149,7 +148,7 @@ def averaged(recording: Recording, window_s: float) -> Recording:
 
 
 def windows_of(recording: Recording, window_s: float) -> list[Recording]:
-    """Cut a recording into windows of equal length; a rest at the end is left out."""
+    """Cut a recording into windows of equal length, without the remainder."""
     recording = averaged(recording, window_s)
     length = round(window_s / recording.dt_s)
     count = len(recording.time_s) // length
@@ -157,7 +156,7 @@ def windows_of(recording: Recording, window_s: float) -> list[Recording]:
 
 
 def with_drag_over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
-    """Give a window's fit the drag over the speed instead of a factor on the drag of the physical values."""
+    """Convert a window's factor on the drag to the drag over the speed."""
     drag = math.log(viscous(physical, speed_rad_s))
     logs = fit.logs + np.array([0.0, 0.0, 0.0, drag])
     return FittedWindow(logs, fit.covariance, fit.whitened)
@@ -165,12 +164,12 @@ def with_drag_over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: floa
 
 @dataclass(frozen=True, slots=True)
 class WindowJudge:
-    """A healthy motor at work, as its windows are fitted and compared.
+    """Judge windows of a motor at work against the healthy motor.
 
     Attributes:
         windows: how healthy windows were recorded and fitted.
         reference: distribution of R, K, J and B of a healthy window.
-        references: of windows under each operating condition that it was commissioned in.
+        references: under each commissioned operating condition.
     """
 
     windows: Windows
@@ -193,7 +192,7 @@ class WindowJudge:
         return with_drag_over_speed(fit, windows.physical, windows.speed_rad_s)
 
     def condition_of(self, recording: Recording) -> tuple[int, float]:
-        """Find the healthy condition that a recording's last window is like, and how far off: above 1 it is not."""
+        """Find the condition nearest to a recording's last window, and its relative distance: above 1 it is new."""
         if not self.windows.drives:
             return 0, 0.0
         last = cut(recording, slice(-round(self.windows.window_s / recording.dt_s), None))
@@ -201,7 +200,7 @@ class WindowJudge:
         return place, distance / self.windows.alike
 
     def under(self, place: int) -> WindowJudge:
-        """Return the judge of windows under one of several conditions: healthy are those under it."""
+        """Return the judge of windows under one of several conditions."""
         if len(self.references) < 2:
             return self
         return replace(self, reference=self.references[place])
@@ -209,9 +208,8 @@ class WindowJudge:
     def condition_spread(self, place: int, fit: FittedWindow) -> FloatArray:
         """Return the standard deviation of the logarithms of R, K, J and B under another condition, shape (4,).
 
-        R, K and J of a motor are the same, however it is driven. The farther those of the nearest condition are off the
-        others, the more the model lacks there. What it lacks of the torque is added to the friction: going down, the
-        logarithm moves by more.
+        R, K and J do not depend on the condition, so their differences between conditions measure the model's error. An
+        error of the torque adds to the friction, which moves its logarithm by more downwards.
 
         Args:
             place: of the nearest condition.
@@ -226,15 +224,14 @@ class WindowJudge:
     def judge(
         self, recording: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None = None
     ) -> tuple[list[Judgement], int]:
-        """Judge each window; return also how many there are. Together they alarm at the rate (Bonferroni).
+        """Judge each window; return also the number of windows. Together they alarm at the rate (Bonferroni).
 
-        Of more than MANY windows MOST_JUDGED are judged: half of them evenly spread, half those that the healthy motor
-        explains worst. The rate is still shared by all.
+        Of more than MANY windows MOST_JUDGED are judged: half evenly spread, half those with the largest misfit.
 
         Args:
             recording: of the motor at work.
             rate: of false alarms.
-            is_alarm: decides on a window's fit, where it is not judged by itself.
+            is_alarm: decides on a window's fit; None to judge each by itself.
 
         Raises:
             UnusableError: the record is outside the commissioned regime, or shorter than a window.
@@ -256,7 +253,7 @@ class WindowJudge:
         return judged if len(self.references) < 2 else _require_half_of_windows(judged), len(parts)
 
     def _choose_windows(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
-        """Choose the windows that are judged, of many."""
+        """Choose the windows to judge."""
         values, length = self.physical(), len(parts[0].time_s)
         values[index.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
         misfits = np.zeros(len(parts))
@@ -307,16 +304,15 @@ class WindowJudge:
 
 
 def _as_unusable(judged: Judgement, reason: str) -> Judgement:
-    """Judge a window that is driven otherwise unusable, and say what would be said of one that is not."""
+    """Judge a window under another condition unusable, with the reason that would hold under the commissioned one."""
     why = f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
     return replace(judged.as_other(f"{why} {reason}"), verdict=Verdict.UNUSABLE, confidence=None)
 
 
 def _require_half_of_windows(judged: list[Judgement]) -> list[Judgement]:
-    """Check faults under unknown conditions, of a motor with several: a true one shows in half of these windows.
+    """Keep faults under unknown conditions only if half of these windows show one.
 
-    A window that is driven like none of them is compared with all together, and each of them is off in its own way. A
-    fault moves all such windows alike; what the model lacks is beyond the wide limits in a few.
+    Such windows are compared with all conditions together. A fault moves all of them, the model's error only a few.
     """
     otherwise = [any(why.startswith(DRIVEN_OTHERWISE) for why in window.reasons) for window in judged]
     faults = [

@@ -6,8 +6,7 @@
 
 docs/trend.md has the time scales and the priors. Given time scale, onset, diffusion and scatter, a Kalman filter of
 [level, drift] is exact; these four are summed over a grid. The first passage is inverse Gaussian in the time scale, in
-closed form for a Gaussian drift (Whitmore & Schenkelberg 1997). The level is integrated by quadrature. A drift may lead
-away from the limit: then it may never be reached.
+closed form for a Gaussian drift (Whitmore & Schenkelberg 1997), and the level is integrated by quadrature.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ _PRIOR_LAW = (1.0 - _PRIOR_STEADY) / len(_LAWS)
 
 
 def time_scale(elapsed: FloatArray, exponent: FloatArray, growth: FloatArray) -> FloatArray:
-    """Compute a law's time scale; it runs from 0 at the onset to 1 at the last estimate, as `elapsed` does."""
+    """Compute a law's time scale, from 0 at the onset to 1 at the last estimate, as `elapsed`."""
     rate = np.maximum(growth, _NO_GROWTH)  # the limit of no growth is the power itself
     return np.asarray(np.expm1(np.minimum(rate * elapsed**exponent, 300.0)) / np.expm1(rate))
 
@@ -48,7 +47,7 @@ def time_scale(elapsed: FloatArray, exponent: FloatArray, growth: FloatArray) ->
 class Grid(NamedTuple):
     """Hypotheses: c time scales times s sizes of diffusion and scatter.
 
-    The last two time scales have no drift: chance alone, and a steady motor, whose time scale stands still.
+    The last two time scales have no drift: chance alone, and a steady motor.
 
     Attributes:
         elapsed: value of each time scale at each estimate, in units of its span, shape (n, c).
@@ -71,8 +70,8 @@ class Grid(NamedTuple):
 def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid:
     """Combine all time scales, onsets, diffusions and scatters with their log priors.
 
-    Onsets after the first estimate are equally likely; the drift is Gaussian about 0; the diffusion is even in the
-    logarithm up to its scale; the scatter is half-Cauchy (Gelman 2006).
+    Priors: onsets after the first estimate are equally likely, the drift is Gaussian about 0, the diffusion is even in
+    the logarithm up to its scale, the scatter is half-Cauchy (Gelman 2006).
     """
     onsets = np.linspace(0.0, len(times) - 2.0, min(len(times) - 1, _MOST_ONSETS))
     onsets = np.unique(onsets.round().astype(int))
@@ -126,10 +125,10 @@ def run_filters(
 
 
 TREND_PROBABILITY = 0.95
-"""From this posterior probability on a quantity is said to trend to a limit."""
+"""Least posterior probability of a trend."""
 
 FEWEST_ESTIMATES = 5
-"""Below this no trend can be told from scatter."""
+"""Fewest estimates that separate a trend from scatter."""
 
 _NEGLIGIBLE = 0.01  # posterior probability of all grid points that are left out
 _LEAST_ERROR = 1e-6  # of the typical one: estimates without an error may scatter by nothing
@@ -142,10 +141,10 @@ class RemainingLife(NamedTuple):
     """Time from the last estimate until the limit is first reached, in the unit of the time axis.
 
     Attributes:
-        low: lower end of the central interval; 0 where the limit may have been reached already.
-        median: infinite where the limit is reached with a probability below one half.
-        high: upper end, infinite where the limit may never be reached.
-        level: probability that the interval is meant to hold.
+        low: lower end of the central interval; 0 if the limit may have been reached.
+        median: infinite if the limit is reached with a probability below one half.
+        high: upper end; infinite if the limit may never be reached.
+        level: nominal probability of the interval.
         probability_reached: probability that the limit has been reached already.
         probability_ever: probability that it is reached at all.
     """
@@ -165,10 +164,10 @@ def first_passage_cdf(
     drift_variance: FloatArray,
     diffusion: FloatArray,
 ) -> FloatArray:
-    """Compute the probability that a Wiener process with Gaussian drift has come `distance` up within `life`.
+    """Compute the probability that a Wiener process with Gaussian drift rises by `distance` within `life`.
 
-    Arrays broadcast. Whitmore & Schenkelberg (1997), eq. for a random drift, rewritten with exp(z^2) erfc(z): the two
-    large exponents of the textbook form cancel by hand, so that a small diffusion loses no digits.
+    Arrays broadcast. Whitmore & Schenkelberg (1997), random drift, rewritten with exp(z^2) erfc(z): two large exponents
+    cancel, so a small diffusion loses no digits.
     """
     spread = drift_variance * life * life + diffusion**2 * life
     root = np.sqrt(spread)
@@ -186,7 +185,7 @@ def first_passage_cdf(
 
 @dataclass(frozen=True, slots=True)
 class Degradation:
-    """Posterior of the degradation: a weighted grid of Gaussians; the upward direction is to the limit.
+    """Posterior of the degradation: a weighted grid of Gaussians, directed upwards to the limit.
 
     Attributes:
         weights: posterior probability of each grid point, given a drift, shape (n,).
@@ -220,7 +219,7 @@ class Degradation:
 
     @property
     def mean_drift(self) -> float:
-        """Average the drift at the last estimate, in the units of the estimates a unit of time."""
+        """Average the drift at the last estimate, per unit of time."""
         rate = np.maximum(self.growth, _NO_GROWTH)
         return self.sign * float(self.weights @ (self.drift * self.exponent * rate / -np.expm1(-rate)))
 
@@ -230,14 +229,14 @@ class Degradation:
         return float(self.forecast(0.0)[0])
 
     def _scale_ahead(self, times: FloatArray) -> FloatArray:
-        """Compute how far time scales move in times after the last estimate, in units of `span`, shape (..., n)."""
+        """Advance the time scales to times after the last estimate, in units of `span`, shape (..., n)."""
         ahead = 1.0 + times[..., None] / self.span
         return self.span * (time_scale(ahead, self.exponent, self.growth) - 1.0)
 
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
         """List distance, drift given the level, its variance, diffusion, weight and grid point of each quadrature node.
 
-        Of more than 300 grid points those at 300 even steps of the cumulated weight are taken.
+        More than 300 grid points are thinned at even steps of the cumulated weight.
         """
         chosen, share = np.arange(len(self.weights)), self.weights
         if len(chosen) > _MOST_PASSAGES:

@@ -1,4 +1,4 @@
-"""Judge trends of a motor's quantities against limits, and say what follows.
+"""Judge trends of a motor's quantities against limits.
 
 Each quantity is relative to the mean of its first estimates. A history must hold no repair and one temperature.
 """
@@ -26,16 +26,14 @@ from motor_env.diagnosis.prognosis.estimates import Series
 from motor_env.motor import identifiable
 
 DEFAULT_LIMITS = (0.75, 1.25)
-"""Limits of a quantity for which none is given, as factors on its reference: the paper's larger fault level.
-
-There are none of L, which no fault moves alone and few starts tell.
+"""Default limits, as factors on the reference: the paper's larger fault level. L has none: no fault moves it alone.
 """
 
 CLOSE_SHARE = 0.8
-"""Beyond this share of the way a limit is called close, with or without a trend."""
+"""Share of the way beyond which a limit is close."""
 
 CLOSE_PROBABILITY = 0.25
-"""From this probability of lying beyond it on: a missed limit costs more than a look at the motor."""
+"""Least probability of lying beyond that share: a missed limit costs more than an inspection."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +42,12 @@ class Forecast:
 
     Attributes:
         factor: the limit over the reference.
-        reached: whether the last level lies beyond it, with a probability of at least one half.
-        close: whether it lies beyond 80 % of the way to it, with a probability of at least a quarter.
-        trends: whether it degrades towards the limit (posterior probability at least 95 %).
+        reached: whether the last level lies beyond it with a probability >= 0.5.
+        close: whether it lies beyond `CLOSE_SHARE` of the way with a probability >= `CLOSE_PROBABILITY`.
+        trends: whether it degrades towards the limit with a probability >= `TREND_PROBABILITY`.
         wear: the fitted degradation of estimate / reference.
-        life: remaining life; it means something only where `trends` and nothing is withheld.
-        withheld: why no remaining life is told, in words; empty where it is.
+        life: remaining life; valid only if `has_remaining_life`.
+        withheld: why no remaining life is given; empty if it is.
     """
 
     factor: float
@@ -62,7 +60,7 @@ class Forecast:
 
     @property
     def has_remaining_life(self) -> bool:
-        """Whether the remaining life is told."""
+        """Whether the remaining life is given."""
         return self.trends and not (self.reached or self.withheld)
 
 
@@ -73,8 +71,8 @@ class Trend:
     Attributes:
         series: its estimates.
         reference: mean of the first estimates.
-        forecasts: one for each limit; none where there are too few estimates.
-        sentence: what follows, in words.
+        forecasts: one for each limit; none with too few estimates.
+        sentence: the result in words.
     """
 
     series: Series
@@ -84,7 +82,7 @@ class Trend:
 
     @property
     def leading(self) -> Forecast | None:
-        """Choose the limit that matters: reached, trended to, or close; the earliest first."""
+        """Return the most urgent limit: reached, trending, or close, the earliest first."""
         return min(
             (
                 forecast
@@ -114,8 +112,8 @@ def judge(
 
     Args:
         series: its estimates.
-        factors: limits as factors on the reference, each different from 1; `DEFAULT_LIMITS` if None.
-        level: probability that the interval of the remaining life is to hold.
+        factors: limits over the reference, each different from 1; `DEFAULT_LIMITS` if None.
+        level: probability of the interval of the remaining life.
         reference_count: number of first estimates whose mean is the reference.
         temperature: in degrees Celsius, where recorded.
 
@@ -175,7 +173,7 @@ def judge(
 
 
 def _jump(relative: Series, factors: Sequence[float]) -> str:
-    """Describe the last jump, and what it means for limits that it led away from."""
+    """Describe the last jump, and its consequence for limits on the other side."""
     jump = last_jump(relative)
     if jump is None:
         return ""
@@ -215,7 +213,7 @@ def _sentence(trend: Trend) -> str:
 
 
 def describe(forecast: Forecast, unit: str) -> str:
-    """Describe the remaining life, or why none is told."""
+    """Describe the remaining life, or why none is given."""
     life, share = forecast.life, f"{100.0 * forecast.life.level:.0f} %"
     if forecast.withheld:
         return f"no remaining life is told, for {forecast.withheld}"
@@ -257,7 +255,7 @@ _BESIDE, _FEWEST = 8, 3  # estimates on either side of a jump
 _JUMP = 6.0
 _MAD = 1.4826
 _UNKNOWN_TEMPERATURE_K = 30.0
-"""Where no temperature is recorded a motor may be colder at one end by so much than at the other."""
+"""Largest unrecorded change of the temperature."""
 _KNOWN = {
     name
     for has_voltage, has_speed in product((False, True), repeat=2)
@@ -273,12 +271,12 @@ def at_one_temperature(series: Series, temperature: Series) -> Series:
 
 
 def _per_kelvin(name: str) -> float:
-    """Return by how much the logarithm of a quantity moves a kelvin; 0 of one that is not known."""
+    """Return the change of the logarithm of a quantity per kelvin; 0 for an unknown one."""
     return float(identifiable.warmth_direction(identifiable.matrix((name,)))[0]) if name in _KNOWN else 0.0
 
 
 def last_jump(series: Series, sign: float = 0.0) -> tuple[int, float] | None:
-    """Find the first estimate after the last jump, and its size; None without one. A sign asks for its direction.
+    """Find the first estimate after the last jump, and its size; None without one. `sign` selects a direction.
 
     At each interval a straight line with a step is fitted to the eight estimates on either side. A jump is a step of
     six robust standard deviations of all steps.
@@ -313,7 +311,7 @@ def starting_at(series: Series, first: int) -> Series:
 
 
 def reason_withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> str:
-    """Say why no remaining life is told; empty where the law holds.
+    """Explain why no remaining life is given; empty if it is.
 
     Args:
         series: relative to the reference, without jumps.

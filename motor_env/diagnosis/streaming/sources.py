@@ -1,6 +1,6 @@
-"""Sources of lines: standard input, a growing file, a serial port, MQTT; and how their bytes are framed.
+"""Read lines from standard input, a growing file, a serial port or MQTT.
 
-A source yields bytes as they come, and nothing (b"") at least every second while none do.
+A source yields bytes as they come, and b"" at least every second.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NEW_FILE = "new_file"
 SILENCE_S = 5.0
 LONGEST_LINE = 1 << 16
 BLOCK_BYTES = 512
-"""By so many bytes before its place a reader sees that a file is still the one that it has read."""
+"""Bytes before its place by which a reader recognises its file."""
 _PAUSE_S = 0.2
 _CHUNK = 1 << 16
 _MOST_WAITING_BYTES = 1 << 26
@@ -33,7 +33,7 @@ _PIECE_BYTES = 100  # of a piece beside what is in it
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """A source's message beside lines: kind (silence, unplugged, lost, new_file), and words."""
+    """Message of a source: kind (silence, unplugged, lost, new_file), and words."""
 
     kind: str
     text: str
@@ -44,13 +44,13 @@ SILENCE = Notice("silence", f"no line for {SILENCE_S:g} s: is the cable in?")
 
 
 def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
-    """Frame pieces as whole lines; SILENCE once where none come for a while.
+    """Frame pieces as whole lines; yield SILENCE once if none come for a while.
 
-    What is longer than LONGEST_LINE comes in parts, of which only the last one ends with a line end.
+    A line beyond LONGEST_LINE comes in parts; only the last has a line end.
 
     Args:
         pieces: of a source.
-        rest: whether what follows the last line end is a line, too.
+        rest: whether an unfinished last line counts.
     """
     left, last_line_s, is_silent = bytearray(), time.monotonic(), False
     for piece in pieces:
@@ -75,7 +75,7 @@ def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
 
 
 def identity(name: str | None) -> str:
-    """Name what is watched in states and sentences: a file by its whole path, a broker without a password.
+    """Name a source in states and sentences: a file by its absolute path, a broker without a password.
 
     Raises:
         InputError: it names no source.
@@ -95,17 +95,17 @@ def identity(name: str | None) -> str:
 def source(
     name: str | None, *, follow: bool, baud: int, offset: int = 0, last_read: bytes = b""
 ) -> Iterator[Piece]:
-    """Open what a user names: a file, serial:PORT, mqtt://HOST/TOPIC; standard input without a name.
+    """Open a file, serial:PORT, mqtt://HOST/TOPIC, or standard input without a name.
 
     Args:
         name: of the source.
-        follow: whether to wait for what is appended to a file, or takes its place.
+        follow: whether to wait for more of a file, or its successor.
         baud: of a serial port.
         offset: bytes of a file that were read before.
         last_read: the last BLOCK_BYTES of them.
 
     Raises:
-        InputError: there is no such thing, or the library that it needs is missing.
+        InputError: no such source, or its library is missing.
     """
     identity(name)
     if name is None:
@@ -130,7 +130,7 @@ def _standard_input() -> Iterator[Piece]:
 
 
 def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece]:
-    """Read a file. Each read begins with the block before it: where that is another one, so is the file."""
+    """Read a file. Each read repeats the block before it, which recognises another file."""
     file, successor = _open(path), None
     try:
         while True:
@@ -169,7 +169,7 @@ def _open(path: Path) -> FileIO:
 
 
 def _open_successor(path: Path, file: FileIO) -> FileIO | None:
-    """Open another file in its place, once something is in it: before that, the old one may still grow."""
+    """Open another file in its place once it is not empty; until then the old one may grow."""
     with suppress(FileNotFoundError):
         now = path.stat()
         if now.st_size > 0 and not os.path.samestat(now, os.fstat(file.fileno())):
@@ -178,7 +178,7 @@ def _open_successor(path: Path, file: FileIO) -> FileIO | None:
 
 
 def _serial(port: str, baud: int) -> Iterator[Piece]:
-    """A thread reads, so that nothing is lost while a window is judged; an unplugged port is opened anew."""
+    """Read in a thread, so that nothing is lost while a window is judged; reopen an unplugged port."""
     try:
         import serial
     except ImportError:
@@ -228,7 +228,7 @@ def _broker(url: str) -> _Broker:
 
 
 def _mqtt(broker: _Broker) -> Iterator[Piece]:
-    """Each message holds one or more lines; the library's own thread connects again."""
+    """Read messages of one or more lines; the library's own thread reconnects."""
     try:
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion

@@ -1,7 +1,7 @@
-"""A motor at work watched sample by sample: windows of a stream are judged as windows of a log are.
+"""Watch a motor at work sample by sample: windows of a stream are judged as those of a log.
 
-Lines come in, events go out: one for each window (healthy, or what moved), and one at once for what is wrong with the
-stream: a line that is no sample, a gap, a jump of time, a stuck sensor, silence. Those begin a new window.
+Each window gives an event. So does, at once, a fault of the stream: a malformed line, a gap, a jump of time, a stuck
+sensor, silence. It restarts the window.
 """
 
 from __future__ import annotations
@@ -53,23 +53,23 @@ _QUANTITIES = ("time", "voltage", "current", "speed")
 _NAME_THEM = 'name all columns in their order, such as --columns "t [s],I [mA],U [V],n [rpm]"'
 _SECOND = 1.0
 _OFTEN = frozenset(("malformed", "gap", "time_jump"))
-"""Kinds that garbage gives with every line."""
+"""Kinds that garbage may give with every line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An event: a verdict on a window, or what is wrong with the stream.
+    """Verdict on a window, or a fault of the stream.
 
     Attributes:
-        time_s: end of the window, or when it was seen.
+        time_s: end of the window, or time of the fault.
         kind: window, learning, learned, not_learned, another_motor, malformed, gap, time_jump, stuck_sensor, silence,
             unplugged, lost or new_file.
-        text: verdict of a window; else what was seen.
+        text: verdict of a window, or description.
         ratios: quantities of the window over the healthy ones.
-        reason: why a window is unusable, or what shows that a sensor failed.
-        fault_kind: kind of the fault, where it can be told from others of its family.
-        undecided: quantities of a window of which a doubling would not show.
-        count: how many of this kind there were since one was last said; this is the latest of them.
+        reason: why a window is unusable, or a sensor failed.
+        fault_kind: kind of the fault, if distinguished from others of its family.
+        undecided: quantities whose doubling would not show.
+        count: number of this kind since the last such event.
     """
 
     time_s: float
@@ -105,10 +105,10 @@ class Event:
 
 
 class EventThrottle:
-    """Passes at most one event a second of a kind that garbage gives with every line, with their count.
+    """Limit events of frequent kinds to one a second, with their count.
 
-    A second of the stream or of the wall clock: the first so that a log is told the same way however fast it is read,
-    the second so that a stream of nothing but garbage is told at all.
+    A second of the stream, so that the events of a log do not depend on the reading speed, or of the wall clock, for a
+    stream of garbage alone.
     """
 
     def __init__(self) -> None:
@@ -116,7 +116,7 @@ class EventThrottle:
         self._pending: dict[str, Event] = {}
 
     def filter(self, events: Iterable[Event], streamed_s: float) -> Iterator[Event]:
-        """Yield those that are said now, and those that were held back and are due."""
+        """Yield the events that are due."""
         for event in events:
             if event.kind not in _OFTEN:
                 yield event
@@ -134,17 +134,17 @@ class EventThrottle:
                     yield self._pending.pop(kind)
 
     def flush(self) -> Iterator[Event]:
-        """Yield what is still held back when the lines end."""
+        """Yield the pending events at the end."""
         yield from self._pending.values()
 
 
 @dataclass
 class LearningPhase:
-    """Collects windows of a healthy motor, until there are enough to learn from.
+    """Collect windows of a healthy motor to learn from.
 
     Attributes:
         window_s: length of a window.
-        learn_s: how long the windows must be together.
+        learn_s: wanted length of all windows.
         steady: nothing but a fault moves the motor.
         recordings: the windows so far.
     """
@@ -171,15 +171,15 @@ _meaning = lru_cache(1024)(understand)
 
 
 class Watch:
-    """Turns lines into events.
+    """Turn lines into events.
 
     Args:
-        healthy: what windows of the healthy motor have taught, or what is to be learned from the stream.
-        state: what has been seen so far.
+        healthy: statistics of healthy windows, or the phase that learns them from the stream.
+        state: of the watch so far.
         false_alarms_per_year: of a healthy motor that always runs.
 
     Raises:
-        InputError: the state holds the memory of another motor.
+        InputError: the state is that of another motor.
     """
 
     def __init__(
@@ -212,16 +212,16 @@ class Watch:
         )
 
     def describe_false_alarm_rate(self) -> str:
-        """Say what holds of the rate of false alarms; empty before anything is learned."""
+        """Describe the rate of false alarms; empty while learning."""
         return "" if isinstance(self._phase, LearningPhase) else self._phase.describe_false_alarm_rate()
 
     @property
     def _timing(self) -> Windows | LearningPhase:
-        """What tells the length of a window and the sampling interval."""
+        """Length of a window and sampling interval."""
         return self._phase if isinstance(self._phase, LearningPhase) else self._phase.judge.windows
 
     def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
-        """Yield the events of lines and of what their source says."""
+        """Yield the events of lines and notices."""
         for line in lines:
             yield from self._throttle.filter(self._count_events(line), self._streamed_s)
         yield from self._throttle.flush()
@@ -342,10 +342,10 @@ class Watch:
         return self._last[0] if self._last is not None else 0.0
 
     def _read_header(self, text: str) -> bool:
-        """Whether a line names the columns; then they are those from now on.
+        """Whether a line names the columns; if so, use them from now on.
 
         Raises:
-            InputError: it is the first that does, and one is missing.
+            InputError: the first such line lacks a column.
         """
         words = text.split(",", _MOST_COLUMNS)
         if self._columns and len(words) < len(_QUANTITIES):
@@ -375,7 +375,7 @@ def run(
     columns: str | None,
     learning: LearningPhase | None,
 ) -> int:
-    """Watch until the lines end or the user ends it; return the exit status.
+    """Watch until the lines or the user end it; return the exit status.
 
     Raises:
         InputError: the motor was not learned from windows, or a source cannot be read.
@@ -407,11 +407,11 @@ def watch(
     *,
     false_alarms_per_year: float = 1.0,
 ) -> Iterator[Event]:
-    """Watch a motor at work: yield a verdict on each window, and what is wrong with the stream, as lines come in.
+    """Watch a motor at work: yield verdicts on windows and faults of the stream as lines arrive.
 
     Args:
         motor: commissioned by windows of logs, or its file.
-        log: file with a header and lines of CSV, or such lines as they come.
+        log: CSV file with a header, or its lines.
         false_alarms_per_year: of a healthy motor that always runs.
 
     Raises:
@@ -426,12 +426,12 @@ def watch(
 
 
 def _digest(motor: Path) -> str:
-    """Digest the motor file, which was read; empty where there is none, since it is to be learned."""
+    """Digest the motor file; empty without one."""
     return hashlib.sha256(read_file(motor, LARGEST_NOTE_BYTES)).hexdigest() if motor.exists() else ""
 
 
 def _load_healthy(motor: Path) -> Healthy:
-    """Load what windows have taught of the motor of a file."""
+    """Load the statistics of healthy windows from a motor file."""
     try:
         return _windows_of(load_motor(motor))
     except InputError as error:
@@ -449,7 +449,7 @@ def _windows_of(motor: Motor) -> Healthy:
 
 @contextmanager
 def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
-    """Yield the function that shows an event; the counts are those of all events."""
+    """Yield a function that shows an event beside the counts of all."""
     if not sys.stdout.isatty():
         yield _print_line
         return

@@ -1,8 +1,8 @@
 """Explain the difference between a fitted piece and a healthy motor: by a fault, none, or something else.
 
-The difference d of the logarithms has a covariance C. It is tested along a fault's direction g by
-z = g'C^-1 d / sqrt(g'C^-1 g) and as a whole by d'C^-1 d; with few healthy pieces the quantiles are Student's and
-Fisher's. The load may be unknown: there is a hypothesis for each possible cause of the drag.
+The difference d of the logarithms has a covariance C. It is tested along a fault's direction g by z = g'C^-1 d /
+sqrt(g'C^-1 g) and as a whole by d'C^-1 d; with few healthy pieces the quantiles are Student's and Fisher's. Each
+possible cause of the drag is a hypothesis of its own.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class FittedWindow:
     Attributes:
         log_values: logarithms of R, K, J and of the drag over the speed, shape (4,).
         log_covariance: shape (4, 4).
-        whitened: innovations of current and speed over their standard deviations, shape (n, 2); empty if short.
+        whitened: innovations of current and speed over their standard deviations, shape (n, 2).
     """
 
     quantity_names: ClassVar[tuple[str, ...]] = NAMES
@@ -75,7 +75,7 @@ class Difference:
 
     Attributes:
         log_ratios: of the quantities, shape (n,).
-        covariance: of the logarithms, all uncertainties included, shape (n, n).
+        covariance: of the logarithms, shape (n, n).
         exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
         degrees_of_freedom: of the covariance.
         response: derivative by the logarithms of (R, L, K, J, B, V), shape (n, 6); the exponents unless given.
@@ -111,9 +111,9 @@ class Change:
     Attributes:
         name: the quantity.
         ratio: fitted over reference.
-        low, high: interval of the ratio, 95 %, the reference's uncertainty included.
-        verdict: `moved` if there is an alarm and 1 lies outside the interval at the rate of false alarms; `undecided`
-            if a doubling would not be found in 95 of 100 cases; else `healthy`.
+        low, high: 95 % interval of the ratio.
+        verdict: `moved` if an alarm finds 1 outside the interval; `undecided` if a doubling would be found in fewer
+            than 95 of 100 cases; else `healthy`.
     """
 
     name: str
@@ -157,13 +157,13 @@ class Explanation:
 
 
 def alarm_share(rate: float, exponents: FloatArray) -> float:
-    """Return the rate of one test: those of the faults, the noise and the whole share it (Bonferroni)."""
+    """Share a rate among the tests of the faults, the noise and the whole (Bonferroni)."""
     return rate / (len(identifiable.nameable_kinds(exponents)) + _NOISE_AND_OMNIBUS)
 
 
 @lru_cache(maxsize=16)
 def _directions(dimensions: int) -> FloatArray:
-    """Draw evenly spread unit vectors, always the same, shape (n, dimensions)."""
+    """Draw isotropic unit vectors, always the same, shape (n, dimensions)."""
     drawn = np.random.default_rng(1958).standard_normal((_DIRECTIONS, dimensions))
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True), dtype=np.float64)
 
@@ -171,8 +171,8 @@ def _directions(dimensions: int) -> FloatArray:
 def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, freedom: float) -> float:
     """Find the rate of one test at which those of the faults and of the whole together alarm at `rate`.
 
-    The whitened difference of a healthy motor is an evenly spread direction times an independent length. In each
-    direction the tests alarm beyond some length, of which Fisher's distribution gives the probability.
+    The whitened difference of a healthy motor has an isotropic direction and an independent length. Fisher's
+    distribution gives the probability of a length beyond the nearest limit in each direction.
     """
     n, root = len(covariance), np.linalg.inv(np.linalg.cholesky(covariance))
     axes = [
@@ -220,7 +220,7 @@ def residual_p_value(difference: Difference, moved: FloatArray, covariance: Floa
 
 
 def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
-    """Explain a difference by each visible fault; by default by those that the quantities can name."""
+    """Explain a difference by each visible fault, by default by each that the quantities can name."""
     response = difference.exponents if difference.response is None else difference.response
     explanations = []
     for kind in identifiable.nameable_kinds(difference.exponents) if kinds is None else kinds:
@@ -334,7 +334,7 @@ def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str
 
 
 class Hypothesis(NamedTuple):
-    """A piece against its reference under one hypothesis of its load; `faults` may explain the difference."""
+    """Difference of a piece from its reference under one hypothesis of its load, and its possible faults."""
 
     load: LoadHypothesis
     difference: Difference
@@ -348,7 +348,7 @@ class Hypothesis(NamedTuple):
 
 
 def form_hypotheses(fit: Fitted, reference: Reference, rate: float) -> list[Hypothesis]:
-    """Compare a fit with a reference at a rate of false alarms: without a load, and under each possible load.
+    """Compare a fit with a reference without a load, and under each possible load.
 
     The fit of a motor at work has terms for loads, so only a start has several hypotheses.
     """
@@ -373,7 +373,7 @@ def form_hypotheses(fit: Fitted, reference: Reference, rate: float) -> list[Hypo
 def _linearise_warming(
     ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
 ) -> FloatArray:
-    """Correct log ratios, shape (n,), so that they move in proportion to the temperature, as the factors do."""
+    """Linearise the effect of the temperature on log ratios, shape (n,)."""
     if temperature_k == 0.0:
         return ratios
     kelvin, _ = estimate_warming(ratios, spread, warmth, temperature_k)
@@ -384,7 +384,7 @@ def _linearise_warming(
 def estimate_warming(
     ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
 ) -> tuple[float, float]:
-    """Estimate how much warmer a motor is, in kelvin: the posterior mean and its standard deviation."""
+    """Estimate the warming of a motor in kelvin: posterior mean and standard deviation."""
     slope = np.linalg.solve(spread, warmth)
     precision = float(slope @ warmth) + temperature_k**-2
     return float(slope @ ratios) / precision, 1.0 / math.sqrt(precision)
@@ -408,7 +408,7 @@ def smallest_detectable(hypotheses: list[Hypothesis], own: float | None, limit: 
 
 
 def severity_unit(kind: str, own: float | None) -> float:
-    """Return the unit of a severity: a bearing fault counts in the motor's own friction, if known."""
+    """Return the unit of a severity: of a bearing fault the motor's own friction, if known."""
     return own if own is not None and kind == FaultKind.BEARING else 1.0
 
 

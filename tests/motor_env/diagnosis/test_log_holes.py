@@ -26,7 +26,7 @@ from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.diagnosis.readers.start import prepare
 
-# Reaches in: fits are altered by hand.
+# Reaches in: what a window tells, by name.
 from motor_env.diagnosis.verdict.hypotheses import NAMES
 from motor_env.diagnosis.verdict.judgement import Judgement
 from motor_env.motor.healthy import Healthy, Windows
