@@ -1,8 +1,8 @@
-"""Fit the records of a fleet with one model: the terms that most of them want, and what they share.
+"""Fit the records of a fleet with one model: the terms that most of them prefer.
 
-The first fit of each record chooses its terms by itself. The medians of their values begin the second fit. Of a motor
-at work that is the fit of a window: R, K, J and the drag are the motor's own, all else is the fleet's. Dry friction and
-a constant load look alike in a short record, so the torque needed while turning is one quantity.
+The first fit of each record chooses its own terms. The second begins at the medians of the first. For a motor at work
+it is the fit of a window: R, K, J and the drag are the motor's own, all else is the fleet's. A short record does not
+separate dry friction from a constant load.
 """
 
 from __future__ import annotations
@@ -79,11 +79,11 @@ class Reading:
 
 
 class InitialFit(NamedTuple):
-    """First fit of a record; `trouble` says why there is none.
+    """First fit of a record.
 
     Attributes:
-        names: of the terms.
-        quantities: that it tells.
+        trouble: why there is no fit.
+        names: of the terms. quantities: that it tells.
         values: physical values, or the quantities' logarithms of a start.
         hold: of the voltage.
         speed_rad_s: effective speed.
@@ -105,7 +105,7 @@ class InitialFit(NamedTuple):
 
 
 def classify_record(reading: Reading, path: Path) -> tuple[str, tuple[str, ...]]:
-    """Say whether a file is a start or operation, and how its columns were understood."""
+    """Classify a file as start or operation; return also how its columns were understood."""
     try:
         recording = recording_of(path, reading.columns)
         return taken_for(recording, reading.regime).regime, recording.columns
@@ -147,16 +147,16 @@ _FIRST: TypeAdapter[InitialFit] = TypeAdapter(InitialFit)
 
 
 class FitCache:
-    """First fits by file, in memory and in a file of JSON lines.
+    """Keep first fits by file, in memory and in a file of JSON lines.
 
-    A fit counts as long as its file has the same size and time, and is read in the same way.
+    A fit is valid while its file keeps size and time and is read in the same way.
 
     Args:
         path: of the file; None for memory alone.
         reading: how the records are read.
 
     Raises:
-        InputError: the file is another's, or damaged before its last line.
+        InputError: the file holds other content, or is damaged before its last line.
     """
 
     def __init__(self, path: Path | None, reading: Reading) -> None:
@@ -229,14 +229,14 @@ _NOT_COMMON = [index.HEATING, index.COOLING, index.WALK, index.LOAD, index.SQUAR
 
 @dataclass(frozen=True, slots=True)
 class FleetFits:
-    """Records of a fleet, fitted with one model.
+    """Fits of a fleet's records with one model.
 
     Attributes:
-        by_file: their fits.
-        quantities: that they tell.
-        windows: how they were fitted, of motors at work; None for starts.
-        failures: why each other record has no fit, by its file.
-        reading: how they were read; its regime is start or operation.
+        by_file: the fits.
+        quantities: determined by them.
+        windows: of motors at work; None for starts.
+        failures: why a record has no fit, by its file.
+        reading: with the regime start or operation.
         read: how their columns were understood, in words.
     """
 
@@ -259,14 +259,14 @@ def fit_fleet(
     """Fit the records of a fleet.
 
     Args:
-        files: recordings, one motor each; a start, or a log of the motor at work.
+        files: recordings, one motor each.
         reading: how they are read.
-        each: what maps over files, see `processes`.
-        kept: file that keeps the first fits, so that a stopped run goes on.
-        progress: told each file, twice.
+        each: maps over files, see `processes`.
+        kept: file of first fits, to continue a stopped run.
+        progress: called with each file, twice.
 
     Raises:
-        InputError: no record can be used, or the file of kept fits is another's.
+        InputError: no record can be used, or `kept` is another file.
     """
     looks = list(each(partial(classify_record, reading), files))
     kinds = {kind for kind, _ in looks}
@@ -305,7 +305,7 @@ def fit_fleet(
 
 
 def _majority_terms(initial_fits: Sequence[InitialFit]) -> list[str]:
-    """List the terms that more than half of the records want."""
+    """List the terms that more than half of the records prefer."""
     count = Counter(name for fit in initial_fits for name in fit.names)
     return [name for name, wanting in count.items() if wanting > 0.5 * len(initial_fits)]
 
@@ -329,7 +329,7 @@ def _fit_start(
 
 
 def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) -> Windows:
-    """Choose what logs share, and which part of the drag is dry friction by the least misfit of some."""
+    """Choose what logs share; of the share of dry friction, the one with the least misfit."""
     initial = list(initial_fits.values())
     known = np.median([fit.values for fit in initial], axis=0)
     known[_NOT_COMMON] = 0.0
@@ -363,7 +363,7 @@ def _drag(first: InitialFit) -> float:
 
 
 def _fit_window(reading: Reading, windows: Windows, path: Path) -> WindowFit | str:
-    """Fit a log with what all share, or say why not."""
+    """Fit a log with the shared values; return the reason if that fails."""
     try:
         record = replace(from_recordings([reading.log(path)]), hold=windows.hold)
         return fit_window(record, windows.physical, windows.terms)
@@ -383,7 +383,7 @@ Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @contextmanager
 def processes(workers: int, scheduler: str | None = None) -> Iterator[Map]:
-    """Offer what maps a function over files: here, in processes, or on the workers of a Dask cluster.
+    """Yield a map over files: in this process, in others, or on a Dask cluster.
 
     Args:
         workers: processes, without a cluster.

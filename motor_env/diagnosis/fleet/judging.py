@@ -55,7 +55,7 @@ class FleetDiagnosis:
 
     @property
     def summary(self) -> str:
-        """Say how many are odd, and how many would be by chance."""
+        """Count the faulty motors, and those expected by chance."""
         odd = sum(unit.verdict.is_fault for unit in self.units)
         chance = self.false_alarm_rate * len(self.units)
         stand, share = "stands" if odd == 1 else "stand", 1.0 / self.false_alarm_rate
@@ -98,16 +98,16 @@ def diagnose_fleet(
     kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> FleetDiagnosis:
-    """Judge each motor of a fleet by all others; those of its own machine teach nothing about it.
+    """Judge each motor of a fleet by those of all other machines.
 
     Args:
-        files: recordings, see `learn_fleet`.
-        group: regular expression that reads machine, motor and repeat from a file's name.
+        files: see `learn_fleet`.
+        group: see `unit_ids`.
         reading: how the files are read.
-        false_alarm_rate: how often a healthy motor may be called faulty.
-        each: what maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
-        kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
-        progress: told each file, twice.
+        false_alarm_rate: per healthy motor.
+        each: maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
+        kept: file of first fits, to continue a stopped run.
+        progress: called with each file, twice.
 
     Raises:
         InputError: too few motors, or records that cannot be used together.
@@ -147,7 +147,7 @@ def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Fl
 def common_cause(differences: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
     """Find one sensor or supply at a wrong scale that the motors of a machine share; empty for nothing.
 
-    Each motor may be too little off by itself.
+    The change of a single motor may be too small to find.
     """
     if len(differences) < 2:
         return ""
@@ -185,7 +185,7 @@ _ROW = 13.0  # pixels between two names
 
 
 def picture(names: Sequence[str], units: Sequence[FleetUnit]) -> str:
-    """Draw the fleet: each quantity's column has a dot a motor, and the names of odd ones.
+    """Draw the fleet: a column for each quantity, a dot for each motor, names of faulty ones.
 
     Heights are standard deviations of another healthy motor.
 

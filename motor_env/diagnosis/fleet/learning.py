@@ -38,8 +38,8 @@ PRIOR_SPREAD = Tolerance(
     friction=0.35,
     temperature_k=0.0,
 )
-"""Spread from motor to motor that is believed before any is seen: about that of a fleet of real gear motors (see
-docs/fleet.md). One that is too small costs false alarms in small fleets, one that is too large costs power."""
+"""Prior spread from motor to motor, about that of real gear motors (docs/fleet.md). Too small costs false alarms in
+small fleets, too large costs power."""
 _MANY = 500
 _GROUPS = ("machine", "motor", "repeat")
 _GAINS = ("voltage", "current", "speed")
@@ -53,8 +53,8 @@ class UnitId(NamedTuple):
     """Machine and place of a motor.
 
     Attributes:
-        machine: that the motor is part of.
-        motor: its place in the machine, such as left or right; empty where machines have one motor each.
+        machine: of the motor.
+        motor: its place in the machine, such as left; empty for machines of one motor.
     """
 
     machine: str
@@ -71,11 +71,11 @@ def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
 
     Args:
         files: recordings.
-        group: regular expression searched in a file's name without its ending, with named groups machine, motor and
-            repeat; without it each file is a machine of its own.
+        group: regular expression for the stem of a file's name, with named groups machine, motor and repeat; None if
+            each file is a machine.
 
     Raises:
-        InputError: no regular expression, one without these groups, or a name that it does not match.
+        InputError: no such expression, or a name that it does not match.
     """
     if group is None:
         return [UnitId(path.stem) for path in files]
@@ -102,11 +102,11 @@ def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
 
 @dataclass(frozen=True)
 class LearnedFleet:
-    """A fleet, and the healthy population of its motors.
+    """Fleet with the healthy population of its motors.
 
     Attributes:
         fits: of its records.
-        unit_of: motor of each file, with or without a fit.
+        unit_of: motor of each file.
     """
 
     fits: FleetFits
@@ -119,12 +119,12 @@ class LearnedFleet:
 
     @property
     def positions(self) -> list[str]:
-        """List the places in a machine, such as left and right."""
+        """List the places in a machine."""
         return sorted({motor.motor for motor in self.motors})
 
     @cached_property
     def records(self) -> Motors:
-        """Collect what the records tell."""
+        """Collect the quantities of the records."""
         exponents, by_file = identifiable.matrix(self.fits.quantities), self.fits.by_file
         return Motors(
             np.array([fit.log_values for fit in by_file.values()]),
@@ -143,7 +143,7 @@ class LearnedFleet:
         return learn_population(self.records)
 
     def population_without(self, machine: str) -> HealthyPopulation:
-        """Learn that of all other machines."""
+        """Learn the population of all other machines."""
         if len({motor.machine for motor in self.motors}) > _MANY:
             return self.population  # one machine of so many moves nothing
         kept = np.array([motor.machine != machine for motor in self.motors])
@@ -155,10 +155,10 @@ class LearnedFleet:
     def motor(
         self, name: str, population: HealthyPopulation | None = None, position: str | None = None
     ) -> Motor:
-        """Make the healthy motor, as motor files hold it.
+        """Return the healthy motor.
 
         Args:
-            name: of it.
+            name: of the motor.
             population: of healthy motors; that of all unless given.
             position: place in the machine; without it, a motor of any place.
         """
@@ -207,7 +207,7 @@ class LearnedFleet:
         ) + between_positions + population.within
 
     def text(self, rate: float) -> str:
-        """Say what was learned, with the interval of the next healthy motor."""
+        """Describe the population, with the interval of the next healthy motor."""
         healthy, freedom = self._healthy(self.population), self.population.degrees_of_freedom
         sick = int(np.sum(self.population.probability < _LEAST_PROBABILITY))
         seem = "seems sick, and teaches" if sick == 1 else "seem sick, and teach"
@@ -249,7 +249,7 @@ def directions_of(exponents: FloatArray) -> FloatArray:
 
 
 def _regulariser(exponents: FloatArray) -> FloatArray:
-    """Return a covariance that lets quantities which share their parameters have an inverse."""
+    """Return a small covariance that makes that of dependent quantities invertible."""
     return np.eye(len(exponents)) * 1e-4**2
 
 
@@ -271,15 +271,15 @@ def learn_fleet(
     kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> LearnedFleet:
-    """Learn a healthy motor from motors of one make, of which some may be sick.
+    """Learn a healthy motor from motors of one make; some may be faulty.
 
     Args:
-        files: recordings; each of another motor, unless names tell otherwise.
-        group: regular expression that reads machine, motor and repeat from a file's name, see `unit_ids`.
+        files: recordings, each of another motor without `group`.
+        group: regular expression for names, see `unit_ids`.
         reading: how the files are read.
-        each: what maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
-        kept: file that keeps first fits, so that a stopped run goes on.
-        progress: told each file, twice.
+        each: maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
+        kept: file of first fits, to continue a stopped run.
+        progress: called with each file, twice.
 
     Raises:
         InputError: too few motors, or records that cannot be used together.

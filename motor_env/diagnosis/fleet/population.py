@@ -1,10 +1,9 @@
-"""Learn where the healthy core of a population of motors lies and how far it scatters, while sick ones are in it.
+"""Learn mean and spread of the healthy core of a population that includes faulty motors.
 
-Each motor's logarithms are those of its core, off by what differs from motor to motor; each record is off again by what
-differs from record to record, and by its fit's own error. A motor is of the core, or sick: off along one quantity,
-along the direction of a fault or gain, or along all (a contaminated normal distribution; Tukey 1960). Expectation and
-maximisation give each motor its probability of being of the core (Dempster, Laird & Rubin 1977). Motors are judged by
-the core alone.
+The logarithms of a record are the centre of its core plus deviations from motor to motor and record to record, and the
+fit's own error. A motor is of the core, or sick: it deviates along one quantity, a fault or gain, or all (contaminated
+normal distribution; Tukey 1960). Expectation-maximisation gives the probability of the core (Dempster, Laird & Rubin
+1977). Only the core judges.
 """
 
 from __future__ import annotations
@@ -31,16 +30,15 @@ _ROUNDS, _CONVERGED = 200, 1e-6
 
 @dataclass(frozen=True)
 class Motors:
-    """Records of several motors: all their quantities.
+    """Quantities of the records of several motors.
 
     Attributes:
-        logs: logarithms that each record tells, shape (n_records, p).
+        logs: logarithms of each record, shape (n_records, p).
         errors: their covariance by the fit, shape (n_records, p, p).
         motor: number of each record's motor, 0 to n_motors - 1, shape (n_records,).
-        position: number of each motor's place in its machine, such as left or right, shape (n_motors,).
-        between, within: covariance from motor to motor, and from record to record of one motor, as believed before any
-            is seen, shape (p, p).
-        directions: in which faults move several quantities at once, shape (m, p); each moves alone in any case.
+        position: number of each motor's place in its machine, shape (n_motors,).
+        between, within: prior covariance from motor to motor, and from record to record, shape (p, p).
+        directions: of faults that move several quantities, shape (m, p).
     """
 
     logs: FloatArray
@@ -53,7 +51,7 @@ class Motors:
 
     @cached_property
     def sick(self) -> list[FloatArray]:
-        """List what sick motors scatter by in addition: along one direction each, and along all, shape (p, p) each."""
+        """List the additional covariances of sick motors: along each direction, and along all, shape (p, p) each."""
         p = len(self.between)
         axes = np.eye(p) if self.directions is None else np.vstack([np.eye(p), self.directions])
         inverse = np.linalg.inv(self.between)
@@ -74,9 +72,9 @@ class Motors:
         )
 
     def within_covariance(self) -> FloatArray:
-        """Estimate the covariance from record to record of one motor, by those that are repeated, shape (p, p).
+        """Estimate the covariance from record to record by repeated motors, shape (p, p).
 
-        The median of their deviations counts: a record may be wrong, and few motors are repeated.
+        The median deviation is robust to wrong records.
         """
         residual, freedom = [], 0
         for motor in np.flatnonzero(np.bincount(self.motor) > 1):
@@ -136,13 +134,12 @@ class HealthyPopulation:
 def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> HealthyPopulation:
     """Find the healthy core of some motors.
 
-    Records are first taken by themselves, those of one motor together as one. How much of their spread is from record
-    to
-    record is told by the motors that are repeated.
+    Records are first independent, weighted by their motor. Repeated motors then give the part of the spread from record
+    to record.
 
     Args:
         motors: their records.
-        begin: a core of nearly the same motors, to begin from.
+        begin: core of nearly the same motors, to start from.
     """
     repeats = np.bincount(motors.motor)
     share = 1.0 / repeats[motors.motor]
@@ -169,7 +166,7 @@ def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> 
 def _run_em(
     population: HealthyPopulation, motors: Motors, share: FloatArray
 ) -> tuple[HealthyPopulation, float]:
-    """Repeat rounds until they settle; also return the logarithm of the posterior probability."""
+    """Iterate to convergence; also return the log posterior probability."""
     for _ in range(_ROUNDS):
         before, (population, likelihood) = population, _em_round(population, motors, share)
         moved = max(
@@ -188,9 +185,9 @@ def _run_em(
 
 
 def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> HealthyPopulation:
-    """Choose a part of the records that lies closest together (Rousseeuw & Van Driessen 1999).
+    """Choose the part of the records with the least spread (Rousseeuw & Van Driessen 1999).
 
-    The spread of these is less than that of all of a normal distribution, by a known factor.
+    A known factor corrects its spread to that of a normal distribution.
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
     (count, p), places = logs.shape, int(position.max()) + 1

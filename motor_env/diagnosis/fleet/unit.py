@@ -32,7 +32,7 @@ def update_unit(
 
     Args:
         files: healthy records of this motor.
-        fleet_motor: motor that was learned from a fleet, or by this function before.
+        fleet_motor: learned from a fleet, or by this function.
         name: of the motor.
         reading: how the files are read.
 
@@ -55,7 +55,7 @@ def unit_quantities(motor: Motor) -> dict[str, dict[str, Any]]:
     """List value, interval (95 %) and unit of each quantity.
 
     Args:
-        motor: that `update_unit` has given.
+        motor: of `update_unit`.
     """
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was learned
@@ -67,7 +67,7 @@ def combine_with_records(healthy: Healthy, logs: FloatArray, errors: FloatArray)
     """Combine a fleet's motor with records.
 
     Args:
-        healthy: what the fleet teaches.
+        healthy: statistics of the fleet.
         logs: logarithms of the quantities of each record, shape (n, p).
         errors: their covariance by the fit, shape (n, p, p).
     """
@@ -111,7 +111,7 @@ def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
 
 
 def _within_covariance(logs: FloatArray, errors: FloatArray, fleet: Fleet) -> FloatArray:
-    """Estimate the scatter from record to record; own records count by their number."""
+    """Estimate the scatter from record to record by the own records and the fleet's."""
     deviations = logs - logs.mean(axis=0)
     scatter = deviations.T @ deviations - max(len(logs) - 1, 0) * errors.mean(axis=0)
     spread = (scatter + PRIOR_WEIGHT * fleet.log_within) / (len(logs) - 1 + PRIOR_WEIGHT)
@@ -132,7 +132,7 @@ class FleetUnit:
         records: diagnosis of each of its files.
         quantities: that the fleet's records tell.
         difference: from the healthy population of the other motors; None without a fit.
-        common_cause: what all motors of its machine show together; empty for nothing.
+        common_cause: wrong scale that all motors of its machine share; empty for none.
     """
 
     unit_id: UnitId
@@ -150,7 +150,7 @@ class FleetUnit:
 
     @property
     def deviations(self) -> dict[str, float]:
-        """Count standard deviations of another healthy motor between each quantity and the population."""
+        """Deviations of its quantities from the population, in standard deviations."""
         if self.difference is None:
             return {}
         sd = np.sqrt(np.diag(self.difference.covariance))
@@ -158,7 +158,7 @@ class FleetUnit:
 
     @property
     def p_value(self) -> float | None:
-        """Compute the share of healthy motors that lie as far off (Hotelling)."""
+        """Share of healthy motors at least as far away (Hotelling)."""
         if self.difference is None:
             return None
         deviations = self.difference.log_ratios
@@ -168,7 +168,7 @@ class FleetUnit:
 
     @property
     def decisive(self) -> Diagnosis:
-        """Choose the record that the verdict rests on: the surest of those with a fault."""
+        """Choose the decisive record: the surest with a fault, else the first healthy one."""
         faults = [record for record in self.records.values() if record.verdict.is_fault]
         calm = [record for record in self.records.values() if record.verdict is Verdict.HEALTHY]
         rest = next(iter([*calm, *self.records.values()]))
@@ -218,7 +218,7 @@ class FleetUnit:
 
     @property
     def why(self) -> str:
-        """Give the first reason of a verdict that is not healthy, and what the machine's motors show together."""
+        """Give the first reason of a fault, and the common cause of its machine."""
         own = "" if self.verdict is Verdict.HEALTHY else self._reason
         both = (
             f"all motors of {self.unit_id.machine} together: {self.common_cause}" if self.common_cause else ""
@@ -227,7 +227,7 @@ class FleetUnit:
 
     @property
     def _reason(self) -> str:
-        """Give the verdict's first reason, without denying other quantities that the table names."""
+        """Give the first reason, consistent with the quantities that the table names."""
         reason, kind, far = self.decisive.reasons[0], self.decisive.decisive.fault_kind, self._far
         if kind is None or not far:
             return reason
@@ -237,5 +237,5 @@ class FleetUnit:
 
     @property
     def shown(self) -> str:
-        """Describe it in a line on the screen; of a failed sensor, quantities say nothing."""
+        """Describe the motor in a line; with a failed sensor, without quantities."""
         return self.why if self.verdict is Verdict.SENSOR else self.odd or self.why

@@ -1,9 +1,8 @@
 """Decide on a fitted piece: compare its quantities with a reference, by the covariances of both.
 
-The fit gives logarithms of quantities, with a covariance that includes the model's error. The reference gives the
-distribution of a healthy motor: tolerances, temperature and supply, or the spread between healthy pieces. After an
-alarm the most probable fault is named, unless its rest is itself significant or "other" is more probable. The
-confidence is the posterior probability of the verdict.
+The covariance of a fit includes the model's error. That of a reference holds tolerances, temperature and supply, or the
+spread between healthy pieces. After an alarm the most probable fault is named, unless its residual is significant or
+"other" is more probable. The confidence is a posterior probability.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class AlarmLimits(NamedTuple):
     """Limits of the tests, for one rate of false alarms.
 
     Attributes:
-        share: rate of false alarms of one test of the motor; all its tests together alarm at the wanted rate.
+        share: rate of false alarms of one test of the motor.
         z: standard deviations beyond which a fault alarms.
         noise_z: standard deviations beyond which the noise alarms.
     """
@@ -71,7 +70,7 @@ class AlarmLimits(NamedTuple):
 
 
 def alarm_limits(hypotheses: list[Hypothesis], rate: float, *, tests_noise: bool) -> AlarmLimits:
-    """Find the limits of the tests that together alarm at a rate; a test of the noise has an equal share."""
+    """Find the limits of tests that together alarm at a rate; the noise has an equal share."""
     difference = hypotheses[0].difference
     noise = alarm_share(rate, difference.exponents)
     freedom = difference.degrees_of_freedom
@@ -90,7 +89,7 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         fit: of the piece.
         reference: of the healthy motor.
         rate: of false alarms.
-        alarm: whether there is an alarm, if several pieces have decided that; None to decide here.
+        alarm: decision by several pieces; None to decide here.
     """
     hypotheses = form_hypotheses(fit, reference, rate)
     limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
@@ -154,9 +153,9 @@ def _explain_alarm(
     *,
     rate: float,
 ) -> Judgement:
-    """Name the fault that explains an alarm, or none; assume a load only if no fault explains it without one.
+    """Name the fault that explains an alarm, or none; assume a load only if needed.
 
-    The effect of temperature stays that of a motor without a load: with an open load too, anything could be explained.
+    The temperature acts as without a load; with an unknown load too, anything could be explained.
     """
 
     def suffices(fault: Explanation) -> bool:
@@ -204,7 +203,7 @@ def _explain_alarm(
 def _describe_warming(
     hypothesis: Hypothesis, same_warmth: FloatArray, reference: Reference
 ) -> tuple[str, ...]:
-    """Say that another temperature explains the changes, if it does: its posterior mean in kelvin."""
+    """Describe a change of the temperature that explains the changes: its posterior mean in kelvin."""
     if reference.temperature_k == 0.0:
         return ()
     kelvin, sd = estimate_warming(
@@ -225,7 +224,7 @@ def _name_fault(
     probability: dict[str, float],
     load: str | None,
 ) -> Judgement:
-    """Judge a piece with a known fault; the interval of its severity is that of Student's t."""
+    """Judge a piece with a known fault; the interval of the severity is Student's."""
     verdict, own = Verdict(fault.kind.verdict), severity_unit(fault.kind, reference.own_friction)
     half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
     low, high = (severity_of(fault.kind, fault.step + margin) / own for margin in (-half, half))
@@ -246,7 +245,7 @@ def _name_fault(
 
 
 def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
-    """Judge the noise of the current; `limit` is in standard deviations of its logarithm."""
+    """Judge the noise of the current; `limit` is in standard deviations."""
     if reference.log_noise is None or not isinstance(fit, StartFit):
         return healthy
     # Coarse steps, a rectifier and a dead zone change the noise seen: it tells nothing. Healthy starts were recorded
@@ -273,7 +272,7 @@ _CHECKED_FAULTS = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "re
 
 
 def _describe_undecided(smallest: dict[str, float], source: str) -> Iterator[str]:
-    """Describe what a piece leaves undecided: a doubling would not show, or there is no reference."""
+    """Describe quantities whose doubling would not show, or without a reference."""
     for kind, quantity in _CHECKED_FAULTS.items():
         severity = smallest.get(str(kind))
         if severity is None:

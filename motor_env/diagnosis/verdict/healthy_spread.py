@@ -24,8 +24,8 @@ from motor_env.motor.parameters import FloatArray
 START_SPREAD = 0.02
 """Prior standard deviation of a logarithm from start to start."""
 RECORD_SPREAD = np.array([0.01, 0.005, 0.01, 0.05])
-"""Standard deviation of the logarithms of R, K, J and B between records of a motor at work. Their length does not
-matter: the model's error is nearly constant within a record."""
+"""Standard deviation of the logarithms of R, K, J and B between records of a motor at work, of any length: model error
+is constant within a record."""
 PRIOR_WEIGHT = 4.0
 _FEW_BESIDE = 4  # times as many windows of the usual drive
 _NOISE_SPREAD = 0.10
@@ -34,9 +34,9 @@ _SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm between starts
 
 
 def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> list[StartFit]:
-    """Fit healthy starts with one common model, which the evidence prefers in most of them.
+    """Fit healthy starts with one model, which the evidence prefers in most of them.
 
-    The second of two fits begins at the median of the first ones, so that no start stays in an optimum of its own.
+    A second fit begins at the median of the first ones, to leave local optima.
 
     Raises:
         UnusableError: the current of one flows against its voltage.
@@ -56,8 +56,8 @@ def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> li
 def predictive_t(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return mean, covariance and degrees of freedom of the predictive Student t of the next healthy piece.
 
-    The prior of the covariance is an inverse-Wishart worth 4 pieces (Gelman et al. 2013, ch. 3.6). The next piece then
-    has n - 1 + 4 degrees of freedom and the scale (1 + 1/n) S.
+    The covariance has an inverse-Wishart prior worth 4 pieces (Gelman et al. 2013, ch. 3.6): n - 1 + 4 degrees of
+    freedom, scale (1 + 1/n) S.
 
     Args:
         logs: of the pieces, shape (n, p).
@@ -78,12 +78,12 @@ def next_piece(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return mean, covariance and degrees of freedom of the next healthy piece's logarithms.
 
-    The fit's error is independent between pieces, so the next one scatters by it at least.
+    The independent errors of the fits are the least scatter.
 
     Args:
         fits: healthy pieces with the same quantities.
         prior_sd: prior standard deviation of each logarithm from piece to piece.
-        borrowed: covariance of other pieces, used where it is larger.
+        borrowed: covariance of other pieces, used if larger.
     """
     logs = np.array([fit.log_values for fit in fits])
     error = np.mean([fit.white_covariance for fit in fits], axis=0)
@@ -98,8 +98,8 @@ def next_window(
 
     Args:
         fits: healthy windows.
-        steady: only a fault moves the motor, also from record to record.
-        usual: healthy windows of the usual drive, if `fits` are few of another one: those scatter no less.
+        steady: without a spread from record to record.
+        usual: healthy windows of the usual condition, if `fits` are few of another one.
     """
     borrowed = next_window(usual, steady=True)[1] if usual else None
     centre, covariance, freedom = next_piece(fits, 0.0, borrowed)
@@ -107,13 +107,13 @@ def next_window(
 
 
 def usual_condition_windows(pieces: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
-    """Return the windows of the usual drive if those of another one are few beside them, else none."""
+    """Return the windows of the usual condition if those of another one are few, else none."""
     usual = max(drives, key=len)
     return usual if len(usual) >= _FEW_BESIDE * len(pieces) else ()
 
 
 def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
-    """Learn from all healthy pieces but one, with the same model; of windows from those of the same drive."""
+    """Learn from all healthy pieces but one; of windows from those under the same condition."""
     drives = () if healthy.windows is None else healthy.windows.drives
     same_condition = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
     others = [fits[n] for n in same_condition if n != number]
@@ -137,7 +137,7 @@ def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Heal
 
 
 def learn_starts(fits: Sequence[StartFit]) -> Healthy:
-    """Learn the distribution of the next start from one or more healthy starts, fitted with the same model.
+    """Learn the distribution of the next start from healthy starts, fitted with the same model.
 
     The prior standard deviation of every quantity is 2 %.
     """
@@ -192,9 +192,9 @@ def explain_outlier(fits: Sequence[StartFit], number: int) -> str | None:
 def detectable_changes(
     motor: Motor, fits: Sequence[Fitted], temperature_c: float | None, rate: float
 ) -> tuple[dict[str, float], dict[str, int]]:
-    """Return the smallest changes that the next piece shows under every drive, by kind of fault.
+    """Return the smallest changes that the next piece shows under every condition, by kind of fault.
 
-    Also return how many pieces, judged by the others, leave a quantity undecided, by its name.
+    Also return the number of pieces that, judged by the others, leave each quantity undecided.
     """
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was just learned

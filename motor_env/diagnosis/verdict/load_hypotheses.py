@@ -1,7 +1,7 @@
-"""Effect of a fault on the textbook fit of a start, which takes any load for viscous friction.
+"""Compute the effect of a fault on the textbook fit of a loaded start.
 
-First find the motor with that load whose start the textbook would fit like this one. A fault of that motor moves
-current and speed, and so the textbook's parameters.
+The textbook takes any load for viscous friction. Find the loaded motor whose start has this textbook fit; then fit the
+start of that motor with a fault.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ _FRICTION = identifiable.PARAMETERS.index("B")
 
 @dataclass(frozen=True, slots=True)
 class LoadHypothesis:
-    """A hypothesis of what makes the drag of a start.
+    """Hypothesis of the drag of a start.
 
     Attributes:
-        name: of `LOADS`, for most of it; None for viscous friction.
-        response: how the logarithms of the start's quantities move with those of R, L, K, J, the drag and V, (n, 6).
+        name: of `LOADS`; None for viscous friction.
+        response: derivatives of the start's log quantities by log R, L, K, J, drag and V, shape (n, 6).
         own_friction: the motor's own share of the drag.
     """
 
@@ -41,12 +41,12 @@ class LoadHypothesis:
 
     @property
     def warmth(self) -> FloatArray:
-        """Change of the logarithms per kelvin, shape (n,); a load does not fall with the temperature."""
+        """Change of the logarithms per kelvin, shape (n,); none of a load."""
         return identifiable.warmth_direction(self.response, self.own_friction)
 
 
 def possible_loads(fit: StartFit, own: float | None) -> list[LoadHypothesis]:
-    """Return what may make the drag, viscous friction first; `own` is the motor's share of it, None if unknown.
+    """Return the hypotheses, viscous friction first; `own` is the motor's share of the drag, None if unknown.
 
     Dry friction looks like a constant load, and is the motor's own.
     """
@@ -67,8 +67,7 @@ def possible_loads(fit: StartFit, own: float | None) -> list[LoadHypothesis]:
 def _response(fit: StartFit, load: str, inverse: FloatArray) -> FloatArray | None:
     """Return the response of a `LoadHypothesis`; None if no motor with that load looks like this start.
 
-    More drag is a torque that does not depend on the speed, as that of a faulty bearing. `inverse` is
-    `_textbook_inverse`.
+    A faulty bearing adds a torque independent of the speed. `inverse` is `_textbook_inverse`.
     """
     free, textbook, motor = _free_parameters(fit), _simulate(fit, np.zeros(5)), np.zeros(5)
     for _ in range(_ROUNDS):
@@ -83,7 +82,7 @@ def _response(fit: StartFit, load: str, inverse: FloatArray) -> FloatArray | Non
 
 
 def _textbook_inverse(fit: StartFit) -> FloatArray:
-    """Return how the free logarithms of a textbook fit follow samples of `_simulate`, shape (n_free, n_samples)."""
+    """Return the slopes of free log parameters by samples of `_simulate`, shape (n_free, n_samples)."""
     textbook = _simulate(fit, np.zeros(5))
     columns = [(_simulate(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free_parameters(fit)]
     later = (_simulate(fit, np.zeros(5), late=_STEP) - textbook) / _STEP
@@ -94,7 +93,7 @@ def _textbook_inverse(fit: StartFit) -> FloatArray:
 
 
 def _free_parameters(fit: StartFit) -> list[int]:
-    """Return which of R, L, K, J and B are free in the fit: K if the speed was recorded."""
+    """Return which of R, L, K, J and B are free: K only with a speed."""
     has_speed = fit.start.speed_rad_s is not None
     return [n for n, name in enumerate(identifiable.PARAMETERS[:-1]) if name != "K" or has_speed]
 
@@ -107,14 +106,14 @@ def _simulate(
     added: float = 0.0,
     late: float = 0.0,
 ) -> FloatArray:
-    """Simulate the current, and the speed if recorded, each over the fit's residual.
+    """Simulate current and recorded speed, each over the fit's residual.
 
     Args:
         fit: the start.
         logs: of factors on R, L, K, J and B of the fit, shape (5,).
-        load: what makes the drag; None for the textbook.
+        load: of `LOADS`; None for the textbook.
         added: friction torque of a bearing, over the drag.
-        late: how much later it starts, in samples.
+        late: delay in samples.
     """
     p, speed = fit.physical, abs(mean_tail(fit.states[:, 1]))
     drag = p[index.B] * speed

@@ -33,9 +33,8 @@ class ChannelRecord(NamedTuple):
         voltage_v: shape (n,).
         current_a, speed_rad_s: shape (n,); None for a channel without a column.
         has_sign: whether the sign of the voltage is known.
-        at_work: whether it is a log. The offset of a start is no failure: its quiet part gives it.
-        is_taught: whether the healthy motor was learned from recordings. A data sheet knows neither signs nor ranges of
-            the sensors.
+        at_work: whether it is a log; the quiet part of a start gives its offset.
+        is_taught: whether the healthy motor was learned from recordings, so that signs and ranges are known.
     """
 
     dt_s: float
@@ -67,7 +66,7 @@ def free_run(
 
 
 def held_current(physical: FloatArray, voltage_v: FloatArray, dt_s: float) -> FloatArray:
-    """Simulate the current of a held rotor, of the winding alone without brushes, shape (n,)."""
+    """Simulate the current of a held rotor without brush drop, shape (n,)."""
     values = physical.copy()
     values[index.J], values[index.DROP] = _HELD * physical[index.J], 0.0
     return free_run(values, voltage_v, dt_s, from_rest=True)[0]
@@ -101,13 +100,13 @@ _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of t
 
 
 def sensor_judgement(kind: str, why: str) -> Judgement:
-    """Judge a piece with a failed sensor: its kind and the evidence, and nothing of the motor."""
+    """Judge a piece by its failed sensor alone."""
     fault = FaultKind(kind)
     return Judgement(Verdict.SENSOR, (why, fault.finding), fault_kind=fault, kind_probability=1.0)
 
 
 def find_failure(record: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """Find the failed sensor of a record, given nearly the motor's physical values; None if none failed."""
+    """Find the failed sensor of a record, given the motor's approximate physical values; None without one."""
     current, speed = free_run(physical, record.voltage_v, record.dt_s, from_rest=not record.at_work)
     if not (np.isfinite(current).all() and np.isfinite(speed).all()):
         return None
@@ -143,7 +142,7 @@ def _channels(
 def _predict_from_others(
     record: ChannelRecord, physical: FloatArray
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """Predict current and speed, each by the voltage and the other one, whatever the load is."""
+    """Predict current and speed, each from the voltage and the other, for any load."""
     if record.current_a is None or record.speed_rad_s is None:
         return None, None
     ohm, constant = float(physical[index.R]), float(physical[index.K])
@@ -169,7 +168,7 @@ def _is_turning(record: ChannelRecord, expected: ChannelRecord, physical: FloatA
 
 
 def _check_dead(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """Find a channel without a signal, if another shows that the motor turns, or there is no other."""
+    """Find a channel without a signal, if another one shows that the motor turns, or is missing."""
     for name, unit, measured, healthy in _channels(record, expected):
         if rms(measured) >= _NOTHING * rms(healthy) or correlation(measured, healthy) ** 2 >= _A_SCALE:
             continue
@@ -220,7 +219,7 @@ def _motor_runs_on(
 
 
 def _check_swapped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """Find another order of the columns in which, and only in which, they are those of the healthy motor."""
+    """Find another order of the columns that alone matches the healthy motor."""
     if (
         record.current_a is None
         or record.speed_rad_s is None
@@ -253,7 +252,7 @@ def _has_similar_size(measured: FloatArray, healthy: FloatArray) -> bool:
 def _check_contradiction(
     record: ChannelRecord, expected: ChannelRecord, physical: FloatArray
 ) -> Judgement | None:
-    """Find a channel that contradicts the others: it is reversed, or another motor's."""
+    """Find a channel that contradicts the others: reversed, or of another quantity."""
     by_speed, by_current = _predict_from_others(record, physical)
     current = correlation(record.current_a, expected.current_a)
     speed = correlation(record.speed_rad_s, expected.speed_rad_s, about=0.0)
@@ -307,12 +306,12 @@ def _check_contradiction(
 
 
 def _highest_correlation(measured: FloatArray, healthy: FloatArray) -> float:
-    """Return the correlation of the healthy motor's values with themselves under the noise of a channel."""
+    """Return the correlation of the healthy values with themselves plus the noise of a channel."""
     return float(np.std(healthy) / max(np.hypot(np.std(healthy), difference_noise(measured)), 1e-300))
 
 
 def _check_clipped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """Find a channel that stands at its largest value where the motor goes beyond, and follows it elsewhere."""
+    """Find a channel that saturates where the motor goes beyond, and follows it elsewhere."""
     by_speed, _ = _predict_from_others(record, physical)
     for name, unit, measured, free in _channels(record, expected):
         healthy = free if name == "speed" or by_speed is None else by_speed
@@ -391,7 +390,7 @@ def diagnose_sensors(
     *,
     at_work: bool = False,
 ) -> Judgement | None:
-    """Judge a recording with a failed sensor; None if none failed, or the voltage is not known.
+    """Judge a recording by a failed sensor; None without one, or without a voltage.
 
     Args:
         recording: one start, or a log.
@@ -441,7 +440,7 @@ def physical_values(motor: Motor) -> FloatArray:
 
 
 def _record_channels(recording: Recording, level_v: float | None) -> ChannelRecord | None:
-    """Return the channels, with a step for a voltage that was not recorded; None if its level is unknown too."""
+    """Return the channels, with a step of the supply if the voltage was not recorded; None without its level."""
     voltage, has_sign = recording.voltage_v, True
     if voltage is None and recording.duty is not None and level_v is not None:
         voltage = level_v * recording.duty
@@ -456,7 +455,7 @@ def _record_channels(recording: Recording, level_v: float | None) -> ChannelReco
 
 
 def learn_signs(motor: Motor, healthy: Sequence[Recording], voltage_v: float | None) -> Motor:
-    """Return the motor with the column that has the other sign in all its healthy starts: it is wired so."""
+    """Return the motor with the column that has the other sign in all its healthy starts."""
     failures = [diagnose_sensors(recording, motor, voltage_v) for recording in healthy]
     kinds = {None if failure is None else failure.fault_kind for failure in failures}
     column = next((name for kind, name in _POLARITY_COLUMNS.items() if kinds == {FaultKind(kind)}), None)
@@ -468,7 +467,7 @@ def learn_signs(motor: Motor, healthy: Sequence[Recording], voltage_v: float | N
 
 
 def _has_learned_speed(motor: Motor) -> bool:
-    """Whether the healthy pieces were recorded with the speed, so that K is known."""
+    """Whether the healthy pieces were recorded with the speed."""
     return motor.healthy is not None and not {"K", "K/V"}.isdisjoint(motor.healthy.quantities)
 
 
@@ -481,7 +480,7 @@ def _turn_signs(recording: Recording, names: Sequence[str]) -> Recording:
 
 
 def _starts_backwards(recording: Recording, direction: int) -> bool:
-    """Whether a current without voltage and speed has the other sign than that of the healthy starts."""
+    """Whether a lone current has the other sign than that of the healthy starts."""
     if any(column is not None for column in (recording.voltage_v, recording.duty, recording.speed_rad_s)):
         return False
     with suppress(UnusableError):
@@ -490,7 +489,7 @@ def _starts_backwards(recording: Recording, direction: int) -> bool:
 
 
 def _onset_index(recording: Recording) -> int | None:
-    """Return the index where the current, or else the speed, begins to move."""
+    """Return the sample at which the current, else the speed, begins to move."""
     for column in (recording.current_a, recording.speed_rad_s):
         if column is not None:
             try:
