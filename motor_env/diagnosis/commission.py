@@ -52,7 +52,7 @@ _WARMTH = (
 
 
 def intervals(healthy: Healthy, log_covariance: FloatArray, rate: float) -> dict[str, dict[str, Any]]:
-    """Return quantities with units and intervals that healthy pieces leave at this rate; `log_covariance` is (n, n)."""
+    """Return quantities with units and intervals at a rate of false alarms; `log_covariance` is (n, n)."""
     half = -float(stdtrit(healthy.degrees_of_freedom, rate / 2.0)) * np.sqrt(np.diag(log_covariance))
     rows = zip(healthy.quantities, healthy.values.tolist(), half.tolist(), strict=True)
     return {
@@ -76,13 +76,13 @@ def interval_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Commissioned:
-    """A commissioned motor, and what later recordings of it will show.
+    """A commissioned motor with its smallest detectable changes.
 
     Attributes:
-        motor: with the statistics of its healthy pieces.
+        motor: with its healthy statistics.
         fits: of the healthy pieces.
-        smallest: severity of each fault that the next piece shows in 95 of 100 cases.
-        undecided: number of healthy pieces that, judged by the others, leave a quantity undecided; by its name.
+        smallest: severity of each fault that is found in 95 of 100 cases.
+        undecided: number of healthy pieces that leave a quantity undecided, by its name.
         false_alarm_rate: of the intervals and smallest changes.
         taken: regime of the recordings, and why.
         read: how their columns were understood.
@@ -98,7 +98,7 @@ class Commissioned:
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Healthy quantities with units and the interval of the next healthy piece at the rate of false alarms."""
+        """Healthy quantities with units and the interval of the next healthy piece."""
         return intervals(self.healthy, self.healthy.log_covariance, self.false_alarm_rate)
 
     @property
@@ -146,7 +146,7 @@ class Commissioned:
         return "\n".join(lines)
 
     def page(self) -> str:
-        """Draw a self-contained HTML page: the spread of each quantity; of starts also their fits and residuals."""
+        """Draw a self-contained HTML page: the spread of each quantity, and the fits of starts."""
         from motor_env.diagnosis.verdict.report_page import page_of_fits, spread_chart
 
         starts = [fit for fit in self.fits if isinstance(fit, StartFit)]
@@ -192,12 +192,12 @@ def commission(
         constant: torque constant in N m/A, where known and the speed was not recorded.
         temperature_c: of the motor at these recordings, where known.
         window_s: length of the windows of logs; by default a twentieth of all logs.
-        steady: of logs: only a fault moves the motor, as on a test bench.
-        no_load_current_a: of starts: current without the load; it separates the motor's own friction from the drag.
+        steady: of logs: load, temperature and offsets are constant, as on a test bench.
+        no_load_current_a: of starts: current without the load, for the motor's own friction.
         false_alarm_rate: for intervals and smallest changes.
 
     Raises:
-        InputError: too few recordings, one that cannot be used, or two that do not go together.
+        InputError: too few, unusable or incompatible recordings.
     """
     require_several("recordings", recordings, (Recording, str, Path))
     paths = [Path(each).resolve() for each in recordings if not isinstance(each, Recording)]

@@ -57,19 +57,19 @@ _PER_VOLT = (
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis(verdict.Diagnosis):
-    """Verdict on a recording, as text, JSON and page.
+    """Verdict on a recording with its text, JSON and page.
 
     Attributes:
         recording: as read.
         taken: its regime, and why.
         pieces: judgements, in the order of time.
-        of: number of pieces of the recording; of many pieces only some are judged.
+        of: number of pieces of the recording; of many only some are judged.
         periods_per_turn: of the commutation ripple, where known.
     """
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Quantities of the piece that the verdict rests on: value, standard error, interval (95 %) and unit."""
+        """Quantities of the decisive piece: value, standard error, interval (95 %) and unit."""
         fit = self.decisive.fit
         return {} if fit is None else report_text.quantities_json(fit)
 
@@ -81,11 +81,11 @@ class Diagnosis(verdict.Diagnosis):
         return self.text()
 
     def text(self, *, verbose: bool = False) -> str:
-        """Describe the verdict for a maintenance engineer; `verbose` adds how well model and filter fit."""
+        """Describe the verdict for a maintenance engineer; `verbose` adds the quality of the fit."""
         return report_text.as_text(self, verbose=verbose)
 
     def page(self) -> str:
-        """Draw a self-contained HTML page: the verdict, what to do first, and what it rests on."""
+        """Draw a self-contained HTML page: verdict, first action and evidence."""
         from motor_env.diagnosis.verdict.report_page import page
 
         return page(self)
@@ -110,17 +110,16 @@ def diagnose(
         recording: as read, or its file.
         motor: data sheet, identified or commissioned motor, or its file, or the name of a catalogue motor.
         columns: columns named by the user, of a file.
-        voltage_v: level of the supply where the recording has none; the motor's nominal voltage otherwise.
-        false_alarm_rate: per healthy recording; its pieces share it.
+        voltage_v: level of the supply if it was not recorded; by default the motor's nominal voltage.
+        false_alarm_rate: per healthy recording.
         circuit: the measuring circuit.
         temperature_c: of the motor, where measured; used if that of the healthy pieces is known too.
-        regime: start, operation, or auto: decided by what the voltage does, and by what the motor was commissioned on.
+        regime: start, operation, or auto: by the voltage and the motor's commissioning.
         start: which one, counted from 1, of a recording of several; all of them unless given.
         periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
 
     Raises:
-        InputError: an option out of its range, an unknown regime, no such start, or too many of them; a file that
-            cannot be read.
+        InputError: an invalid option, no such start, or a file that cannot be read.
     """
     require_options(
         false_alarm_rate=false_alarm_rate,
@@ -269,9 +268,9 @@ def _reference(start: Start, motor: Motor | None, temperature_c: float | None) -
 
 
 def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
-    """Return how the linear fit of a start differs from a motor file with brush drop, dry friction or a fan.
+    """Return the shift of a start's linear fit from a motor file with brush drop, dry friction or a fan.
 
-    Healthy starts include it already. If a sheet does not split its friction, any dry share is equally likely.
+    Healthy starts include it already. Without a split of the sheet's friction, any dry share is equally likely.
     """
     windows = None if motor.healthy is None else motor.healthy.windows
     if not start.voltage_known or (motor.healthy is not None and windows is None):

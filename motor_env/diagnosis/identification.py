@@ -41,12 +41,12 @@ _WARM_K = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """Fits of recordings of a motor: one of each start, and one of all logs of the motor at work.
+    """Fits of recordings of a motor: of each start, and of all logs together.
 
     Attributes:
         starts: each start with its fit.
         logs: recordings of the motor at work.
-        taken: regime of the recordings and of the starts cut from them, and why; by their paths.
+        taken: regime of recordings and starts, and why, by path.
         joint: the fit of the logs; None without logs, or if no motor explains them.
         trouble: why no motor explains the logs.
         periods_per_turn: of the commutation ripple, where known.
@@ -73,7 +73,7 @@ class Identification:
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Quantities with value, standard error, interval (95 %), unit: of the logs, else of the first good start."""
+        """Value, standard error, 95 % interval and unit of each quantity, of the logs, else the first good start."""
         if self.joint is not None:
             return _log_quantities(self.joint)
         return quantities_json(self.usable[0]) if self.usable else {}
@@ -82,7 +82,7 @@ class Identification:
         """Return the motor of the logs, else of all good starts.
 
         Raises:
-            InputError: no motor explains the recordings, or they do not determine each parameter.
+            InputError: the recordings do not determine each parameter.
         """
         if self.joint is not None:
             return motor_of_log(self.joint, name)
@@ -103,7 +103,7 @@ class Identification:
         return "\n".join(map(_text, self.to_json()))
 
     def page(self) -> str:
-        """Draw a self-contained HTML page: measured beside fitted current and speed of each start and of all logs."""
+        """Draw a self-contained HTML page: measured beside fitted current and speed."""
         from motor_env.diagnosis.verdict.report_page import page_of_fits
 
         fits: dict[str, StartFit | OperationFit] = {
@@ -213,7 +213,7 @@ def identify(
     constant: float | None = None,
     periods_per_turn: float | None = None,
 ) -> Identification:
-    """Identify the parameters of one motor: from each start alone, from all logs of the motor at work together.
+    """Identify the parameters of a motor from each start alone and from all logs together.
 
     Args:
         recordings: one or several, or their files.
@@ -221,7 +221,7 @@ def identify(
         voltage_v: level of the supply where none was recorded.
         circuit: the measuring circuit.
         regime: start, operation, or auto: decided by what the voltage does.
-        start: which one, counted from 1, of a recording of several; all of them unless given.
+        start: which one, counted from 1, of several; by default all.
         constant: torque constant in N m/A, where known and the speed was not recorded.
         periods_per_turn: of the commutation ripple, where known.
 

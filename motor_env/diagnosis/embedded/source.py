@@ -56,21 +56,21 @@ class Check(NamedTuple):
 def write_library(
     monitor: Monitor, folder: Path, *, steps: Readings | None, name: str, wanted: str
 ) -> list[Path]:
-    """Write the C library of a monitor, whole or not at all.
+    """Write the C library of a monitor, complete or not at all.
 
     Args:
         monitor: what it computes.
-        folder: where: new, empty, or of such a library, whose files are replaced.
-        steps: what one count of a reading is worth in fixed point; None for single precision.
-        name: of the library, and the first part of the names in it.
+        folder: new, empty, or of such a library, which is replaced.
+        steps: size of one count of each reading in fixed point; None for single precision.
+        name: of the library, and prefix of its names.
         wanted: the rate of false alarms in words.
 
     Returns:
         The files.
 
     Raises:
-        InputError: the name is no lower-case C name of its own, the folder holds something else, a number does not fit,
-            or a file cannot be written.
+        InputError: no valid name, another content of the folder, a number that does not fit, or a file that cannot be
+            written.
         ValueError: the steps do not suit the ranges.
     """
     if (
@@ -146,7 +146,7 @@ def literal(value: Any) -> str:
 
 
 def checks(monitor: Monitor, n: Numbers) -> list[Check]:
-    """Make samples of a healthy start, then of a current so far off that it alarms, then one out of range."""
+    """Make samples of a healthy start, then of a current that alarms, then one out of range."""
     model, sensor, voltage_v = (
         monitor.kalman.model,
         monitor.kalman.observation,

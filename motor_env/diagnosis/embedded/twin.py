@@ -1,7 +1,7 @@
 """Compute as the C source does: the same operations in the same order, on NumPy's floats or integers.
 
-Current and speed grow by small amounts. In single precision what is lost when an amount is added is kept for the next
-one (Kahan 1965); without that the statistics drift off by more than the noise of the sum.
+In single precision the rounding error of each addition to current and speed is carried to the next (Kahan 1965);
+without that the statistics drift.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STATISTIC_BITS = 26
 _MANTISSA_BITS, _MOST_SHIFT = 30, 62
 _LONGEST_MEMORY = 15  # as a power of two
 NOTHING_BITS, SOMETHING_BITS = 4, 1
-"""A current below the model's over 2^4 is nothing, one of half the model's is something."""
+"""A current below 2^-4 of the model's is nothing, one of half the model's is something."""
 
 
 _UNITS = Readings(1.0, 1.0, 1.0)
@@ -43,7 +43,7 @@ def convert(values: Values, dtype: type[np.generic]) -> Values:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Factors of a sum of products, shape (k,): floats, or integers whose sum is shifted right."""
+    """Factors of a sum of products, shape (k,): floats, or integers with a right shift."""
 
     factors: Values
     shift: int | None = None
@@ -65,17 +65,17 @@ class Numbers:
         n_channels: number of measured channels.
         scales: factor from a reading of current, speed, voltage to its value; powers of two.
         readings: size of one count of each reading; 1 for floats.
-        model: what current and speed grow by in a sample, from current, speed and voltage.
-        drag: what brushes and dry friction take from current and speed, and the speed below which they do not count.
+        model: growth of current and speed in a sample, by current, speed and voltage.
+        drag: loss of current and speed by brushes and dry friction, and the speed below which they are 0.
         gain: corrections of current and speed from the innovations.
-        white: what the current's innovation adds to each sum.
+        white: from the current's innovation to each sum.
         halves: half the shift of each sum.
         threshold: of the statistic: 1, or 1 << STATISTIC_BITS.
         ranges: largest readings of current, speed, voltage.
-        stuck_after: so many equal readings in a row are no readings.
-        large_current: the model's current above which a reading of nothing is that of a dead sensor.
-        n_friction: how many of the sums look for friction; they are the first.
-        memory: of the slow current and speed: the mechanical time constant in samples, as the nearest power of two.
+        stuck_after: equal readings in a row that show a stuck sensor.
+        large_current: the model's current above which a reading of nothing shows a dead sensor.
+        n_friction: number of sums for friction, the first ones.
+        memory: mechanical time constant in samples, as the nearest exponent of two.
     """
 
     dtype: type[np.generic]
@@ -105,7 +105,7 @@ def fixed_point(monitor: Monitor, steps: Readings) -> Numbers:
     """Convert to fixed point, for readings that are counts of `steps`.
 
     Raises:
-        ValueError: a step is not positive, or so small or large that the range does not fit.
+        ValueError: a step is not positive, or does not suit the range.
     """
     units = []
     for name, step, most in zip(Readings._fields, steps, monitor.limits, strict=True):
@@ -233,7 +233,7 @@ class _Twin:
         return np.where(used, fault, sensor)
 
     def _dead(self, growth: Values, reading: Values, wrong: Any) -> NDArray[np.bool_]:
-        """Find where the current reads nothing whenever the model has much; so it stays until one is read."""
+        """Find dead current sensors: nothing is read whenever the model has much, until something is."""
         numbers, predicted = self.numbers, np.abs(self.state[0] + growth[0])
         predicted = clamp(predicted) if numbers.is_fixed else predicted
         shown = np.abs(reading * numbers.scales[0])
@@ -262,7 +262,7 @@ class _Twin:
             self.lost = (self.state - before) - rest
 
     def _forward(self, growth: Values) -> Values:
-        """Return values by whose signs the innovation is multiplied, for windings and for friction."""
+        """Return the values whose signs multiply the innovation, for windings and for friction."""
         is_fixed, predicted = self.numbers.is_fixed, self.state + growth
         predicted = clamp(predicted) if is_fixed else predicted
         shared = np.floor_divide if is_fixed else np.divide

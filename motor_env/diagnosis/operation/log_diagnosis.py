@@ -1,6 +1,6 @@
-"""The diagnosis of a log of a motor at work: its windows against the healthy motor.
+"""Diagnose a log of a motor at work: its windows against the healthy motor.
 
-A motor that was not commissioned at work is compared by its data sheet, or by its healthy starts.
+A motor that was not commissioned at work is compared with its data sheet or healthy starts.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def judge_log(
     circuit: Circuit | None = None,
     temperature_c: float | None = None,
 ) -> tuple[list[Judgement], int]:
-    """Judge the windows of a log; return also how many it has. One judgement on the whole where it cannot be cut."""
+    """Judge the windows of a log, or the whole if it has none; return also the number of windows."""
     whole = at_terminals(recording, voltage_v, circuit)
     if motor is None:
         return [Judgement(Verdict.NO_REFERENCE, (_NOTHING,)).on(whole)], 1
@@ -87,10 +87,10 @@ def judge_log(
 
 
 def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -> list[Judgement]:
-    """Check a log that is far from the healthy motor, from which its windows are fitted: is it read wrongly?
+    """Check a log that is far from the healthy motor for a wrong scale, by a fit of the whole.
 
-    A fit of the whole log begins anywhere. No wrong scale is told closer than to some percent, and friction that is
-    not viscous goes by another power.
+    Windows are fitted from the healthy motor, the whole log from anywhere. A scale is found to some percent; friction
+    that is not viscous has another power.
     """
     with suppress(UnusableError):
         joint = identify_record(from_recordings([whole]))
@@ -111,7 +111,7 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
 
 
 def _misread(judgement: Judgement, scaling: str) -> Judgement:
-    """Give a window's judgement what the whole log says instead of what its own fit did."""
+    """Replace the reasons of a window's own fit by that of the whole log."""
     own = (
         reason for reason in judgement.reasons if reason != BEYOND_WEAR and not reason.startswith(EXPLAINED)
     )
@@ -121,12 +121,11 @@ def _misread(judgement: Judgement, scaling: str) -> Judgement:
 def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = None) -> WindowJudge:
     """Make the judge of the windows of a log.
 
-    A motor that was commissioned by windows says so itself. Any other motor's file tells R, K, J and the drag at one
-    speed. The terms, the hold of the voltage and how the drag divides into viscous and dry friction then come from a
-    fit of stretches of the log.
+    Without commissioned windows the motor file gives R, K, J and the drag at one speed. Terms, voltage hold and the
+    shares of viscous and dry friction come from a fit of stretches of the log.
 
     Raises:
-        UnusableError: no current and speed, or no motor explains the log.
+        UnusableError: no current or speed, or no motor explains the log.
     """
     if motor.healthy is not None and motor.healthy.windows is not None:
         return judge_of(motor.healthy, motor.name, temperature_c)
@@ -168,15 +167,15 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
 
 
 def _enough(record: Record, settles_s: float) -> Record:
-    """Choose stretches of a record in which a motor settles: they tell the terms and how the drag divides."""
+    """Choose stretches of a record that are long enough for a motor to settle."""
     samples = max(_FEW, STRETCHES * math.ceil(_SETTLED * settles_s / record.dt_s))
     return record.sample(samples) if samples < len(record.voltage_v) else record
 
 
 def _friction_scale(motor: Motor, physical: FloatArray, speed_rad_s: float) -> float:
-    """Divide the drag over the speed in this log by the friction of the motor's file, for the same healthy motor.
+    """Divide the healthy motor's drag over the speed in this log by the friction of its file.
 
-    The file's friction is that at the no-load speed. Between two speeds the drag divides as in the log.
+    The file's friction is that at the no-load speed. The shares of the drag are those of the log.
     """
     p = motor.parameters
     if motor.nominal_voltage_v is None:

@@ -41,31 +41,30 @@ FEWEST_WINDOWS = 4
 _MOST_KEPT = 40  # windows of a condition whose features stand in the motor file
 _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
-"""How much warmer or colder a healthy motor may be, one standard deviation."""
+"""Standard deviation of a healthy motor's temperature."""
 _SEPARABLE_SD = 0.1
-"""Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
-fits say, and as they scatter."""
+"""Largest relative standard deviation of the drag beside an unknown load, by the fits and by their scatter, if the two
+are separable."""
 _ONE_WAY = 0.9  # of the turns
 _UNEXPLAINED_TORQUE = 0.05
-"""Torque that is another one in each interval, over the drag, from which on the model lacks something of the motor."""
+"""White torque noise over the drag, above which the model lacks an effect."""
 _NOISES = slice(index.NOISE_I, index.WALK + 1)
 
 
 def learn_windows(
     recordings: Sequence[Recording], window_s: float | None = None, *, steady: bool = False
 ) -> tuple[Healthy, list[FittedWindow]]:
-    """Learn from windows of a healthy motor at work; return what they teach of the next one, and their fits.
+    """Learn from windows of a healthy motor at work; return their statistics and their fits.
 
-    The spread is that of windows, with their own errors as a prior worth 4 of them, and that from record to record.
+    The spread is that of windows, with their errors as a prior worth 4 of them, plus that from record to record.
 
     Args:
         recordings: of the healthy motor at work.
-        window_s: length of a window; by default a twentieth of all recordings.
-        steady: nothing but a fault moves the motor, as on a test bench: records are alike, no other temperature, the
-            load and the sensors' offsets as in the recordings.
+        window_s: length of a window; by default a twentieth of all recordings together.
+        steady: temperature, load and the sensors' offsets are constant, as on a test bench.
 
     Raises:
-        UnusableError: no current and speed, too few windows, or no motor explains them.
+        UnusableError: no current or speed, too few windows, or no motor explains them.
     """
     if window_s is None:
         window_s = window_length_s(recordings, _DEFAULT_WINDOWS)
@@ -137,14 +136,14 @@ def learn_windows(
 
 
 def _has_unexplained_torque(joint: OperationFit) -> bool:
-    """Say whether the model leaves torque unexplained; where it does not, it errs under far drives only."""
+    """Whether the model leaves torque unexplained. If not, it errs only under very different conditions."""
     physical = joint.solution.values
     drag = physical[index.COULOMB] + physical[index.B] * effective_speed(joint)
     return bool(physical[index.WALK] > 0.0 or physical[index.NOISE_T] > _UNEXPLAINED_TORQUE * drag)
 
 
 def turns_one_way(joint: OperationFit) -> bool:
-    """Say whether the motor turns one way, but for a twentieth of its turns."""
+    """Whether the motor turns one way, except for a twentieth of its turns."""
     speed = joint.expected[:, 1]
     return bool(abs(np.mean(speed)) > _ONE_WAY * np.mean(np.abs(speed)))
 
@@ -152,10 +151,10 @@ def turns_one_way(joint: OperationFit) -> bool:
 def choose_window_terms(
     records: Sequence[Record], joint: OperationFit, *, steady: bool = False
 ) -> tuple[FloatArray, tuple[str, ...], list[WindowFit]]:
-    """Choose a window's terms; return the physical values that windows share, the terms, and fits with these.
+    """Choose a window's terms; return the shared physical values, the terms, and the fits.
 
-    Where the motor turns one way, all that brakes is friction: near standstill a fit may seem to tell a load from it,
-    by the shape that it gives the friction there. Elsewhere a load is a term where windows tell it.
+    Without reversals any braking torque counts as friction, since only its shape near standstill could separate a load.
+    Otherwise a load is a term if windows determine it.
     """
     physical, terms = values_without_warming(joint.solution), joint.solution.names
     one_way, own = turns_one_way(joint), tuple(name for name in terms if name not in LOAD)
@@ -178,7 +177,7 @@ def choose_window_terms(
 def _condition(
     pieces: Sequence[int], usual: Sequence[int], features: FloatArray, healthy_fits: Sequence[FittedWindow]
 ) -> OperatingCondition:
-    """Learn what windows under one condition teach, some of all, beside those of the usual one."""
+    """Learn the statistics of windows under one condition, beside those of the usual one."""
     centre, covariance, freedom = next_window(
         [healthy_fits[n] for n in pieces], steady=False, usual=[healthy_fits[n] for n in usual]
     )
@@ -187,7 +186,7 @@ def _condition(
 
 
 def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float = 0.0) -> float:
-    """Choose a window's length: this part of all recordings, at most what one fit or one recording holds."""
+    """Choose a window's length: a part of all recordings, at most one fit or one recording."""
     dt_s = recordings[0].dt_s
     lengths_s = [len(recording.time_s) * recording.dt_s for recording in recordings]
     part_s = min(sum(lengths_s) / parts, MOST_SAMPLES * dt_s)
@@ -195,7 +194,7 @@ def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float 
 
 
 def effective_speed(joint: OperationFit) -> float:
-    """Return the root mean square of the speed, at which the drag is told best."""
+    """Return the root mean square of the speed, where the drag is determined best."""
     return max(float(np.sqrt(np.mean(np.square(joint.expected[:, 1])))), 1e-9)
 
 
@@ -208,7 +207,7 @@ def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> flo
 
 
 def values_without_warming(joint: Solution) -> FloatArray:
-    """Return the joint fit's physical values without warmth: each window is taken at its own temperature."""
+    """Return the joint fit's physical values without warming: each window has its own temperature."""
     physical = joint.values
     physical[[index.HEATING, index.COOLING]] = 0.0
     return physical

@@ -21,7 +21,7 @@ from motor_env.motor.parameters import FloatArray
 
 SECONDS_PER_DAY = 86_400.0
 TEMPERATURE = "temperature_c"
-"""Column of a table of estimates that is no quantity: they are compared at one temperature."""
+"""Column of the temperature in a table of estimates."""
 _MONTHS = {
     name: number
     for number, name in enumerate(
@@ -48,7 +48,7 @@ class Series:
         time: rising, in `unit`, shape (n,).
         estimate: shape (n,).
         standard_error: shape (n,).
-        unit: unit of time: days (from the first estimate), or what the table calls it.
+        unit: of the time: days from the first estimate, or the table's.
         start: date of time 0, where dates are known.
     """
 
@@ -61,7 +61,7 @@ class Series:
 
 
 _Row = tuple[str, Any, str, Any, Any, str]
-"""One estimate as it stands in a file: where, time, parameter, estimate, standard error, unit of the time."""
+"""Estimate of a file: place, time, parameter, estimate, standard error, unit of the time."""
 
 
 def date_of(text: str) -> float | None:
@@ -165,8 +165,8 @@ def build_series(
 ) -> list[Series]:
     """Build series from (time, estimate, standard error) of each quantity, in any order.
 
-    Estimates of the same time are averaged by precision. Times without a unit are dates, in days since 1970; the series
-    count from the first one of all.
+    Estimates of the same time are averaged by precision. Times without a unit are days since 1970; series count from
+    the first of all.
     """
     origin = min(entry[0] for entries in estimates.values() for entry in entries) if unit is None else 0.0
     start = datetime.fromtimestamp(origin * SECONDS_PER_DAY, tz=UTC) if unit is None else None

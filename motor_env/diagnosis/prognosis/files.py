@@ -1,4 +1,4 @@
-"""Make trends of files, and show them: text, JSON, and one self-contained HTML page with pictures."""
+"""Make trends of files, and format them as text, JSON and an HTML page."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _fit_recordings(
     notes: list[str],
     progress: Callable[[Path], None],
 ) -> list[Series]:
-    """Fit every recording with the model that the first three prefer: a change of model would be a jump."""
+    """Fit every recording with the model of the first three: another model would be a jump."""
     model: tuple[str, ...] | None = None
     estimates: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     for number, (day, recording) in enumerate(recordings):
@@ -191,17 +191,17 @@ def trend(
     reference_count: int = 3,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> Trends:
-    """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
+    """Find trends of a motor's quantities over its starts, and the remaining life.
 
     Args:
         paths: a table of estimates (CSV or JSON), a folder of dated recordings, or several of these.
-        limits: factors on the mean of the first estimates, by quantity; 0.75 and 1.25 unless given, and none of L.
+        limits: factors on the mean of the first estimates, by quantity; see `DEFAULT_LIMITS`.
         level: probability that the interval of the remaining life holds.
-        voltage_v: level of the supply, for recordings without a voltage.
+        voltage_v: level of the supply where none was recorded.
         columns: columns named by the user.
-        date: where the date of a recording comes from.
+        date: source of a recording's date.
         reference_count: number of first estimates whose mean is the reference.
-        progress: told each file before it is fitted.
+        progress: called with each file before its fit.
 
     Raises:
         InputError: bad options or files.
@@ -251,7 +251,7 @@ def _page_row(trend: Trend) -> dict[str, str]:
 
 
 def _draw_chart(trend: Trend) -> str:
-    """Draw estimates and limits, and where it trends the forecast and the interval of the time to the limit."""
+    """Draw estimates and limits; of a trend also the forecast and the interval of the remaining life."""
     series = trend.series
     relative = series.estimate / trend.reference
     error = _Z90 * series.standard_error / abs(trend.reference)
@@ -295,7 +295,7 @@ def _change(factor: float) -> str:
 
 
 def _draw_forecast(chart: Chart, forecast: Forecast, last: float, ahead: FloatArray) -> None:
-    """Draw the expected levels, and on the limit the interval of the time until it is reached."""
+    """Draw the expected levels, and on the limit the interval of the remaining life."""
     mean, std = forecast.wear.forecast(ahead)
     time, upper, lower = last + ahead, mean + _Z90 * std, mean - _Z90 * std
     chart.shape("polygon", points=chart.points([*time, *time[::-1]], [*upper, *lower[::-1]]))

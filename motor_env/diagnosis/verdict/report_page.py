@@ -1,4 +1,4 @@
-"""Self-contained HTML pages: a verdict with what to do first and what it rests on; fits beside what was measured."""
+"""Draw self-contained HTML pages of verdicts and of fits."""
 
 from __future__ import annotations
 
@@ -241,7 +241,7 @@ def page_of_fits(
 
 
 def _fit_charts(fit: StartFit | OperationFit) -> Iterator[str]:
-    """Draw current and speed with their residuals, of a log also the voltage, without uncounted samples."""
+    """Draw current and speed with residuals, of a log also the voltage, without uncounted samples."""
     if isinstance(fit, StartFit):
         time, unit = 1e3 * (fit.start.time_s - fit.onset_s), "ms"
         measured = [fit.start.current_a, fit.start.speed_rad_s]
@@ -286,7 +286,7 @@ def _size(judgement: Judgement) -> str:
 def reference_current(judgement: Judgement) -> FloatArray | None:
     """Simulate the current of the reference's motor in this start, shape (n,); None without a reference.
 
-    If only the current was recorded, K is that of the fit: the current depends on K^2/J and B/J only.
+    Without a speed, K is that of the fit: the current depends on K^2/J and B/J only.
     """
     fit, reference = judgement.identified, judgement.reference
     if fit is None or reference is None:
@@ -302,7 +302,7 @@ def reference_current(judgement: Judgement) -> FloatArray | None:
 
 
 def _bars(changes: tuple[Change, ...], pieces: Mapping[str, FloatArray] | None = None) -> str:
-    """Draw the change of each quantity, or those of several pieces, with its interval on a logarithmic axis."""
+    """Draw the change of each quantity, or of several pieces, with its interval on a logarithmic axis."""
     height = 34.0 * len(changes)
     chart = Chart(
         _ratio_axis(changes),
@@ -341,10 +341,10 @@ def _ratio_axis(changes: Sequence[Change]) -> Axis:
 
 
 def _currents(fit: StartFit, expected: FloatArray | None, *, is_fault: bool) -> tuple[str, str]:
-    """Draw the measured current beside the healthy motor's, and their difference; empty without a healthy motor.
+    """Draw the measured current beside the healthy motor's, and their difference; empty without the latter.
 
-    The difference is averaged over a fiftieth of the recording, with the sensor's noise as a band. If the curves of a
-    fault would coincide, only the end of the start is drawn, averaged alike.
+    The difference is averaged over a fiftieth of the recording, with the sensor's noise as a band. If curves of a fault
+    would coincide, only the averaged end is drawn.
     """
     time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
     begin = int(np.searchsorted(time_ms, -_SHOWN_SHARE * time_ms[-1]))
@@ -391,7 +391,7 @@ def moving_average(values: FloatArray, span: int) -> FloatArray:
 
 
 def _end_chart(time_ms: FloatArray, measured: FloatArray, healthy: FloatArray, apart_a: float) -> str:
-    """Draw both currents from where they have settled; empty if they do not settle."""
+    """Draw both settled currents; empty if they do not settle."""
     moving = np.flatnonzero(np.abs(healthy - healthy[-1]) > 2.0 * apart_a)
     begin = int(moving[-1]) + 1 if moving.size else 0
     if begin > 0.9 * len(healthy):
@@ -413,7 +413,7 @@ def _chart(
     band: float = 0.0,
     time_unit: str = "ms",
 ) -> str:
-    """Draw curves by their style over the time, within limits or their own, and a band about 0."""
+    """Draw curves over the time, within their limits, and a band about 0."""
     begin, end = float(time_ms[0]), float(time_ms[-1])
     low, high = limits or (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
     room = 0.05 * max(high - low, 1e-9)

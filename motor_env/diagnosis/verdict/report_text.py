@@ -42,11 +42,11 @@ _EXTENSION_UNITS = {
     "brush_drop": "V",
 }
 _PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
-"""Units of extensions for a supply of unknown voltage, which counts as 1 V."""
+"""Units of extensions for an unknown voltage, which counts as 1 V."""
 
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return one object: regime of the recording, its verdict by the decisive piece, and all pieces."""
+    """Return one object: regime, verdict of the decisive piece, and all pieces."""
     recording, decisive = diagnosis.recording, diagnosis.decisive
     fit, consistency = decisive.identified, decisive.consistency
     parameters: dict[str, Any] = {} if decisive.fit is None else quantities_json(decisive.fit)
@@ -102,7 +102,7 @@ def _judgement_json(judgement: Judgement) -> dict[str, Any]:
 
 
 def warnings_of(recording: Recording, fit: StartFit | None) -> list[str]:
-    """Return sentences on what looks wrong with the columns or the values that they give."""
+    """Return warnings on columns and implausible values."""
     return [*recording.warnings, *([] if fit is None else implausible(fit))]
 
 
@@ -195,7 +195,7 @@ def finite_or_none(value: float | None) -> float | None:
 
 
 def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
-    """Describe a diagnosis for a maintenance engineer; `verbose` adds how well model and filter fit."""
+    """Describe a diagnosis for a maintenance engineer; `verbose` adds the quality of the fit."""
     recording, decisive, fit = diagnosis.recording, diagnosis.decisive, diagnosis.decisive.identified
     several = diagnosis.pieces if len(diagnosis.pieces) > 1 else ()
     lines = [
@@ -255,14 +255,14 @@ def _piece_table(judgement: Judgement) -> list[str]:
 
 
 def describe_friction_share(own: float | None) -> str:
-    """Say which friction a bearing fault counts in; `own` is the motor's share of the drag, if known."""
+    """Name the unit of a bearing fault; `own` is the motor's share of the drag, if known."""
     if own is None:
         return "bearing: of the whole drag, any load included"
     return "bearing: of the motor's own friction" + (f", {own:.0%} of the drag" if own < 1.0 else "")
 
 
 def expert_lines(judgement: Judgement) -> list[str]:
-    """Describe how well model and filter fit."""
+    """Describe the quality of the fit."""
     fit, consistency = judgement.identified, judgement.consistency
     lines = []
     if fit is not None:

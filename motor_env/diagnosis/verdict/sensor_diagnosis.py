@@ -1,4 +1,8 @@
-"""Diagnose the sensors of a recording before its motor."""
+"""Diagnose the sensors of a recording before its motor.
+
+The healthy motor is simulated under the recorded voltage: it gives size and course of each channel. Any two of three
+channels give the third by V = R i + L di/dt + K w. The limits are wider than any wear.
+"""
 
 from __future__ import annotations
 
