@@ -17,8 +17,7 @@ from cyclopts import run
 from tables import keep_table
 from verdict_tables import HERE, How, Said, counted
 
-from motor_env.diagnosis.prognosis.estimates import Series
-from motor_env.diagnosis.prognosis.trend import judge as judge_trend
+from motor_env.diagnosis.prognosis.trend import Series, judge as judge_trend
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FloatArray
 
 LIMIT, REACH = 1.25, 0.25

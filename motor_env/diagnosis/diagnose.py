@@ -47,7 +47,7 @@ from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.model import steady_state
 
 _ANOTHER_ORDER = math.log(1.5)
-_LEAST = 0.05  # of the voltage behind the brushes, and of the speed: a motor file may leave none
+_LEAST = 0.05  # of the voltage behind the brushes, and of the speed: lower bound for any motor file
 _NOTHING = "there is nothing to compare with: give a motor file or healthy recordings"
 _PER_VOLT = (
     "the motor file was commissioned without a voltage, and this recording has one: leave it out"

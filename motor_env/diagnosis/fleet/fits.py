@@ -83,7 +83,8 @@ class InitialFit(NamedTuple):
 
     Attributes:
         trouble: why there is no fit.
-        names: of the terms. quantities: that it tells.
+        names: of the terms.
+        quantities: determined by the fit.
         values: physical values, or the quantities' logarithms of a start.
         hold: of the voltage.
         speed_rad_s: effective speed.

@@ -207,7 +207,7 @@ def picture(names: Sequence[str], units: Sequence[FleetUnit]) -> str:
     chart.y_numbers()
     named: dict[int, list[tuple[float, float, str]]] = {}
     for unit_id, unit in enumerate(reversed(units)):  # the oddest last, on top
-        # What a failed sensor has read tells nothing of the motor.
+        # The readings of a failed sensor are no evidence on the motor.
         is_odd = unit.verdict.is_fault and unit.verdict is not Verdict.SENSOR
         for column, name in enumerate(names):
             if name not in unit.deviations:

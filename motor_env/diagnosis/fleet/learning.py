@@ -44,9 +44,7 @@ _MANY = 500
 _GROUPS = ("machine", "motor", "repeat")
 _GAINS = ("voltage", "current", "speed")
 _NONE = 1e-6
-_LEAST_PROBABILITY = (
-    0.5  # probability of the core below which a motor teaches nothing of how starts are recorded
-)
+_LEAST_PROBABILITY = 0.5  # of a healthy motor, for its starts to count
 
 
 class UnitId(NamedTuple):

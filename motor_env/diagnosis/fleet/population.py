@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from motor_env.diagnosis.verdict.healthy_spread import PRIOR_WEIGHT
 from motor_env.motor.parameters import FloatArray
 
-_SICK_SPREAD = 10.0  # of a sick motor, over what is believed of healthy ones
+_SICK_SPREAD = 10.0  # of a sick motor, over the prior of healthy ones
 _INITIAL_SHARE = 0.75  # of the motors, from which the core grows
 _STEPS = 20
 _SICK, _SICK_OF = 1.0, 10.0  # prior: one motor in ten
@@ -144,7 +144,7 @@ def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> 
     repeats = np.bincount(motors.motor)
     share = 1.0 / repeats[motors.motor]
     if begin is None:
-        # Few healthy motors have a tight half by chance; of many with sick ones among them the tight one is likelier.
+        # A small healthy fleet may have a tight half by chance: the likelier of both initial values counts.
         ends = [
             _run_em(first, motors, share)
             for first in (_initial_population(motors), _initial_population(motors, 1.0))

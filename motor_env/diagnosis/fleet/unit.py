@@ -94,7 +94,7 @@ def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
     """Fit a record's pieces.
 
     Raises:
-        InputError: it has none, or they tell other quantities than the fleet's records.
+        InputError: it has none, or of other quantities than the fleet's records.
     """
     diagnosis = diagnose(path, fleet_motor, **reading.options)
     fits = [
@@ -130,7 +130,7 @@ class FleetUnit:
     Attributes:
         unit_id: machine and motor.
         records: diagnosis of each of its files.
-        quantities: that the fleet's records tell.
+        quantities: of the fleet's records.
         difference: from the healthy population of the other motors; None without a fit.
         common_cause: wrong scale that all motors of its machine share; empty for none.
     """

@@ -80,7 +80,7 @@ def judge_log(
         if any(is_far_from_healthy(judgement) for judgement in judged):
             judged = _as_a_whole(judged, whole, judge)
         if all(judgement.verdict is Verdict.UNUSABLE for judgement in judged):
-            from_recordings([whole])  # may say why
+            from_recordings([whole])  # may raise the reason
     except UnusableError as error:
         return [Judgement(Verdict.UNUSABLE, (str(error),)).on(whole)], 1
     return judged, count
@@ -129,7 +129,7 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
     """
     if motor.healthy is not None and motor.healthy.windows is not None:
         return judge_of(motor.healthy, motor.name, temperature_c)
-    needed_columns(recording)  # refuses at once what the fit of the whole log would take long to find
+    needed_columns(recording)  # refuse before the slow fit of the whole log
     settles_s = float(np.mean(motor.parameters.mechanical_time_constant_s))
     joint = identify_record(_enough(from_recordings([recording]), settles_s))
     if not joint.record.seen.all():

@@ -126,7 +126,7 @@ _OVERSHOOT = 0.5
 windows as is asked; any others at most twice as often."""
 _ONGOING = 2.0  # score of a window up to which an alarm goes on
 _UNLIKELY = 0.01
-_NONE_SEEN = 3.0  # events that may be due where none was seen, with 95 % confidence
+_NONE_SEEN = 3.0  # upper 95 % bound of a Poisson mean without an event
 
 
 def updated_sums(sums: FloatArray, scores: FloatArray) -> FloatArray:

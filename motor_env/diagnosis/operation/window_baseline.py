@@ -89,7 +89,7 @@ def learn_windows(
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
     physical, terms, fits = choose_window_terms(records, joint, steady=steady)
     one_way = turns_one_way(joint)
-    # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
+    # The noise of a window is less than that of the joint fit; the next fit begins there.
     physical[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
     fits = [fit_window(record, physical, terms, one_way=one_way) for record in records]
     volts = [rms_volts(part) for part in parts]
@@ -136,7 +136,7 @@ def learn_windows(
 
 
 def _has_unexplained_torque(joint: OperationFit) -> bool:
-    """Whether the model leaves torque unexplained. If not, it errs only under very different conditions."""
+    """Whether the model leaves torque unexplained. If not, its error grows only under very different conditions."""
     physical = joint.solution.values
     drag = physical[index.COULOMB] + physical[index.B] * effective_speed(joint)
     return bool(physical[index.WALK] > 0.0 or physical[index.NOISE_T] > _UNEXPLAINED_TORQUE * drag)

@@ -255,7 +255,7 @@ class WindowJudge:
     def _choose_windows(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
         """Choose the windows to judge."""
         values, length = self.physical(), len(parts[0].time_s)
-        values[index.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
+        values[index.KNEE] = 0.0  # a third of the time, and the same change of all windows
         misfits = np.zeros(len(parts))
         for first in range(0, len(parts), _TOGETHER):
             some = slice(first, min(first + _TOGETHER, len(parts)))
@@ -284,7 +284,7 @@ class WindowJudge:
         judge = self.under(place)
         try:
             record = from_recordings([part])
-            # From the mean of conditions that are far apart it may stay in a notch between them.
+            # Begun at the mean of distant conditions, a fit may end in a local optimum between them.
             fit = judge.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
@@ -328,7 +328,7 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
     """Make the judge of a motor that was learned from windows.
 
     Raises:
-        UnusableError: the healthy pieces are no windows, or do not tell R, K, J and B.
+        UnusableError: the healthy pieces are no windows, or do not determine R, K, J and B.
         InputError: their physical values are not as many as the fit has.
     """
 

@@ -326,7 +326,7 @@ def fit_degradation(
     distance = abs(limit - beginning)
     require(distance > 0.0 and math.isfinite(limit), f"limit must differ from the first level, got {limit:g}")
     towards = math.copysign(1.0, limit - beginning) if sign is None else sign
-    # The unit of the scatter: the median standard error, or what the jumps between neighbours say where that is larger.
+    # The unit of the scatter: the median standard error, or by differences of neighbours if larger.
     jumps = float(np.median(np.abs(np.diff(estimate)))) / 0.954  # of white scatter: its standard deviation
     width = float(np.ptp(estimate))
     typical = max(float(np.median(standard_error)), 0.3 * jumps, 1e-9 * width, 1e-9 * distance)

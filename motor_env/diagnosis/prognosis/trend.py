@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 from itertools import product
 
 import numpy as np
@@ -22,8 +22,8 @@ from motor_env.diagnosis.prognosis.degradation import (
     RemainingLife,
     fit_degradation,
 )
-from motor_env.diagnosis.prognosis.estimates import Series
 from motor_env.motor import identifiable
+from motor_env.motor.parameters import FloatArray
 
 DEFAULT_LIMITS = (0.75, 1.25)
 """Default limits, as factors on the reference: the paper's larger fault level. L has none: no fault moves it alone.
@@ -34,6 +34,27 @@ CLOSE_SHARE = 0.8
 
 CLOSE_PROBABILITY = 0.25
 """Least probability of lying beyond that share: a missed limit costs more than an inspection."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Estimates of one quantity.
+
+    Attributes:
+        name: the quantity.
+        time: rising, in `unit`, shape (n,).
+        estimate: shape (n,).
+        standard_error: shape (n,).
+        unit: of the time: days from the first estimate, or the table's.
+        start: date of time 0, where dates are known.
+    """
+
+    name: str
+    time: FloatArray
+    estimate: FloatArray
+    standard_error: FloatArray
+    unit: str = "days"
+    start: datetime | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -219,7 +219,7 @@ def _broker(url: str) -> _Broker:
         port, topic = parts.port or 1883, unquote(parts.path.removeprefix("/"))
     except ValueError:
         parts, port, topic = urlsplit(""), 0, ""
-    if not parts.hostname or not topic:  # what was given may hold a password, and is not said
+    if not parts.hostname or not topic:  # not quoted: it may hold a password
         raise InputError(
             "MQTT needs mqtt://HOST/TOPIC or mqtt://USER:PASSWORD@HOST:PORT/TOPIC (in a password write / as %2F,"
             " # as %23, ? as %3F)"

@@ -166,7 +166,7 @@ class LearningPhase:
         return self.recordings[0].dt_s if self.recordings else math.inf
 
 
-# Garbage may look like a header for as long as it likes, and its words are mostly the same ones.
+# Garbage may look like a header in every line, mostly with the same words.
 _meaning = lru_cache(1024)(understand)
 
 
@@ -255,7 +255,7 @@ class Watch:
             sample = []
         if sample and math.isfinite(sum(sample)) and abs(sample[2]) <= LARGEST_CURRENT_A:
             yield from self._add_sample(sample)
-        # A device that begins anew says its header again.
+        # A restarted device repeats its header.
         elif text and text[0] != "#" and not self._read_header(text):
             yield Event(self._time_s, "malformed", text[:60])
 
@@ -279,7 +279,9 @@ class Watch:
         self._window.extend(sample)
         if sample[0] - self._window[0] >= self._timing.window_s:
             event = self._close_window()
-            if isinstance(self._phase, SequentialMonitor):  # before it is said: with it the state is kept
+            if isinstance(
+                self._phase, SequentialMonitor
+            ):  # before the event: the caller saves the state with it
                 self.state.memory = self._phase.state_dict
             yield event
 
@@ -318,7 +320,7 @@ class Watch:
     def _window_event(self, window: Judgement) -> Event:
         ratios = {change.name: change.ratio for change in window.changes}
         moved = {change.name for change in window.changes if change.significant}
-        # No wear moves both.
+        # Wear moves only one of them.
         if window.verdict is Verdict.OTHER and {"K", "J"} <= moved:
             return Event(
                 self._time_s, "another_motor", "constants and inertia are those of another motor", ratios

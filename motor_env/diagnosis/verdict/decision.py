@@ -49,7 +49,7 @@ from motor_env.motor.parameters import FloatArray
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _NOTABLE_WARMTH_K = 8.0
-# Sizes of changes; a ratio beyond the last is that of a quantity which the healthy pieces hardly told.
+# Sizes of changes; a ratio beyond the last is of a quantity that the healthy pieces hardly determine.
 _DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
 _LEFT_OVER = 0.01
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
@@ -93,7 +93,7 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
     """
     hypotheses = form_hypotheses(fit, reference, rate)
     limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
-    # A data sheet speaks of a motor without a load; there, loads only help to name what stands out.
+    # A data sheet is of a motor without a load; there, loads only help to name a fault.
     believed = hypotheses if reference.includes_fit_error else hypotheses[:1]
     quiet = next(
         (hypothesis for hypothesis in believed if not hypothesis.is_alarm(limits.z, limits.share)), None
@@ -102,7 +102,7 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         quiet = None if alarm else hypotheses[0]
     hypothesis = quiet or hypotheses[0]
     same_warmth = covariance_at_one_temperature(fit, reference)
-    # As fitted: those of a hypothesis are straightened, for tests that the temperature shall not raise.
+    # As fitted; those of a hypothesis are linearised in the temperature.
     rows, load = shared_rows(fit, reference), hypotheses[0].load
     log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * load.warmth
     healthy = Judgement(
@@ -127,12 +127,12 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
     )
     if quiet is None:
         limit = limits.z if alarm is None else min(limits.z, _NAMED)
-        # However often windows may alarm: a fault that is there leaves no more than this in 1 of 100.
+        # At any rate of alarms, a true fault leaves a larger residual in 1 of 100 only.
         left_over = min(rate, _LEFT_OVER)
         return limit_to_wear(
             _explain_alarm(healthy, reference, hypotheses, log_ratios, limit, rate=left_over)
         )
-    # That healthy pieces scatter by their load is no defect of this one, and the model's error is theirs as well.
+    # The scatter of healthy pieces includes loads and the model's error: neither is a defect of this piece.
     spread = hypothesis.difference.covariance
     if reference.includes_fit_error:
         spread = fit.white_covariance[np.ix_(rows, rows)]
@@ -164,7 +164,7 @@ def _explain_alarm(
     first = hypotheses[0]
     scales = find_scaling_errors(first.difference, reference.names, limit, rate)
     scaling = [describe_scaling_errors(scales)] if scales else []
-    # What has taught no sensors says nothing of their gains.
+    # Without recordings the reference does not include the sensors' gains.
     gains = [scale.gain for scale in scales if scale.gain is not None and reference.is_taught]
     for hypothesis in hypotheses[:1] if any(map(suffices, first.faults)) else hypotheses:
         difference = replace(first.difference, response=hypothesis.load.response)
@@ -183,7 +183,7 @@ def _explain_alarm(
             return replace(judgement, reasons=(*judgement.reasons, *scaling))
     if gains and len(gains) == len(scales):
         probability = probabilities(first.difference, [*first.faults, *gains])
-        # Two that explain alike differ by rounding: the one that is named first counts.
+        # Equal explanations differ by rounding: take the first.
         likeliest = max(gains, key=lambda gain: round(probability[gain.kind], 9))
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
             judgement = _name_fault(healthy, reference, likeliest, probability, None)
@@ -248,8 +248,8 @@ def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: f
     """Judge the noise of the current; `limit` is in standard deviations."""
     if reference.log_noise is None or not isinstance(fit, StartFit):
         return healthy
-    # Coarse steps, a rectifier and a dead zone change the noise seen: it tells nothing. Healthy starts were recorded
-    # with the same sensor, and hold the same.
+    # Coarse steps, a rectifier and a dead zone change the measured noise. Healthy starts were recorded with the
+    # same sensor, so they remain comparable.
     is_coarse = fit.start.alignment.quantum_a > math.exp(reference.log_noise)
     if (is_coarse or fit.is_hidden) and not reference.includes_fit_error:
         return healthy
@@ -298,7 +298,7 @@ def _describe_changes(changes: tuple[Change, ...], source: str) -> tuple[str, ..
     ]
     if any(c.name.startswith("K^2") for c in moved):
         words.append("K down looks the same as J and B up in the current alone")
-    # Friction moves with any load; two others move together where the motor is another one.
+    # Friction moves with any load; two other quantities move together if it is another motor.
     several = len({c.name[0] for c in moved if c.significant} - {"B"}) > 1
     return (
         "; ".join(words),

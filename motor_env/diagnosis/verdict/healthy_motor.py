@@ -134,7 +134,7 @@ def reference_of(
     exponents = identifiable.matrix(names)
     if exponents[:, _VOLTAGE].any():
         return None
-    # V is held at what the recording says; its tolerance scales the current, so it acts on all but ratios like B/J.
+    # V is the recorded one. Its tolerance scales the current, which acts on all but ratios such as B/J.
     scale = exponents.sum(axis=1)
     logs = identifiable.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
     shift = shift or ReferenceShift()

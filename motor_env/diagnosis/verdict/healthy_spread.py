@@ -27,10 +27,10 @@ RECORD_SPREAD = np.array([0.01, 0.005, 0.01, 0.05])
 """Standard deviation of the logarithms of R, K, J and B between records of a motor at work, of any length: model error
 is constant within a record."""
 PRIOR_WEIGHT = 4.0
-_FEW_BESIDE = 4  # times as many windows of the usual drive
+_FEW_BESIDE = 4  # times as many windows of the usual condition
 _NOISE_SPREAD = 0.10
 _DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
-_SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm between starts; so many are an outlier
+_SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm between starts; multiple of an outlier
 
 
 def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> list[StartFit]:
@@ -106,21 +106,21 @@ def next_window(
     return centre, covariance if steady else covariance + np.diag(np.square(RECORD_SPREAD)), freedom
 
 
-def usual_condition_windows(pieces: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
+def usual_condition_windows(pieces: Sequence[int], conditions: Sequence[Sequence[int]]) -> Sequence[int]:
     """Return the windows of the usual condition if those of another one are few, else none."""
-    usual = max(drives, key=len)
+    usual = max(conditions, key=len)
     return usual if len(usual) >= _FEW_BESIDE * len(pieces) else ()
 
 
 def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     """Learn from all healthy pieces but one; of windows from those under the same condition."""
-    drives = () if healthy.windows is None else healthy.windows.drives
-    same_condition = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
+    conditions = () if healthy.windows is None else healthy.windows.drives
+    same_condition = next((drive.pieces for drive in conditions if number in drive.pieces), range(len(fits)))
     others = [fits[n] for n in same_condition if n != number]
     usual = [
         fits[n]
         for n in usual_condition_windows(
-            same_condition, [drive.pieces for drive in drives] or [same_condition]
+            same_condition, [drive.pieces for drive in conditions] or [same_condition]
         )
     ]
     if healthy.windows is None:
@@ -198,10 +198,10 @@ def detectable_changes(
     """
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was just learned
-    drives = () if healthy.windows is None else healthy.windows.drives
-    conditions = [(fits[drive.pieces[0]], healthy.under(drive)) for drive in drives] or [(fits[0], healthy)]
+    conditions = () if healthy.windows is None else healthy.windows.drives
+    learned = [(fits[drive.pieces[0]], healthy.under(drive)) for drive in conditions] or [(fits[0], healthy)]
     smallest: dict[str, float] = {}
-    for fit, healthy_there in conditions:
+    for fit, healthy_there in learned:
         reference = _reference(replace(motor, healthy=healthy_there), fit, temperature_c)
         hypotheses = form_hypotheses(fit, reference, rate)
         limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)

@@ -87,7 +87,7 @@ def _textbook_inverse(fit: StartFit) -> FloatArray:
     columns = [(_simulate(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free_parameters(fit)]
     later = (_simulate(fit, np.zeros(5), late=_STEP) - textbook) / _STEP
     slopes = np.stack([*columns, later], axis=1)
-    # What the start hardly tells, such as L at a slow rate, stays: each logarithm, and a sample of delay, by 1 (1 sd).
+    # Ridge: a prior of 1 (sd) on each logarithm and on the delay in samples holds what the start hardly determines.
     inverse = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
     return np.asarray(inverse, dtype=np.float64)
 

@@ -115,7 +115,7 @@ def find_failure(record: ChannelRecord, physical: FloatArray) -> Judgement | Non
     if not (np.isfinite(current).all() and np.isfinite(speed).all()):
         return None
     expected = record._replace(current_a=current, speed_rad_s=speed)
-    if not record.has_sign:  # the motor is taken to turn as it is read to do
+    if not record.has_sign:  # assume the recorded direction
         pair = (record.current_a, current) if record.speed_rad_s is None else (record.speed_rad_s, speed)
         turned = -1.0 if correlation(*pair, about=0.0) < 0.0 else 1.0
         volts = turned * record.voltage_v
@@ -270,12 +270,12 @@ def _check_contradiction(
         correlation(record.speed_rad_s, expected.speed_rad_s), correlation(record.speed_rad_s, by_current)
     )
     speed_agreed = correlation(expected.speed_rad_s, by_current) > _ALIKE
-    # A noisy or a coarse channel, such as a speed by few edges, cannot be more alike than its noise allows.
+    # The noise of a coarse channel, such as a speed by few edges, bounds its correlation.
     lowest_correlation = {
         name: _LOW_CORRELATION * _highest_correlation(measured, healthy)
         for name, _, measured, healthy in _channels(record, expected)
     }
-    # What a speed in another unit says of the current is nothing, and the other way round.
+    # A speed in another unit is no evidence on the current, and vice versa.
     sizes = {
         name: _has_similar_size(measured, healthy)
         for name, _, measured, healthy in _channels(record, expected)
@@ -323,11 +323,11 @@ def _check_clipped(record: ChannelRecord, expected: ChannelRecord, physical: Flo
         flat = np.abs(np.abs(measured) - top) <= 1e-9 * top
         if top == 0.0 or flat.mean() > _MOSTLY or not clipped_run(measured, _smallest_step(measured)):
             continue
-        # An encoder of few edges stands at its largest value, too, but not wherever the motor shows more.
+        # An encoder of few edges repeats its largest value, too, but not wherever the motor goes beyond.
         above = np.abs(healthy) > _ABOVE * top
         both = np.count_nonzero(above & flat)
         is_more = bool(both > _MOSTLY * max(np.count_nonzero(flat), np.count_nonzero(above)))
-        # What a controller holds stands still in the healthy motor, too.
+        # A controlled quantity is constant in the healthy motor, too.
         is_more = is_more and float(np.ptp(np.abs(healthy[flat]))) > (_ABOVE - 1.0) * top
         limited = np.clip(healthy, -top, top)
         if (
@@ -355,8 +355,7 @@ def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: Floa
     known = float(physical[index.OFFSET_I])
     by_speed = np.asarray(_predict_from_others(record, physical)[0]) - known
     if np.count_nonzero(rests) >= _FEWEST:
-        # A controller may hold a small voltage, of which a rotor that stands draws its current. A speed in another unit
-        # is none at rest.
+        # A controller may apply a small voltage at standstill. A speed in another unit is not at rest.
         standing_current_a = record.voltage_v / physical[index.R]
         offset = min(
             (float(np.mean((current - each)[rests])) for each in (by_speed, standing_current_a)), key=abs
@@ -367,8 +366,7 @@ def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: Floa
         offset, limit = float(np.linalg.lstsq(shapes, current, rcond=None)[0][0]), _OFFSET
     else:
         return None
-    # No offset where the healthy motor had one is no failure: the fit's may be no sensor's. That of a current in mA
-    # counts in A.
+    # A missing offset is no failure: that of the healthy fit may not be the sensor's. Scale a current in mA to A.
     offset = min(offset, offset - known, key=abs) / max(rms(current) / rms(by_speed), 1.0)
     if abs(offset) < limit * float(np.max(np.abs(record.voltage_v)) / physical[index.R]):
         return None
@@ -412,7 +410,7 @@ def diagnose_sensors(
         return None
     speed = record.speed_rad_s
     if not (at_work or _has_learned_speed(motor)) and speed is not None and not np.ptp(speed):
-        # A column that never moves, as it did not where the motor was learned.
+        # The column never moves, nor did it when the motor was learned.
         record = record._replace(speed_rad_s=None)
     physical = physical_values(motor)
     physical[index.R] += 0.0 if circuit is None else circuit.shunt_ohm
