@@ -69,7 +69,7 @@ class CusumBank:
 
 @dataclass(frozen=True, slots=True)
 class Monitor:
-    """A filter of one motor, a rule on its whitened innovations, and the rule's thresholds.
+    """Filter of one motor, with a rule on its innovations and thresholds.
 
     Attributes:
         motor: for its name, brush drop and dry friction.
@@ -129,7 +129,7 @@ def monitor_of(
     false_alarms_per_year: float = 1.0,
     stuck_after: int = 100,
 ) -> Monitor:
-    """Build the monitor of a motor that is known exactly and carries no load but its own friction.
+    """Build the monitor of an exactly known motor without a load.
 
     Args:
         motor: as its file says.
@@ -141,7 +141,7 @@ def monitor_of(
         stuck_after: equal readings in a row, with voltage on, that show a stuck sensor.
 
     Raises:
-        ValueError: a value out of range, or fewer false alarms than the rule's equation resolves.
+        ValueError: a value out of range, or too few false alarms for the rule's equation.
     """
     for name, value in (
         ("rate_hz", rate_hz),

@@ -1,4 +1,4 @@
-"""Compute as the C source does: the same operations in the same order, on NumPy's floats or integers.
+"""Compute as the C source does: the same operations in the same order, in NumPy.
 
 In single precision the rounding error of each addition to current and speed is carried to the next (Kahan 1965);
 without that the statistics drift.
@@ -174,7 +174,7 @@ class SampleVerdict(IntEnum):
 
 
 class TwinResult(NamedTuple):
-    """Verdict and statistic after each sample, shape (n_cases, n_samples); the statistic as C counts it."""
+    """Verdict and statistic after each sample, shape (n_cases, n_samples), in the units of C."""
 
     verdict: NDArray[np.int64]
     statistic: Values
@@ -193,7 +193,7 @@ def readings_of(numbers: Numbers, measurements: ArrayLike, voltage_v: ArrayLike)
 
 
 def run_twin(numbers: Numbers, readings: Values) -> TwinResult:
-    """Run a monitor from its begin over the readings of many motors, as `readings_of` gives them."""
+    """Run a monitor over the readings of many motors, see `readings_of`."""
     twin = _Twin(numbers, len(readings))
     steps = [(twin.step(sample), twin.statistic) for sample in np.moveaxis(readings, 2, 0)]
     return TwinResult(*(np.stack(column, axis=1) for column in zip(*steps, strict=True)))
@@ -209,7 +209,7 @@ class _Twin:
         self.hidden = np.zeros(n_cases, np.int64)
 
     def step(self, readings: Values) -> NDArray[np.int64]:
-        """Judge a sample of each case, shape (n_cases,); its readings are (n_cases, m + 1)."""
+        """Judge a sample of each case, shape (n_cases,), by readings of shape (n_cases, m + 1)."""
         numbers, m = self.numbers, self.numbers.n_channels
         inside = np.abs(readings) <= numbers.ranges[[*range(m), 2]]
         self.voltage = np.where(inside[:, m], readings[:, m] * numbers.scales[2], self.voltage)

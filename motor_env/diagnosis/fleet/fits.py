@@ -51,7 +51,7 @@ class Reading:
     """How the records are read.
 
     Attributes:
-        columns: named by the user.
+        columns: by the user.
         regime: start, operation, or auto.
         voltage_v: level of the supply where none was recorded.
         circuit: what is known of the measuring circuit.
@@ -235,7 +235,7 @@ class FleetFits:
     Attributes:
         by_file: the fits.
         quantities: determined by them.
-        windows: of motors at work; None for starts.
+        windows: of logs; None for starts.
         failures: why a record has no fit, by its file.
         reading: with the regime start or operation.
         read: how their columns were understood, in words.

@@ -169,7 +169,7 @@ class WindowJudge:
     Attributes:
         windows: how healthy windows were recorded and fitted.
         reference: distribution of R, K, J and B of a healthy window.
-        references: under each commissioned operating condition.
+        references: under each commissioned condition.
     """
 
     windows: Windows
@@ -206,7 +206,7 @@ class WindowJudge:
         return replace(self, reference=self.references[place])
 
     def condition_spread(self, place: int, fit: FittedWindow) -> FloatArray:
-        """Return the standard deviation of the logarithms of R, K, J and B under another condition, shape (4,).
+        """Return the standard deviation of log R, K, J and B under another condition, shape (4,).
 
         R, K and J do not depend on the condition, so their differences between conditions measure the model's error. An
         error of the torque adds to the friction, which moves its logarithm by more downwards.
@@ -229,12 +229,12 @@ class WindowJudge:
         Of more than MANY windows MOST_JUDGED are judged: half evenly spread, half those with the largest misfit.
 
         Args:
-            recording: of the motor at work.
+            recording: of a motor at work.
             rate: of false alarms.
             is_alarm: decides on a window's fit; None to judge each by itself.
 
         Raises:
-            UnusableError: the record is outside the commissioned regime, or shorter than a window.
+            UnusableError: outside the commissioned regime, or shorter than a window.
         """
         sampled = averaged(recording, self.windows.window_s)
         if not 1.0 / _REGIME <= sampled.dt_s / self.windows.dt_s <= _REGIME:
@@ -268,7 +268,7 @@ class WindowJudge:
         return sorted({*evenly.tolist(), *np.argsort(misfits)[-MOST_JUDGED // 2 :].tolist()})
 
     def failed_sensor(self, part: Recording) -> Judgement | None:
-        """Judge whether a sensor failed in a part of a log; None where none did."""
+        """Judge a failed sensor in a part of a log; None without one."""
         volts, speed = needed_columns(part)
         if not volts.any():
             return None
@@ -325,11 +325,11 @@ def _require_half_of_windows(judged: list[Judgement]) -> list[Judgement]:
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
-    """Make the judge of a motor that was learned from windows.
+    """Make the judge of a motor learned from windows.
 
     Raises:
         UnusableError: the healthy pieces are no windows, or do not determine R, K, J and B.
-        InputError: their physical values are not as many as the fit has.
+        InputError: a wrong number of physical values.
     """
 
     def reference_of(some: Healthy) -> Reference | None:

@@ -145,8 +145,8 @@ class RemainingLife(NamedTuple):
         median: infinite if the limit is reached with a probability below one half.
         high: upper end; infinite if the limit may never be reached.
         level: nominal probability of the interval.
-        probability_reached: probability that the limit has been reached already.
-        probability_ever: probability that it is reached at all.
+        probability_reached: that the limit has been reached.
+        probability_ever: that it is ever reached.
     """
 
     low: float
@@ -193,12 +193,12 @@ class Degradation:
         exponent: of the time scale, shape (n,).
         growth: of the time scale, over `span`; 0 for a power, shape (n,).
         diffusion: a root unit of the time scale, shape (n,).
-        scatter: start-to-start scatter beyond the standard errors, shape (n,).
+        scatter: beyond the standard errors, shape (n,).
         level: posterior mean of the level at the last estimate, shape (n,).
         drift: posterior mean of the drift, a unit of the time scale, shape (n,).
         covariance: of [level, drift], shape (n, 2, 2).
         limit: the limit.
-        sign: +1 for a limit above, -1 for one below; levels and drifts are multiplied by it.
+        sign: of levels and drifts; +1 for a limit above, -1 below.
         probability_trend: posterior probability of degradation towards the limit.
         limit_variance: of the limit, shape (n,).
     """
@@ -234,7 +234,7 @@ class Degradation:
         return self.span * (time_scale(ahead, self.exponent, self.growth) - 1.0)
 
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
-        """List distance, drift given the level, its variance, diffusion, weight and grid point of each quadrature node.
+        """List distance, conditional drift, its variance, diffusion, weight and grid point of each node.
 
         More than 300 grid points are thinned at even steps of the cumulated weight.
         """
@@ -258,7 +258,7 @@ class Degradation:
         )
 
     def probability_beyond(self, share: float) -> float:
-        """Compute the probability that the level lies beyond a share of the way from 1 to the limit."""
+        """Compute the probability of a level beyond a share of the way from 1 to the limit."""
         border = self.sign * (1.0 + share * (self.limit - 1.0))
         spread = self.covariance[:, 0, 0] + share**2 * self.limit_variance
         return float(self.weights @ ndtr((self.level - border) / np.sqrt(spread)))
@@ -270,7 +270,7 @@ class Degradation:
         return np.asarray(first_passage_cdf(ahead, *normal) @ weights)
 
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
-        """Find median and central interval of the time until the limit is first reached; 0 < level < 1."""
+        """Find median and central interval of the remaining life; 0 < level < 1."""
         reach = self.sign * self.limit - self.sign * self.mean_level
         pace = abs(self.mean_drift) + 1e-3 * abs(reach) / float(self.span.max())
         axis = np.geomspace(1e-4, 1e3, _LIFE_POINTS) * max(abs(reach) / pace, 1e-3 * float(self.span.max()))
@@ -305,15 +305,15 @@ def fit_degradation(
     sign: float | None = None,
     limit_errors: float = 0.0,
 ) -> Degradation:
-    """Fit the laws of degradation to five estimates or more.
+    """Fit the laws of degradation to at least five estimates.
 
     Args:
         time: rising, any unit, shape (n,).
         estimate: shape (n,).
         standard_error: >= 0, shape (n,).
         limit: level whose first passage counts.
-        sign: +1 if the limit lies above, -1 below; if None as it lies to the first estimates.
-        limit_errors: standard deviation of the limit, in those of one estimate.
+        sign: +1 for a limit above, -1 below; None to compare with the first estimates.
+        limit_errors: standard deviation of the limit, over that of one estimate.
 
     Raises:
         ValueError: a value that is not finite, or a limit at the first level.

@@ -380,7 +380,7 @@ def run(
     """Watch until the lines or the user end it; return the exit status.
 
     Raises:
-        InputError: the motor was not learned from windows, or a source cannot be read.
+        InputError: no windows of the motor, or an unreadable source.
     """
     if name is None and follow:
         raise InputError("--follow needs a log; standard input is waited for anyway")
@@ -412,12 +412,12 @@ def watch(
     """Watch a motor at work: yield verdicts on windows and faults of the stream as lines arrive.
 
     Args:
-        motor: commissioned by windows of logs, or its file.
+        motor: commissioned at work, or its file.
         log: CSV file with a header, or its lines.
         false_alarms_per_year: of a healthy motor that always runs.
 
     Raises:
-        InputError: the motor was not learned from windows, or the log cannot be read.
+        InputError: no windows of the motor, or an unreadable log.
     """
     healthy = _windows_of(motor if isinstance(motor, Motor) else load_motor(motor))
     if isinstance(log, str | Path):

@@ -83,12 +83,12 @@ class Reference:
 
 
 class ReferenceShift(NamedTuple):
-    """Difference between the linear fit of a piece and the motor file of the same healthy motor.
+    """Shift of a healthy piece's linear fit from its motor file.
 
     Attributes:
         driving: share s of the voltage behind a brush drop that the fit lacks. As s V = R i + L di/dt + K w, a linear
             motor with R, L, K, J and B over s has the same current and speed.
-        friction: drag over speed, at the piece's speed over that at the file's.
+        friction: ratio of drag over speed, at the piece's speed and the file's.
         friction_log_sd: standard deviation of its logarithm.
     """
 
@@ -120,7 +120,7 @@ def reference_of(
         names: wanted quantities; the reference may have fewer.
         are_starts: a start, not a window.
         temperature_c: of the motor, if measured; used if that of the healthy pieces is known too.
-        shift: difference between the piece's fit and the file.
+        shift: of the piece's fit from the file.
     """
     if motor.healthy is not None:
         return reference_of_pieces(
@@ -160,7 +160,7 @@ def reference_of_pieces(
     temperature_c: float | None = None,
     shift: ReferenceShift | None = None,
 ) -> Reference | None:
-    """Return the distribution that healthy pieces give, see `reference_of`.
+    """Return the distribution of healthy pieces, see `reference_of`.
 
     If both temperatures are known, the reference is at that of the piece. Only healthy pieces of the same kind include
     the errors of this fit.
@@ -273,7 +273,7 @@ def _mean_if_significant(fits: Sequence[StartFit], name: str) -> float:
 
 
 def describe_undetermined(fit: StartFit) -> list[str]:
-    """Describe in sentences what this recording leaves undetermined."""
+    """Describe what this recording leaves undetermined."""
     deviations = np.sqrt(np.diag(fit.log_covariance))
     limits = {
         "the voltage is unknown: everything is per volt, the supply counts as 1 V": not fit.start.voltage_known,

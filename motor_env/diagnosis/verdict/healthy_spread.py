@@ -54,7 +54,7 @@ def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> li
 
 
 def predictive_t(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return mean, covariance and degrees of freedom of the predictive Student t of the next healthy piece.
+    """Return mean, covariance and degrees of freedom of the next healthy piece's Student t.
 
     The covariance has an inverse-Wishart prior worth 4 pieces (Gelman et al. 2013, ch. 3.6): n - 1 + 4 degrees of
     freedom, scale (1 + 1/n) S.
@@ -94,7 +94,7 @@ def next_piece(
 def next_window(
     fits: Sequence[Fitted], *, steady: bool, usual: Sequence[Fitted] = ()
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return mean, covariance and degrees of freedom of the logarithms of R, K, J and B in another record's window.
+    """Return mean, covariance and degrees of freedom of log R, K, J and B in another record's window.
 
     Args:
         fits: healthy windows.
@@ -137,10 +137,7 @@ def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Heal
 
 
 def learn_starts(fits: Sequence[StartFit]) -> Healthy:
-    """Learn the distribution of the next start from healthy starts, fitted with the same model.
-
-    The prior standard deviation of every quantity is 2 %.
-    """
+    """Learn the distribution of the next start from healthy starts, fitted with the same model."""
     centre, covariance, freedom = next_piece(fits, START_SPREAD)
     noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
     ripple = np.log([pair for pair in map(ripple_quantities, fits) if pair is not None])

@@ -78,7 +78,7 @@ class Difference:
         covariance: of the logarithms, shape (n, n).
         exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
         degrees_of_freedom: of the covariance.
-        response: derivative by the logarithms of (R, L, K, J, B, V), shape (n, 6); the exponents unless given.
+        response: derivative by log (R, L, K, J, B, V), shape (n, 6); by default the exponents.
     """
 
     log_ratios: FloatArray
@@ -98,7 +98,7 @@ class Difference:
         return float(self.log_ratios @ self.inverse @ self.log_ratios)
 
     def p_value(self, squared: float, dimensions: int) -> float:
-        """Return the probability of a squared distance at least as large (Hotelling); 1 for no dimension."""
+        """Return the p-value of a squared distance (Hotelling); 1 for no dimension."""
         if dimensions == 0:
             return 1.0
         return float(special.fdtrc(dimensions, self.degrees_of_freedom, max(squared, 0.0) / dimensions))
@@ -169,7 +169,7 @@ def _directions(dimensions: int) -> FloatArray:
 
 
 def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, freedom: float) -> float:
-    """Find the rate of one test at which those of the faults and of the whole together alarm at `rate`.
+    """Find the rate of one test at which all tests of faults and of the whole together alarm at `rate`.
 
     The whitened difference of a healthy motor has an isotropic direction and an independent length. Fisher's
     distribution gives the probability of a length beyond the nearest limit in each direction.
@@ -194,10 +194,9 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
 
 
 def covariance_with_fault(difference: Difference, kind: FaultKind, step: float) -> FloatArray:
-    """Return the covariance beside a fault, shape (n, n): each parameter may move by a share of its squared step.
+    """Return the covariance in the presence of a fault, shape (n, n).
 
-    The model is less exact the larger the fault. A lag of sensor or supply without a term is fitted as L, in proportion
-    to R.
+    The model error of each parameter grows with the squared step. An unmodelled lag is fitted as L, in proportion to R.
     """
     parameters = difference.exponents[:, :_VOLTAGE]
     variances = np.full(_VOLTAGE, _MODEL_ERROR * min(abs(step), _FURTHEST) ** 2) ** 2
@@ -214,7 +213,7 @@ def project(difference: Difference, direction: FloatArray) -> tuple[float, float
 
 
 def residual_p_value(difference: Difference, moved: FloatArray, covariance: FloatArray) -> float:
-    """Return the p-value of what is left after a fault has moved the quantities, shape (n,)."""
+    """Return the p-value of the residual of a fault."""
     rest = difference.log_ratios - moved
     return difference.p_value(float(rest @ np.linalg.solve(covariance, rest)), len(rest) - 1)
 
@@ -234,9 +233,9 @@ def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) 
 
 
 def is_separable(difference: Difference, kind: FaultKind) -> bool:
-    """Whether R and L alone confirm a fault: no magnet, inertia or load imitates it there.
+    """Whether R and L alone confirm a fault: they do not move with magnet, inertia or load.
 
-    Shorted turns move K too; a warm winding hides their R, and without L only K is left of them.
+    Shorted turns move K too, as a weak magnet does; a warm winding hides their R.
     """
     direction = identifiable.visible_direction(kind, difference.exponents)
     winding = ~difference.exponents[:, _IMITATED].any(axis=1)
@@ -248,7 +247,7 @@ def is_separable(difference: Difference, kind: FaultKind) -> bool:
 
 
 def smallest_changes(difference: Difference, limit: float) -> dict[str, float]:
-    """Return the severity of each fault that is found in 95 of 100 cases, for a limit in standard deviations."""
+    """Return the severity of each fault that is found in 95 of 100 cases, by a limit in standard deviations."""
     return {
         str(fault.kind): severity_of(fault.kind, (limit + _POWER_QUANTILE) * fault.step_sd)
         for fault in explain(difference)
@@ -274,14 +273,14 @@ def compare(
     *,
     is_alarm: bool,
 ) -> tuple[Change, ...]:
-    """Compare quantities with their reference.
+    """Find the change of each quantity.
 
     Args:
         names: the quantities.
         difference: of the logarithms, shape (n,).
-        covariance: of the difference, shape (n, n).
+        covariance: shape (n, n).
         freedom: degrees of freedom of the covariance.
-        limit: standard deviations beyond which a difference is significant.
+        limit: of significance, in standard deviations.
         is_alarm: whether quantities may have moved.
     """
     half = -float(special.stdtrit(freedom, 0.025))
@@ -297,7 +296,7 @@ def compare(
 
 
 def _log_density(points: FloatArray, covariance: FloatArray, freedom: int) -> FloatArray:
-    """Return the log density of Student's t at rows of n; a singular covariance, shape (n, n), counts on its axes."""
+    """Return the log density of Student's t at rows, on the axes of a covariance that may be singular."""
     n = len(covariance)
     sizes, axes = linalg.eigh(covariance)
     present = sizes > _ROUNDING * np.max(np.abs(sizes))
@@ -350,7 +349,7 @@ class Hypothesis(NamedTuple):
 def form_hypotheses(fit: Fitted, reference: Reference, rate: float) -> list[Hypothesis]:
     """Compare a fit with a reference without a load, and under each possible load.
 
-    The fit of a motor at work has terms for loads, so only a start has several hypotheses.
+    Only a start has several: the fit of a motor at work has terms for loads.
     """
     rows, same_warmth = shared_rows(fit, reference), covariance_at_one_temperature(fit, reference)
     exponents, freedom, hypotheses = fit.exponents[rows], reference.degrees_of_freedom, []
@@ -398,7 +397,7 @@ def shared_rows(fit: Fitted, reference: Reference) -> list[int]:
 def smallest_detectable(hypotheses: list[Hypothesis], own: float | None, limit: float) -> dict[str, float]:
     """Return the smallest severity of each fault that is found in 95 of 100 cases under every hypothesis.
 
-    If the motor's `own` share of the drag is known, a bearing fault is one of its own friction.
+    `own` is the motor's share of the drag, if known: the unit of a bearing fault.
     """
     smallest: dict[str, float] = {}
     for hypothesis in hypotheses:
@@ -413,9 +412,9 @@ def severity_unit(kind: str, own: float | None) -> float:
 
 
 def covariance_at_one_temperature(fit: Fitted, reference: Reference) -> FloatArray:
-    """Return the covariance of the difference to a healthy motor that is as warm, shape (n, n).
+    """Return the covariance of the difference from a healthy motor at the same temperature, shape (n, n).
 
-    Healthy pieces include errors of fits like this one. If this piece is shorter or noisier, its excess error is added.
+    Healthy pieces include such a fit's error; the excess error of a shorter or noisier piece is added.
     """
     healthy, rows = reference.log_covariance, shared_rows(fit, reference)
     own = fit.white_covariance if reference.includes_fit_error else fit.log_covariance

@@ -35,7 +35,7 @@ class ChannelRecord(NamedTuple):
     Attributes:
         dt_s: sampling interval.
         voltage_v: shape (n,).
-        current_a, speed_rad_s: shape (n,); None for a channel without a column.
+        current_a, speed_rad_s: shape (n,); None without a column.
         has_sign: whether the sign of the voltage is known.
         at_work: whether it is a log; the quiet part of a start gives its offset.
         is_taught: whether the healthy motor was learned from recordings, so that signs and ranges are known.
@@ -60,7 +60,7 @@ class ChannelRecord(NamedTuple):
 def free_run(
     physical: FloatArray, voltage_v: FloatArray, dt_s: float, *, from_rest: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Simulate current and speed under a voltage, from the steady state or from rest; all of shape (n,)."""
+    """Simulate current and speed under a voltage, all of shape (n,), from the steady state or from rest."""
     values = physical.copy()
     values[[index.NOISE_I, index.NOISE_W]], values[index.NOISE_V : index.WALK + 1] = 1.0, 0.0
     n = len(voltage_v)
@@ -82,7 +82,7 @@ def rms(values: FloatArray) -> float:
 
 
 def correlation(first: FloatArray | None, second: FloatArray | None, *, about: float | None = None) -> float:
-    """Correlate two channels, about their means or a given value; 0 if one is constant or missing."""
+    """Correlate two channels about their means or a value; 0 if one is constant or missing."""
     if first is None or second is None:
         return 0.0
     a, b = (each - (each.mean() if about is None else about) for each in (first, second))
@@ -161,7 +161,7 @@ def _smallest_step(values: FloatArray) -> float:
 
 
 def _is_turning(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> bool | None:
-    """Whether the current is that of a turning motor (True) or of a held rotor (False); None for neither."""
+    """Whether the current is that of a turning motor; False for a held rotor, None for neither."""
     if record.current_a is None or expected.current_a is None:
         return None
     blocked = held_current(physical, record.voltage_v, record.dt_s)
