@@ -34,11 +34,11 @@ from motor_env.diagnosis.readers.noise import explainable
 from motor_env.diagnosis.readers.recording import Recording, UnusableError, recording_of
 from motor_env.diagnosis.readers.regime import RegimeDecision, taken_for
 from motor_env.diagnosis.readers.start import Circuit, Start, chosen_starts, prepare
-from motor_env.diagnosis.verdict import judgement as verdict, report_text
+from motor_env.diagnosis.verdict import report_text
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift, reference_of
 from motor_env.diagnosis.verdict.hypotheses import alarm_share, compare
-from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
 from motor_env.diagnosis.verdict.scaling_errors import SWAPPED, is_unlike_motor
 from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors, sensor_judgement
 from motor_env.motor import identifiable
@@ -56,7 +56,7 @@ _PER_VOLT = (
 
 
 @dataclass(frozen=True, slots=True)
-class Diagnosis(verdict.Diagnosis):
+class Diagnosis(JudgedRecording):
     """Verdict on a recording with its text, JSON and page.
 
     Attributes:

@@ -131,7 +131,7 @@ class Judgement:
 
 
 @dataclass(frozen=True, slots=True)
-class Diagnosis:
+class JudgedRecording:
     """Verdict on a recording, by judgements on its pieces; for attributes see `diagnose.Diagnosis`."""
 
     recording: Recording

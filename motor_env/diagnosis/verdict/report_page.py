@@ -15,7 +15,7 @@ from motor_env.diagnosis.estimation.operation_fit import OperationFit
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.estimation.starts.start_prior import absolute_parameters
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
-from motor_env.diagnosis.verdict.judgement import Diagnosis, Judgement, Verdict
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
 from motor_env.diagnosis.verdict.report_text import as_text, describe_r2, warnings_of
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
@@ -174,7 +174,7 @@ _QUANTITY = {
 }
 
 
-def page(diagnosis: Diagnosis) -> str:
+def page(diagnosis: JudgedRecording) -> str:
     """Draw the page of a diagnosis."""
     decisive, verdict = diagnosis.decisive, diagnosis.verdict
     fit, expected = decisive.identified, reference_current(decisive)

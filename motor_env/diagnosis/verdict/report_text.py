@@ -12,7 +12,7 @@ from motor_env.diagnosis.estimation.starts.commutation import constants_at, find
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit, implausible
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.diagnosis.verdict.hypotheses import Fitted
-from motor_env.diagnosis.verdict.judgement import Diagnosis, Judgement
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement
 from motor_env.motor.parameters import RAD_S_PER_RPM
 
 TWO_SIDED = 1.96
@@ -45,7 +45,7 @@ _PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
 """Units of extensions for an unknown voltage, which counts as 1 V."""
 
 
-def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
+def as_json(diagnosis: JudgedRecording) -> dict[str, Any]:
     """Return one object: regime, verdict of the decisive piece, and all pieces."""
     recording, decisive = diagnosis.recording, diagnosis.decisive
     fit, consistency = decisive.identified, decisive.consistency
@@ -194,7 +194,7 @@ def finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
+def as_text(diagnosis: JudgedRecording, *, verbose: bool = False) -> str:
     """Describe a diagnosis for a maintenance engineer; `verbose` adds the quality of the fit."""
     recording, decisive, fit = diagnosis.recording, diagnosis.decisive, diagnosis.decisive.identified
     several = diagnosis.pieces if len(diagnosis.pieces) > 1 else ()
@@ -219,7 +219,7 @@ def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
     return "\n".join(lines)
 
 
-def _count_agreeing(diagnosis: Diagnosis) -> str:
+def _count_agreeing(diagnosis: JudgedRecording) -> str:
     """Count the pieces with the same verdict, in words."""
     same = sum(piece.verdict is diagnosis.verdict for piece in diagnosis.pieces)
     word = "windows" if diagnosis.taken.regime == "operation" else "starts"
@@ -227,7 +227,7 @@ def _count_agreeing(diagnosis: Diagnosis) -> str:
     return f"; {same} of {len(diagnosis.pieces)} {word}{judged}"
 
 
-def _piece_line(diagnosis: Diagnosis, piece: Judgement) -> str:
+def _piece_line(diagnosis: JudgedRecording, piece: Judgement) -> str:
     """Format one of several pieces: begin, verdict, and changes of its quantities."""
     moved = ", ".join(f"{c.name} {c.ratio - 1.0:+.1%}" for c in piece.changes)
     mark = " <" if piece is diagnosis.decisive else ""
