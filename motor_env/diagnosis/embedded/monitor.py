@@ -15,7 +15,7 @@ from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
 
 DEAD_AFTER = 4
-"""Samples in a row with no current where the model has much, that show a dead sensor."""
+"""Samples without a current where the model has much, and none with one between them, that show a dead sensor."""
 LARGE_CURRENT_SHARE = 0.1
 """Share of a held rotor's current above which the model's current is much."""
 DEADBAND = 0.01

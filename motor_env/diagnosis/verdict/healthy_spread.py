@@ -115,12 +115,14 @@ def usual_condition_windows(pieces: Sequence[int], conditions: Sequence[Sequence
 def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
     """Learn from all healthy pieces but one; of windows from those under the same condition."""
     conditions = () if healthy.windows is None else healthy.windows.drives
-    same_condition = next((drive.pieces for drive in conditions if number in drive.pieces), range(len(fits)))
+    same_condition = next(
+        (condition.pieces for condition in conditions if number in condition.pieces), range(len(fits))
+    )
     others = [fits[n] for n in same_condition if n != number]
     usual = [
         fits[n]
         for n in usual_condition_windows(
-            same_condition, [drive.pieces for drive in conditions] or [same_condition]
+            same_condition, [condition.pieces for condition in conditions] or [same_condition]
         )
     ]
     if healthy.windows is None:
@@ -196,7 +198,9 @@ def detectable_changes(
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was just learned
     conditions = () if healthy.windows is None else healthy.windows.drives
-    learned = [(fits[drive.pieces[0]], healthy.under(drive)) for drive in conditions] or [(fits[0], healthy)]
+    learned = [(fits[condition.pieces[0]], healthy.under(condition)) for condition in conditions] or [
+        (fits[0], healthy)
+    ]
     smallest: dict[str, float] = {}
     for fit, healthy_there in learned:
         reference = _reference(replace(motor, healthy=healthy_there), fit, temperature_c)
