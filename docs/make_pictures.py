@@ -12,8 +12,7 @@ from types import SimpleNamespace
 from typing import cast
 
 from motor_env import diagnose
-from motor_env.diagnosis.fleet.judging import picture
-from motor_env.diagnosis.fleet.unit import FleetUnit
+from motor_env.diagnosis.fleet.judging import FleetUnit, picture
 from motor_env.diagnosis.verdict.judgement import Verdict
 from motor_env.diagnosis.verdict.report_page import _bars, _currents, reference_current
 

@@ -79,7 +79,7 @@ def _beside_sisters(
     json_: bool,
 ) -> int:
     """`identify` with the file of a fleet as the prior."""
-    from motor_env.diagnosis.fleet.unit import unit_quantities, update_unit
+    from motor_env.diagnosis.fleet.learning import unit_quantities, update_unit
     from motor_env.motor.data_sheet import load_motor, save_motor
 
     found = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
@@ -200,8 +200,7 @@ def _of_sisters(
     rate: float,
 ) -> str:
     """`commission` with sisters: of a fleet, or of one motor beside the fleet's file; what was learned, in words."""
-    from motor_env.diagnosis.fleet.learning import learn_fleet
-    from motor_env.diagnosis.fleet.unit import update_unit
+    from motor_env.diagnosis.fleet.learning import learn_fleet, update_unit
     from motor_env.diagnosis.readers.recording import describe_reading, read_recording
     from motor_env.motor.data_sheet import load_motor, save_motor
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,11 +17,10 @@ from motor_env.common.console import ExitStatus, worst
 from motor_env.common.errors import InputError, require_options
 from motor_env.common.pages.html import render
 from motor_env.common.pages.svg import Axis, Chart
-from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.diagnose import Diagnosis, diagnose
 from motor_env.diagnosis.fleet.fits import Map, Reading
 from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet
 from motor_env.diagnosis.fleet.population import HealthyPopulation
-from motor_env.diagnosis.fleet.unit import FleetUnit
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.verdict.hypotheses import Difference
 from motor_env.diagnosis.verdict.judgement import Verdict
@@ -28,6 +28,127 @@ from motor_env.diagnosis.verdict.scaling_errors import describe_scaling_errors, 
 from motor_env.motor import identifiable
 
 _GAINS = 3  # of voltage, current and speed
+_CLEAR = 2.0  # standard deviations
+_MOST_ODD = 3
+_ALONE = re.compile(",? and nothing else moved")
+
+
+@dataclass(frozen=True, slots=True)
+class FleetUnit:
+    """A motor of the fleet, judged by the others.
+
+    Attributes:
+        unit_id: machine and motor.
+        records: diagnosis of each of its files.
+        quantities: of the fleet's records.
+        difference: from the healthy population of the other motors; None without a fit.
+        common_cause: wrong scale that all motors of its machine share; empty for none.
+    """
+
+    unit_id: UnitId
+    records: dict[Path, Diagnosis]
+    quantities: tuple[str, ...]
+    difference: Difference | None = None
+    common_cause: str = ""
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """Divide its quantities by those of a healthy motor; empty without a fit."""
+        if self.difference is None:
+            return {}
+        return dict(zip(self.quantities, np.exp(self.difference.log_ratios).tolist(), strict=True))
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Deviations of its quantities from the population, in standard deviations."""
+        if self.difference is None:
+            return {}
+        sd = np.sqrt(np.diag(self.difference.covariance))
+        return dict(zip(self.quantities, (self.difference.log_ratios / sd).tolist(), strict=True))
+
+    @property
+    def p_value(self) -> float | None:
+        """Share of healthy motors at least as far away (Hotelling)."""
+        if self.difference is None:
+            return None
+        deviations = self.difference.log_ratios
+        return self.difference.p_value(
+            float(deviations @ np.linalg.solve(self.difference.covariance, deviations)), len(deviations)
+        )
+
+    @property
+    def decisive(self) -> Diagnosis:
+        """Choose the decisive record: the surest with a fault, else the first healthy one."""
+        faults = [record for record in self.records.values() if record.verdict.is_fault]
+        calm = [record for record in self.records.values() if record.verdict is Verdict.HEALTHY]
+        rest = next(iter([*calm, *self.records.values()]))
+        return max(faults, key=lambda record: record.confidence or 0.0, default=rest)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict on the motor."""
+        return self.decisive.verdict
+
+    @property
+    def odd(self) -> str:
+        """List the quantities that lie farthest from the population."""
+        ratios = self.ratios
+        return ", ".join(f"{name} {ratios[name] - 1.0:+.0%}" for name in self._far)
+
+    @property
+    def _far(self) -> list[str]:
+        deviations = self.deviations
+        far = sorted(deviations, key=lambda name: -abs(deviations[name]))[:_MOST_ODD]
+        return [name for name in far if abs(deviations[name]) > _CLEAR]
+
+    def to_json(self) -> dict[str, Any]:
+        """Build one object for programs."""
+        record = self.decisive
+        return {
+            "motor": self.unit_id.name,
+            "machine": self.unit_id.machine,
+            "files": [str(path) for path in self.records],
+            "verdict": str(record.verdict),
+            "kind": None if record.kind is None else str(record.kind),
+            "severity": record.severity,
+            "severity_interval": record.severity_interval,
+            "confidence": record.confidence,
+            "p_value": self.p_value,
+            "ratios": self.ratios,
+            "standard_deviations": self.deviations,
+            "reasons": list(record.reasons),
+            "together": self.common_cause or None,
+        }
+
+    @property
+    def shown_severity(self) -> str:
+        """Format the severity of its fault; empty without one."""
+        severity = self.decisive.severity
+        return f"{severity:+.0%}" if severity and self.verdict.is_fault else ""
+
+    @property
+    def why(self) -> str:
+        """Give the first reason of a fault, and the common cause of its machine."""
+        own = "" if self.verdict is Verdict.HEALTHY else self._reason
+        both = (
+            f"all motors of {self.unit_id.machine} together: {self.common_cause}" if self.common_cause else ""
+        )
+        return "; ".join(filter(None, (own, both)))
+
+    @property
+    def _reason(self) -> str:
+        """Give the first reason, consistent with the quantities that the table names."""
+        reason, kind, far = self.decisive.reasons[0], self.decisive.decisive.fault_kind, self._far
+        if kind is None or not far:
+            return reason
+        moved = identifiable.visible_direction(kind, identifiable.matrix(tuple(far)))
+        alone = _ALONE.sub("", reason)
+        return f"mostly, {alone}" if alone != reason and not moved.all() else reason
+
+    @property
+    def shown(self) -> str:
+        """Describe the motor in a line; with a failed sensor, without quantities."""
+        return self.why if self.verdict is Verdict.SENSOR else self.odd or self.why
 
 
 @dataclass(frozen=True, slots=True)

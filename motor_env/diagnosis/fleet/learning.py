@@ -1,4 +1,4 @@
-"""Learn a healthy motor from a fleet: `motor-env commission --fleet`."""
+"""Learn a healthy motor from a fleet, and from its own records: `motor-env commission --fleet`."""
 
 from __future__ import annotations
 
@@ -8,19 +8,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from motor_env.common.errors import InputError, require_several
 from motor_env.diagnosis.commission import interval_lines, intervals
+from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.fleet.fits import FleetFits, Map, Reading, fit_fleet
-from motor_env.diagnosis.fleet.population import HealthyPopulation, Motors, learn_population
+from motor_env.diagnosis.fleet.population import HealthyPopulation, Motors, floor_covariance, learn_population
 from motor_env.diagnosis.operation.windows import viscous
 from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows, to_motor
-from motor_env.diagnosis.verdict.healthy_spread import START_SPREAD, learn_starts
+from motor_env.diagnosis.verdict.healthy_spread import PRIOR_WEIGHT, START_SPREAD, learn_starts
+from motor_env.diagnosis.verdict.hypotheses import Fitted
+from motor_env.diagnosis.verdict.judgement import Verdict
 from motor_env.diagnosis.verdict.scaling_errors import POWERS
 from motor_env.motor import identifiable
 from motor_env.motor.data_sheet import Motor, Tolerance
@@ -293,3 +296,96 @@ def learn_fleet(
     if count < FEWEST_UNITS:
         raise InputError(f"a fleet needs at least {FEWEST_UNITS} motors that can be fitted, got {count}")
     return learned
+
+
+def update_unit(
+    files: Sequence[str | Path], fleet_motor: Motor, name: str, *, reading: Reading | None = None
+) -> Motor:
+    """Learn the healthy motor from its records and its fleet.
+
+    Args:
+        files: healthy records of this motor.
+        fleet_motor: learned from a fleet, or by this function.
+        name: of the motor.
+        reading: how the files are read.
+
+    Raises:
+        InputError: the motor was not learned from a fleet, or a record cannot be used.
+    """
+    healthy = fleet_motor.healthy
+    if healthy is None or healthy.fleet is None:
+        raise InputError("--motor must be a motor file that `motor-env commission --fleet` has written")
+    fits = [fit for path in files for fit in _fits(Path(path), fleet_motor, reading or Reading())]
+    learned = combine_with_records(
+        healthy,
+        np.array([fit.log_values for fit in fits]),
+        np.array([fit.log_covariance for fit in fits]),
+    )
+    return replace(fleet_motor, name=name, healthy=learned)
+
+
+def unit_quantities(motor: Motor) -> dict[str, dict[str, Any]]:
+    """List value, interval (95 %) and unit of each quantity.
+
+    Args:
+        motor: of `update_unit`.
+    """
+    healthy = motor.healthy
+    assert healthy is not None  # noqa: S101  # it was learned
+    assert healthy.fleet is not None  # noqa: S101
+    return intervals(healthy, np.maximum(healthy.log_covariance - healthy.fleet.log_within, 0.0), 0.05)
+
+
+def combine_with_records(healthy: Healthy, logs: FloatArray, errors: FloatArray) -> Healthy:
+    """Combine a fleet's motor with records.
+
+    Args:
+        healthy: statistics of the fleet.
+        logs: logarithms of the quantities of each record, shape (n, p).
+        errors: their covariance by the fit, shape (n, p, p).
+    """
+    assert healthy.fleet is not None  # noqa: S101  # the callers have seen to it
+    within = _within_covariance(logs, errors, healthy.fleet)
+    between = floor_covariance(
+        healthy.log_covariance - healthy.fleet.log_within, 1e-6 * healthy.log_covariance
+    )
+    prior, information = np.linalg.inv(between), np.linalg.inv(within + errors)
+    posterior = np.linalg.inv(prior + information.sum(axis=0))
+    centre = posterior @ (prior @ np.log(healthy.values) + np.einsum("npq,nq->p", information, logs))
+    return replace(
+        healthy,
+        pieces=len(logs),
+        degrees_of_freedom=healthy.degrees_of_freedom + len(logs),
+        values=np.exp(centre),
+        log_covariance=posterior + within,
+        windows=None if healthy.windows is None else at_centre(healthy.windows, centre),
+        fleet=replace(healthy.fleet, log_within=within),
+    )
+
+
+def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
+    """Fit a record's pieces.
+
+    Raises:
+        InputError: it has none, or of other quantities than the fleet's records.
+    """
+    diagnosis = diagnose(path, fleet_motor, **reading.options)
+    fits = [
+        piece.fit
+        for piece in diagnosis.pieces
+        if piece.fit is not None and piece.verdict is not Verdict.UNUSABLE
+    ]
+    if not fits:
+        raise InputError(f"{path}: a healthy record cannot be used: {diagnosis.reasons[0]}")
+    names = fleet_motor.healthy.quantities if fleet_motor.healthy is not None else ()
+    if any(fit.quantity_names != names for fit in fits):
+        raise InputError(f"{path}: its columns are not those of the sisters, which tell {', '.join(names)}")
+    return fits
+
+
+def _within_covariance(logs: FloatArray, errors: FloatArray, fleet: Fleet) -> FloatArray:
+    """Estimate the scatter from record to record by the own records and the fleet's."""
+    deviations = logs - logs.mean(axis=0)
+    scatter = deviations.T @ deviations - max(len(logs) - 1, 0) * errors.mean(axis=0)
+    spread = (scatter + PRIOR_WEIGHT * fleet.log_within) / (len(logs) - 1 + PRIOR_WEIGHT)
+    return floor_covariance(spread, fleet.log_within / PRIOR_WEIGHT)
