@@ -131,7 +131,7 @@ def test_a_rare_drive_is_learned_beside_the_usual_one(
     simulated: SimulatedMotor, logs: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, 1])
-    monkeypatch.setattr(window_baseline, "sorted_by_condition", lambda *_: (of, 1.0))
+    monkeypatch.setattr(window_baseline, "group_by_condition", lambda *_: (of, 1.0))
     log = log_of(simulated, PROFILES[0], 8, usual=simulated, windows=10)
     healthy, fits = learn_windows([log], WINDOW * 0.1 * simulated.mechanical_s)
     assert healthy.windows is not None
@@ -329,7 +329,7 @@ def test_half_of_the_windows_that_are_driven_otherwise_must_show_a_fault(
 
     def judged_by(judge: WindowJudge) -> list[Judgement]:
         left = iter(judged)
-        monkeypatch.setattr(WindowJudge, "_judged", lambda *_: next(left))
+        monkeypatch.setattr(WindowJudge, "_judge_window", lambda *_: next(left))
         return judge.judge(log, 0.01)[0]
 
     healthy = learned[0]

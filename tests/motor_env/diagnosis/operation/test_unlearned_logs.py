@@ -143,7 +143,7 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
         given.extend(records)
         return window_baseline.choose_window_terms(records, joint)
 
-    monkeypatch.setattr(log_diagnosis, "chosen_terms", choose_window_terms)
+    monkeypatch.setattr(log_diagnosis, "choose_window_terms", choose_window_terms)
     judge = judge_for(whole, SHEET)
     assert [record.hold for record in given] == ["late"] * (4 - at_rest // 400)
     if at_rest == 1600:

@@ -141,7 +141,7 @@ def test_a_whole_log_that_was_read_wrongly_need_not_fit_to_a_percent(
     monkeypatch.setattr(
         judging, "identify_record", lambda _: SimpleNamespace(solution=None, expected=np.ones((2, 2)))
     )
-    monkeypatch.setattr(judging, "known_of", lambda _: read)
+    monkeypatch.setattr(judging, "values_without_warming", lambda _: read)
     log: Any = Recording(Path("log"), np.arange(2.0), np.zeros(2))
     said = Judgement(Verdict.OTHER, (BEYOND_WEAR,))
     (found,) = judging._as_a_whole([said], log, WindowJudge(windows, reference))
