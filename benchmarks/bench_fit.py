@@ -17,7 +17,7 @@ from result import Result
 from timing import best_rate
 
 from motor_env import MotorParameters, discretize, simulate_states
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.ekf import BEGIN
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.motor.parameters import FloatArray
@@ -71,9 +71,9 @@ def scan(record: Record, begin: FloatArray) -> Callable[[], Any]:
 
 def run() -> list[Result]:
     """Check that both agree, then measure them. Rates are samples filtered a second."""
-    record, p = make_record(), np.zeros(places.N_VALUES)
-    p[[places.R, places.L, places.K, places.J, places.B]] = R_OHM, L_H, K_V_S, J_KG_M2, B_N_M_S
-    p[[places.NOISE_I, places.NOISE_V]] = NOISE_A, NOISE_V
+    record, p = make_record(), np.zeros(index.N_VALUES)
+    p[[index.R, index.L, index.K, index.J, index.B]] = R_OHM, L_H, K_V_S, J_KG_M2, B_N_M_S
+    p[[index.NOISE_I, index.NOISE_V]] = NOISE_A, NOISE_V
     ours = record.predict(p)[0]
     # The speed, which is not measured, is known to 30 % of the largest at first, and by the current's change.
     sd_w = np.hypot(0.3 * np.abs(record.voltage_v).max(), L_H / DT_S * NOISE_A) / K_V_S

@@ -18,10 +18,9 @@ from typing import NamedTuple
 from tables import keep_table
 
 from motor_env import PAPER_MOTOR, Motor, Scenario, SensorParameters, simulate
-from motor_env.diagnosis.embedded.arithmetic import Numbers, fixed_point, floating
 from motor_env.diagnosis.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.diagnosis.embedded.source import literal, write_library
-from motor_env.diagnosis.embedded.twin import readings_of, run_twin
+from motor_env.diagnosis.embedded.twin import Numbers, fixed_point, floating, readings_of, run_twin
 from motor_env.motor.parameters import Channel
 
 SAMPLES = 250

@@ -22,11 +22,9 @@ import pandas as pd
 from cyclopts import run
 from tables import keep_table
 
-from motor_env.diagnosis.fleet.fits import fit_fleet, fit_log, processes
-from motor_env.diagnosis.fleet.initial_fit import Reading
-from motor_env.diagnosis.fleet.learning import PRIOR_SPREAD, directions_of
+from motor_env.diagnosis.fleet.fits import Reading, fit_fleet, fit_log, processes
+from motor_env.diagnosis.fleet.learning import PRIOR_SPREAD, combine_with_records, directions_of
 from motor_env.diagnosis.fleet.population import HealthyPopulation, Motors, learn_population
-from motor_env.diagnosis.fleet.unit_update import combine_with_records
 from motor_env.diagnosis.verdict.decision import decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, reference_of_pieces
 from motor_env.diagnosis.verdict.healthy_spread import START_SPREAD, next_piece

@@ -20,14 +20,13 @@ from operation_simulator import SWITCHES, Motor, draw_motor, simulate
 from tables import keep_table
 from verdict_tables import HERE, Counts, How, Said, counted, words_of
 
-from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.diagnose import Diagnosis, diagnose
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.diagnosis.readers.start import prepare
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE, alarm_limits
+from motor_env.diagnosis.verdict.healthy_motor import to_motor
 from motor_env.diagnosis.verdict.healthy_spread import fit_healthy, learn_starts
 from motor_env.diagnosis.verdict.hypotheses import form_hypotheses
-from motor_env.diagnosis.verdict.judgement import Diagnosis
-from motor_env.diagnosis.verdict.motor_files import to_motor
 from motor_env.motor.identifiable import PARAMETERS
 
 HEALTHY = "nothing changed"

@@ -336,8 +336,8 @@ def own_tests(mutant: Mutant) -> list[str]:
     if mutant.room == "motor_env":
         return sorted(str(file.relative_to(TREE)) for file in TREE.glob("tests/motor_env/test_*.py"))
     folder = Path(f"tests/{package}{mutant.room}")
-    if not (TREE / folder).exists() and folder.parent.name == "diagnosis":
-        folder = folder.parent  # verdict and operation are tested there
+    if folder.name == "diagnosis":  # the verbs; each room below has a folder of its own
+        return sorted(str(file.relative_to(TREE)) for file in (TREE / folder).glob("test_*.py"))
     return [str(folder)] if (TREE / folder).exists() else []
 
 

@@ -20,10 +20,10 @@ from kept_rows import kept_rows
 from operation_simulator import KNEE, LOADS, PROFILES, SLIDING, VOLTAGE_NOISE, Motor, draw_motor, simulate
 from tables import keep_table
 
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.model_selection import initial_problems as begins
-from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation, identify_operation
-from motor_env.diagnosis.estimation.problem import motor_unknowns as motor_places
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.model_selection import initial_problems
+from motor_env.diagnosis.estimation.operation_fit import OperationFit, identify_operation
+from motor_env.diagnosis.estimation.problem import motor_unknowns
 from motor_env.diagnosis.estimation.terms import terms
 from motor_env.diagnosis.estimation.uncertainty import information_covariance, secants
 from motor_env.diagnosis.readers.recording import UnusableError
@@ -44,7 +44,7 @@ NORMAL_MEDIAN = 0.6745
 
 def truth(motor: Motor, load: str, samples: int, dt_s: float, *, has_speed: bool) -> FloatArray:
     """The simulated motor as the fit's vector of values."""
-    k = places
+    k = index
     rated, values = 0.15 * motor.constant * motor.stall_a, np.zeros(k.N_VALUES)
     values[[k.R, k.L, k.K, k.J]] = motor.ohm, motor.henry, motor.constant, motor.inertia
     values[[k.B, k.COULOMB, k.DROP]] = motor.viscous, motor.coulomb, motor.drop
@@ -63,7 +63,7 @@ def truth(motor: Motor, load: str, samples: int, dt_s: float, *, has_speed: bool
     return values
 
 
-def bound(found: Operation, true: FloatArray) -> dict[str, tuple[float, float]]:
+def bound(found: OperationFit, true: FloatArray) -> dict[str, tuple[float, float]]:
     """True unknown and its Cramer-Rao standard deviation, in the fit's units, for the fit's unknowns."""
     problem = found.solution.problem
     every = terms(found.record, problem.known)
@@ -81,7 +81,7 @@ def bound(found: Operation, true: FloatArray) -> dict[str, tuple[float, float]]:
         ]
     )
     spread = np.sqrt(np.diag(information_covariance(same, at, secants(same, at))))
-    return {free[n].name: (at[n], float(spread[row])) for row, n in enumerate(motor_places(same))}
+    return {free[n].name: (at[n], float(spread[row])) for row, n in enumerate(motor_unknowns(same))}
 
 
 def one(job: tuple[int, int, bool]) -> dict[str, Any]:
@@ -101,8 +101,8 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
     true = truth(motor, load, 2000, recording.dt_s, has_speed=has_speed)
     problem, theta = found.solution.problem, found.solution.theta
     spread = np.sqrt(np.diag(found.covariance))
-    rows = {problem.names[n]: (theta[n], spread[r]) for r, n in enumerate(motor_places(problem))}
-    regressed, begin = begins(found.record)[0]
+    rows = {problem.names[n]: (theta[n], spread[r]) for r, n in enumerate(motor_unknowns(problem))}
+    regressed, begin = initial_problems(found.record)[0]
     least = regressed.values(begin)
     ekf = extended(recording, motor, rng) if with_ekf and has_speed else None
     for name, (at, sd) in bound(found, true).items():
@@ -149,9 +149,9 @@ def extended(recording: Any, motor: Motor, rng: np.random.Generator) -> FloatArr
         process_noise_std=(1e-3 * motor.stall_a, 1e-3 * motor.speed), prior_std=0.3,
     )  # fmt: skip
     factors = np.exp(result.theta[0, -1])
-    values = np.zeros(places.N_VALUES)
+    values = np.zeros(index.N_VALUES)
     p = believed
-    values[[places.R, places.L, places.K, places.J, places.B]] = factors * [
+    values[[index.R, index.L, index.K, index.J, index.B]] = factors * [
         p.resistance_ohm, p.inductance_h, p.back_emf_constant_v_s_per_rad, p.inertia_kg_m2,
         p.viscous_friction_n_m_s_per_rad,
     ]  # fmt: skip

@@ -11,12 +11,12 @@ from cyclopts import run
 from tables import keep_table
 from verdict_tables import HERE, How, Said, counted, words_of
 
-from motor_env.diagnosis.diagnose import diagnose
+from motor_env.diagnosis.diagnose import Diagnosis, diagnose
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.diagnosis.readers.start import prepare
+from motor_env.diagnosis.verdict.healthy_motor import to_motor
 from motor_env.diagnosis.verdict.healthy_spread import fit_healthy, learn_starts
-from motor_env.diagnosis.verdict.judgement import Diagnosis, Verdict
-from motor_env.diagnosis.verdict.motor_files import to_motor
+from motor_env.diagnosis.verdict.judgement import Verdict
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
 from motor_env.simulation.fast_path import measure

@@ -32,7 +32,7 @@ from verdict_tables import HERE, Counts, How, Said, counted
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.operation.window_baseline import learn_windows
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows
+from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows
 
 WINDOW, LEARNED, JUDGED, RATE = 400, 10, 3, 0.01
 DT = 0.1  # of the mechanical time constant

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
-from motor_env.diagnosis.readers.recording import Recording, resampled as evened
+from motor_env.diagnosis.readers.recording import Recording, resampled
 from motor_env.motor.faults import Fault, apply_faults
 from motor_env.motor.parameters import FloatArray, MotorParameters, SensorParameters, SupplyParameters
 from motor_env.simulation.fast_path import measure
@@ -134,7 +134,7 @@ def captures(
     for n, row in enumerate(readings):
         time_s, current_a = defect.reshape(timing.time_s, row, np.random.default_rng([seed, n]))
         commanded = np.where(timing.time_s > 1e-9, SUPPLY_V, 0.0)
-        even, columns, notes = evened(time_s, {"current": current_a})
+        even, columns, notes = resampled(time_s, {"current": current_a})
         recordings.append(
             Recording(Path(f"simulated-{n}"), even, columns["current"], commanded, columns=notes)
         )

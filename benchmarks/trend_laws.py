@@ -17,8 +17,7 @@ from cyclopts import run
 from tables import keep_table
 from verdict_tables import HERE, How, Said, counted
 
-from motor_env.diagnosis.prognosis.estimates import Series
-from motor_env.diagnosis.prognosis.trend import judge as judge_trend
+from motor_env.diagnosis.prognosis.trend import Series, judge as judge_trend
 from motor_env.motor.parameters import COPPER_PER_KELVIN, FloatArray
 
 LIMIT, REACH = 1.25, 0.25
@@ -122,7 +121,7 @@ def verdicts(name: str, noise: float, rng: np.random.Generator) -> list[str]:
     said += ["nearly"] if way >= 0.8 else []
     if found.forecasts:
         (one,) = found.forecasts
-        if one.trends and one.is_told:
+        if one.trends and one.has_remaining_life:
             said += ["life", "life far"] if way >= 0.6 else ["life"]
             said += (
                 ["too early"] if life > one.life.high else ["too late"] if life < one.life.low else ["hold"]

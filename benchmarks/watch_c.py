@@ -36,10 +36,9 @@ from watch_counts import (
 )
 
 from motor_env import FaultKind, KalmanFilter, Motor, SensorParameters
-from motor_env.diagnosis.embedded.arithmetic import Numbers, fixed_point, floating
 from motor_env.diagnosis.embedded.monitor import CusumBank, Monitor, monitor_of, steady_schedule
 from motor_env.diagnosis.embedded.source import write_library
-from motor_env.diagnosis.embedded.twin import readings_of
+from motor_env.diagnosis.embedded.twin import Numbers, fixed_point, floating, readings_of
 from motor_env.motor.parameters import MotorParameters
 
 RATE_HZ, INERTIA = 100.0, 10.0

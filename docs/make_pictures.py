@@ -12,8 +12,7 @@ from types import SimpleNamespace
 from typing import cast
 
 from motor_env import diagnose
-from motor_env.diagnosis.fleet.judging import picture
-from motor_env.diagnosis.fleet.unit import FleetUnit
+from motor_env.diagnosis.fleet.judging import FleetUnit, picture
 from motor_env.diagnosis.verdict.judgement import Verdict
 from motor_env.diagnosis.verdict.report_page import _bars, _currents, reference_current
 
@@ -34,8 +33,8 @@ FLEET = """svg { font: 13px system-ui, "Segoe UI", Arial, sans-serif; } text { f
 def verdict() -> str:
     """Two charts of the example's page, one below the other, as one picture."""
     found = diagnose(EXAMPLES / "startup_capture.csv", EXAMPLES / "motor.toml")
-    telling = found.decisive
-    current, _ = _currents(telling.identified, reference_current(telling), is_fault=True)
+    decisive = found.decisive
+    current, _ = _currents(decisive.identified, reference_current(decisive), is_fault=True)
     parts, top = [], 30.0
     for title, chart in (
         ("How far each quantity lies from the healthy motor", _bars(found.changes)),

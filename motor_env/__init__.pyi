@@ -45,7 +45,7 @@ from .diagnosis.readers.recording import (
     Recording as Recording,
     read_recording as read_recording,
 )
-from .diagnosis.streaming.command import (
+from .diagnosis.streaming.watch import (
     watch as watch,
 )
 from .diagnosis.verdict.judgement import (

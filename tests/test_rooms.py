@@ -137,7 +137,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
 
 def room_of(module: str) -> str:
     parts = module.split(".")
-    depth = 3 if parts[1:2] == ["diagnosis"] and parts[2:3] not in (["verdict"], ["operation"]) else 2
+    depth = 3 if parts[1:2] == ["diagnosis"] else 2
     while depth > 1 and is_module(".".join(parts[:depth])):
         depth -= 1
     return ".".join(parts[:depth])

@@ -13,7 +13,7 @@ from motor_env.common.errors import InputError
 from motor_env.common.files import write_text
 
 if TYPE_CHECKING:
-    from motor_env.diagnosis.fleet.initial_fit import Reading
+    from motor_env.diagnosis.fleet.fits import Reading
 
 
 def identify(
@@ -79,7 +79,7 @@ def _beside_sisters(
     json_: bool,
 ) -> int:
     """`identify` with the file of a fleet as the prior."""
-    from motor_env.diagnosis.fleet.unit_update import unit_quantities, update_unit
+    from motor_env.diagnosis.fleet.learning import unit_quantities, update_unit
     from motor_env.motor.data_sheet import load_motor, save_motor
 
     found = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
@@ -200,15 +200,16 @@ def _of_sisters(
     rate: float,
 ) -> str:
     """`commission` with sisters: of a fleet, or of one motor beside the fleet's file; what was learned, in words."""
-    from motor_env.diagnosis.fleet.learning import learn_fleet
-    from motor_env.diagnosis.fleet.unit_update import update_unit
-    from motor_env.diagnosis.readers.recording import describe_reading as understood, read_recording
+    from motor_env.diagnosis.fleet.learning import learn_fleet, update_unit
+    from motor_env.diagnosis.readers.recording import describe_reading, read_recording
     from motor_env.motor.data_sheet import load_motor, save_motor
 
     if motor is not None:
         learned = update_unit(files, load_motor(motor), name, reading=reading)
         read = [(path, read_recording(path, reading.columns).columns) for path in files]
-        text = "\n".join([f"{_recordings(files, 'own ')} beside the sisters of {motor}", *understood(read)])
+        text = "\n".join(
+            [f"{_recordings(files, 'own ')} beside the sisters of {motor}", *describe_reading(read)]
+        )
     else:
         with sisters.fitted(files, reading) as how:
             fleet = learn_fleet(files, **how)

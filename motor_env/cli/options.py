@@ -15,7 +15,7 @@ from motor_env.common.console import json_text, printable
 from motor_env.common.errors import InputError
 
 if TYPE_CHECKING:
-    from motor_env.diagnosis.fleet import initial_fit
+    from motor_env.diagnosis.fleet import fits
     from motor_env.diagnosis.readers.profiles import Profile
 
 
@@ -113,13 +113,13 @@ class Measurement(Reading):
         """Arguments of the functions behind the commands."""
         return self.chosen.options | {"start": self.start}
 
-    def of_fleet(self, regime: str) -> initial_fit.Reading:
+    def of_fleet(self, regime: str) -> fits.Reading:
         """How the records of a fleet are read: each has one piece, so that none is asked for."""
-        from motor_env.diagnosis.fleet import initial_fit
+        from motor_env.diagnosis.fleet import fits
 
         if self.start is not None:
             raise InputError("--start does not go with a fleet: give each start in a file of its own")
-        return initial_fit.Reading(regime=regime, **self.chosen.options)
+        return fits.Reading(regime=regime, **self.chosen.options)
 
 
 @Parameter(name="*")
@@ -153,7 +153,7 @@ class FleetOptions:
     kept: Path | None = None
 
     @contextmanager
-    def fitted(self, files: list[Path], reading: initial_fit.Reading) -> Iterator[dict[str, Any]]:
+    def fitted(self, files: list[Path], reading: fits.Reading) -> Iterator[dict[str, Any]]:
         """Arguments of the functions that fit a fleet, as long as its workers and a bar on the terminal last."""
         from motor_env.diagnosis.fleet.fits import processes
 

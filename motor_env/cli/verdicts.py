@@ -58,10 +58,9 @@ def watch(
         columns: Names of the columns, such as time_s,voltage_v,current_a,speed_rad_s, where no line says them.
         baud: Of the serial port.
     """
-    from motor_env.diagnosis.streaming import command
-    from motor_env.diagnosis.streaming.watch import LearningPhase
+    from motor_env.diagnosis.streaming.watch import LearningPhase, run
 
-    return command.run(
+    return run(
         motor,
         source,
         false_alarms_per_year=false_alarms_per_year,

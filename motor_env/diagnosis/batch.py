@@ -25,7 +25,7 @@ _LONGEST_NAME = 50  # of a page: a file's name has 255 bytes
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Diagnosis of one file, or the sentence why there is none."""
+    """Diagnosis of one file, or the reason why there is none."""
 
     path: Path
     diagnosis: Diagnosis | None = None
@@ -40,7 +40,7 @@ class Outcome:
         return self.diagnosis.verdict.status
 
     def as_json(self) -> dict[str, Any]:
-        """Return one JSON object; a file that could not be read is unusable, with its error."""
+        """Return one JSON object; an unreadable file is unusable, with its error."""
         unread: dict[str, Any] = {
             "file": str(self.path),
             "verdict": "unusable",
@@ -107,7 +107,7 @@ def diagnose_files(
 def _learn_motor(
     healthy: Sequence[Path], motor: Motor | None, columns: Sequence[ColumnChoice], options: dict[str, Any]
 ) -> Motor:
-    """Commission a motor on healthy recordings; what they leave open comes from the other motor file."""
+    """Commission a motor on healthy recordings, with the torque constant of another motor file."""
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
     shared = {name: options[name] for name in ("voltage_v", "circuit", "regime") if name in options}
     return commission(

@@ -14,18 +14,19 @@ from scipy.special import stdtrit
 from motor_env.common.errors import InputError, require_options, require_several
 from motor_env.diagnosis.diagnose import explain_unusable
 from motor_env.diagnosis.estimation.preprocessing import at_terminals
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.operation.window_baseline import learn_windows
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import (
     Recording,
     UnusableError,
-    describe_reading as understood,
+    describe_reading,
     recording_of,
 )
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
+from motor_env.diagnosis.readers.regime import RegimeDecision, taken_for
 from motor_env.diagnosis.readers.start import Circuit, chosen_starts, prepare, split_starts
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
+from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows, to_motor
 from motor_env.diagnosis.verdict.healthy_spread import (
     detectable_changes,
     explain_disagreement,
@@ -34,7 +35,6 @@ from motor_env.diagnosis.verdict.healthy_spread import (
     learn_starts,
 )
 from motor_env.diagnosis.verdict.hypotheses import Fitted
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows, to_motor
 from motor_env.diagnosis.verdict.report_text import UNITS, describe_friction_share
 from motor_env.diagnosis.verdict.sensor_diagnosis import learn_signs
 from motor_env.motor.data_sheet import Motor, lines as lines_of
@@ -51,7 +51,7 @@ _WARMTH = (
 
 
 def intervals(healthy: Healthy, log_covariance: FloatArray, rate: float) -> dict[str, dict[str, Any]]:
-    """Return quantities with units and intervals that healthy pieces leave at this rate; `log_covariance` is (n, n)."""
+    """Return quantities with units and intervals at a rate of false alarms; `log_covariance` is (n, n)."""
     half = -float(stdtrit(healthy.degrees_of_freedom, rate / 2.0)) * np.sqrt(np.diag(log_covariance))
     rows = zip(healthy.quantities, healthy.values.tolist(), half.tolist(), strict=True)
     return {
@@ -75,13 +75,13 @@ def interval_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Commissioned:
-    """A commissioned motor, and what later recordings of it will show.
+    """A commissioned motor with its smallest detectable changes.
 
     Attributes:
-        motor: with the statistics of its healthy pieces.
+        motor: with its healthy statistics.
         fits: of the healthy pieces.
-        smallest: severity of each fault that the next piece shows in 95 of 100 cases.
-        undecided: number of healthy pieces that, judged by the others, leave a quantity undecided; by its name.
+        smallest: severity of each fault that is found in 95 of 100 cases.
+        undecided: number of healthy pieces that leave a quantity undecided, by its name.
         false_alarm_rate: of the intervals and smallest changes.
         taken: regime of the recordings, and why.
         read: how their columns were understood.
@@ -92,12 +92,12 @@ class Commissioned:
     smallest: dict[str, float]
     undecided: dict[str, int]
     false_alarm_rate: float = DEFAULT_FALSE_ALARM_RATE
-    taken: tuple[Taken, ...] = ()
+    taken: tuple[RegimeDecision, ...] = ()
     read: tuple[str, ...] = ()
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Healthy quantities with units and the interval of the next healthy piece at the rate of false alarms."""
+        """Healthy quantities with units and the interval of the next healthy piece."""
         return intervals(self.healthy, self.healthy.log_covariance, self.false_alarm_rate)
 
     @property
@@ -117,7 +117,7 @@ class Commissioned:
         if healthy.windows is not None:
             piece, kind = "window", f" of {healthy.windows.window_s:g} s"
             drives = len(healthy.windows.drives)
-        explained = [fit.r2_current for fit in self.fits if isinstance(fit, Identified)]
+        explained = [fit.r2_current for fit in self.fits if isinstance(fit, StartFit)]
         quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
         smallest = ", ".join(f"{fault} {severity:.1%}" for fault, severity in self.smallest.items())
         friction = describe_friction_share(healthy.own_friction)
@@ -145,10 +145,10 @@ class Commissioned:
         return "\n".join(lines)
 
     def page(self) -> str:
-        """Draw a self-contained HTML page: the spread of each quantity; of starts also their fits and residuals."""
+        """Draw a self-contained HTML page: the spread of each quantity, and the fits of starts."""
         from motor_env.diagnosis.verdict.report_page import page_of_fits, spread_chart
 
-        starts = [fit for fit in self.fits if isinstance(fit, Identified)]
+        starts = [fit for fit in self.fits if isinstance(fit, StartFit)]
         smallest = ", ".join(f"{kind.replace('_', ' ')} {share:.0%}" for kind, share in self.smallest.items())
         return page_of_fits(
             f"Interval of the next healthy {'start' if starts else 'window'} ({1.0 - self.false_alarm_rate:.0%})",
@@ -191,12 +191,12 @@ def commission(
         constant: torque constant in N m/A, where known and the speed was not recorded.
         temperature_c: of the motor at these recordings, where known.
         window_s: length of the windows of logs; by default a twentieth of all logs.
-        steady: of logs: only a fault moves the motor, as on a test bench.
-        no_load_current_a: of starts: current without the load; it separates the motor's own friction from the drag.
+        steady: of logs: load, temperature and offsets are constant, as on a test bench.
+        no_load_current_a: of starts: current without the load, for the motor's own friction.
         false_alarm_rate: for intervals and smallest changes.
 
     Raises:
-        InputError: too few recordings, one that cannot be used, or two that do not go together.
+        InputError: too few, unusable or incompatible recordings.
     """
     require_several("recordings", recordings, (Recording, str, Path))
     paths = [Path(each).resolve() for each in recordings if not isinstance(each, Recording)]
@@ -247,11 +247,13 @@ def commission(
         )
         fits = tuple(starts)
     detectable = detectable_changes(motor, fits, temperature_c, false_alarm_rate)
-    words = tuple(understood((recording.path, recording.columns) for recording in read))
+    words = tuple(describe_reading((recording.path, recording.columns) for recording in read))
     return Commissioned(motor, fits, *detectable, false_alarm_rate, taken, words)
 
 
-def _require_one_regime(read: Sequence[Recording], taken: Sequence[Taken], word: str) -> tuple[Taken, ...]:
+def _require_one_regime(
+    read: Sequence[Recording], taken: Sequence[RegimeDecision], word: str
+) -> tuple[RegimeDecision, ...]:
     """Require starts only or logs only; return the regime, each reason once. Repeated starts count as a log.
 
     Raises:
@@ -275,7 +277,7 @@ def fit_starts(
     voltage_v: float | None = None,
     circuit: Circuit | None = None,
     constant: float | None = None,
-) -> list[Identified]:
+) -> list[StartFit]:
     """Fit the healthy starts of recordings by `fit_healthy`; a recording may hold several.
 
     Raises:
@@ -306,7 +308,7 @@ def fit_starts(
     return fits
 
 
-def _own_friction(fits: Sequence[Identified], no_load_current_a: float) -> float:
+def _own_friction(fits: Sequence[StartFit], no_load_current_a: float) -> float:
     """Return the motor's own share of the drag, by its currents without and with the load.
 
     Raises:

@@ -18,7 +18,7 @@ from motor_env.common.errors import InputError, require_options
 from motor_env.diagnosis.estimation.starts.start_fit import (
     NOT_TURNING,
     POOR_FIT,
-    StartFit as Identified,
+    StartFit,
     is_blocked,
     ripple_quantities,
     shows_turning,
@@ -32,23 +32,22 @@ from motor_env.diagnosis.estimation.starts.start_identification import (
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.noise import explainable
 from motor_env.diagnosis.readers.recording import Recording, UnusableError, recording_of
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
+from motor_env.diagnosis.readers.regime import RegimeDecision, taken_for
 from motor_env.diagnosis.readers.start import Circuit, Start, chosen_starts, prepare
-from motor_env.diagnosis.verdict import judgement as verdict, report_text as formats
-from motor_env.diagnosis.verdict.channels import sensor_judgement
+from motor_env.diagnosis.verdict import report_text
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift, reference_of
 from motor_env.diagnosis.verdict.hypotheses import alarm_share, compare
-from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
 from motor_env.diagnosis.verdict.scaling_errors import SWAPPED, is_unlike_motor
-from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors
-from motor_env.motor import identifiable as quantities
+from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors, sensor_judgement
+from motor_env.motor import identifiable
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.model import steady_state
 
 _ANOTHER_ORDER = math.log(1.5)
-_LEAST = 0.05  # of the voltage behind the brushes, and of the speed: a motor file may leave none
+_LEAST = 0.05  # of the voltage behind the brushes, and of the speed: lower bound for any motor file
 _NOTHING = "there is nothing to compare with: give a motor file or healthy recordings"
 _PER_VOLT = (
     "the motor file was commissioned without a voltage, and this recording has one: leave it out"
@@ -57,36 +56,36 @@ _PER_VOLT = (
 
 
 @dataclass(frozen=True, slots=True)
-class Diagnosis(verdict.Diagnosis):
-    """Verdict on a recording, as text, JSON and page.
+class Diagnosis(JudgedRecording):
+    """Verdict on a recording with its text, JSON and page.
 
     Attributes:
         recording: as read.
         taken: its regime, and why.
         pieces: judgements, in the order of time.
-        of: number of pieces of the recording; of many pieces only some are judged.
+        of: number of pieces of the recording; of many only some are judged.
         periods_per_turn: of the commutation ripple, where known.
     """
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Quantities of the piece that the verdict rests on: value, standard error, interval (95 %) and unit."""
+        """Quantities of the decisive piece: value, standard error, interval (95 %) and unit."""
         fit = self.decisive.fit
-        return {} if fit is None else formats.quantities_json(fit)
+        return {} if fit is None else report_text.quantities_json(fit)
 
     def to_json(self) -> dict[str, Any]:
         """Return one JSON object; its schema is docs/output.schema.json."""
-        return formats.as_json(self)
+        return report_text.as_json(self)
 
     def __repr__(self) -> str:
         return self.text()
 
     def text(self, *, verbose: bool = False) -> str:
-        """Describe the verdict for a maintenance engineer; `verbose` adds how well model and filter fit."""
-        return formats.as_text(self, verbose=verbose)
+        """Describe the verdict for a maintenance engineer; `verbose` adds the quality of the fit."""
+        return report_text.as_text(self, verbose=verbose)
 
     def page(self) -> str:
-        """Draw a self-contained HTML page: the verdict, what to do first, and what it rests on."""
+        """Draw a self-contained HTML page: verdict, first action and evidence."""
         from motor_env.diagnosis.verdict.report_page import page
 
         return page(self)
@@ -111,17 +110,16 @@ def diagnose(
         recording: as read, or its file.
         motor: data sheet, identified or commissioned motor, or its file, or the name of a catalogue motor.
         columns: columns named by the user, of a file.
-        voltage_v: level of the supply where the recording has none; the motor's nominal voltage otherwise.
-        false_alarm_rate: per healthy recording; its pieces share it.
+        voltage_v: level of the supply if it was not recorded; by default the motor's nominal voltage.
+        false_alarm_rate: per healthy recording.
         circuit: the measuring circuit.
         temperature_c: of the motor, where measured; used if that of the healthy pieces is known too.
-        regime: start, operation, or auto: decided by what the voltage does, and by what the motor was commissioned on.
+        regime: start, operation, or auto: by the voltage and the motor's commissioning.
         start: which one, counted from 1, of a recording of several; all of them unless given.
         periods_per_turn: periods of the commutation ripple in a turn, for the true speed.
 
     Raises:
-        InputError: an option out of its range, an unknown regime, no such start, or too many of them; a file that
-            cannot be read.
+        InputError: an invalid option, no such start, or a file that cannot be read.
     """
     false_alarm_rate, start, temperature_c, voltage_v, periods_per_turn = require_options(
         false_alarm_rate=false_alarm_rate,
@@ -136,7 +134,7 @@ def diagnose(
         motor = load_motor(motor)
     taken = taken_for(recording, regime, start)
     if regime == "auto" and start is None and _is_like_healthy_windows(recording, motor):
-        taken = Taken("operation", "as its healthy recordings")
+        taken = RegimeDecision("operation", "as its healthy recordings")
     known: dict[str, Any] = {"voltage_v": voltage_v, "circuit": circuit, "temperature_c": temperature_c}
     if taken.regime == "operation":
         for option, value in (("start", start), ("sensor-lag", circuit and circuit.sensor_lag_s)):
@@ -239,7 +237,7 @@ def judge_start(
     return judgement if starts is None else _add_ripple(judgement, fit, starts, rate)
 
 
-def _add_ripple(judgement: Judgement, fit: Identified, starts: Starts, rate: float) -> Judgement:
+def _add_ripple(judgement: Judgement, fit: StartFit, starts: Starts, rate: float) -> Judgement:
     """Add what the commutation ripple says of speed and K; the verdict stays."""
     ripple = ripple_quantities(fit)
     if ripple is None or not (starts.ripple_hz and starts.ripple_constant_v_s and starts.ripple_log_sd):
@@ -265,14 +263,14 @@ def _reference(start: Start, motor: Motor | None, temperature_c: float | None) -
     """Return the reference for a start; None without a motor."""
     if motor is None:
         return None
-    names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
+    names = identifiable.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
     return reference_of(motor, names, temperature_c=temperature_c, shift=_reference_shift(start, motor))
 
 
 def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
-    """Return how the linear fit of a start differs from a motor file with brush drop, dry friction or a fan.
+    """Return the shift of a start's linear fit from a motor file with brush drop, dry friction or a fan.
 
-    Healthy starts include it already. If a sheet does not split its friction, any dry share is equally likely.
+    Healthy starts include it already. Without a split of the sheet's friction, any dry share is equally likely.
     """
     windows = None if motor.healthy is None else motor.healthy.windows
     if not start.voltage_known or (motor.healthy is not None and windows is None):
@@ -296,7 +294,7 @@ def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
     return ReferenceShift(driving, math.sqrt(all_dry), abs(math.log(all_dry)) / math.sqrt(12.0))
 
 
-def explain_unusable(fit: Identified) -> str | None:
+def explain_unusable(fit: StartFit) -> str | None:
     """Explain why a fit cannot carry a verdict; None if it can."""
     clipped = fit.start.alignment.saturation
     if clipped:

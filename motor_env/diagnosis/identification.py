@@ -9,15 +9,15 @@ from typing import Any
 
 from motor_env.common.errors import InputError, require_options, require_several
 from motor_env.diagnosis.diagnose import explain_unusable
-from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation, identify_operation
+from motor_env.diagnosis.estimation.operation_fit import OperationFit, identify_operation
 from motor_env.diagnosis.estimation.preprocessing import at_terminals
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified, implausible
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit, implausible
 from motor_env.diagnosis.estimation.starts.start_identification import EXTENSIONS, identify_best
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import Recording, UnusableError, recording_of
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken, taken_for
+from motor_env.diagnosis.readers.regime import RegimeDecision, taken_for
 from motor_env.diagnosis.readers.start import Circuit, chosen_starts, prepare
-from motor_env.diagnosis.verdict.motor_files import describe_undetermined, motor_of_log, to_motor
+from motor_env.diagnosis.verdict.healthy_motor import describe_undetermined, motor_of_log, to_motor
 from motor_env.diagnosis.verdict.report_text import (
     TWO_SIDED,
     describe_r2,
@@ -41,28 +41,28 @@ _WARM_K = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """Fits of recordings of a motor: one of each start, and one of all logs of the motor at work.
+    """Fits of recordings of a motor: of each start, and of all logs together.
 
     Attributes:
         starts: each start with its fit.
         logs: recordings of the motor at work.
-        taken: regime of the recordings and of the starts cut from them, and why; by their paths.
+        taken: regime of recordings and starts, and why, by path.
         joint: the fit of the logs; None without logs, or if no motor explains them.
         trouble: why no motor explains the logs.
         periods_per_turn: of the commutation ripple, where known.
         constant: torque constant in N m/A, where known beforehand.
     """
 
-    starts: tuple[tuple[Recording, Identified], ...]
+    starts: tuple[tuple[Recording, StartFit], ...]
     logs: tuple[Recording, ...]
-    taken: Mapping[Path, Taken]
-    joint: Operation | None = None
+    taken: Mapping[Path, RegimeDecision]
+    joint: OperationFit | None = None
     trouble: str = ""
     periods_per_turn: float | None = None
     constant: float | None = None
 
     @property
-    def usable(self) -> list[Identified]:
+    def usable(self) -> list[StartFit]:
         """Fits of the starts that a motor explains."""
         return [fit for _, fit in self.starts if explain_unusable(fit) is None]
 
@@ -73,7 +73,7 @@ class Identification:
 
     @property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Quantities with value, standard error, interval (95 %), unit: of the logs, else of the first good start."""
+        """Value, standard error, 95 % interval and unit of each quantity, of the logs, else the first good start."""
         if self.joint is not None:
             return _log_quantities(self.joint)
         return quantities_json(self.usable[0]) if self.usable else {}
@@ -82,7 +82,7 @@ class Identification:
         """Return the motor of the logs, else of all good starts.
 
         Raises:
-            InputError: no motor explains the recordings, or they do not determine each parameter.
+            InputError: the recordings do not determine each parameter.
         """
         if self.joint is not None:
             return motor_of_log(self.joint, name)
@@ -103,10 +103,10 @@ class Identification:
         return "\n".join(map(_text, self.to_json()))
 
     def page(self) -> str:
-        """Draw a self-contained HTML page: measured beside fitted current and speed of each start and of all logs."""
+        """Draw a self-contained HTML page: measured beside fitted current and speed."""
         from motor_env.diagnosis.verdict.report_page import page_of_fits
 
-        fits: dict[str, Identified | Operation] = {
+        fits: dict[str, StartFit | OperationFit] = {
             f"{recording.path.name}, start {number}": fit
             for number, (recording, fit) in enumerate(self.starts, 1)
         }
@@ -114,7 +114,7 @@ class Identification:
             fits[", ".join(recording.path.name for recording in self.logs)] = self.joint
         return page_of_fits("Fits of the recordings", fits)
 
-    def _start_json(self, recording: Recording, fit: Identified) -> dict[str, Any]:
+    def _start_json(self, recording: Recording, fit: StartFit) -> dict[str, Any]:
         return {
             "files": [str(recording.path)],
             "taken_for": self.taken[recording.path]._asdict(),
@@ -170,7 +170,7 @@ def _text(fields: Mapping[str, Any]) -> str:
     }
     lines = [
         f"{files}: model {' + '.join(fields['model'])}; 95 % intervals",
-        f"  taken for {Taken(**fields['taken_for'])}",
+        f"  taken for {RegimeDecision(**fields['taken_for'])}",
         "  read: " + "; ".join(fields["columns"]),
         *quantity_lines(rows, beside),
     ]
@@ -194,7 +194,7 @@ def _text(fields: Mapping[str, Any]) -> str:
     return "\n".join([*lines, *(f"  note: {sentence}" for sentence in fields["not_told"])])
 
 
-def _log_quantities(joint: Operation) -> dict[str, dict[str, Any]]:
+def _log_quantities(joint: OperationFit) -> dict[str, dict[str, Any]]:
     return {
         q.name: estimate_json(q.value, (q.high - q.low) / (2.0 * TWO_SIDED), (q.low, q.high), q.unit)
         | {"determined": q.is_told}
@@ -213,7 +213,7 @@ def identify(
     constant: float | None = None,
     periods_per_turn: float | None = None,
 ) -> Identification:
-    """Identify the parameters of one motor: from each start alone, from all logs of the motor at work together.
+    """Identify the parameters of a motor from each start alone and from all logs together.
 
     Args:
         recordings: one or several, or their files.
@@ -221,7 +221,7 @@ def identify(
         voltage_v: level of the supply where none was recorded.
         circuit: the measuring circuit.
         regime: start, operation, or auto: decided by what the voltage does.
-        start: which one, counted from 1, of a recording of several; all of them unless given.
+        start: which one, counted from 1, of several; by default all.
         constant: torque constant in N m/A, where known and the speed was not recorded.
         periods_per_turn: of the commutation ripple, where known.
 
@@ -241,7 +241,7 @@ def identify(
     require_several("recordings", several, (Recording, str, Path))
     read = [recording_of(each, columns) for each in several]
     taken = {recording.path: taken_for(recording, regime, start) for recording in read}
-    starts: list[tuple[Recording, Identified]] = []
+    starts: list[tuple[Recording, StartFit]] = []
     for recording in read:
         if taken[recording.path].regime == "operation":
             continue

@@ -22,7 +22,7 @@ from motor_env import (
 )
 
 # Reaches in: fits are altered by hand.
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.verdict.decision import decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference
 from motor_env.diagnosis.verdict.hypotheses import Difference
@@ -53,7 +53,7 @@ def judged() -> Diagnosis:
     return diagnose(start(), SHEET)
 
 
-def fitted() -> tuple[Judgement, Identified, Reference]:
+def fitted() -> tuple[Judgement, StartFit, Reference]:
     found = judged().decisive
     assert found.identified is not None
     assert found.reference is not None
@@ -82,7 +82,7 @@ def difference(ratios: FloatArray, covariance: FloatArray, freedom: float = 9.0)
     return Difference(ratios, covariance, EXPONENTS, freedom)
 
 
-def fits(*logs: list[float], **changed: Any) -> list[Identified]:
+def fits(*logs: list[float], **changed: Any) -> list[StartFit]:
     _, fit, _ = fitted()
     return [replace(fit, log_values=fit.log_values + np.array(each), **changed) for each in logs]
 

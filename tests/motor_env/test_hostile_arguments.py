@@ -152,6 +152,15 @@ THREE = KalmanFilter(
 """A belief of three states, which the environment Drive has and compiled loops of filters have not."""
 STREAMS = KalmanFilter.from_parameters(BATCH, SENSOR, DT_S)
 
+
+def diagnosed(option: str) -> Callable[[Any], str]:
+    return lambda value: str(diagnose(STARTUP, "paper", **{option: value}))
+
+
+def identified(option: str) -> Callable[[Any], str]:
+    return lambda value: str(identify(STARTUP, **{option: value}))
+
+
 ROWS = [
     *(
         Row.of("KalmanFilter", name, setter(TWO, name), getattr(TWO, name))
@@ -756,7 +765,7 @@ ROWS = [
     ),
     Row.of("diagnose", "columns", lambda v: str(diagnose(STARTUP, "paper", columns=v)), (), "empty list"),
     *(
-        Row.of("diagnose", name, lambda v, n=name: str(diagnose(STARTUP, "paper", **{n: v})), good, *allows)
+        Row.of("diagnose", name, diagnosed(name), good, *allows)
         for name, good, *allows in (
             ("false_alarm_rate", 0.01),
             ("voltage_v", 12.0, "None"),
@@ -765,7 +774,7 @@ ROWS = [
         )
     ),
     *(
-        Row.of("identify", name, lambda v, n=name: str(identify(STARTUP, **{n: v})), good, "None")
+        Row.of("identify", name, identified(name), good, "None")
         for name, good in (("start", 1), ("voltage_v", 12.0), ("constant", 0.02), ("periods_per_turn", 14.0))
     ),
     Row.of("identify", "recordings", lambda v: str(identify(v)), STARTUP, also=([1], [None])),

@@ -1,4 +1,4 @@
-"""Build what runs on a controller: a filter with known gains, a rule and its threshold, a check of the sensors."""
+"""Build a monitor for a controller: a filter with known gains, a rule with thresholds, a check of the sensors."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
 
 DEAD_AFTER = 4
-"""So many samples whose current is nothing where the model has much, with no other between, show a dead sensor."""
+"""Samples without a current where the model has much, and none with one between them, that show a dead sensor."""
 LARGE_CURRENT_SHARE = 0.1
-"""Share of the current of a held rotor, above which the model's current is much."""
+"""Share of a held rotor's current above which the model's current is much."""
 DEADBAND = 0.01
 _HEADROOM = 2.0
 _YEAR_S = 365.25 * 86_400.0
@@ -25,15 +25,15 @@ _OVERLAP = 12.0
 
 
 class Readings(NamedTuple):
-    """One number for each reading: its largest magnitude, or what one count is worth."""
+    """One number for each reading: its largest magnitude, or the size of one count."""
 
     current_a: float
     speed_rad_s: float
     voltage_v: float
 
     def counts(self, *given: float | None) -> Self:
-        """Return what one count is worth: as given, else powers of ten of which 1e7 to 1e8 make these readings."""
-        tens = [10.0 ** (math.floor(math.log10(most)) - 7) for most in self]
+        """Return the size of one count: as given, else a power of ten, with 1e7 to 1e8 counts a reading."""
+        tens = [10.0 ** (math.floor(math.log10(largest)) - 7) for largest in self]
         chosen = zip(tens, given or 3 * [None], strict=True)
         return type(self)(*(ten if count is None else count for ten, count in chosen))
 
@@ -42,15 +42,14 @@ class Readings(NamedTuple):
 class CusumBank:
     """Two-sided CUSUMs of several shifts on the innovation of the current, each times a sign.
 
-    The filter knows the sign before the sample, so the product is as white as the innovation, and each sum has its
-    exact threshold. Friction moves the current with the sign of the speed, averaged over the mechanical time constant.
-    A resistance moves it against that of the current less such an average. Rates of false alarms add up, but for alarms
-    that two sums give at once: a share of 12 / sqrt(ARL0), by simulation (6.5 % of 5,654 at an ARL0 of 36,000 samples,
-    2.2 % of 1,383 at 360,000).
+    The sign is known before the sample, so the product stays white and each sum has its exact threshold. Friction moves
+    the current with the sign of the speed, averaged over the mechanical time constant, a resistance against that of the
+    current less such an average. False alarm rates add up, except a share of 12 / sqrt(ARL0) of joint alarms (by
+    simulation).
 
     Attributes:
-        friction: shifts looked for with the first sign, in standard deviations of a sample.
-        winding: shifts looked for with the second sign.
+        friction: shifts with the first sign, in standard deviations of a sample.
+        winding: shifts with the second sign.
     """
 
     friction: tuple[float, ...] = (0.15, 0.5)
@@ -62,21 +61,21 @@ class CusumBank:
         return (*self.friction, *self.winding)
 
     def thresholds_for(self, arl0: float) -> tuple[float, ...]:
-        """Solve the threshold of each sum; all have an equal share of the false alarms."""
+        """Solve the threshold of each sum, at equal shares of the false alarms."""
         overlap = min(_OVERLAP / math.sqrt(arl0), 0.1) if len(self.shifts) > 1 else 0.0
-        alone = arl0 * len(self.shifts) * (1.0 - overlap)
-        return tuple(Cusum(shift, two_sided=True).threshold_for(arl0=alone).value for shift in self.shifts)
+        own_arl0 = arl0 * len(self.shifts) * (1.0 - overlap)
+        return tuple(Cusum(shift, two_sided=True).threshold_for(arl0=own_arl0).value for shift in self.shifts)
 
 
 @dataclass(frozen=True, slots=True)
 class Monitor:
-    """A filter of one motor, a rule on its whitened innovations, and the rule's thresholds.
+    """Filter of one motor, with a rule on its innovations and thresholds.
 
     Attributes:
-        motor: its name, and what brushes and dry friction take.
-        kalman: the belief, of one motor, with its steady covariance; of the current, or of current and speed.
+        motor: for its name, brush drop and dry friction.
+        kalman: of the current, or of current and speed, with the steady covariance.
         rule: bank of CUSUMs.
-        thresholds: of each sum; the motor counts as faulty above any of them.
+        thresholds: of each sum.
         limits: of the sensors.
         stuck_after: so many equal readings in a row, with voltage on, are no readings.
     """
@@ -89,7 +88,7 @@ class Monitor:
     stuck_after: int = 100
 
     def gains(self) -> tuple[FloatArray, FloatArray]:
-        """Return steady Kalman gain (2, m), and what scales the current's innovation to the thresholds (p, 1)."""
+        """Return the steady Kalman gain (2, m), and the current's whitening over each threshold (p, 1)."""
         steps = steady_schedule(self.kalman)
         white = np.linalg.inv(np.linalg.cholesky(steps.innovation_covariance[-1]))
         return steps.gain[-1], white[:1, :1] / np.array(self.thresholds)[:, None]
@@ -110,7 +109,7 @@ def sensor_of(
     """Describe the current sensor, and the speed sensor where its noise is given.
 
     Raises:
-        ValueError: neither the motor file nor the caller says how large the noise of the current is.
+        ValueError: the noise of the current is unknown.
     """
     noise_a = motor.current_noise_a if current_noise_a is None else current_noise_a
     require(
@@ -130,19 +129,19 @@ def monitor_of(
     false_alarms_per_year: float = 1.0,
     stuck_after: int = 100,
 ) -> Monitor:
-    """Build the monitor of a motor that is known exactly and carries no load but its own friction.
+    """Build the monitor of an exactly known motor without a load.
 
     Args:
         motor: as its file says.
         rate_hz: samples a second.
         rule: bank of CUSUMs.
         sensor: current, or current and speed, with their noise.
-        voltage_v: level of the supply; the sensors' limits are twice of what it can cause.
-        false_alarms_per_year: of the healthy motor, wanted.
-        stuck_after: so many equal readings in a row, with voltage on, are no readings; more for a coarse converter.
+        voltage_v: level of the supply; the sensors' limits are twice what it can cause.
+        false_alarms_per_year: of the healthy motor.
+        stuck_after: equal readings in a row, with voltage on, that show a stuck sensor.
 
     Raises:
-        ValueError: a value out of range, or fewer false alarms than the rule's equation resolves.
+        ValueError: a value out of range, or too few false alarms for the rule's equation.
     """
     for name, value in (
         ("rate_hz", rate_hz),

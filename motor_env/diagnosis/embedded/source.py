@@ -12,18 +12,20 @@ from scipy.signal import dlsim
 from motor_env.common.errors import InputError
 from motor_env.common.files import filling, require_ours, write_text
 from motor_env.common.pages import render
-from motor_env.diagnosis.embedded.arithmetic import (
+from motor_env.diagnosis.embedded.monitor import DEAD_AFTER, Monitor, Readings
+from motor_env.diagnosis.embedded.twin import (
     LARGEST,
     NOTHING_BITS,
     SOMETHING_BITS,
     STATISTIC_BITS,
     Numbers,
+    SampleVerdict,
     Values,
     fixed_point,
     floating,
+    readings_of,
+    run_twin,
 )
-from motor_env.diagnosis.embedded.monitor import DEAD_AFTER, Monitor, Readings
-from motor_env.diagnosis.embedded.twin import SampleVerdict, readings_of, run_twin
 
 _HEALTHY_CHECKS, _FAULTY_CHECKS, _MOST_DOUBLINGS = 8, 8, 60
 _RESERVED = (
@@ -54,21 +56,21 @@ class Check(NamedTuple):
 def write_library(
     monitor: Monitor, folder: Path, *, steps: Readings | None, name: str, wanted: str
 ) -> list[Path]:
-    """Write the C library of a monitor, whole or not at all.
+    """Write the C library of a monitor, complete or not at all.
 
     Args:
         monitor: what it computes.
-        folder: where: new, empty, or of such a library, whose files are replaced.
-        steps: what one count of a reading is worth in fixed point; None for single precision.
-        name: of the library, and the first part of the names in it.
+        folder: new, empty, or of such a library, which is replaced.
+        steps: size of one count of each reading in fixed point; None for single precision.
+        name: of the library, and prefix of its names.
         wanted: the rate of false alarms in words.
 
     Returns:
         The files.
 
     Raises:
-        InputError: the name is no lower-case C name of its own, the folder holds something else, a number does not fit,
-            or a file cannot be written.
+        InputError: no valid name, another content of the folder, a number that does not fit, or a file that cannot be
+            written.
         ValueError: the steps do not suit the ranges.
     """
     if (
@@ -144,7 +146,7 @@ def literal(value: Any) -> str:
 
 
 def checks(monitor: Monitor, n: Numbers) -> list[Check]:
-    """Make samples of a healthy start, then of a current so far off that it alarms, then one out of range."""
+    """Make samples of a healthy start, then of a current that alarms, then one out of range."""
     model, sensor, voltage_v = (
         monitor.kalman.model,
         monitor.kalman.observation,
@@ -153,13 +155,13 @@ def checks(monitor: Monitor, n: Numbers) -> list[Check]:
     read = (model.transition, model.gain[:, :1], sensor @ model.transition, sensor @ model.gain[:, :1])
     _, expected, _ = dlsim((*read, model.dt_s), np.full(_HEALTHY_CHECKS + _FAULTY_CHECKS, voltage_v))
     noise = np.sqrt(np.diag(monitor.kalman.measurement_covariance))[:, None]
-    for off in np.ldexp(4.0, range(_MOST_DOUBLINGS)):
+    for offset in np.ldexp(4.0, range(_MOST_DOUBLINGS)):
         measured = expected.T + noise * np.where(np.arange(len(expected)) % 2, -0.5, 0.5)
-        measured[0, _HEALTHY_CHECKS:] += off * noise[0]
+        measured[0, _HEALTHY_CHECKS:] += offset * noise[0]
         measured[0, -1] = 4.0 * monitor.limits.current_a
         readings = readings_of(n, measured[None], voltage_v)
         (verdicts,), (statistics,) = run_twin(n, readings)
-        if SampleVerdict.FAULT in verdicts or off > monitor.limits.current_a / noise[0]:
+        if SampleVerdict.FAULT in verdicts or offset > monitor.limits.current_a / noise[0]:
             break
     samples = zip(readings[0].T, statistics, verdicts.tolist(), strict=True)
     return [Check(reading, statistic, SampleVerdict(verdict).name) for reading, statistic, verdict in samples]

@@ -1,60 +1,241 @@
-"""Fit the records of a fleet with one model: the terms that most of them want, and what they share.
+"""Fit the records of a fleet with one model: the terms that most of them prefer.
 
-The first fit of each record chooses its terms by itself. The medians of their values begin the second fit. Of a motor
-at work that is the fit of a window: R, K, J and the drag are the motor's own, all else is the fleet's. Dry friction and
-a constant load look alike in a short record, so the torque needed while turning is one quantity.
+The first fit of each record chooses its own terms. The second begins at the medians of the first. For a motor at work
+it is the fit of a window: R, K, J and the drag are the motor's own, all else is the fleet's. A short record does not
+separate dry friction from a constant load.
 """
 
 from __future__ import annotations
 
+import json
 import math
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from motor_env.common.errors import InputError, require_extra
-from motor_env.common.files import end_with_parent
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.operation_fit import WindowFit, fit_window
-from motor_env.diagnosis.estimation.preprocessing import from_recordings
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
-from motor_env.diagnosis.estimation.starts.start_identification import NUISANCES, identify
-from motor_env.diagnosis.fleet.initial_fit import (
-    REASONS,
-    FitCache,
-    InitialFit,
-    Reading,
-    classify_record,
-    fit_record,
-)
-from motor_env.diagnosis.operation.windows import over_speed
-from motor_env.diagnosis.readers.recording import describe_reading as understood
-from motor_env.diagnosis.verdict.hypotheses import Fitted, FittedWindow
+from motor_env.common.files import end_with_parent, read_file
+from motor_env.diagnosis.diagnose import explain_unusable
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.operation_fit import WindowFit, fit_window, identify_operation
+from motor_env.diagnosis.estimation.preprocessing import at_terminals, from_recordings
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
+from motor_env.diagnosis.estimation.starts.start_identification import NUISANCES, identify, identify_best
+from motor_env.diagnosis.operation.window_baseline import effective_speed, values_without_warming
+from motor_env.diagnosis.operation.windows import averaged, rms_volts, with_drag_over_speed
+from motor_env.diagnosis.readers.headers import ColumnChoice
+from motor_env.diagnosis.readers.recording import Recording, describe_reading, recording_of
+from motor_env.diagnosis.readers.regime import taken_for
+from motor_env.diagnosis.readers.start import Circuit, Start, chosen_starts, prepare
+from motor_env.diagnosis.verdict.hypotheses import NAMES, Fitted, FittedWindow
 from motor_env.motor.healthy import Windows
+
+REASONS = (ValueError, ArithmeticError, LookupError)
+"""What a fit raises on values far from any motor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How the records are read.
+
+    Attributes:
+        columns: by the user.
+        regime: start, operation, or auto.
+        voltage_v: level of the supply where none was recorded.
+        circuit: what is known of the measuring circuit.
+    """
+
+    columns: Sequence[ColumnChoice] = ()
+    regime: str = "auto"
+    voltage_v: float | None = None
+    circuit: Circuit | None = None
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Return these as arguments of `motor_env.diagnose`."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def start(self, path: Path) -> Start:
+        """Read the first start of a file."""
+        (part,) = chosen_starts(recording_of(path, self.columns), 1)
+        return prepare(part, self.voltage_v, self.circuit)
+
+    def log(self, path: Path) -> Recording:
+        """Read a log; average neighbours where it is long."""
+        recording = at_terminals(recording_of(path, self.columns), self.voltage_v, self.circuit)
+        return averaged(recording, len(recording.time_s) * recording.dt_s)
+
+
+class InitialFit(NamedTuple):
+    """First fit of a record.
+
+    Attributes:
+        trouble: why there is no fit.
+        names: of the terms.
+        quantities: determined by the fit.
+        values: physical values, or the quantities' logarithms of a start.
+        hold: of the voltage.
+        speed_rad_s: effective speed.
+        rms_volts: effective voltage.
+        duration_s, dt_s: of the record, and of its samples.
+        peaks: largest voltage, current and speed.
+    """
+
+    trouble: str = ""
+    names: tuple[str, ...] = ()
+    quantities: tuple[str, ...] = ()
+    values: tuple[float, ...] = ()
+    hold: str = "held"
+    speed_rad_s: float = 0.0
+    rms_volts: float = 0.0
+    duration_s: float = 0.0
+    dt_s: float = 0.0
+    peaks: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+def classify_record(reading: Reading, path: Path) -> tuple[str, tuple[str, ...]]:
+    """Classify a file as start or operation; return also how its columns were understood."""
+    try:
+        recording = recording_of(path, reading.columns)
+        return taken_for(recording, reading.regime).regime, recording.columns
+    except InputError:
+        return "start", ()  # the first fit says why it cannot be read
+
+
+def fit_record(reading: Reading, path: Path) -> InitialFit:
+    """Fit a file by itself."""
+    try:
+        if reading.regime == "start":
+            fit = identify_best(reading.start(path), NUISANCES)
+            reason = explain_unusable(fit)
+            if reason is not None:
+                return InitialFit(reason)
+            return InitialFit("", fit.model, fit.quantity_names, tuple(fit.log_values.tolist()))
+        log = reading.log(path)
+        fitted = identify_operation([log])
+    except REASONS as error:
+        return InitialFit(str(error).removeprefix(f"{path}: "))
+    if not fitted.record.seen.all() or fitted.r2_current is None:
+        return InitialFit("the current tells no motor")
+    return InitialFit(
+        names=fitted.solution.names,
+        quantities=NAMES,
+        values=tuple(values_without_warming(fitted.solution).tolist()),
+        hold=fitted.record.hold,
+        speed_rad_s=effective_speed(fitted),
+        rms_volts=rms_volts(log),
+        duration_s=len(log.time_s) * log.dt_s,
+        dt_s=log.dt_s,
+        peaks=fitted.record.peaks,
+    )
+
+
+_MARK = "motor-env fleet"
+_LARGEST_BYTES = 2_000_000_000
+_FIRST: TypeAdapter[InitialFit] = TypeAdapter(InitialFit)
+
+
+class FitCache:
+    """Keep first fits by file, in memory and in a file of JSON lines.
+
+    A fit is valid while its file keeps size and time and is read in the same way.
+
+    Args:
+        path: of the file; None for memory alone.
+        reading: how the records are read.
+
+    Raises:
+        InputError: the file holds other content, or is damaged before its last line.
+    """
+
+    def __init__(self, path: Path | None, reading: Reading) -> None:
+        self.path = path
+        self.reading = sha256(repr(reading).encode()).hexdigest()[:16]
+        self.cached: dict[str, InitialFit] = {}
+        self.file: IO[str] | None = None
+        if path is not None and path.exists():
+            self._read(path)
+
+    def _read(self, path: Path) -> None:
+        content = bytes(read_file(path, _LARGEST_BYTES))
+        *lines, last = content.split(b"\n")
+        head = self._head().encode()
+        # The first line may have been cut short by the end of the process, too.
+        if (lines[0] if lines else head[: len(last)]) != (head if lines else last):
+            raise InputError(f"{path}: holds no fits of records that were read like these; give another file")
+        for number, line in enumerate(lines[1:], 2):
+            try:
+                row = json.loads(line)
+                self.cached[str(row["record"])] = _FIRST.validate_python(row["first"])
+            except (ValueError, LookupError, TypeError, RecursionError):
+                raise InputError(f"{path}: line {number} is no kept fit; give another file") from None
+        if last:
+            os.truncate(path, len(content) - len(last))
+
+    def _head(self) -> str:
+        return json.dumps({"kept by": _MARK, "reading": self.reading})
+
+    def __enter__(self) -> FitCache:
+        if self.path is not None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.file = self.path.open("a", encoding="utf-8")
+            if not self.cached and self.path.stat().st_size == 0:
+                print(self._head(), file=self.file, flush=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.file is not None:
+            self.file.close()
+
+    def __contains__(self, path: Path) -> bool:
+        return _record(path) in self.cached
+
+    def __getitem__(self, path: Path) -> InitialFit:
+        return self.cached[_record(path)]
+
+    def add(self, path: Path, first: InitialFit) -> None:
+        """Keep a fit."""
+        self.cached[_record(path)] = first
+        if self.file is not None:
+            row = {"record": _record(path), "first": first._asdict()}
+            print(json.dumps(row), file=self.file, flush=True)
+
+
+def _record(path: Path) -> str:
+    """Name a file by path, size and time."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return str(path)
+    return f"{path} {stat.st_size} {stat.st_mtime_ns}"
+
 
 _LOADS = ("load_constant", "load_square", "load_walk")
 _DRY = (0.0, 0.35, 0.7, 1.0)  # shares of dry friction that are tried
 _MOST_TRIED = 12  # records
-_NOT_COMMON = [places.HEATING, places.COOLING, places.WALK, places.LOAD, places.SQUARE]
+_NOT_COMMON = [index.HEATING, index.COOLING, index.WALK, index.LOAD, index.SQUARE]
 
 
 @dataclass(frozen=True, slots=True)
 class FleetFits:
-    """Records of a fleet, fitted with one model.
+    """Fits of a fleet's records with one model.
 
     Attributes:
-        by_file: their fits.
-        quantities: that they tell.
-        windows: how they were fitted, of motors at work; None for starts.
-        failures: why each other record has no fit, by its file.
-        reading: how they were read; its regime is start or operation.
+        by_file: the fits.
+        quantities: determined by them.
+        windows: of logs; None for starts.
+        failures: why a record has no fit, by its file.
+        reading: with the regime start or operation.
         read: how their columns were understood, in words.
     """
 
@@ -77,14 +258,14 @@ def fit_fleet(
     """Fit the records of a fleet.
 
     Args:
-        files: recordings, one motor each; a start, or a log of the motor at work.
+        files: recordings, one motor each.
         reading: how they are read.
-        each: what maps over files, see `processes`.
-        kept: file that keeps the first fits, so that a stopped run goes on.
-        progress: told each file, twice.
+        each: maps over files, see `processes`.
+        kept: file of first fits, to continue a stopped run.
+        progress: called with each file, twice.
 
     Raises:
-        InputError: no record can be used, or the file of kept fits is another's.
+        InputError: no record can be used, or `kept` is another file.
     """
     looks = list(each(partial(classify_record, reading), files))
     kinds = {kind for kind, _ in looks}
@@ -112,18 +293,18 @@ def fit_fleet(
         windows = _common_log_model(good, reading)
         job = partial(fit_log, reading, windows)
     by_file: dict[Path, Fitted] = {}
-    for path, again in zip(good, each(job, list(good)), strict=True):
-        if isinstance(again, str):
-            failures[path] = again
+    for path, refit in zip(good, each(job, list(good)), strict=True):
+        if isinstance(refit, str):
+            failures[path] = refit
         else:
-            by_file[path] = again
+            by_file[path] = refit
         progress(path)
-    read = tuple(understood((path, notes) for path, (_, notes) in zip(files, looks, strict=True)))
+    read = tuple(describe_reading((path, notes) for path, (_, notes) in zip(files, looks, strict=True)))
     return FleetFits(by_file, quantities, windows, failures, reading, read)
 
 
 def _majority_terms(initial_fits: Sequence[InitialFit]) -> list[str]:
-    """List the terms that more than half of the records want."""
+    """List the terms that more than half of the records prefer."""
     count = Counter(name for fit in initial_fits for name in fit.names)
     return [name for name, wanting in count.items() if wanting > 0.5 * len(initial_fits)]
 
@@ -139,7 +320,7 @@ def _common_start_model(
 
 def _fit_start(
     reading: Reading, model: tuple[str, ...], typical: dict[str, float], path: Path
-) -> Identified | str:
+) -> StartFit | str:
     try:
         return identify(reading.start(path), model, typical=typical)
     except REASONS as error:
@@ -147,7 +328,7 @@ def _fit_start(
 
 
 def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) -> Windows:
-    """Choose what logs share, and which part of the drag is dry friction by the least misfit of some."""
+    """Choose what logs share; of the share of dry friction, the one with the least misfit."""
     initial = list(initial_fits.values())
     known = np.median([fit.values for fit in initial], axis=0)
     known[_NOT_COMMON] = 0.0
@@ -164,24 +345,24 @@ def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) ->
         rms_volts=(min(fit.rms_volts for fit in initial), max(fit.rms_volts for fit in initial)),
         peaks=tuple(np.median([fit.peaks for fit in initial], axis=0).tolist()),
     )
-    some = list(initial_fits)[:: -(-len(initial_fits) // _MOST_TRIED)]
+    sample = list(initial_fits)[:: -(-len(initial_fits) // _MOST_TRIED)]
     tried = []
     for share in _DRY:
         known = known.copy()
-        known[[places.B, places.COULOMB]] = (1.0 - share) * drag / speed, share * drag
+        known[[index.B, index.COULOMB]] = (1.0 - share) * drag / speed, share * drag
         tried.append(replace(windows, physical=known))
-    fits = [[_fit_window(reading, candidate, path) for path in some] for candidate in tried]
+    fits = [[_fit_window(reading, candidate, path) for path in sample] for candidate in tried]
     misfits = [sum(math.inf if isinstance(fit, str) else fit.misfit for fit in each) for each in fits]
     return tried[int(np.argmin(misfits))]
 
 
 def _drag(first: InitialFit) -> float:
     """Divide the drag by the speed."""
-    return float(first.values[places.B] + first.values[places.COULOMB] / first.speed_rad_s)
+    return float(first.values[index.B] + first.values[index.COULOMB] / first.speed_rad_s)
 
 
 def _fit_window(reading: Reading, windows: Windows, path: Path) -> WindowFit | str:
-    """Fit a log with what all share, or say why not."""
+    """Fit a log with the shared values; return the reason if that fails."""
     try:
         record = replace(from_recordings([reading.log(path)]), hold=windows.hold)
         return fit_window(record, windows.physical, windows.terms)
@@ -192,7 +373,7 @@ def _fit_window(reading: Reading, windows: Windows, path: Path) -> WindowFit | s
 def fit_log(reading: Reading, windows: Windows, path: Path) -> FittedWindow | str:
     """Fit a log, with the drag over the speed."""
     fit = _fit_window(reading, windows, path)
-    return fit if isinstance(fit, str) else over_speed(fit, windows.physical, windows.speed_rad_s)
+    return fit if isinstance(fit, str) else with_drag_over_speed(fit, windows.physical, windows.speed_rad_s)
 
 
 Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
@@ -201,7 +382,7 @@ Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @contextmanager
 def processes(workers: int, scheduler: str | None = None) -> Iterator[Map]:
-    """Offer what maps a function over files: here, in processes, or on the workers of a Dask cluster.
+    """Yield a map over files: in this process, in others, or on a Dask cluster.
 
     Args:
         workers: processes, without a cluster.

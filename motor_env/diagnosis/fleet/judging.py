@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,12 +16,10 @@ from scipy.special import stdtrit
 from motor_env.common.console import ExitStatus, worst
 from motor_env.common.errors import InputError, require_options
 from motor_env.common.pages import Axis, Chart, render
-from motor_env.diagnosis.diagnose import diagnose
-from motor_env.diagnosis.fleet.fits import Map
-from motor_env.diagnosis.fleet.initial_fit import Reading
-from motor_env.diagnosis.fleet.learning import LearnedFleet, learn_fleet
+from motor_env.diagnosis.diagnose import Diagnosis, diagnose
+from motor_env.diagnosis.fleet.fits import Map, Reading
+from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet
 from motor_env.diagnosis.fleet.population import HealthyPopulation
-from motor_env.diagnosis.fleet.unit import FleetUnit, UnitId
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.verdict.hypotheses import Difference
 from motor_env.diagnosis.verdict.judgement import Verdict
@@ -28,6 +27,127 @@ from motor_env.diagnosis.verdict.scaling_errors import describe_scaling_errors, 
 from motor_env.motor import identifiable
 
 _GAINS = 3  # of voltage, current and speed
+_CLEAR = 2.0  # standard deviations
+_MOST_ODD = 3
+_ALONE = re.compile(",? and nothing else moved")
+
+
+@dataclass(frozen=True, slots=True)
+class FleetUnit:
+    """A motor of the fleet, judged by the others.
+
+    Attributes:
+        unit_id: machine and motor.
+        records: diagnosis of each of its files.
+        quantities: of the fleet's records.
+        difference: from the healthy population of the other motors; None without a fit.
+        common_cause: wrong scale that all motors of its machine share; empty for none.
+    """
+
+    unit_id: UnitId
+    records: dict[Path, Diagnosis]
+    quantities: tuple[str, ...]
+    difference: Difference | None = None
+    common_cause: str = ""
+
+    @property
+    def ratios(self) -> dict[str, float]:
+        """Divide its quantities by those of a healthy motor; empty without a fit."""
+        if self.difference is None:
+            return {}
+        return dict(zip(self.quantities, np.exp(self.difference.log_ratios).tolist(), strict=True))
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Deviations of its quantities from the population, in standard deviations."""
+        if self.difference is None:
+            return {}
+        sd = np.sqrt(np.diag(self.difference.covariance))
+        return dict(zip(self.quantities, (self.difference.log_ratios / sd).tolist(), strict=True))
+
+    @property
+    def p_value(self) -> float | None:
+        """Share of healthy motors at least as far away (Hotelling)."""
+        if self.difference is None:
+            return None
+        deviations = self.difference.log_ratios
+        return self.difference.p_value(
+            float(deviations @ np.linalg.solve(self.difference.covariance, deviations)), len(deviations)
+        )
+
+    @property
+    def decisive(self) -> Diagnosis:
+        """Choose the decisive record: the surest with a fault, else the first healthy one."""
+        faults = [record for record in self.records.values() if record.verdict.is_fault]
+        calm = [record for record in self.records.values() if record.verdict is Verdict.HEALTHY]
+        rest = next(iter([*calm, *self.records.values()]))
+        return max(faults, key=lambda record: record.confidence or 0.0, default=rest)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict on the motor."""
+        return self.decisive.verdict
+
+    @property
+    def odd(self) -> str:
+        """List the quantities that lie farthest from the population."""
+        ratios = self.ratios
+        return ", ".join(f"{name} {ratios[name] - 1.0:+.0%}" for name in self._far)
+
+    @property
+    def _far(self) -> list[str]:
+        deviations = self.deviations
+        far = sorted(deviations, key=lambda name: -abs(deviations[name]))[:_MOST_ODD]
+        return [name for name in far if abs(deviations[name]) > _CLEAR]
+
+    def to_json(self) -> dict[str, Any]:
+        """Build one object for programs."""
+        record = self.decisive
+        return {
+            "motor": self.unit_id.name,
+            "machine": self.unit_id.machine,
+            "files": [str(path) for path in self.records],
+            "verdict": str(record.verdict),
+            "kind": None if record.kind is None else str(record.kind),
+            "severity": record.severity,
+            "severity_interval": record.severity_interval,
+            "confidence": record.confidence,
+            "p_value": self.p_value,
+            "ratios": self.ratios,
+            "standard_deviations": self.deviations,
+            "reasons": list(record.reasons),
+            "together": self.common_cause or None,
+        }
+
+    @property
+    def shown_severity(self) -> str:
+        """Format the severity of its fault; empty without one."""
+        severity = self.decisive.severity
+        return f"{severity:+.0%}" if severity and self.verdict.is_fault else ""
+
+    @property
+    def why(self) -> str:
+        """Give the first reason of a fault, and the common cause of its machine."""
+        own = "" if self.verdict is Verdict.HEALTHY else self._reason
+        both = (
+            f"all motors of {self.unit_id.machine} together: {self.common_cause}" if self.common_cause else ""
+        )
+        return "; ".join(filter(None, (own, both)))
+
+    @property
+    def _reason(self) -> str:
+        """Give the first reason, consistent with the quantities that the table names."""
+        reason, kind, far = self.decisive.reasons[0], self.decisive.decisive.fault_kind, self._far
+        if kind is None or not far:
+            return reason
+        moved = identifiable.visible_direction(kind, identifiable.matrix(tuple(far)))
+        alone = _ALONE.sub("", reason)
+        return f"mostly, {alone}" if alone != reason and not moved.all() else reason
+
+    @property
+    def shown(self) -> str:
+        """Describe the motor in a line; with a failed sensor, without quantities."""
+        return self.why if self.verdict is Verdict.SENSOR else self.odd or self.why
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +175,7 @@ class FleetDiagnosis:
 
     @property
     def summary(self) -> str:
-        """Say how many are odd, and how many would be by chance."""
+        """Count the faulty motors, and those expected by chance."""
         odd = sum(unit.verdict.is_fault for unit in self.units)
         chance = self.false_alarm_rate * len(self.units)
         stand, share = "stands" if odd == 1 else "stand", 1.0 / self.false_alarm_rate
@@ -98,16 +218,16 @@ def diagnose_fleet(
     kept: Path | None = None,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> FleetDiagnosis:
-    """Judge each motor of a fleet by all others; those of its own machine teach nothing about it.
+    """Judge each motor of a fleet by those of all other machines.
 
     Args:
-        files: recordings, see `learn_fleet`.
-        group: regular expression that reads machine, motor and repeat from a file's name.
+        files: see `learn_fleet`.
+        group: see `unit_ids`.
         reading: how the files are read.
-        false_alarm_rate: how often a healthy motor may be called faulty.
-        each: what maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
-        kept: file that keeps first fits, so that a fleet that was stopped goes on where it was.
-        progress: told each file, twice.
+        false_alarm_rate: per healthy motor.
+        each: maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
+        kept: file of first fits, to continue a stopped run.
+        progress: called with each file, twice.
 
     Raises:
         InputError: too few motors, or records that cannot be used together.
@@ -123,20 +243,20 @@ def diagnose_fleet(
 
 def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[FleetUnit]:
     """Judge the motors of a machine by those of all others."""
-    core, units = fleet.core_without(machine), []
+    population, units = fleet.population_without(machine), []
     for unit_id in dict.fromkeys(each for each in fleet.unit_of.values() if each.machine == machine):
         if unit_id.motor not in fleet.positions:
             raise InputError(
                 f"no motor of the place {unit_id.motor} can be fitted: nothing judges {unit_id.name}"
             )
         own = [path for path, each in fleet.unit_of.items() if each == unit_id]
-        motor = fleet.motor("a healthy one", core, unit_id.motor)
+        motor = fleet.motor("a healthy one", population, unit_id.motor)
         records = {
             path: diagnose(path, motor, false_alarm_rate=rate / len(own), **fleet.fits.reading.options)
             for path in own
         }
         units.append(
-            FleetUnit(unit_id, records, fleet.fits.quantities, _difference_from(fleet, core, unit_id))
+            FleetUnit(unit_id, records, fleet.fits.quantities, _difference_from(fleet, population, unit_id))
         )
     alike = common_cause(
         [unit.difference for unit in units if unit.difference is not None], fleet.fits.quantities, rate
@@ -147,7 +267,7 @@ def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Fl
 def common_cause(differences: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
     """Find one sensor or supply at a wrong scale that the motors of a machine share; empty for nothing.
 
-    Each motor may be too little off by itself.
+    The change of a single motor may be too small to find.
     """
     if len(differences) < 2:
         return ""
@@ -160,19 +280,21 @@ def common_cause(differences: Sequence[Difference], names: tuple[str, ...], rate
     )
 
 
-def _difference_from(fleet: LearnedFleet, core: HealthyPopulation, unit_id: UnitId) -> Difference | None:
+def _difference_from(
+    fleet: LearnedFleet, population: HealthyPopulation, unit_id: UnitId
+) -> Difference | None:
     """Compare a motor with the population; None without a fit."""
     if unit_id not in fleet.motors:
         return None
     number = fleet.motors.index(unit_id)
     kept = np.array([n == number for n in range(len(fleet.motors))])
-    logs, errors = fleet.records.subset(kept).means(core.within)
+    logs, errors = fleet.records.subset(kept).means(population.within)
     at = fleet.positions.index(unit_id.motor)
     return Difference(
-        logs[0] - core.centres[at],
-        core.next_motor(at) + errors[0],
+        logs[0] - population.centres[at],
+        population.next_motor(at) + errors[0],
         identifiable.matrix(fleet.fits.quantities),
-        core.degrees_of_freedom,
+        population.degrees_of_freedom,
     )
 
 
@@ -183,7 +305,7 @@ _ROW = 13.0  # pixels between two names
 
 
 def picture(names: Sequence[str], units: Sequence[FleetUnit]) -> str:
-    """Draw the fleet: each quantity's column has a dot a motor, and the names of odd ones.
+    """Draw the fleet: a column for each quantity, a dot for each motor, names of faulty ones.
 
     Heights are standard deviations of another healthy motor.
 
@@ -205,7 +327,7 @@ def picture(names: Sequence[str], units: Sequence[FleetUnit]) -> str:
     chart.y_numbers()
     named: dict[int, list[tuple[float, float, str]]] = {}
     for unit_id, unit in enumerate(reversed(units)):  # the oddest last, on top
-        # What a failed sensor has read tells nothing of the motor.
+        # The readings of a failed sensor are no evidence on the motor.
         is_odd = unit.verdict.is_fault and unit.verdict is not Verdict.SENSOR
         for column, name in enumerate(names):
             if name not in unit.deviations:

@@ -1,10 +1,9 @@
-"""Learn where the healthy core of a population of motors lies and how far it scatters, while sick ones are in it.
+"""Learn mean and spread of the healthy core of a population that includes faulty motors.
 
-Each motor's logarithms are those of its core, off by what differs from motor to motor; each record is off again by what
-differs from record to record, and by its fit's own error. A motor is of the core, or sick: off along one quantity,
-along the direction of a fault or gain, or along all (a contaminated normal distribution; Tukey 1960). Expectation and
-maximisation give each motor its probability of being of the core (Dempster, Laird & Rubin 1977). Motors are judged by
-the core alone.
+The logarithms of a record are the centre of its core plus deviations from motor to motor and record to record, and the
+fit's own error. A motor is of the core, or sick: it deviates along one quantity, a fault or gain, or all (contaminated
+normal distribution; Tukey 1960). Expectation-maximisation gives the probability of the core (Dempster, Laird & Rubin
+1977). Only the core judges.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from scipy.stats import chi2
 from motor_env.diagnosis.verdict.healthy_spread import PRIOR_WEIGHT
 from motor_env.motor.parameters import FloatArray
 
-_SICK_SPREAD = 10.0  # of a sick motor, over what is believed of healthy ones
+_SICK_SPREAD = 10.0  # of a sick motor, over the prior of healthy ones
 _INITIAL_SHARE = 0.75  # of the motors, from which the core grows
 _STEPS = 20
 _SICK, _SICK_OF = 1.0, 10.0  # prior: one motor in ten
@@ -31,16 +30,15 @@ _ROUNDS, _CONVERGED = 200, 1e-6
 
 @dataclass(frozen=True)
 class Motors:
-    """Records of several motors: all their quantities.
+    """Quantities of the records of several motors.
 
     Attributes:
-        logs: logarithms that each record tells, shape (n_records, p).
+        logs: logarithms of each record, shape (n_records, p).
         errors: their covariance by the fit, shape (n_records, p, p).
         motor: number of each record's motor, 0 to n_motors - 1, shape (n_records,).
-        position: number of each motor's place in its machine, such as left or right, shape (n_motors,).
-        between, within: covariance from motor to motor, and from record to record of one motor, as believed before any
-            is seen, shape (p, p).
-        directions: in which faults move several quantities at once, shape (m, p); each moves alone in any case.
+        position: number of each motor's place in its machine, shape (n_motors,).
+        between, within: prior covariance from motor to motor, and from record to record, shape (p, p).
+        directions: of faults that move several quantities, shape (m, p).
     """
 
     logs: FloatArray
@@ -53,7 +51,7 @@ class Motors:
 
     @cached_property
     def sick(self) -> list[FloatArray]:
-        """List what sick motors scatter by in addition: along one direction each, and along all, shape (p, p) each."""
+        """List the additional covariances of sick motors: along each direction, and along all, shape (p, p) each."""
         p = len(self.between)
         axes = np.eye(p) if self.directions is None else np.vstack([np.eye(p), self.directions])
         inverse = np.linalg.inv(self.between)
@@ -74,9 +72,9 @@ class Motors:
         )
 
     def within_covariance(self) -> FloatArray:
-        """Estimate the covariance from record to record of one motor, by those that are repeated, shape (p, p).
+        """Estimate the covariance from record to record by repeated motors, shape (p, p).
 
-        The median of their deviations counts: a record may be wrong, and few motors are repeated.
+        The median deviation is robust to wrong records.
         """
         residual, freedom = [], 0
         for motor in np.flatnonzero(np.bincount(self.motor) > 1):
@@ -136,54 +134,60 @@ class HealthyPopulation:
 def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> HealthyPopulation:
     """Find the healthy core of some motors.
 
-    Records are first taken by themselves, those of one motor together as one. How much of their spread is from record
-    to
-    record is told by the motors that are repeated.
+    Records are first independent, weighted by their motor. Repeated motors then give the part of the spread from record
+    to record.
 
     Args:
         motors: their records.
-        begin: a core of nearly the same motors, to begin from.
+        begin: core of nearly the same motors, to start from.
     """
     repeats = np.bincount(motors.motor)
     share = 1.0 / repeats[motors.motor]
     if begin is None:
-        # Few healthy motors have a tight half by chance; of many with sick ones among them the tight one is likelier.
+        # A small healthy fleet may have a tight half by chance: the likelier of both initial values counts.
         ends = [
             _run_em(first, motors, share)
             for first in (_initial_population(motors), _initial_population(motors, 1.0))
         ]
-        core, _ = max(ends, key=lambda end: end[1])
+        population, _ = max(ends, key=lambda end: end[1])
     else:
         at_once = replace(begin, between=begin.between + begin.within, probability=np.ones(len(motors.logs)))
-        core, _ = _run_em(at_once, motors, share)
-    total, of_records = core.between, motors.within_covariance()
+        population, _ = _run_em(at_once, motors, share)
+    total, of_records = population.between, motors.within_covariance()
     within = np.diag(np.minimum(of_records.diagonal(), _MOST_WITHIN * total.diagonal()))
     return replace(
-        core,
+        population,
         between=floor_covariance(total - within, (1.0 - _MOST_WITHIN) * total),
         within=within,
-        probability=np.bincount(motors.motor, core.probability) / repeats,
+        probability=np.bincount(motors.motor, population.probability) / repeats,
     )
 
 
-def _run_em(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
-    """Repeat rounds until they settle; also return the logarithm of the posterior probability."""
+def _run_em(
+    population: HealthyPopulation, motors: Motors, share: FloatArray
+) -> tuple[HealthyPopulation, float]:
+    """Iterate to convergence; also return the log posterior probability."""
     for _ in range(_ROUNDS):
-        before, (core, likelihood) = core, _em_round(core, motors, share)
-        moved = max(np.abs(core.centres - before.centres).max(), np.abs(core.between - before.between).max())
+        before, (population, likelihood) = population, _em_round(population, motors, share)
+        moved = max(
+            np.abs(population.centres - before.centres).max(),
+            np.abs(population.between - before.between).max(),
+        )
         if moved < _CONVERGED:
             break
-    log_size = float(np.linalg.slogdet(core.between)[1])
+    log_size = float(np.linalg.slogdet(population.between)[1])
     believed = (
-        -0.5 * PRIOR_WEIGHT * (log_size + float(np.trace(np.linalg.solve(core.between, motors.between))))
+        -0.5
+        * PRIOR_WEIGHT
+        * (log_size + float(np.trace(np.linalg.solve(population.between, motors.between))))
     )
-    return core, likelihood + believed
+    return population, likelihood + believed
 
 
 def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> HealthyPopulation:
-    """Choose a part of the records that lies closest together (Rousseeuw & Van Driessen 1999).
+    """Choose the part of the records with the least spread (Rousseeuw & Van Driessen 1999).
 
-    The spread of these is less than that of all of a normal distribution, by a known factor.
+    A known factor corrects its spread to that of a normal distribution.
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
     (count, p), places = logs.shape, int(position.max()) + 1
@@ -234,36 +238,38 @@ def _log_density(residual: FloatArray, covariance: FloatArray) -> FloatArray:
     return found
 
 
-def _em_round(core: HealthyPopulation, motors: Motors, share: FloatArray) -> tuple[HealthyPopulation, float]:
+def _em_round(
+    population: HealthyPopulation, motors: Motors, share: FloatArray
+) -> tuple[HealthyPopulation, float]:
     """Update probabilities, centres and spread once; also return the log likelihood before.
 
     Each record counts by its share of its motor, shape (n_records,).
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
-    residual, spread = logs - core.centres[position], core.between + errors
+    residual, spread = logs - population.centres[position], population.between + errors
     log_healthy = _log_density(residual, spread)
-    every = [_log_density(residual, spread + way) for way in motors.sick]
+    every = [_log_density(residual, spread + extra) for extra in motors.sick]
     log_sick = np.logaddexp.reduce(every, axis=0) - math.log(len(every))
-    sick = (_SICK + float(share @ (1.0 - core.probability))) / (_SICK_OF + float(share.sum()))
+    sick = (_SICK + float(share @ (1.0 - population.probability))) / (_SICK_OF + float(share.sum()))
     healthy = 1.0 / (1.0 + sick / (1.0 - sick) * np.exp(np.clip(log_sick - log_healthy, -500.0, 500.0)))
     counts = share * healthy
     likelihood = float(share @ np.logaddexp(log_healthy + math.log1p(-sick), log_sick + math.log(sick)))
     weights = np.linalg.inv(spread) * counts[:, None, None]
     centres, covariances = [], []
-    for n in range(len(core.centres)):
+    for n in range(len(population.centres)):
         here = position == n
         covariance = np.linalg.inv(weights[here].sum(axis=0))
         centres.append(covariance @ np.einsum("npq,nq->p", weights[here], logs[here]))
         covariances.append(covariance)
     residual = logs - np.stack(centres)[position]
-    gain = core.between @ np.linalg.inv(spread)
+    gain = population.between @ np.linalg.inv(spread)
     own = np.einsum("npq,nq->np", gain, residual)
-    left = core.between - gain @ core.between
-    scatter = np.einsum("n,npq->pq", counts, own[:, :, None] * own[:, None, :] + left)
+    posterior = population.between - gain @ population.between
+    scatter = np.einsum("n,npq->pq", counts, own[:, :, None] * own[:, None, :] + posterior)
     freedom = max(float(counts.sum()) - len(centres), 0.0) + PRIOR_WEIGHT
     between = (scatter + PRIOR_WEIGHT * motors.between) / freedom
     after = replace(
-        core,
+        population,
         centres=np.stack(centres),
         centre_covariances=np.stack(covariances),
         between=0.5 * (between + between.T),

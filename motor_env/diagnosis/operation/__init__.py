@@ -1,1 +1,4 @@
-"""A motor at work: its baseline from healthy windows, the verdict on each window, and the sequential monitor."""
+"""Judge a motor at work window by window: its healthy baseline, the verdict on a log, and the sequential monitor.
+
+It never reads a file; windows are fitted in `estimation`. Begin at `windows.WindowJudge`.
+"""

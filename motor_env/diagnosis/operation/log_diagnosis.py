@@ -1,6 +1,6 @@
-"""The diagnosis of a log of a motor at work: its windows against the healthy motor.
+"""Diagnose a log of a motor at work: its windows against the healthy motor.
 
-A motor that was not commissioned at work is compared by its data sheet, or by its healthy starts.
+A motor that was not commissioned at work is compared with its data sheet or healthy starts.
 """
 
 from __future__ import annotations
@@ -11,19 +11,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.operation_fit import LOAD, identify_record
 from motor_env.diagnosis.estimation.preprocessing import at_terminals, from_recordings
 from motor_env.diagnosis.estimation.record import STRETCHES, Record
-from motor_env.diagnosis.operation.operating_conditions import NEEDED, needed_columns
 from motor_env.diagnosis.operation.window_baseline import (
-    chosen_terms,
+    choose_window_terms,
     effective_speed,
-    known_of,
     turns_one_way,
+    values_without_warming,
     window_length_s,
 )
-from motor_env.diagnosis.operation.windows import WindowJudge, judge_of, viscous, windows_of
+from motor_env.diagnosis.operation.windows import (
+    NEEDED,
+    WindowJudge,
+    judge_of,
+    needed_columns,
+    viscous,
+    windows_of,
+)
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
 from motor_env.diagnosis.readers.start import Circuit
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
@@ -60,7 +66,7 @@ def judge_log(
     circuit: Circuit | None = None,
     temperature_c: float | None = None,
 ) -> tuple[list[Judgement], int]:
-    """Judge the windows of a log; return also how many it has. One judgement on the whole where it cannot be cut."""
+    """Judge the windows of a log, or the whole if it has none; return also the number of windows."""
     whole = at_terminals(recording, voltage_v, circuit)
     if motor is None:
         return [Judgement(Verdict.NO_REFERENCE, (_NOTHING,)).on(whole)], 1
@@ -70,68 +76,72 @@ def judge_log(
     try:
         judge = judge_for(whole, motor, temperature_c)
         judged, count = judge.judge(whole, rate)
-        if any(is_far_from_healthy(one) for one in judged):
+        if any(is_far_from_healthy(judgement) for judgement in judged):
             judged = _as_a_whole(judged, whole, judge)
-        if all(one.verdict is Verdict.UNUSABLE for one in judged):
-            from_recordings([whole])  # may say why
+        if all(judgement.verdict is Verdict.UNUSABLE for judgement in judged):
+            from_recordings([whole])  # may raise the reason
     except UnusableError as error:
         return [Judgement(Verdict.UNUSABLE, (str(error),)).on(whole)], 1
     return judged, count
 
 
 def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -> list[Judgement]:
-    """Check a log that is far from the healthy motor, from which its windows are fitted: is it read wrongly?
+    """Check a log that is far from the healthy motor for a wrong scale, by a fit of the whole.
 
-    A fit of the whole log begins anywhere. No wrong scale is told closer than to some percent, and friction that is
-    not viscous goes by another power.
+    Windows are fitted from the healthy motor, the whole log from anywhere. A scale is found to some percent; friction
+    that is not viscous has another power.
     """
     with suppress(UnusableError):
         joint = identify_record(from_recordings([whole]))
-        physical = known_of(joint.solution)
+        physical = values_without_warming(joint.solution)
         drag = viscous(physical, effective_speed(joint))
-        logs = np.log([*physical[[places.R, places.K, places.J]], drag])
+        logs = np.log([*physical[[index.R, index.K, index.J]], drag])
         spread = judge.reference.log_covariance + np.diag(np.square(_COARSE))
         difference = Difference(logs - judge.reference.log_values, spread, EXPONENTS, NORMAL_DOF)
-        misread = describe_scaling_errors(
+        scaling = describe_scaling_errors(
             find_scaling_errors(difference, NAMES, _CLEAR, DEFAULT_FALSE_ALARM_RATE)
         )
-        if misread:
-            return [_misread(one, misread) if one.verdict.is_fault else one for one in judged]
+        if scaling:
+            return [
+                _misread(judgement, scaling) if judgement.verdict.is_fault else judgement
+                for judgement in judged
+            ]
     return judged
 
 
-def _misread(judgement: Judgement, misread: str) -> Judgement:
-    """Give a window's judgement what the whole log says instead of what its own fit did."""
-    own = (one for one in judgement.reasons if one != BEYOND_WEAR and not one.startswith(EXPLAINED))
-    return judgement.as_other(misread, *own)
+def _misread(judgement: Judgement, scaling: str) -> Judgement:
+    """Replace the reasons of a window's own fit by that of the whole log."""
+    own = (
+        reason for reason in judgement.reasons if reason != BEYOND_WEAR and not reason.startswith(EXPLAINED)
+    )
+    return judgement.as_other(scaling, *own)
 
 
 def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = None) -> WindowJudge:
     """Make the judge of the windows of a log.
 
-    A motor that was commissioned by windows says so itself. Any other motor's file tells R, K, J and the drag at one
-    speed. The terms, the hold of the voltage and how the drag divides into viscous and dry friction then come from a
-    fit of stretches of the log.
+    Without commissioned windows the motor file gives R, K, J and the drag at one speed. Terms, voltage hold and the
+    shares of viscous and dry friction come from a fit of stretches of the log.
 
     Raises:
-        UnusableError: no current and speed, or no motor explains the log.
+        UnusableError: no current or speed, or no motor explains the log.
     """
     if motor.healthy is not None and motor.healthy.windows is not None:
         return judge_of(motor.healthy, motor.name, temperature_c)
-    needed_columns(recording)  # refuses at once what the fit of the whole log would take long to find
+    needed_columns(recording)  # refuse before the slow fit of the whole log
     settles_s = float(np.mean(motor.parameters.mechanical_time_constant_s))
     joint = identify_record(_enough(from_recordings([recording]), settles_s))
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)
     window_s, speed = window_length_s([recording], _WINDOWS, _SHORTEST * settles_s), effective_speed(joint)
-    physical, terms = known_of(joint.solution), joint.solution.names
+    physical, terms = values_without_warming(joint.solution), joint.solution.names
     if set(LOAD) & set(terms):
         records = []
         for part in windows_of(recording, window_s)[:_WINDOWS]:
             with suppress(UnusableError):  # as at rest
                 records.append(replace(from_recordings([part]), hold=joint.record.hold))
         if records:
-            physical, terms, _ = chosen_terms(records, joint)
+            physical, terms, _ = choose_window_terms(records, joint)
     reference = reference_of(
         motor,
         NAMES,
@@ -156,15 +166,15 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
 
 
 def _enough(record: Record, settles_s: float) -> Record:
-    """Choose stretches of a record in which a motor settles: they tell the terms and how the drag divides."""
+    """Choose stretches of a record that are long enough for a motor to settle."""
     samples = max(_FEW, STRETCHES * math.ceil(_SETTLED * settles_s / record.dt_s))
     return record.sample(samples) if samples < len(record.voltage_v) else record
 
 
 def _friction_scale(motor: Motor, physical: FloatArray, speed_rad_s: float) -> float:
-    """Divide the drag over the speed in this log by the friction of the motor's file, for the same healthy motor.
+    """Divide the healthy motor's drag over the speed in this log by the friction of its file.
 
-    The file's friction is that at the no-load speed. Between two speeds the drag divides as in the log.
+    The file's friction is that at the no-load speed. The shares of the drag are those of the log.
     """
     p = motor.parameters
     if motor.nominal_voltage_v is None:

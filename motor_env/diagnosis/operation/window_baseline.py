@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.operation_fit import (
     FEWEST_STEPS,
     LOAD,
     UNSEEN_STEPS,
-    OperationFit as Operation,
+    OperationFit,
     WindowFit,
     fit_window,
     identify_operation,
@@ -22,16 +22,18 @@ from motor_env.diagnosis.estimation.operation_fit import (
 from motor_env.diagnosis.estimation.preprocessing import MOST, from_recordings
 from motor_env.diagnosis.estimation.problem import Solution
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
-from motor_env.diagnosis.operation.operating_conditions import (
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
+from motor_env.diagnosis.operation.sequential_monitor import checked_calibration
+from motor_env.diagnosis.operation.windows import (
     FAR,
+    MOST_SAMPLES,
     NEEDED,
     condition_features,
+    group_by_condition,
     rms_volts,
-    sorted_by_condition,
+    windows_of,
+    with_drag_over_speed,
 )
-from motor_env.diagnosis.operation.sequential_monitor import checked_calibration
-from motor_env.diagnosis.operation.windows import MOST_SAMPLES, over_speed, windows_of
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
 from motor_env.diagnosis.verdict.healthy_spread import RECORD_SPREAD, next_window, usual_condition_windows
 from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow
@@ -42,31 +44,30 @@ FEWEST_WINDOWS = 4
 _MOST_KEPT = 40  # windows of a condition whose features stand in the motor file
 _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
-"""How much warmer or colder a healthy motor may be, one standard deviation."""
-_TOLD = 0.1
-"""Standard deviation of the drag beside an unknown load, as a share, up to which windows tell the two apart: as their
-fits say, and as they scatter."""
+"""Standard deviation of a healthy motor's temperature."""
+_SEPARABLE_SD = 0.1
+"""Largest relative standard deviation of the drag beside an unknown load, by the fits and by their scatter, if the two
+are separable."""
 _ONE_WAY = 0.9  # of the turns
-_LEFT = 0.05
-"""Torque that is another one in each interval, over the drag, from which on the model lacks something of the motor."""
-_NOISES = slice(places.NOISE_I, places.WALK + 1)
+_UNEXPLAINED_TORQUE = 0.05
+"""White torque noise over the drag, above which the model lacks an effect."""
+_NOISES = slice(index.NOISE_I, index.WALK + 1)
 
 
 def learn_windows(
     recordings: Sequence[Recording], window_s: float | None = None, *, steady: bool = False
 ) -> tuple[Healthy, list[FittedWindow]]:
-    """Learn from windows of a healthy motor at work; return what they teach of the next one, and their fits.
+    """Learn from windows of a healthy motor at work; return their statistics and their fits.
 
-    The spread is that of windows, with their own errors as a prior worth 4 of them, and that from record to record.
+    The spread is that of windows, with their errors as a prior worth 4 of them, plus that from record to record.
 
     Args:
         recordings: of the healthy motor at work.
-        window_s: length of a window; by default a twentieth of all recordings.
-        steady: nothing but a fault moves the motor, as on a test bench: records are alike, no other temperature, the
-            load and the sensors' offsets as in the recordings.
+        window_s: length of a window; by default a twentieth of all recordings together.
+        steady: temperature, load and the sensors' offsets are constant, as on a test bench.
 
     Raises:
-        UnusableError: no current and speed, too few windows, or no motor explains them.
+        UnusableError: no current or speed, too few windows, or no motor explains them.
     """
     if window_s is None:
         window_s = window_length_s(recordings, _DEFAULT_WINDOWS)
@@ -78,39 +79,44 @@ def learn_windows(
     if samples > MOST:
         every = math.ceil(sum(len(part.time_s) for part in parts) / MOST)
         chosen = parts[:: min(every, len(parts) // FEWEST_WINDOWS)]
-    joint = identify_operation(chosen, most=max(MOST, sum(len(one.time_s) for one in chosen)))
+    joint = identify_operation(chosen, most=max(MOST, sum(len(part.time_s) for part in chosen)))
     if not joint.record.seen.all():
         raise UnusableError(NEEDED)
     if joint.record.steps_seen < FEWEST_STEPS:
         raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
-    hold, speed, times = joint.record.hold, effective_speed(joint), 1.0 if _lacks(joint) else FAR
+    hold, speed, times = (
+        joint.record.hold,
+        effective_speed(joint),
+        1.0 if _has_unexplained_torque(joint) else FAR,
+    )
     records = [replace(from_recordings([part]), hold=hold) for part in parts]
-    known, wanted, fits = chosen_terms(records, joint, steady=steady)
+    physical, terms, fits = choose_window_terms(records, joint, steady=steady)
     one_way = turns_one_way(joint)
-    # A window's noise is less than that of all windows in one fit: it is where the fit of the next one begins.
-    known[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
-    fits = [fit_window(record, known, wanted, one_way=one_way) for record in records]
+    # The noise of a window is less than that of the joint fit; the next fit begins there.
+    physical[_NOISES] = np.median([fit.values[_NOISES] for fit in fits], axis=0)
+    fits = [fit_window(record, physical, terms, one_way=one_way) for record in records]
     volts = [rms_volts(part) for part in parts]
-    found = [over_speed(fit, known, speed) for fit in fits]
-    centre, covariance, freedom = next_window(found, steady=steady)
-    logs = np.array([fit.log_values for fit in found])
-    off, alike = logs - centre, 1.0
+    healthy_fits = [with_drag_over_speed(fit, physical, speed) for fit in fits]
+    centre, covariance, freedom = next_window(healthy_fits, steady=steady)
+    logs = np.array([fit.log_values for fit in healthy_fits])
+    deviations, alike = logs - centre, 1.0
     conditions: tuple[OperatingCondition, ...] = ()
     if not steady:
         features = np.array([condition_features(part) for part in parts])
-        of, alike = sorted_by_condition(features, times)
+        of, alike = group_by_condition(features, times)
         groups = [np.flatnonzero(of == n).tolist() for n in range(of.max() + 1)]
         conditions = tuple(
-            _condition(some, usual_condition_windows(some, groups), features, found) for some in groups
+            _condition(group, usual_condition_windows(group, groups), features, healthy_fits)
+            for group in groups
         )
-        off = logs - np.log([conditions[n].values for n in of])
-    spreads = [covariance + beyond(covariance, fit.covariance) for fit in fits]
+        deviations = logs - np.log([conditions[n].values for n in of])
+    spreads = [covariance + excess_covariance(covariance, fit.covariance) for fit in fits]
     ratios = list(logs - centre)
     warm = 0.0 if steady else TEMPERATURE_K
     windows = Windows(
         window_s=window_s,
-        terms=wanted,
-        physical=known,
+        terms=terms,
+        physical=physical,
         hold=hold,
         dt_s=parts[0].dt_s,
         speed_rad_s=speed,
@@ -121,86 +127,90 @@ def learn_windows(
         drives=conditions,
         alike=alike,
         calibration=checked_calibration(
-            off,
-            np.array([fit.log_covariance for fit in found]),
+            deviations,
+            np.array([fit.log_covariance for fit in healthy_fits]),
             RECORD_SPREAD * (warm > 0.0),
             temperature_k=warm,
         ),
     )
-    return Healthy(len(found), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows), found
+    return Healthy(
+        len(healthy_fits), freedom, NAMES, np.exp(centre), covariance, warm, windows=windows
+    ), healthy_fits
 
 
-def _lacks(joint: Operation) -> bool:
-    """Say whether the model leaves torque unexplained; where it does not, it errs under far drives only."""
-    known = joint.solution.values
-    drag = known[places.COULOMB] + known[places.B] * effective_speed(joint)
-    return bool(known[places.WALK] > 0.0 or known[places.NOISE_T] > _LEFT * drag)
+def _has_unexplained_torque(joint: OperationFit) -> bool:
+    """Whether the model leaves torque unexplained. If not, its error grows only under very different conditions."""
+    physical = joint.solution.values
+    drag = physical[index.COULOMB] + physical[index.B] * effective_speed(joint)
+    return bool(physical[index.WALK] > 0.0 or physical[index.NOISE_T] > _UNEXPLAINED_TORQUE * drag)
 
 
-def turns_one_way(joint: Operation) -> bool:
-    """Say whether the motor turns one way, but for a twentieth of its turns."""
+def turns_one_way(joint: OperationFit) -> bool:
+    """Whether the motor turns one way, except for a twentieth of its turns."""
     speed = joint.expected[:, 1]
     return bool(abs(np.mean(speed)) > _ONE_WAY * np.mean(np.abs(speed)))
 
 
-def chosen_terms(
-    records: Sequence[Record], joint: Operation, *, steady: bool = False
+def choose_window_terms(
+    records: Sequence[Record], joint: OperationFit, *, steady: bool = False
 ) -> tuple[FloatArray, tuple[str, ...], list[WindowFit]]:
-    """Choose a window's terms; return the physical values that windows share, the terms, and fits with these.
+    """Choose a window's terms; return the shared physical values, the terms, and the fits.
 
-    Where the motor turns one way, all that brakes is friction: near standstill a fit may seem to tell a load from it,
-    by the shape that it gives the friction there. Elsewhere a load is a term where windows tell it.
+    Without reversals any braking torque counts as friction, since only its shape near standstill could separate a load.
+    Otherwise a load is a term if windows determine it.
     """
-    known, wanted = known_of(joint.solution), joint.solution.names
-    one_way, own = turns_one_way(joint), tuple(name for name in wanted if name not in LOAD)
-    if one_way and own != wanted:
-        known = known_of(without_load(joint.solution, float(np.mean(joint.expected[:, 1]))))
-        wanted = tuple(name for name in wanted if name != "load_constant")
+    physical, terms = values_without_warming(joint.solution), joint.solution.names
+    one_way, own = turns_one_way(joint), tuple(name for name in terms if name not in LOAD)
+    if one_way and own != terms:
+        physical = values_without_warming(without_load(joint.solution, float(np.mean(joint.expected[:, 1]))))
+        terms = tuple(name for name in terms if name != "load_constant")
     if not one_way and not steady:
         with_load = (*own, *LOAD)
-        fits = [fit_window(record, known, with_load) for record in records]
-        told_sd = math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits]))
-        if max(told_sd, np.std([fit.logs[-1] for fit in fits])) < _TOLD:
-            return known, with_load, fits
-    if "load_walk" not in wanted:
-        known[places.WALK] = 0.0
+        fits = [fit_window(record, physical, with_load) for record in records]
+        load_sd = math.sqrt(np.median([fit.covariance[-1, -1] for fit in fits]))
+        if max(load_sd, np.std([fit.logs[-1] for fit in fits])) < _SEPARABLE_SD:
+            return physical, with_load, fits
+    if "load_walk" not in terms:
+        physical[index.WALK] = 0.0
     if steady:
-        wanted = tuple(name for name in wanted if not name.startswith(("offset", "load_constant")))
-    return known, wanted, [fit_window(record, known, wanted, one_way=one_way) for record in records]
+        terms = tuple(name for name in terms if not name.startswith(("offset", "load_constant")))
+    return physical, terms, [fit_window(record, physical, terms, one_way=one_way) for record in records]
 
 
 def _condition(
-    pieces: Sequence[int], usual: Sequence[int], features: FloatArray, found: Sequence[FittedWindow]
+    pieces: Sequence[int], usual: Sequence[int], features: FloatArray, healthy_fits: Sequence[FittedWindow]
 ) -> OperatingCondition:
-    """Learn what windows under one condition teach, some of all, beside those of the usual one."""
+    """Learn the statistics of windows under one condition, beside those of the usual one."""
     centre, covariance, freedom = next_window(
-        [found[n] for n in pieces], steady=False, usual=[found[n] for n in usual]
+        [healthy_fits[n] for n in pieces], steady=False, usual=[healthy_fits[n] for n in usual]
     )
-    kept = features[pieces[:: math.ceil(len(pieces) / _MOST_KEPT)]]
-    return OperatingCondition(tuple(pieces), kept, np.exp(centre), covariance, freedom)
+    kept_features = features[pieces[:: math.ceil(len(pieces) / _MOST_KEPT)]]
+    return OperatingCondition(tuple(pieces), kept_features, np.exp(centre), covariance, freedom)
 
 
 def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float = 0.0) -> float:
-    """Choose a window's length: this part of all recordings, at most what one fit or one recording holds."""
+    """Choose a window's length: a part of all recordings, at most one fit or one recording."""
     dt_s = recordings[0].dt_s
     lengths_s = [len(recording.time_s) * recording.dt_s for recording in recordings]
     part_s = min(sum(lengths_s) / parts, MOST_SAMPLES * dt_s)
     return min(max(part_s, least_s, _SHORTEST * dt_s), *lengths_s)
 
 
-def effective_speed(joint: Operation) -> float:
-    """Return the root mean square of the speed, at which the drag is told best."""
+def effective_speed(joint: OperationFit) -> float:
+    """Return the root mean square of the speed, where the drag is determined best."""
     return max(float(np.sqrt(np.mean(np.square(joint.expected[:, 1])))), 1e-9)
 
 
 def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> float:
     """Sum the squared distances per dimension."""
     pairs = zip(ratios, spreads, strict=True)
-    return sum(float(off @ np.linalg.solve(spread, off)) / len(NAMES) for off, spread in pairs)
+    return sum(
+        float(deviations @ np.linalg.solve(spread, deviations)) / len(NAMES) for deviations, spread in pairs
+    )
 
 
-def known_of(joint: Solution) -> FloatArray:
-    """Return the joint fit's physical values without warmth: each window is taken at its own temperature."""
-    known = joint.values
-    known[[places.HEATING, places.COOLING]] = 0.0
-    return known
+def values_without_warming(joint: Solution) -> FloatArray:
+    """Return the joint fit's physical values without warming: each window has its own temperature."""
+    physical = joint.values
+    physical[[index.HEATING, index.COOLING]] = 0.0
+    return physical

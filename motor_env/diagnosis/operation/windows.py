@@ -1,9 +1,8 @@
 """A motor at work, window by window: each is fitted, and compared with a healthy motor.
 
-All windows are fitted with the terms that the healthy ones were identified with jointly. What windows of one motor
-share is held there: brush drop, inductance, and how the drag divides into viscous and dry friction, so that regimes
-agree. What may change is R, K, J and the whole drag. Where the healthy windows tell friction from a load, as those that
-reverse do, a load that varies slowly is unknown in each window; elsewhere it is part of the drag.
+All windows share the terms of the joint healthy fit, and its brush drop, inductance and ratio of dry to viscous
+friction. Each window has its own R, K, J and drag. A slowly varying load is a further unknown if the healthy windows
+separate it from friction, as reversals do; otherwise it is part of the drag.
 """
 
 from __future__ import annotations
@@ -14,45 +13,127 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.operation_fit import WindowFit, fit_window, per_log
 from motor_env.diagnosis.estimation.preprocessing import block_means, from_recordings, missing_blocks
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.diagnosis.operation.operating_conditions import (
-    FAR,
-    condition_features,
-    nearest,
-    needed_columns,
-    off_others,
-    rms_volts,
-)
 from motor_env.diagnosis.readers.recording import Recording, UnusableError, cut
-from motor_env.diagnosis.verdict.channels import ChannelRecord, find_failure
 from motor_env.diagnosis.verdict.decision import decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, add_normal_spread, reference_of_pieces
 from motor_env.diagnosis.verdict.hypotheses import EXPONENTS, NAMES, FittedWindow, alarm_share
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
-from motor_env.motor import identifiable as quantities
-from motor_env.motor.healthy import Healthy, Windows
+from motor_env.diagnosis.verdict.sensor_diagnosis import ChannelRecord, find_failure
+from motor_env.motor import identifiable
+from motor_env.motor.healthy import Healthy, OperatingCondition, Windows
 from motor_env.motor.parameters import FloatArray
+
+ALIKE, FAR = 0.12, 3.0
+"""Largest distance of two windows under one condition, see `condition_distance`; multiple beyond which no fault is
+reported."""
+NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
+_LEVELS, _HALVINGS = np.linspace(0.05, 0.95, 10), range(3, 10)
+
+
+def needed_columns(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Return voltage and speed.
+
+    Raises:
+        UnusableError: one of them is missing.
+    """
+    if recording.voltage_v is None or recording.speed_rad_s is None:
+        raise UnusableError(NEEDED)
+    return recording.voltage_v, recording.speed_rad_s
+
+
+def rms_volts(recording: Recording) -> float:
+    """Return the effective voltage."""
+    return float(np.sqrt(np.mean(np.square(needed_columns(recording)[0]))))
+
+
+def condition_features(part: Recording) -> FloatArray:
+    """Describe an operating condition by 10 quantiles and 7 moves of voltage, current and speed, shape (3, 17).
+
+    The moves are the root mean squares of the change within an eighth of the recording, a sixteenth, ... a 512th.
+    """
+    volts, speed = needed_columns(part)
+    columns = np.array([volts, part.current_a, speed])
+    lags = [max(len(volts) >> times, 1) for times in _HALVINGS]
+    moves = [np.sqrt(np.mean(np.square(columns[:, lag:] - columns[:, :-lag]), axis=1)) for lag in lags]
+    return np.concatenate([np.quantile(columns, _LEVELS, axis=1), moves]).T
+
+
+def condition_distance(features: FloatArray, others: FloatArray) -> FloatArray:
+    """Measure the distance of a window's condition from each of some others, shape (n,).
+
+    A drive commands voltage, speed or current, and a fault does not change the commanded column. So the nearest column
+    counts: the larger of the mean distances of its quantiles (Wasserstein) and of its moves, over the root mean square
+    of the quantiles.
+
+    Args:
+        features: of the window, shape (3, 17).
+        others: of the others, shape (n, 3, 17).
+    """
+    levels, offset = len(_LEVELS), np.abs(others - features)
+    sizes = np.sqrt(np.mean(np.square(others[..., :levels]), axis=2))
+    distances = np.maximum(offset[..., :levels].mean(axis=2), offset[..., levels:].mean(axis=2))
+    return np.asarray(np.min(distances / np.maximum(sizes, np.finfo(float).tiny), axis=1), dtype=np.float64)
+
+
+def nearest(features: FloatArray, conditions: Sequence[OperatingCondition]) -> tuple[int, float]:
+    """Find the condition with the nearest window: its index and its distance."""
+    distances = [float(condition_distance(features, each.moved).min()) for each in conditions]
+    place = int(np.argmin(distances))
+    return place, distances[place]
+
+
+def group_by_condition(features: FloatArray, times: float) -> tuple[NDArray[np.intp], float]:
+    """Group windows by condition: return the group of each, shape (n,), and the distance that links two windows.
+
+    That distance is a multiple of the largest one between nearest neighbours.
+
+    Args:
+        features: of the windows, shape (n, 3, 17).
+        times: the multiple.
+    """
+    distances = np.array([condition_distance(window, features) for window in features])
+    others = distances + np.diag(np.full(len(features), np.inf))
+    alike = times * max(ALIKE, float(others.min(axis=1).max()))
+    _, condition = connected_components(distances <= alike, directed=False)
+    return np.asarray(condition, dtype=np.intp), alike
+
+
+def condition_offsets(conditions: Sequence[OperatingCondition]) -> FloatArray:
+    """Subtract the median of the other conditions from log R, K, J and B of each, shape (n_conditions, 4).
+
+    It is 0 for a condition with most of the windows, and without conditions.
+    """
+    offset = np.zeros((max(len(conditions), 1), 4))
+    logs, counts = [np.log(each.values) for each in conditions], [len(each.pieces) for each in conditions]
+    for k, log in enumerate(logs):
+        if 2 * counts[k] <= sum(counts):
+            offset[k] = log - np.median(logs[:k] + logs[k + 1 :], axis=0)
+    return offset
+
 
 MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 _REGIME = 2.0
 CONDITION_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
-"""Standard deviation of the logarithms of R, K, J and B under another condition that is not far: what the model lacks
-(stiction, a gear's teeth, brushes) is then taken for them in another way."""
+"""Standard deviation of the logarithms of R, K, J and B under another condition, from unmodelled effects (stiction,
+gear, brushes)."""
 DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
-WARMTH = quantities.warmth_direction(EXPONENTS)
+WARMTH = identifiable.warmth_direction(EXPONENTS)
 
 
 def viscous(physical: FloatArray, speed_rad_s: float) -> float:
-    """Return the drag over the speed of a motor of these physical values, at a speed."""
-    dry, fan = physical[places.COULOMB] / speed_rad_s, physical[places.SQUARE] * speed_rad_s
-    return float(max(physical[places.B] + dry + fan, 1e-300))
+    """Return the drag over the speed of physical values, at a speed."""
+    dry, fan = physical[index.COULOMB] / speed_rad_s, physical[index.SQUARE] * speed_rad_s
+    return float(max(physical[index.B] + dry + fan, 1e-300))
 
 
 def averaged(recording: Recording, window_s: float) -> Recording:
@@ -67,15 +148,15 @@ def averaged(recording: Recording, window_s: float) -> Recording:
 
 
 def windows_of(recording: Recording, window_s: float) -> list[Recording]:
-    """Cut a recording into windows of equal length; a rest at the end is left out."""
+    """Cut a recording into windows of equal length, without the remainder."""
     recording = averaged(recording, window_s)
     length = round(window_s / recording.dt_s)
     count = len(recording.time_s) // length
     return [cut(recording, slice(n * length, (n + 1) * length)) for n in range(count)]
 
 
-def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
-    """Give a window's fit the drag over the speed instead of a factor on the drag of the physical values."""
+def with_drag_over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> FittedWindow:
+    """Convert a window's factor on the drag to the drag over the speed."""
     drag = math.log(viscous(physical, speed_rad_s))
     logs = fit.logs + np.array([0.0, 0.0, 0.0, drag])
     return FittedWindow(logs, fit.covariance, fit.whitened)
@@ -83,12 +164,12 @@ def over_speed(fit: WindowFit, physical: FloatArray, speed_rad_s: float) -> Fitt
 
 @dataclass(frozen=True, slots=True)
 class WindowJudge:
-    """A healthy motor at work, as its windows are fitted and compared.
+    """Judge windows of a motor at work against the healthy motor.
 
     Attributes:
         windows: how healthy windows were recorded and fitted.
         reference: distribution of R, K, J and B of a healthy window.
-        references: of windows under each operating condition that it was commissioned in.
+        references: under each commissioned condition.
     """
 
     windows: Windows
@@ -99,8 +180,8 @@ class WindowJudge:
         """Return the physical values of the healthy motor."""
         known = self.windows.physical.copy()
         values = np.exp(self.reference.log_values)
-        known[[places.R, places.K, places.J]] = values[:3]
-        known[places.DRAG] = values[3] / viscous(self.windows.physical, self.windows.speed_rad_s)
+        known[[index.R, index.K, index.J]] = values[:3]
+        known[index.DRAG] = values[3] / viscous(self.windows.physical, self.windows.speed_rad_s)
         return known
 
     def fitted(self, record: Record) -> FittedWindow:
@@ -108,10 +189,10 @@ class WindowJudge:
         windows = self.windows
         record = replace(record, hold=windows.hold)
         fit = fit_window(record, self.physical(), windows.terms, one_way=windows.one_way)
-        return over_speed(fit, windows.physical, windows.speed_rad_s)
+        return with_drag_over_speed(fit, windows.physical, windows.speed_rad_s)
 
     def condition_of(self, recording: Recording) -> tuple[int, float]:
-        """Find the healthy condition that a recording's last window is like, and how far off: above 1 it is not."""
+        """Find the condition nearest to a recording's last window, and its relative distance: above 1 it is new."""
         if not self.windows.drives:
             return 0, 0.0
         last = cut(recording, slice(-round(self.windows.window_s / recording.dt_s), None))
@@ -119,24 +200,23 @@ class WindowJudge:
         return place, distance / self.windows.alike
 
     def under(self, place: int) -> WindowJudge:
-        """Return the judge of windows under one of several conditions: healthy are those under it."""
+        """Return the judge of windows under one of several conditions."""
         if len(self.references) < 2:
             return self
         return replace(self, reference=self.references[place])
 
     def condition_spread(self, place: int, fit: FittedWindow) -> FloatArray:
-        """Return the standard deviation of the logarithms of R, K, J and B under another condition, shape (4,).
+        """Return the standard deviation of log R, K, J and B under another condition, shape (4,).
 
-        R, K and J of a motor are the same, however it is driven. The farther those of the nearest condition are off the
-        others, the more the model lacks there. What it lacks of the torque is added to the friction: going down, the
-        logarithm moves by more.
+        R, K and J do not depend on the condition, so their differences between conditions measure the model's error. An
+        error of the torque adds to the friction, which moves its logarithm by more downwards.
 
         Args:
             place: of the nearest condition.
             fit: of the window.
         """
-        off = off_others(self.windows.drives)[place]
-        times = float(np.sqrt(np.mean(np.square(off / CONDITION_SPREAD)[:-1])))
+        offset = condition_offsets(self.windows.drives)[place]
+        times = float(np.sqrt(np.mean(np.square(offset / CONDITION_SPREAD)[:-1])))
         spread = CONDITION_SPREAD * max(times, 1.0)
         spread[-1] *= max(per_log(math.exp(fit.log_values[-1] - self.reference.log_values[-1])), 1.0)
         return spread
@@ -144,18 +224,17 @@ class WindowJudge:
     def judge(
         self, recording: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None = None
     ) -> tuple[list[Judgement], int]:
-        """Judge each window; return also how many there are. Together they alarm at the rate (Bonferroni).
+        """Judge each window; return also the number of windows. Together they alarm at the rate (Bonferroni).
 
-        Of more than MANY windows MOST_JUDGED are judged: half of them evenly spread, half those that the healthy motor
-        explains worst. The rate is still shared by all.
+        Of more than MANY windows MOST_JUDGED are judged: half evenly spread, half those with the largest misfit.
 
         Args:
-            recording: of the motor at work.
+            recording: of a motor at work.
             rate: of false alarms.
-            is_alarm: decides on a window's fit, where it is not judged by itself.
+            is_alarm: decides on a window's fit; None to judge each by itself.
 
         Raises:
-            UnusableError: the record is outside the commissioned regime, or shorter than a window.
+            UnusableError: outside the commissioned regime, or shorter than a window.
         """
         sampled = averaged(recording, self.windows.window_s)
         if not 1.0 / _REGIME <= sampled.dt_s / self.windows.dt_s <= _REGIME:
@@ -169,14 +248,14 @@ class WindowJudge:
             raise UnusableError(
                 f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
             )
-        chosen = range(len(parts)) if len(parts) <= MANY else self._chosen(sampled, parts)
-        judged = [self._judged(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen]
-        return judged if len(self.references) < 2 else _confirmed(judged), len(parts)
+        chosen = range(len(parts)) if len(parts) <= MANY else self._choose_windows(sampled, parts)
+        judged = [self._judge_window(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen]
+        return judged if len(self.references) < 2 else _require_half_of_windows(judged), len(parts)
 
-    def _chosen(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
-        """Choose the windows that are judged, of many."""
+    def _choose_windows(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
+        """Choose the windows to judge."""
         values, length = self.physical(), len(parts[0].time_s)
-        values[places.KNEE] = 0.0  # it takes a third of the time, and changes all windows alike
+        values[index.KNEE] = 0.0  # a third of the time, and the same change of all windows
         misfits = np.zeros(len(parts))
         for first in range(0, len(parts), _TOGETHER):
             some = slice(first, min(first + _TOGETHER, len(parts)))
@@ -189,29 +268,29 @@ class WindowJudge:
         return sorted({*evenly.tolist(), *np.argsort(misfits)[-MOST_JUDGED // 2 :].tolist()})
 
     def failed_sensor(self, part: Recording) -> Judgement | None:
-        """Judge whether a sensor failed in a part of a log; None where none did."""
+        """Judge a failed sensor in a part of a log; None without one."""
         volts, speed = needed_columns(part)
         if not volts.any():
             return None
         return find_failure(ChannelRecord(part.dt_s, volts, part.current_a, speed), self.physical())
 
-    def _judged(
+    def _judge_window(
         self, part: Recording, rate: float, is_alarm: Callable[[FittedWindow], bool] | None
     ) -> Judgement:
         failed = self.failed_sensor(part)
         if failed is not None:
             return failed
-        place, strange = self.condition_of(part)
-        alike = self.under(place)
+        place, distance = self.condition_of(part)
+        judge = self.under(place)
         try:
             record = from_recordings([part])
-            # From the mean of conditions that are far apart it may stay in a notch between them.
-            fit = alike.fitted(record)
+            # Begun at the mean of distant conditions, a fit may end in a local optimum between them.
+            fit = judge.fitted(record)
         except UnusableError as error:
             return Judgement(Verdict.UNUSABLE, (str(error),))
-        reference = alike.reference if strange <= 1.0 else self.reference
+        reference = judge.reference if distance <= 1.0 else self.reference
         judged = decide(fit, reference, rate, alarm=None if is_alarm is None else is_alarm(fit))
-        if judged.verdict is Verdict.UNUSABLE or strange <= 1.0:
+        if judged.verdict is Verdict.UNUSABLE or distance <= 1.0:
             return judged
         if not judged.verdict.is_fault:
             return replace(judged, reasons=(*judged.reasons, DRIVEN_OTHERWISE))
@@ -219,37 +298,38 @@ class WindowJudge:
         condition = np.diag(np.square(self.condition_spread(place, fit)))
         spread = add_normal_spread(own, condition, share, self.reference.degrees_of_freedom)
         allowed = decide(fit, replace(self.reference, log_covariance=spread), rate)
-        if allowed.verdict.is_fault and strange <= FAR:
+        if allowed.verdict.is_fault and distance <= FAR:
             return replace(allowed, reasons=(*allowed.reasons, DRIVEN_OTHERWISE))
         return _as_unusable(allowed, judged.reasons[0])
 
 
-def _as_unusable(judged: Judgement, said: str) -> Judgement:
-    """Judge a window that is driven otherwise unusable, and say what would be said of one that is not."""
+def _as_unusable(judged: Judgement, reason: str) -> Judgement:
+    """Judge a window under another condition unusable, with the reason that would hold under the commissioned one."""
     why = f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
-    return replace(judged.as_other(f"{why} {said}"), verdict=Verdict.UNUSABLE, confidence=None)
+    return replace(judged.as_other(f"{why} {reason}"), verdict=Verdict.UNUSABLE, confidence=None)
 
 
-def _confirmed(judged: list[Judgement]) -> list[Judgement]:
-    """Check faults under unknown conditions, of a motor with several: a true one shows in half of these windows.
+def _require_half_of_windows(judged: list[Judgement]) -> list[Judgement]:
+    """Keep faults under unknown conditions only if half of these windows show one.
 
-    A window that is driven like none of them is compared with all together, and each of them is off in its own way. A
-    fault moves all such windows alike; what the model lacks is beyond the wide limits in a few.
+    Such windows are compared with all conditions together. A fault moves all of them, the model's error only a few.
     """
-    otherwise = [any(why.startswith(DRIVEN_OTHERWISE) for why in one.reasons) for one in judged]
-    faults = [is_other and one.verdict.is_fault for one, is_other in zip(judged, otherwise, strict=True)]
+    otherwise = [any(why.startswith(DRIVEN_OTHERWISE) for why in window.reasons) for window in judged]
+    faults = [
+        is_other and window.verdict.is_fault for window, is_other in zip(judged, otherwise, strict=True)
+    ]
     if 2 * sum(faults) >= sum(otherwise):
         return judged
     each = zip(judged, faults, strict=True)
-    return [_as_unusable(one, one.reasons[0]) if is_fault else one for one, is_fault in each]
+    return [_as_unusable(window, window.reasons[0]) if is_fault else window for window, is_fault in each]
 
 
 def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float | None = None) -> WindowJudge:
-    """Make the judge of a motor that was learned from windows.
+    """Make the judge of a motor learned from windows.
 
     Raises:
-        UnusableError: the healthy pieces are no windows, or do not tell R, K, J and B.
-        InputError: their physical values are not as many as the fit has.
+        UnusableError: the healthy pieces are no windows, or do not determine R, K, J and B.
+        InputError: a wrong number of physical values.
     """
 
     def reference_of(some: Healthy) -> Reference | None:
@@ -258,10 +338,10 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
     reference = reference_of(healthy)
     if healthy.windows is None or reference is None or reference.names != NAMES:
         raise UnusableError(f"the healthy pieces of {motor} do not tell {', '.join(NAMES)} of windows")
-    if len(healthy.windows.physical) != places.N_VALUES:
+    if len(healthy.windows.physical) != index.N_VALUES:
         raise InputError(
-            f"{motor}: healthy.windows.physical must have {places.N_VALUES} values,"
+            f"{motor}: healthy.windows.physical must have {index.N_VALUES} values,"
             f" got {len(healthy.windows.physical)}"
         )
     references = [reference_of(healthy.under(condition)) for condition in healthy.windows.drives]
-    return WindowJudge(healthy.windows, reference, tuple(one for one in references if one is not None))
+    return WindowJudge(healthy.windows, reference, tuple(each for each in references if each is not None))

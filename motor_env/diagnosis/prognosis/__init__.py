@@ -1,5 +1,7 @@
 r"""Judge how a motor's quantities move over many starts: trend, and remaining life until a limit.
 
+It never judges a single recording. Begin at `files.trend`.
+
 Example:
     >>> from pathlib import Path
     >>> from motor_env import trend

@@ -6,8 +6,7 @@
 
 docs/trend.md has the time scales and the priors. Given time scale, onset, diffusion and scatter, a Kalman filter of
 [level, drift] is exact; these four are summed over a grid. The first passage is inverse Gaussian in the time scale, in
-closed form for a Gaussian drift (Whitmore & Schenkelberg 1997). The level is integrated by quadrature. A drift may lead
-away from the limit: then it may never be reached.
+closed form for a Gaussian drift (Whitmore & Schenkelberg 1997), and the level is integrated by quadrature.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ _PRIOR_LAW = (1.0 - _PRIOR_STEADY) / len(_LAWS)
 
 
 def time_scale(elapsed: FloatArray, exponent: FloatArray, growth: FloatArray) -> FloatArray:
-    """Compute a law's time scale; it runs from 0 at the onset to 1 at the last estimate, as `elapsed` does."""
+    """Compute a law's time scale, from 0 at the onset to 1 at the last estimate, as `elapsed`."""
     rate = np.maximum(growth, _NO_GROWTH)  # the limit of no growth is the power itself
     return np.asarray(np.expm1(np.minimum(rate * elapsed**exponent, 300.0)) / np.expm1(rate))
 
@@ -48,7 +47,7 @@ def time_scale(elapsed: FloatArray, exponent: FloatArray, growth: FloatArray) ->
 class Grid(NamedTuple):
     """Hypotheses: c time scales times s sizes of diffusion and scatter.
 
-    The last two time scales have no drift: chance alone, and a steady motor, whose time scale stands still.
+    The last two time scales have no drift: chance alone, and a steady motor.
 
     Attributes:
         elapsed: value of each time scale at each estimate, in units of its span, shape (n, c).
@@ -71,8 +70,8 @@ class Grid(NamedTuple):
 def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid:
     """Combine all time scales, onsets, diffusions and scatters with their log priors.
 
-    Onsets after the first estimate are equally likely; the drift is Gaussian about 0; the diffusion is even in the
-    logarithm up to its scale; the scatter is half-Cauchy (Gelman 2006).
+    Priors: onsets after the first estimate are equally likely, the drift is Gaussian about 0, the diffusion is even in
+    the logarithm up to its scale, the scatter is half-Cauchy (Gelman 2006).
     """
     onsets = np.linspace(0.0, len(times) - 2.0, min(len(times) - 1, _MOST_ONSETS))
     onsets = np.unique(onsets.round().astype(int))
@@ -126,10 +125,10 @@ def run_filters(
 
 
 TREND_PROBABILITY = 0.95
-"""From this posterior probability on a quantity is said to trend to a limit."""
+"""Least posterior probability of a trend."""
 
 FEWEST_ESTIMATES = 5
-"""Below this no trend can be told from scatter."""
+"""Fewest estimates that separate a trend from scatter."""
 
 _NEGLIGIBLE = 0.01  # posterior probability of all grid points that are left out
 _LEAST_ERROR = 1e-6  # of the typical one: estimates without an error may scatter by nothing
@@ -142,12 +141,12 @@ class RemainingLife(NamedTuple):
     """Time from the last estimate until the limit is first reached, in the unit of the time axis.
 
     Attributes:
-        low: lower end of the central interval; 0 where the limit may have been reached already.
-        median: infinite where the limit is reached with a probability below one half.
-        high: upper end, infinite where the limit may never be reached.
-        level: probability that the interval is meant to hold.
-        probability_reached: probability that the limit has been reached already.
-        probability_ever: probability that it is reached at all.
+        low: lower end of the central interval; 0 if the limit may have been reached.
+        median: infinite if the limit is reached with a probability below one half.
+        high: upper end; infinite if the limit may never be reached.
+        level: nominal probability of the interval.
+        probability_reached: that the limit has been reached.
+        probability_ever: that it is ever reached.
     """
 
     low: float
@@ -165,10 +164,10 @@ def first_passage_cdf(
     drift_variance: FloatArray,
     diffusion: FloatArray,
 ) -> FloatArray:
-    """Compute the probability that a Wiener process with Gaussian drift has come `distance` up within `life`.
+    """Compute the probability that a Wiener process with Gaussian drift rises by `distance` within `life`.
 
-    Arrays broadcast. Whitmore & Schenkelberg (1997), eq. for a random drift, rewritten with exp(z^2) erfc(z): the two
-    large exponents of the textbook form cancel by hand, so that a small diffusion loses no digits.
+    Arrays broadcast. Whitmore & Schenkelberg (1997), random drift, rewritten with exp(z^2) erfc(z): two large exponents
+    cancel, so a small diffusion loses no digits.
     """
     spread = drift_variance * life * life + diffusion**2 * life
     root = np.sqrt(spread)
@@ -186,7 +185,7 @@ def first_passage_cdf(
 
 @dataclass(frozen=True, slots=True)
 class Degradation:
-    """Posterior of the degradation: a weighted grid of Gaussians; the upward direction is to the limit.
+    """Posterior of the degradation: a weighted grid of Gaussians, directed upwards to the limit.
 
     Attributes:
         weights: posterior probability of each grid point, given a drift, shape (n,).
@@ -194,12 +193,12 @@ class Degradation:
         exponent: of the time scale, shape (n,).
         growth: of the time scale, over `span`; 0 for a power, shape (n,).
         diffusion: a root unit of the time scale, shape (n,).
-        scatter: start-to-start scatter beyond the standard errors, shape (n,).
+        scatter: beyond the standard errors, shape (n,).
         level: posterior mean of the level at the last estimate, shape (n,).
         drift: posterior mean of the drift, a unit of the time scale, shape (n,).
         covariance: of [level, drift], shape (n, 2, 2).
         limit: the limit.
-        sign: +1 for a limit above, -1 for one below; levels and drifts are multiplied by it.
+        sign: of levels and drifts; +1 for a limit above, -1 below.
         probability_trend: posterior probability of degradation towards the limit.
         limit_variance: of the limit, shape (n,).
     """
@@ -220,7 +219,7 @@ class Degradation:
 
     @property
     def mean_drift(self) -> float:
-        """Average the drift at the last estimate, in the units of the estimates a unit of time."""
+        """Average the drift at the last estimate, per unit of time."""
         rate = np.maximum(self.growth, _NO_GROWTH)
         return self.sign * float(self.weights @ (self.drift * self.exponent * rate / -np.expm1(-rate)))
 
@@ -230,36 +229,36 @@ class Degradation:
         return float(self.forecast(0.0)[0])
 
     def _scale_ahead(self, times: FloatArray) -> FloatArray:
-        """Compute how far time scales move in times after the last estimate, in units of `span`, shape (..., n)."""
+        """Advance the time scales to times after the last estimate, in units of `span`, shape (..., n)."""
         ahead = 1.0 + times[..., None] / self.span
         return self.span * (time_scale(ahead, self.exponent, self.growth) - 1.0)
 
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
-        """List distance, drift given the level, its variance, diffusion, weight and grid point of each quadrature node.
+        """List distance, conditional drift, its variance, diffusion, weight and grid point of each node.
 
-        Of more than 300 grid points those at 300 even steps of the cumulated weight are taken.
+        More than 300 grid points are thinned at even steps of the cumulated weight.
         """
-        some, share = np.arange(len(self.weights)), self.weights
-        if len(some) > _MOST_PASSAGES:
+        chosen, share = np.arange(len(self.weights)), self.weights
+        if len(chosen) > _MOST_PASSAGES:
             even = (np.arange(_MOST_PASSAGES) + 0.5) / _MOST_PASSAGES
-            some = np.minimum(np.searchsorted(np.cumsum(self.weights), even), len(some) - 1)
+            chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), even), len(chosen) - 1)
             share = np.full(_MOST_PASSAGES, 1.0 / _MOST_PASSAGES)
-        covariance = self.covariance[some]
-        spread = covariance[:, 0, 0] + self.limit_variance[some]
-        off = np.sqrt(spread)[:, None] * _LEVEL_NODES
+        covariance = self.covariance[chosen]
+        spread = covariance[:, 0, 0] + self.limit_variance[chosen]
+        deviation = np.sqrt(spread)[:, None] * _LEVEL_NODES
         slope = covariance[:, 0, 1] / spread
         variance = np.maximum(covariance[:, 1, 1] - slope * covariance[:, 0, 1], 0.0)
         return (
-            (self.sign * self.limit - self.level[some, None] - off).ravel(),
-            (self.drift[some, None] + slope[:, None] * off).ravel(),
+            (self.sign * self.limit - self.level[chosen, None] - deviation).ravel(),
+            (self.drift[chosen, None] + slope[:, None] * deviation).ravel(),
             np.repeat(variance, len(_LEVEL_NODES)),
-            np.repeat(self.diffusion[some], len(_LEVEL_NODES)),
+            np.repeat(self.diffusion[chosen], len(_LEVEL_NODES)),
             np.outer(share, _LEVEL_WEIGHTS / _LEVEL_WEIGHTS.sum()).ravel(),
-            np.repeat(some, len(_LEVEL_NODES)),
+            np.repeat(chosen, len(_LEVEL_NODES)),
         )
 
     def probability_beyond(self, share: float) -> float:
-        """Compute the probability that the level lies beyond a share of the way from 1 to the limit."""
+        """Compute the probability of a level beyond a share of the way from 1 to the limit."""
         border = self.sign * (1.0 + share * (self.limit - 1.0))
         spread = self.covariance[:, 0, 0] + share**2 * self.limit_variance
         return float(self.weights @ ndtr((self.level - border) / np.sqrt(spread)))
@@ -271,25 +270,27 @@ class Degradation:
         return np.asarray(first_passage_cdf(ahead, *normal) @ weights)
 
     def remaining_life(self, level: float = 0.9) -> RemainingLife:
-        """Find median and central interval of the time until the limit is first reached; 0 < level < 1."""
+        """Find median and central interval of the remaining life; 0 < level < 1."""
         reach = self.sign * self.limit - self.sign * self.mean_level
         pace = abs(self.mean_drift) + 1e-3 * abs(reach) / float(self.span.max())
         axis = np.geomspace(1e-4, 1e3, _LIFE_POINTS) * max(abs(reach) / pace, 1e-3 * float(self.span.max()))
         cdf = np.maximum.accumulate(self.passage(axis))
-        wanted = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]
-        low, median, high = np.exp(np.interp(wanted, cdf, np.log(axis), left=-np.inf, right=np.inf)).tolist()
+        quantiles = [0.5 - level / 2.0, 0.5, 0.5 + level / 2.0]
+        low, median, high = np.exp(
+            np.interp(quantiles, cdf, np.log(axis), left=-np.inf, right=np.inf)
+        ).tolist()
         return RemainingLife(low, median, high, level, self.probability_beyond(1.0), float(cdf[-1]))
 
     def forecast(self, ahead: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Predict mean and standard deviation of the level at times after the last estimate."""
         times = np.asarray(ahead, dtype=np.float64)
-        moved = self._scale_ahead(times)
-        mean = self.level + self.drift * moved
+        elapsed = self._scale_ahead(times)
+        mean = self.level + self.drift * elapsed
         spread = (
             self.covariance[:, 0, 0]
-            + 2.0 * moved * self.covariance[:, 0, 1]
-            + moved**2 * self.covariance[:, 1, 1]
-            + self.diffusion**2 * moved
+            + 2.0 * elapsed * self.covariance[:, 0, 1]
+            + elapsed**2 * self.covariance[:, 1, 1]
+            + self.diffusion**2 * elapsed
         )
         centre, square = mean @ self.weights, (spread + mean**2) @ self.weights
         return self.sign * centre, np.sqrt(np.maximum(square - centre**2, 0.0))
@@ -304,15 +305,15 @@ def fit_degradation(
     sign: float | None = None,
     limit_errors: float = 0.0,
 ) -> Degradation:
-    """Fit the laws of degradation to five estimates or more.
+    """Fit the laws of degradation to at least five estimates.
 
     Args:
         time: rising, any unit, shape (n,).
         estimate: shape (n,).
         standard_error: >= 0, shape (n,).
         limit: level whose first passage counts.
-        sign: +1 if the limit lies above, -1 below; if None as it lies to the first estimates.
-        limit_errors: standard deviation of the limit, in those of one estimate.
+        sign: +1 for a limit above, -1 below; None to compare with the first estimates.
+        limit_errors: standard deviation of the limit, over that of one estimate.
 
     Raises:
         ValueError: a value that is not finite, or a limit at the first level.
@@ -325,7 +326,7 @@ def fit_degradation(
     distance = abs(limit - beginning)
     require(distance > 0.0 and math.isfinite(limit), f"limit must differ from the first level, got {limit:g}")
     towards = math.copysign(1.0, limit - beginning) if sign is None else sign
-    # The unit of the scatter: the median standard error, or what the jumps between neighbours say where that is larger.
+    # The unit of the scatter: the median standard error, or by differences of neighbours if larger.
     jumps = float(np.median(np.abs(np.diff(estimate)))) / 0.954  # of white scatter: its standard deviation
     width = float(np.ptp(estimate))
     typical = max(float(np.median(standard_error)), 0.3 * jumps, 1e-9 * width, 1e-9 * distance)

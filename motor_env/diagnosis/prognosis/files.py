@@ -1,12 +1,14 @@
-"""Make trends of files, and show them: text, JSON, and one self-contained HTML page with pictures."""
+"""Make trends of files, and format them as text, JSON and an HTML page."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,23 +16,159 @@ import numpy as np
 
 from motor_env.common.console import printable
 from motor_env.common.errors import InputError, require_several
+from motor_env.common.files import LARGEST_TABLE_BYTES, read_json
 from motor_env.common.pages import Axis, Chart, render, round_ticks
 from motor_env.diagnosis.batch import explain_failure
 from motor_env.diagnosis.estimation.starts.start_identification import identify
-from motor_env.diagnosis.prognosis.estimates import (
-    SECONDS_PER_DAY,
-    TEMPERATURE,
-    Series,
-    build_series,
-    date_of,
-    read_estimates,
-)
-from motor_env.diagnosis.prognosis.trend import Forecast, Trend, describe, judge
+from motor_env.diagnosis.prognosis.trend import Forecast, Series, Trend, describe, judge
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import Recording, read_recording
 from motor_env.diagnosis.readers.start import prepare
+from motor_env.diagnosis.readers.tables import read_text_table
 from motor_env.diagnosis.verdict.healthy_spread import fit_healthy
 from motor_env.motor.parameters import FloatArray
+
+SECONDS_PER_DAY = 86_400.0
+TEMPERATURE = "temperature_c"
+"""Column of the temperature in a table of estimates."""
+_MONTHS = {
+    name: number
+    for number, name in enumerate(
+        ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"], 1
+    )
+}
+_ISO = re.compile(
+    r"(?P<year>\d{4})-(?P<month>\d{2})-(?P<day>\d{2})"
+    r"(?:[T_ ]?(?P<hour>\d{2})[-:.h]?(?P<minute>\d{2})(?:[-:.m]?(?P<second>\d{2}))?)?"
+)
+_MONTH_FIRST = re.compile(
+    rf"(?P<month>{'|'.join(_MONTHS)})-(?P<day>\d{{1,2}})-(?P<year>\d{{4}})"
+    r"(?:[_T ](?P<hour>\d{2})-(?P<minute>\d{2})-(?P<second>\d{2}))?"
+)
+_TIME_COLUMN = re.compile(r"(time|date)(_\w+)?", re.IGNORECASE)
+
+
+_Row = tuple[str, Any, str, Any, Any, str]
+"""Estimate of a file: place, time, parameter, estimate, standard error, unit of the time."""
+
+
+def date_of(text: str) -> float | None:
+    """Find a date, in days since 1970: 2026-01-31, 2026-01-31T11:00:14, Jan-15-2022_11-00-14."""
+    match = _ISO.search(text) or _MONTH_FIRST.search(text)
+    if match is None:
+        return None
+    fields = {name: int(_MONTHS.get(part, part)) for name, part in match.groupdict(default="0").items()}
+    with suppress(ValueError):  # there is no such day
+        return datetime(**fields, tzinfo=UTC).timestamp() / SECONDS_PER_DAY
+    return None
+
+
+def read_estimates(path: Path) -> list[Series]:
+    """Read a table of estimates.
+
+    CSV, long: columns time, parameter, estimate, standard_error. CSV, wide: time, and for each parameter a column with
+    its name and one with its name and `_se`. JSON: a list of objects with the keys of the long table. Times are ISO
+    dates or numbers; a number's unit is the ending of its column's name (`time_hours`), else `starts`.
+
+    Raises:
+        InputError: what cannot be read, with the line and the value.
+    """
+    entries: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
+    units: set[str | None] = set()
+    for where, time, name, estimate, error, unit in (
+        _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
+    ):
+        day = date_of(time) if isinstance(time, str) else None
+        units.add(unit if day is None else None)
+        stamp = _number(where, "time", time) if day is None else day
+        value, spread = _number(where, name, estimate), _number(where, f"{name}_se", error)
+        if spread < 0.0:
+            raise InputError(f"{where}: the standard error of {name} must be >= 0, got {spread:g}")
+        entries[name].append((stamp, value, spread))
+    if not entries.keys() - {TEMPERATURE}:
+        raise InputError(f"{path}: holds no estimates")
+    if len(units) > 1:
+        raise InputError(f"{path}: times must all be dates or all be numbers")
+    return build_series(entries, units.pop())
+
+
+def _json_rows(path: Path) -> Iterator[_Row]:
+    entries = read_json(path, LARGEST_TABLE_BYTES)
+    if not isinstance(entries, list):
+        raise InputError(f"{path}: must hold a list of estimates, got {type(entries).__name__}")
+    for number, entry in enumerate(entries, 1):
+        where = f"{path}, entry {number}"
+        for key in ("time", "parameter", "estimate"):
+            if not isinstance(entry, dict) or key not in entry:
+                raise InputError(f"{where}: {key} is missing")
+        yield (
+            where,
+            entry["time"],
+            str(entry["parameter"]),
+            entry["estimate"],
+            entry.get("standard_error", 0.0),
+            "starts",
+        )
+
+
+def _csv_rows(path: Path) -> Iterator[_Row]:
+    table = read_text_table(path)
+    numbered = [
+        (line, [cell.strip() for cell in row])
+        for line, row in zip(table.lines, table.rows, strict=True)
+        if not row[0].startswith("#")
+    ]
+    header = numbered[0][1] if numbered else []
+    time_name = next((name for name in header if _TIME_COLUMN.fullmatch(name)), None)
+    if time_name is None:
+        raise InputError(
+            f"{path}, line 1: a column named time (or date) is missing, found {', '.join(header[:8])}"
+        )
+    unit = time_name.partition("_")[2] or "starts"
+    for line, cells in numbered[1:]:
+        where = f"{path}, line {line}"
+        if len(cells) != len(header):
+            raise InputError(f"{where}: has {len(cells)} cells where the header has {len(header)}")
+        plain = [cell.replace(",", ".") for cell in cells] if table.delimiter == ";" else cells
+        row = dict(zip(header, plain, strict=True))
+        time = row.pop(time_name)
+        if "parameter" in row and "estimate" in row:
+            yield where, time, row["parameter"], row["estimate"], row.get("standard_error", "0"), unit
+        else:
+            for name, value in row.items():
+                if value and not name.endswith("_se"):
+                    yield where, time, name, value, row.get(f"{name}_se", "0") or "0", unit
+
+
+def _number(where: str, name: str, value: Any) -> float:
+    with suppress(TypeError, ValueError, OverflowError):
+        number = float(value)
+        if math.isfinite(number) and not isinstance(value, bool):
+            return number
+    raise InputError(f"{where}: {name} must be a finite number, got {str(value)[:40]!r}")
+
+
+def build_series(
+    estimates: Mapping[str, Sequence[tuple[float, float, float]]], unit: str | None = None
+) -> list[Series]:
+    """Build series from (time, estimate, standard error) of each quantity, in any order.
+
+    Estimates of the same time are averaged by precision. Times without a unit are days since 1970; series count from
+    the first of all.
+    """
+    origin = min(entry[0] for entries in estimates.values() for entry in entries) if unit is None else 0.0
+    start = datetime.fromtimestamp(origin * SECONDS_PER_DAY, tz=UTC) if unit is None else None
+    out = []
+    for name, entries in estimates.items():
+        table = np.array(sorted(entries))
+        times, index = np.unique(table[:, 0], return_inverse=True)
+        weight = 1.0 / np.maximum(table[:, 2], max(1e-9 * float(np.abs(table[:, 1]).max()), 1e-150)) ** 2
+        total = np.bincount(index, weight)
+        estimate = np.bincount(index, weight * table[:, 1]) / total
+        error = np.where(np.bincount(index, table[:, 2]) > 0.0, 1.0 / np.sqrt(total), 0.0)
+        out.append(Series(name, times - origin, estimate, error, unit or "days", start))
+    return out
+
 
 _Z90 = 1.6448536269514722
 
@@ -85,7 +223,7 @@ def _fit_recordings(
     notes: list[str],
     progress: Callable[[Path], None],
 ) -> list[Series]:
-    """Fit every recording with the model that the first three prefer: a change of model would be a jump."""
+    """Fit every recording with the model of the first three: another model would be a jump."""
     model: tuple[str, ...] | None = None
     estimates: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     for number, (day, recording) in enumerate(recordings):
@@ -98,7 +236,7 @@ def _fit_recordings(
         except (ValueError, ArithmeticError, LookupError) as error:  # UnusableError, or numerics that give up
             notes.append(f"{recording.path.name}: {error}")
         else:
-            # The model's error is the same in all starts of a motor; how much more they scatter is learned from them.
+            # The model's error is common to all starts of a motor; their extra scatter is learned.
             spreads = fit.values * np.sqrt(np.diag(fit.white_covariance))
             for name, value, spread in zip(fit.quantity_names, fit.values, spreads, strict=True):
                 estimates[name].append((day, float(value), float(spread)))
@@ -174,7 +312,7 @@ def _limit_json(trend: Trend, forecast: Forecast) -> dict[str, Any]:
         "close": forecast.close,
         "probability_reached": forecast.life.probability_reached,
         "drift_per_time_unit": forecast.wear.mean_drift * trend.reference,
-        "remaining_life": life if forecast is trend.leading and forecast.is_told else None,
+        "remaining_life": life if forecast is trend.leading and forecast.has_remaining_life else None,
         "withheld": forecast.withheld or None,
     }
 
@@ -190,17 +328,17 @@ def trend(
     reference_count: int = 3,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> Trends:
-    """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
+    """Find trends of a motor's quantities over its starts, and the remaining life.
 
     Args:
         paths: a table of estimates (CSV or JSON), a folder of dated recordings, or several of these.
-        limits: factors on the mean of the first estimates, by quantity; 0.75 and 1.25 unless given, and none of L.
+        limits: factors on the mean of the first estimates, by quantity; see `DEFAULT_LIMITS`.
         level: probability that the interval of the remaining life holds.
-        voltage_v: level of the supply, for recordings without a voltage.
+        voltage_v: level of the supply where none was recorded.
         columns: columns named by the user.
-        date: where the date of a recording comes from.
+        date: source of a recording's date.
         reference_count: number of first estimates whose mean is the reference.
-        progress: told each file before it is fitted.
+        progress: called with each file before its fit.
 
     Raises:
         InputError: bad options or files.
@@ -250,7 +388,7 @@ def _page_row(trend: Trend) -> dict[str, str]:
 
 
 def _draw_chart(trend: Trend) -> str:
-    """Draw estimates and limits, and where it trends the forecast and the interval of the time to the limit."""
+    """Draw estimates and limits; of a trend also the forecast and the interval of the remaining life."""
     series = trend.series
     relative = series.estimate / trend.reference
     error = _Z90 * series.standard_error / abs(trend.reference)
@@ -258,7 +396,7 @@ def _draw_chart(trend: Trend) -> str:
     shown = np.concatenate([relative - error, relative + error, [1.0], factors])
     low, high = float(shown.min()), float(shown.max())
     room = 0.06 * max(high - low, 1e-6)
-    forecast = trend.leading if trend.leading is not None and trend.leading.is_told else None
+    forecast = trend.leading if trend.leading is not None and trend.leading.has_remaining_life else None
     left, last, ahead = float(series.time[0]), float(series.time[-1]), 0.0
     if forecast is not None:
         end = next(x for x in (forecast.life.high, forecast.life.median, last - left) if math.isfinite(x))
@@ -294,7 +432,7 @@ def _change(factor: float) -> str:
 
 
 def _draw_forecast(chart: Chart, forecast: Forecast, last: float, ahead: FloatArray) -> None:
-    """Draw the expected levels, and on the limit the interval of the time until it is reached."""
+    """Draw the expected levels, and on the limit the interval of the remaining life."""
     mean, std = forecast.wear.forecast(ahead)
     time, upper, lower = last + ahead, mean + _Z90 * std, mean - _Z90 * std
     chart.shape("polygon", points=chart.points([*time, *time[::-1]], [*upper, *lower[::-1]]))

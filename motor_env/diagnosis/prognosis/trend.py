@@ -1,4 +1,4 @@
-"""Judge trends of a motor's quantities against limits, and say what follows.
+"""Judge trends of a motor's quantities against limits.
 
 Each quantity is relative to the mean of its first estimates. A history must hold no repair and one temperature.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from datetime import timedelta
+from datetime import datetime, timedelta
 from itertools import product
 
 import numpy as np
@@ -22,20 +22,39 @@ from motor_env.diagnosis.prognosis.degradation import (
     RemainingLife,
     fit_degradation,
 )
-from motor_env.diagnosis.prognosis.estimates import Series
 from motor_env.motor import identifiable
+from motor_env.motor.parameters import FloatArray
 
 DEFAULT_LIMITS = (0.75, 1.25)
-"""Limits of a quantity for which none is given, as factors on its reference: the paper's larger fault level.
-
-There are none of L, which no fault moves alone and few starts tell.
+"""Default limits, as factors on the reference: the paper's larger fault level. L has none: no fault moves it alone.
 """
 
 CLOSE_SHARE = 0.8
-"""Beyond this share of the way a limit is called close, with or without a trend."""
+"""Share of the way beyond which a limit is close."""
 
 CLOSE_PROBABILITY = 0.25
-"""From this probability of lying beyond it on: a missed limit costs more than a look at the motor."""
+"""Least probability of lying beyond that share: a missed limit costs more than an inspection."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Estimates of one quantity.
+
+    Attributes:
+        name: the quantity.
+        time: rising, in `unit`, shape (n,).
+        estimate: shape (n,).
+        standard_error: shape (n,).
+        unit: of the time: days from the first estimate, or the table's.
+        start: date of time 0, where dates are known.
+    """
+
+    name: str
+    time: FloatArray
+    estimate: FloatArray
+    standard_error: FloatArray
+    unit: str = "days"
+    start: datetime | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +63,12 @@ class Forecast:
 
     Attributes:
         factor: the limit over the reference.
-        reached: whether the last level lies beyond it, with a probability of at least one half.
-        close: whether it lies beyond 80 % of the way to it, with a probability of at least a quarter.
-        trends: whether it degrades towards the limit (posterior probability at least 95 %).
+        reached: whether the last level lies beyond it with a probability >= 0.5.
+        close: whether it lies beyond `CLOSE_SHARE` of the way with a probability >= `CLOSE_PROBABILITY`.
+        trends: whether it degrades towards the limit with a probability >= `TREND_PROBABILITY`.
         wear: the fitted degradation of estimate / reference.
-        life: remaining life; it means something only where `trends` and nothing is withheld.
-        withheld: why no remaining life is told, in words; empty where it is.
+        life: remaining life; valid only if `has_remaining_life`.
+        withheld: why no remaining life is given; empty if it is.
     """
 
     factor: float
@@ -61,8 +80,8 @@ class Forecast:
     withheld: str = ""
 
     @property
-    def is_told(self) -> bool:
-        """Whether the remaining life is told."""
+    def has_remaining_life(self) -> bool:
+        """Whether the remaining life is given."""
         return self.trends and not (self.reached or self.withheld)
 
 
@@ -73,8 +92,8 @@ class Trend:
     Attributes:
         series: its estimates.
         reference: mean of the first estimates.
-        forecasts: one for each limit; none where there are too few estimates.
-        sentence: what follows, in words.
+        forecasts: one for each limit; none with too few estimates.
+        sentence: the result in words.
     """
 
     series: Series
@@ -84,7 +103,7 @@ class Trend:
 
     @property
     def leading(self) -> Forecast | None:
-        """Choose the limit that matters: reached, trended to, or close; the earliest first."""
+        """Return the most urgent limit: reached, trending, or close, the earliest first."""
         return min(
             (
                 forecast
@@ -114,8 +133,8 @@ def judge(
 
     Args:
         series: its estimates.
-        factors: limits as factors on the reference, each different from 1; `DEFAULT_LIMITS` if None.
-        level: probability that the interval of the remaining life is to hold.
+        factors: limits over the reference, each different from 1; `DEFAULT_LIMITS` if None.
+        level: probability of the interval of the remaining life.
         reference_count: number of first estimates whose mean is the reference.
         temperature: in degrees Celsius, where recorded.
 
@@ -175,15 +194,15 @@ def judge(
 
 
 def _jump(relative: Series, factors: Sequence[float]) -> str:
-    """Describe the last jump, and what it means for limits that it led away from."""
+    """Describe the last jump, and its consequence for limits on the other side."""
     jump = last_jump(relative)
     if jump is None:
         return ""
     at, start = float(relative.time[jump[0]]), relative.start
     moment = f"{at:.4g} {relative.unit}" if start is None else f"{start + timedelta(days=at):%Y-%m-%d}"
-    said = f"a jump of {_percent(jump[1])} at {moment} (a repair or a step)"
+    words = f"a jump of {_percent(jump[1])} at {moment} (a repair or a step)"
     away = [factor for factor in factors if (factor - 1.0) * jump[1] < 0.0]
-    return said + (
+    return words + (
         f", judged since then against {' and '.join(_percent(f - 1.0) for f in away)}: " if away else ": "
     )
 
@@ -215,7 +234,7 @@ def _sentence(trend: Trend) -> str:
 
 
 def describe(forecast: Forecast, unit: str) -> str:
-    """Describe the remaining life, or why none is told."""
+    """Describe the remaining life, or why none is given."""
     life, share = forecast.life, f"{100.0 * forecast.life.level:.0f} %"
     if forecast.withheld:
         return f"no remaining life is told, for {forecast.withheld}"
@@ -257,7 +276,7 @@ _BESIDE, _FEWEST = 8, 3  # estimates on either side of a jump
 _JUMP = 6.0
 _MAD = 1.4826
 _UNKNOWN_TEMPERATURE_K = 30.0
-"""Where no temperature is recorded a motor may be colder at one end by so much than at the other."""
+"""Largest unrecorded change of the temperature."""
 _KNOWN = {
     name
     for has_voltage, has_speed in product((False, True), repeat=2)
@@ -273,12 +292,12 @@ def at_one_temperature(series: Series, temperature: Series) -> Series:
 
 
 def _per_kelvin(name: str) -> float:
-    """Return by how much the logarithm of a quantity moves a kelvin; 0 of one that is not known."""
+    """Return the change of the logarithm of a quantity per kelvin; 0 for an unknown one."""
     return float(identifiable.warmth_direction(identifiable.matrix((name,)))[0]) if name in _KNOWN else 0.0
 
 
 def last_jump(series: Series, sign: float = 0.0) -> tuple[int, float] | None:
-    """Find the first estimate after the last jump, and its size; None without one. A sign asks for its direction.
+    """Find the first estimate after the last jump, and its size; None without one. `sign` selects a direction.
 
     At each interval a straight line with a step is fitted to the eight estimates on either side. A jump is a step of
     six robust standard deviations of all steps.
@@ -288,11 +307,11 @@ def last_jump(series: Series, sign: float = 0.0) -> tuple[int, float] | None:
         return None
     fits = []
     for k in range(_FEWEST, n - _FEWEST + 1):
-        some = slice(max(k - _BESIDE, 0), k + _BESIDE)
-        time = series.time[some] - series.time[k]
+        around = slice(max(k - _BESIDE, 0), k + _BESIDE)
+        time = series.time[around] - series.time[k]
         design = np.stack([np.ones(len(time)), time / np.ptp(time), time >= 0.0], axis=1)
-        both = np.linalg.inv(design.T @ design)
-        fits.append(((both @ (design.T @ series.estimate[some]))[2], math.sqrt(both[2, 2])))
+        covariance = np.linalg.inv(design.T @ design)
+        fits.append(((covariance @ (design.T @ series.estimate[around]))[2], math.sqrt(covariance[2, 2])))
     height, error = np.array(fits).T
     z = height / error
     spread = max(_MAD * float(np.median(np.abs(z))), 0.5 * float(np.median(series.standard_error)))
@@ -313,7 +332,7 @@ def starting_at(series: Series, first: int) -> Series:
 
 
 def reason_withheld(series: Series, wear: Degradation, *, knows_temperature: bool) -> str:
-    """Say why no remaining life is told; empty where the law holds.
+    """Explain why no remaining life is given; empty if it is.
 
     Args:
         series: relative to the reference, without jumps.

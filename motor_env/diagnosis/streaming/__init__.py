@@ -1,4 +1,6 @@
-"""A motor watched while it works: where its lines come from, what is said of them.
+"""Watch a motor at work: read lines from a source, judge windows of them, keep the state.
+
+It decides nothing itself: windows are judged in `operation`. Begin at `watch.Watch`.
 
 Example:
     >>> from motor_env import watch

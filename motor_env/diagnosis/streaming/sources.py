@@ -1,6 +1,6 @@
-"""Sources of lines: standard input, a growing file, a serial port, MQTT; and how their bytes are framed.
+"""Read lines from standard input, a growing file, a serial port or MQTT.
 
-A source yields bytes as they come, and nothing (b"") at least every second while none do.
+A source yields bytes as they come, and b"" at least every second.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NEW_FILE = "new_file"
 SILENCE_S = 5.0
 LONGEST_LINE = 1 << 16
 BLOCK_BYTES = 512
-"""By so many bytes before its place a reader sees that a file is still the one that it has read."""
+"""Bytes before its place by which a reader recognises its file."""
 _PAUSE_S = 0.2
 _CHUNK = 1 << 16
 _MOST_WAITING_BYTES = 1 << 26
@@ -33,7 +33,7 @@ _PIECE_BYTES = 100  # of a piece beside what is in it
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """A source's message beside lines: kind (silence, unplugged, lost, new_file), and words."""
+    """Message of a source: kind (silence, unplugged, lost, new_file), and words."""
 
     kind: str
     text: str
@@ -44,30 +44,30 @@ SILENCE = Notice("silence", f"no line for {SILENCE_S:g} s: is the cable in?")
 
 
 def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
-    """Frame pieces as whole lines; SILENCE once where none come for a while.
+    """Frame pieces as whole lines; yield SILENCE once if none come for a while.
 
-    What is longer than LONGEST_LINE comes in parts, of which only the last one ends with a line end.
+    A line beyond LONGEST_LINE comes in parts; only the last has a line end.
 
     Args:
         pieces: of a source.
-        rest: whether what follows the last line end is a line, too.
+        rest: whether an unfinished last line counts.
     """
-    left, heard_s, is_silent = bytearray(), time.monotonic(), False
+    left, last_line_s, is_silent = bytearray(), time.monotonic(), False
     for piece in pieces:
         if isinstance(piece, Notice):
             left.clear()
             yield piece
-            heard_s, is_silent = time.monotonic(), piece.kind == "unplugged"
+            last_line_s, is_silent = time.monotonic(), piece.kind == "unplugged"
             continue
         left += piece
         if b"\n" in piece:
             *whole, left = left.split(b"\n")
             yield from (bytes(line) + b"\n" for line in whole)
-            heard_s, is_silent = time.monotonic(), False  # now: a window may have been judged meanwhile
+            last_line_s, is_silent = time.monotonic(), False  # now: a window may have been judged meanwhile
         if len(left) > LONGEST_LINE:
             yield bytes(left)
             left.clear()
-        if not is_silent and time.monotonic() - heard_s > SILENCE_S:
+        if not is_silent and time.monotonic() - last_line_s > SILENCE_S:
             is_silent = True
             yield SILENCE
     if left and rest:
@@ -75,7 +75,7 @@ def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
 
 
 def identity(name: str | None) -> str:
-    """Name what is watched in states and sentences: a file by its whole path, a broker without a password.
+    """Name a source in states and sentences: a file by its absolute path, a broker without a password.
 
     Raises:
         InputError: it names no source.
@@ -95,17 +95,17 @@ def identity(name: str | None) -> str:
 def source(
     name: str | None, *, follow: bool, baud: int, offset: int = 0, last_read: bytes = b""
 ) -> Iterator[Piece]:
-    """Open what a user names: a file, serial:PORT, mqtt://HOST/TOPIC; standard input without a name.
+    """Open a file, serial:PORT, mqtt://HOST/TOPIC, or standard input without a name.
 
     Args:
         name: of the source.
-        follow: whether to wait for what is appended to a file, or takes its place.
+        follow: whether to wait for more of a file, or its successor.
         baud: of a serial port.
         offset: bytes of a file that were read before.
         last_read: the last BLOCK_BYTES of them.
 
     Raises:
-        InputError: there is no such thing, or the library that it needs is missing.
+        InputError: no such source, or its library is missing.
     """
     identity(name)
     if name is None:
@@ -130,12 +130,12 @@ def _standard_input() -> Iterator[Piece]:
 
 
 def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece]:
-    """Read a file. Each read begins with the block before it: where that is another one, so is the file."""
-    file, following = _opened(path), None
+    """Read a file. Each read repeats the block before it, which recognises another file."""
+    file, successor = _open(path), None
     try:
         while True:
-            if follow and following is None:  # asked first, so that the old one is read to its end
-                following = _following(path, file)
+            if follow and successor is None:  # asked first, so that the old one is read to its end
+                successor = _open_successor(path, file)
             file.seek(min(at - len(before), os.fstat(file.fileno()).st_size))
             block = file.read(len(before) + _CHUNK)
             if not block.startswith(before):
@@ -148,9 +148,9 @@ def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece
             yield piece
             if piece:
                 continue
-            if following is not None:
+            if successor is not None:
                 file.close()
-                file, following, at, before = following, None, 0, b""
+                file, successor, at, before = successor, None, 0, b""
                 yield Notice(NEW_FILE, f"{path} is another file now: read from its begin")
             elif follow:
                 time.sleep(_PAUSE_S)
@@ -158,27 +158,27 @@ def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece
                 return
     finally:
         file.close()
-        if following is not None:
-            following.close()
+        if successor is not None:
+            successor.close()
 
 
-def _opened(path: Path) -> FileIO:
+def _open(path: Path) -> FileIO:
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is no regular file; a port is serial:PORT, and a pipe standard input")
     return FileIO(path)
 
 
-def _following(path: Path, file: FileIO) -> FileIO | None:
-    """Open another file in its place, once something is in it: before that, the old one may still grow."""
+def _open_successor(path: Path, file: FileIO) -> FileIO | None:
+    """Open another file in its place once it is not empty; until then the old one may grow."""
     with suppress(FileNotFoundError):
         now = path.stat()
         if now.st_size > 0 and not os.path.samestat(now, os.fstat(file.fileno())):
-            return _opened(path)
+            return _open(path)
     return None
 
 
 def _serial(port: str, baud: int) -> Iterator[Piece]:
-    """A thread reads, so that nothing is lost while a window is judged; an unplugged port is opened anew."""
+    """Read in a thread, so that nothing is lost while a window is judged; reopen an unplugged port."""
     try:
         import serial
     except ImportError:
@@ -219,7 +219,7 @@ def _broker(url: str) -> _Broker:
         port, topic = parts.port or 1883, unquote(parts.path.removeprefix("/"))
     except ValueError:
         parts, port, topic = urlsplit(""), 0, ""
-    if not parts.hostname or not topic:  # what was given may hold a password, and is not said
+    if not parts.hostname or not topic:  # not quoted: it may hold a password
         raise InputError(
             "MQTT needs mqtt://HOST/TOPIC or mqtt://USER:PASSWORD@HOST:PORT/TOPIC (in a password write / as %2F,"
             " # as %23, ? as %3F)"
@@ -228,7 +228,7 @@ def _broker(url: str) -> _Broker:
 
 
 def _mqtt(broker: _Broker) -> Iterator[Piece]:
-    """Each message holds one or more lines; the library's own thread connects again."""
+    """Read messages of one or more lines; the library's own thread reconnects."""
     try:
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion
@@ -239,14 +239,14 @@ def _mqtt(broker: _Broker) -> Iterator[Piece]:
     if broker.user:
         client.username_pw_set(broker.user, broker.password)
 
-    def subscribe(*given: Any) -> None:
-        if given[3].is_failure:
-            waiting.offer(Notice("unplugged", f"{broker.host} refuses: {given[3]}".lower()))
+    def subscribe(*arguments: Any) -> None:
+        if arguments[3].is_failure:
+            waiting.offer(Notice("unplugged", f"{broker.host} refuses: {arguments[3]}".lower()))
         else:
             client.subscribe(broker.topic, qos=1)
 
     client.on_connect = subscribe
-    client.on_message = lambda *given: waiting.offer(bytes(given[2].payload).rstrip(b"\r\n") + b"\n")
+    client.on_message = lambda *arguments: waiting.offer(bytes(arguments[2].payload).rstrip(b"\r\n") + b"\n")
     client.on_disconnect = lambda *_: waiting.offer(Notice("unplugged", f"{broker.host} is gone"))
     try:
         client.connect(broker.host, broker.port)

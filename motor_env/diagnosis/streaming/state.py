@@ -1,4 +1,4 @@
-"""The state of a watch in a file, so that it goes on after it was killed."""
+"""Keep the state of a watch in a file, so that a new start continues it."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from motor_env.motor.parameters import require
 from motor_env.motor.toml_files import from_dict
 
 WINDOW = "window "
-"""How the counts of verdicts on windows are named: this, and the verdict."""
+"""Prefix of the counts of verdicts on windows."""
 
 
 @dataclass
 class State:
-    """The state of a watch: what was seen, of which motor and where.
+    """State of a watch.
 
     Attributes:
         motor: digest of the motor file; empty while the motor is being learned.
-        source: where the lines come from, without a password.
-        offset: bytes of the growing file that are judged.
-        last_read: the last of these bytes, a letter each: whether a file is still the one that was read.
-        counts: verdicts of windows and kinds of other events.
+        source: of the lines, without a password.
+        offset: bytes of the file that are judged.
+        last_read: the last of these bytes as Latin-1; they recognise the file.
+        counts: of verdicts on windows and of other events.
         header: line that names the columns.
         memory: evidence against the healthy motor, see `SequentialMonitor.state_dict`.
     """
@@ -64,10 +64,10 @@ class State:
 
     @classmethod
     def load(cls, path: Path | None, motor: str, source: str) -> Self:
-        """Read it from its file; new where there is none.
+        """Read a state from its file; a new one without a file.
 
         Raises:
-            InputError: the file is no state of this command, or that of another motor or source.
+            InputError: the file is no state, or that of another motor or source.
         """
         if path is None or not path.exists():
             return cls(motor, source)
@@ -84,14 +84,16 @@ class State:
         except (ValueError, TypeError, RecursionError) as error:
             reason = "nested too deep" if isinstance(error, RecursionError) else error
             raise InputError(f"{path}: is no state of watch ({reason}); give another file") from None
-        for what, kept, given in (("motor file", state.motor, motor), ("source", state.source, source)):
-            if kept != given:
-                told = f", {kept[:200]!r}, and not of {given!r}" if what == "source" else " than this one"
-                raise InputError(f"{path}: is the state of another {what}{told}; give another --state")
+        for what, saved, current in (("motor file", state.motor, motor), ("source", state.source, source)):
+            if saved != current:
+                detail = (
+                    f", {saved[:200]!r}, and not of {current!r}" if what == "source" else " than this one"
+                )
+                raise InputError(f"{path}: is the state of another {what}{detail}; give another --state")
         return state
 
     def save(self, path: Path) -> None:
-        """Write it whole."""
+        """Write the state atomically."""
         write_text(path, json.dumps(vars(self)))
 
     def advance(self, line: bytes) -> None:
@@ -100,12 +102,12 @@ class State:
         self.last_read = (self.last_read + line[-BLOCK_BYTES:].decode("latin-1"))[-BLOCK_BYTES:]
 
     def begin(self) -> None:
-        """Begin anew, with a new file."""
+        """Reset the place, for a new file."""
         self.offset, self.last_read = 0, ""
 
     @property
     def exit_status(self) -> ExitStatus:
-        """Exit status by the verdicts on windows; undecided where there is none."""
+        """Exit status by the verdicts on windows; undecided without one."""
         return worst(
             Verdict(name.removeprefix(WINDOW)).status
             for name, n in self.counts.items()

@@ -1,32 +1,47 @@
-"""A motor at work watched sample by sample: windows of a stream are judged as windows of a log are.
+"""Watch a motor at work sample by sample: windows of a stream are judged as those of a log.
 
-Lines come in, events go out: one for each window (healthy, or what moved), and one at once for what is wrong with the
-stream: a line that is no sample, a gap, a jump of time, a stuck sensor, silence. Those begin a new window.
+Each window gives an event. So does, at once, a fault of the stream: a malformed line, a gap, a jump of time, a stuck
+sensor, silence. It restarts the window.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
+import sys
 import time
 from array import array
 from codecs import BOM_UTF8
-from collections.abc import Iterable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from motor_env.common.console import json_text
+from motor_env.common.console import json_text, printable
 from motor_env.common.errors import InputError, require_options
+from motor_env.common.files import LARGEST_NOTE_BYTES, read_file
 from motor_env.diagnosis.operation.sequential_monitor import SequentialMonitor
 from motor_env.diagnosis.operation.window_baseline import FEWEST_WINDOWS, learn_windows
 from motor_env.diagnosis.operation.windows import averaged, judge_of
 from motor_env.diagnosis.readers.headers import LARGEST_CURRENT_A, understand
-from motor_env.diagnosis.readers.recording import Recording, UnusableError, resampled as evened
-from motor_env.diagnosis.streaming.sources import LONGEST_LINE, NEW_FILE, Notice, Piece
+from motor_env.diagnosis.readers.recording import Recording, UnusableError, resampled
+from motor_env.diagnosis.streaming.sources import (
+    LONGEST_LINE,
+    NEW_FILE,
+    Notice,
+    Piece,
+    identity,
+    lines,
+    source,
+)
 from motor_env.diagnosis.streaming.state import WINDOW, State
+from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.motor.data_sheet import Motor, load_motor, save_motor
 from motor_env.motor.healthy import Healthy, Windows
 
 STUCK_AFTER = 200
@@ -38,23 +53,23 @@ _QUANTITIES = ("time", "voltage", "current", "speed")
 _NAME_THEM = 'name all columns in their order, such as --columns "t [s],I [mA],U [V],n [rpm]"'
 _SECOND = 1.0
 _OFTEN = frozenset(("malformed", "gap", "time_jump"))
-"""Kinds that garbage gives with every line."""
+"""Kinds that garbage may give with every line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An event: a verdict on a window, or what is wrong with the stream.
+    """Verdict on a window, or a fault of the stream.
 
     Attributes:
-        time_s: end of the window, or when it was seen.
+        time_s: end of the window, or time of the fault.
         kind: window, learning, learned, not_learned, another_motor, malformed, gap, time_jump, stuck_sensor, silence,
             unplugged, lost or new_file.
-        text: verdict of a window; else what was seen.
+        text: verdict of a window, or description.
         ratios: quantities of the window over the healthy ones.
-        reason: why a window is unusable, or what shows that a sensor failed.
-        fault_kind: kind of the fault, where it can be told from others of its family.
-        undecided: quantities of a window of which a doubling would not show.
-        count: how many of this kind there were since one was last said; this is the latest of them.
+        reason: why a window is unusable, or a sensor failed.
+        fault_kind: kind of the fault, if distinguished from others of its family.
+        undecided: quantities whose doubling would not show.
+        count: number of this kind since the last such event.
     """
 
     time_s: float
@@ -90,44 +105,46 @@ class Event:
 
 
 class EventThrottle:
-    """Passes at most one event a second of a kind that garbage gives with every line, with their count.
+    """Limit events of frequent kinds to one a second, with their count.
 
-    A second of the stream or of the wall clock: the first so that a log is told the same way however fast it is read,
-    the second so that a stream of nothing but garbage is told at all.
+    A second of the stream, so that the events of a log do not depend on the reading speed, or of the wall clock, for a
+    stream of garbage alone.
     """
 
     def __init__(self) -> None:
-        self._said_s: dict[str, tuple[float, float]] = {}
-        self._held: dict[str, Event] = {}
+        self._emitted_s: dict[str, tuple[float, float]] = {}
+        self._pending: dict[str, Event] = {}
 
-    def passed(self, events: Iterable[Event], streamed_s: float) -> Iterator[Event]:
-        """Yield those that are said now, and those that were held back and are due."""
+    def filter(self, events: Iterable[Event], streamed_s: float) -> Iterator[Event]:
+        """Yield the events that are due."""
         for event in events:
             if event.kind not in _OFTEN:
                 yield event
             else:
-                held = self._held.get(event.kind)
-                self._held[event.kind] = event if held is None else replace(event, count=held.count + 1)
-        if self._held:
+                pending = self._pending.get(event.kind)
+                self._pending[event.kind] = (
+                    event if pending is None else replace(event, count=pending.count + 1)
+                )
+        if self._pending:
             now_s = (streamed_s, time.monotonic())
-            for kind in list(self._held):
-                before_s = self._said_s.get(kind, (-math.inf, -math.inf))
+            for kind in list(self._pending):
+                before_s = self._emitted_s.get(kind, (-math.inf, -math.inf))
                 if any(now - before >= _SECOND for now, before in zip(now_s, before_s, strict=True)):
-                    self._said_s[kind] = now_s
-                    yield self._held.pop(kind)
+                    self._emitted_s[kind] = now_s
+                    yield self._pending.pop(kind)
 
-    def rest(self) -> Iterator[Event]:
-        """Yield what is still held back when the lines end."""
-        yield from self._held.values()
+    def flush(self) -> Iterator[Event]:
+        """Yield the pending events at the end."""
+        yield from self._pending.values()
 
 
 @dataclass
 class LearningPhase:
-    """Collects windows of a healthy motor, until there are enough to learn from.
+    """Collect windows of a healthy motor to learn from.
 
     Attributes:
         window_s: length of a window.
-        learn_s: how long the windows must be together.
+        learn_s: wanted length of all windows.
         steady: nothing but a fault moves the motor.
         recordings: the windows so far.
     """
@@ -149,20 +166,20 @@ class LearningPhase:
         return self.recordings[0].dt_s if self.recordings else math.inf
 
 
-# Garbage may look like a header for as long as it likes, and its words are mostly the same ones.
+# Garbage may look like a header in every line, mostly with the same words.
 _meaning = lru_cache(1024)(understand)
 
 
 class Watch:
-    """Turns lines into events.
+    """Turn lines into events.
 
     Args:
-        healthy: what windows of the healthy motor have taught, or what is to be learned from the stream.
-        state: what has been seen so far.
+        healthy: statistics of healthy windows, or the phase that learns them from the stream.
+        state: of the watch so far.
         false_alarms_per_year: of a healthy motor that always runs.
 
     Raises:
-        InputError: the state holds the memory of another motor.
+        InputError: the state is that of another motor.
     """
 
     def __init__(
@@ -195,37 +212,37 @@ class Watch:
         )
 
     def describe_false_alarm_rate(self) -> str:
-        """Say what holds of the rate of false alarms; empty before anything is learned."""
+        """Describe the rate of false alarms; empty while learning."""
         return "" if isinstance(self._phase, LearningPhase) else self._phase.describe_false_alarm_rate()
 
     @property
-    def _pace(self) -> Windows | LearningPhase:
-        """What tells the length of a window and the sampling interval."""
+    def _timing(self) -> Windows | LearningPhase:
+        """Length of a window and sampling interval."""
         return self._phase if isinstance(self._phase, LearningPhase) else self._phase.judge.windows
 
     def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
-        """Yield the events of lines and of what their source says."""
+        """Yield the events of lines and notices."""
         for line in lines:
-            yield from self._throttle.passed(self._counted(line), self._streamed_s)
-        yield from self._throttle.rest()
+            yield from self._throttle.filter(self._count_events(line), self._streamed_s)
+        yield from self._throttle.flush()
         if not self._columns and self.state.counts["malformed"]:
             raise InputError(f"no line names the columns time, voltage, current and speed; {_NAME_THEM}")
 
-    def _counted(self, line: Piece) -> Iterator[Event]:
+    def _count_events(self, line: Piece) -> Iterator[Event]:
         if isinstance(line, Notice):
             if line.kind == NEW_FILE:
                 self.state.begin()
-            events: Iterable[Event] = [self._broken(line.kind, line.text)]
+            events: Iterable[Event] = [self._restart_window(line.kind, line.text)]
             self._last, self._is_begin = None, True
         else:
             is_begin, self._is_begin = self._is_begin, line.endswith(b"\n")
             self.state.advance(line)
-            events = self._line(line) if is_begin else ()
+            events = self._parse_line(line) if is_begin else ()
         for event in events:
             self.state.counts[event.name] += 1
             yield event
 
-    def _line(self, line: bytes) -> Iterator[Event]:
+    def _parse_line(self, line: bytes) -> Iterator[Event]:
         # A file may begin with a mark of its encoding, and several may be joined.
         text = line[: LONGEST_LINE + 1].removeprefix(BOM_UTF8).decode("utf-8", "replace").strip()
         if len(line) > LONGEST_LINE:
@@ -237,30 +254,34 @@ class Watch:
         except (ValueError, IndexError):
             sample = []
         if sample and math.isfinite(sum(sample)) and abs(sample[2]) <= LARGEST_CURRENT_A:
-            yield from self._sample(sample)
-        # A device that begins anew says its header again.
+            yield from self._add_sample(sample)
+        # A restarted device repeats its header.
         elif text and text[0] != "#" and not self._read_header(text):
             yield Event(self._time_s, "malformed", text[:60])
 
-    def _sample(self, sample: list[float]) -> Iterator[Event]:
+    def _add_sample(self, sample: list[float]) -> Iterator[Event]:
         last, self._last = self._last, sample
         if last is not None:
             self._same = self._same + 1 if last[2] == sample[2] and sample[1] else 0
             if self._same == STUCK_AFTER:
-                yield self._broken("stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A")
+                yield self._restart_window(
+                    "stuck_sensor", f"{STUCK_AFTER} times the current {sample[2]:.6g} A"
+                )
             if self._same >= STUCK_AFTER:
                 return
             step = sample[0] - last[0]
             if step <= 0.0:
-                yield self._broken("time_jump", f"{-step:.6g} s back")
-            elif step > _GAP_STEPS * self._pace.dt_s:
-                yield self._broken("gap", f"{step:.6g} s without a sample")
+                yield self._restart_window("time_jump", f"{-step:.6g} s back")
+            elif step > _GAP_STEPS * self._timing.dt_s:
+                yield self._restart_window("gap", f"{step:.6g} s without a sample")
             else:
                 self._streamed_s += step
         self._window.extend(sample)
-        if sample[0] - self._window[0] >= self._pace.window_s:
+        if sample[0] - self._window[0] >= self._timing.window_s:
             event = self._close_window()
-            if isinstance(self._phase, SequentialMonitor):  # before it is said: with it the state is kept
+            if isinstance(
+                self._phase, SequentialMonitor
+            ):  # before the event: the caller saves the state with it
                 self.state.memory = self._phase.state_dict
             yield event
 
@@ -270,19 +291,19 @@ class Watch:
         for name in ("current", "speed"):
             if values["voltage"].any() and not np.ptp(values[name]):
                 text = f"the {name} of a whole window is {values[name][0]:.6g}"
-                return self._broken("stuck_sensor", text)
-        even_s, values, _ = evened(time_s, values, self._step_s)
+                return self._restart_window("stuck_sensor", text)
+        even_s, values, _ = resampled(time_s, values, self._step_s)
         recording = Recording(Path("stream"), even_s, values["current"], values["voltage"], values["speed"])
-        if abs(recording.dt_s - self._pace.dt_s) < _SAME_STEP * self._pace.dt_s:
-            self._step_s = self._pace.dt_s
+        if abs(recording.dt_s - self._timing.dt_s) < _SAME_STEP * self._timing.dt_s:
+            self._step_s = self._timing.dt_s
         if isinstance(self._phase, LearningPhase):
-            return self._learned(recording, self._phase)
+            return self._learn(recording, self._phase)
         try:
-            return self._verdict(self._phase.diagnose(recording))
+            return self._window_event(self._phase.diagnose(recording))
         except UnusableError as error:
             return Event(self._time_s, "window", "unusable", reason=str(error))
 
-    def _learned(self, recording: Recording, phase: LearningPhase) -> Event:
+    def _learn(self, recording: Recording, phase: LearningPhase) -> Event:
         phase.recordings.append(averaged(recording, phase.window_s))
         learned_s = len(phase.recordings) * phase.window_s
         words = f"{learned_s:g} of {phase.learn_s:g} s"
@@ -296,10 +317,10 @@ class Watch:
         self._monitor(healthy)
         return Event(self._time_s, "learned", f"{words}: {self.describe_false_alarm_rate()}")
 
-    def _verdict(self, window: Judgement) -> Event:
+    def _window_event(self, window: Judgement) -> Event:
         ratios = {change.name: change.ratio for change in window.changes}
         moved = {change.name for change in window.changes if change.significant}
-        # No wear moves both.
+        # Wear moves only one of them.
         if window.verdict is Verdict.OTHER and {"K", "J"} <= moved:
             return Event(
                 self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
@@ -314,7 +335,7 @@ class Watch:
             undecided=tuple(change.name for change in window.changes if change.verdict == "undecided"),
         )
 
-    def _broken(self, kind: str, text: str) -> Event:
+    def _restart_window(self, kind: str, text: str) -> Event:
         self._window = array("d")
         return Event(self._time_s, kind, text)
 
@@ -323,10 +344,10 @@ class Watch:
         return self._last[0] if self._last is not None else 0.0
 
     def _read_header(self, text: str) -> bool:
-        """Whether a line names the columns; then they are those from now on.
+        """Whether a line names the columns; if so, use them from now on.
 
         Raises:
-            InputError: it is the first that does, and one is missing.
+            InputError: the first such line lacks a column.
         """
         words = text.split(",", _MOST_COLUMNS)
         if self._columns and len(words) < len(_QUANTITIES):
@@ -343,3 +364,124 @@ class Watch:
                 f"the first line must name the columns; {missing[0]} is missing in {text[:80]!r}; {_NAME_THEM}"
             )
         return not missing
+
+
+def run(
+    motor: Path,
+    name: str | None,
+    *,
+    false_alarms_per_year: float,
+    state: Path | None,
+    follow: bool,
+    baud: int,
+    columns: str | None,
+    learning: LearningPhase | None,
+) -> int:
+    """Watch until the lines or the user end it; return the exit status.
+
+    Raises:
+        InputError: no windows of the motor, or an unreadable source.
+    """
+    if name is None and follow:
+        raise InputError("--follow needs a log; standard input is waited for anyway")
+    healthy = _load_healthy(motor) if learning is None or motor.exists() else learning
+    watched = State.load(state, _digest(motor), identity(name))
+    watched.header = columns or watched.header
+    watcher = Watch(healthy, watched, false_alarms_per_year=false_alarms_per_year)
+    if rate := watcher.describe_false_alarm_rate():
+        sys.stderr.write(f"{rate}\n")
+    before = watched.last_read.encode("latin-1")
+    pieces = source(name, follow=follow, baud=baud, offset=watched.offset, last_read=before)
+    with suppress(KeyboardInterrupt), showing(watched.counts) as show:  # Ctrl-C is the usual end of a watch
+        for event in watcher.events(lines(pieces, rest=not follow)):
+            show(event)
+            if event.kind == "learned" and watcher.healthy is not None:
+                save_motor(motor_of_windows(watcher.healthy, motor.stem), motor)
+                watched.motor = _digest(motor)
+            if state is not None and event.kind in ("window", "learned", NEW_FILE):
+                watched.save(state)
+    return int(watched.exit_status)
+
+
+def watch(
+    motor: Motor | str | Path,
+    log: str | Path | Iterable[str],
+    *,
+    false_alarms_per_year: float = 1.0,
+) -> Iterator[Event]:
+    """Watch a motor at work: yield verdicts on windows and faults of the stream as lines arrive.
+
+    Args:
+        motor: commissioned at work, or its file.
+        log: CSV file with a header, or its lines.
+        false_alarms_per_year: of a healthy motor that always runs.
+
+    Raises:
+        InputError: no windows of the motor, or an unreadable log.
+    """
+    healthy = _windows_of(motor if isinstance(motor, Motor) else load_motor(motor))
+    if isinstance(log, str | Path):
+        pieces = lines(source(str(log), follow=False, baud=0))
+    else:
+        pieces = (f"{line.rstrip()}\n".encode() for line in log)
+    yield from Watch(healthy, State(), false_alarms_per_year=false_alarms_per_year).events(pieces)
+
+
+def _digest(motor: Path) -> str:
+    """Digest the motor file; empty without one."""
+    return hashlib.sha256(read_file(motor, LARGEST_NOTE_BYTES)).hexdigest() if motor.exists() else ""
+
+
+def _load_healthy(motor: Path) -> Healthy:
+    """Load the statistics of healthy windows from a motor file."""
+    try:
+        return _windows_of(load_motor(motor))
+    except InputError as error:
+        if motor.exists():
+            raise
+        cure = "`motor-env commission` writes one from logs of the healthy motor, --learn 10min from its first minutes"
+        raise InputError(f"{error}; {cure}") from None
+
+
+def _windows_of(motor: Motor) -> Healthy:
+    if motor.healthy is None or motor.healthy.windows is None:
+        raise InputError(f"{motor.name}: was not commissioned by windows of the motor at work")
+    return motor.healthy
+
+
+@contextmanager
+def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
+    """Yield a function that shows an event beside the counts of all."""
+    if not sys.stdout.isatty():
+        yield _print_line
+        return
+    from rich.console import Group
+    from rich.live import Live
+    from rich.table import Table
+    from rich.text import Text
+
+    latest: deque[Event] = deque(maxlen=8)
+    with Live(Text("waiting for the first window")) as screen:
+
+        def show(event: Event) -> None:
+            latest.append(event)
+            table = Table("time (s)", "event", "what", "moved", expand=True)
+            for each in latest:
+                moved = ", ".join(f"{name} {ratio - 1.0:+.1%}" for name, ratio in each.ratios.items())
+                kind = each.kind if each.count == 1 else f"{each.count} {each.kind}"
+                words = (f"{each.time_s:.6g}", kind, f"{each.text} {each.reason}", moved)
+                table.add_row(*(Text(printable(word)) for word in words), style=_style(each))
+            screen.update(Group(table, Text(", ".join(f"{n} {name}" for name, n in counts.most_common()))))
+
+        yield show
+
+
+def _print_line(event: Event) -> None:
+    sys.stdout.write(event.as_json() + "\n")
+    sys.stdout.flush()
+
+
+def _style(event: Event) -> str:
+    if event.kind != "window" or event.text == "unusable":
+        return "yellow" if event.kind not in ("learning", "learned") else ""
+    return "green" if event.text == "healthy" else "bold red"

@@ -1,9 +1,8 @@
 """Decide on a fitted piece: compare its quantities with a reference, by the covariances of both.
 
-The fit gives logarithms of quantities, with a covariance that includes the model's error. The reference gives the
-distribution of a healthy motor: tolerances, temperature and supply, or the spread between healthy pieces. After an
-alarm the most probable fault is named, unless its rest is itself significant or "other" is more probable. The
-confidence is the posterior probability of the verdict.
+The covariance of a fit includes the model's error. That of a reference holds tolerances, temperature and supply, or the
+spread between healthy pieces. After an alarm the most probable fault is named, unless its residual is significant or
+"other" is more probable. The confidence is a posterior probability.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.verdict.healthy_motor import Reference
 from motor_env.diagnosis.verdict.hypotheses import (
     Change,
@@ -49,8 +48,8 @@ from motor_env.motor.faults import FaultKind, motor_kinds
 from motor_env.motor.parameters import FloatArray
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
-_TELLING_WARMTH_K = 8.0
-# Sizes of changes; a ratio beyond the last is that of a quantity which the healthy pieces hardly told.
+_NOTABLE_WARMTH_K = 8.0
+# Sizes of changes; a ratio beyond the last is of a quantity that the healthy pieces hardly determine.
 _DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
 _LEFT_OVER = 0.01
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
@@ -60,7 +59,7 @@ class AlarmLimits(NamedTuple):
     """Limits of the tests, for one rate of false alarms.
 
     Attributes:
-        share: rate of false alarms of one test of the motor; all its tests together alarm at the wanted rate.
+        share: rate of false alarms of one test of the motor.
         z: standard deviations beyond which a fault alarms.
         noise_z: standard deviations beyond which the noise alarms.
     """
@@ -71,7 +70,7 @@ class AlarmLimits(NamedTuple):
 
 
 def alarm_limits(hypotheses: list[Hypothesis], rate: float, *, tests_noise: bool) -> AlarmLimits:
-    """Find the limits of the tests that together alarm at a rate; a test of the noise has an equal share."""
+    """Find the limits of tests that together alarm at a rate; the noise has an equal share."""
     difference = hypotheses[0].difference
     noise = alarm_share(rate, difference.exponents)
     freedom = difference.degrees_of_freedom
@@ -90,11 +89,11 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         fit: of the piece.
         reference: of the healthy motor.
         rate: of false alarms.
-        alarm: whether there is an alarm, if several pieces have decided that; None to decide here.
+        alarm: decision by several pieces; None to decide here.
     """
     hypotheses = form_hypotheses(fit, reference, rate)
     limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
-    # A data sheet speaks of a motor without a load; there, loads only help to name what stands out.
+    # A data sheet is of a motor without a load; there, loads only help to name a fault.
     believed = hypotheses if reference.includes_fit_error else hypotheses[:1]
     quiet = next(
         (hypothesis for hypothesis in believed if not hypothesis.is_alarm(limits.z, limits.share)), None
@@ -103,7 +102,7 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         quiet = None if alarm else hypotheses[0]
     hypothesis = quiet or hypotheses[0]
     same_warmth = covariance_at_one_temperature(fit, reference)
-    # As fitted: those of a hypothesis are straightened, for tests that the temperature shall not raise.
+    # As fitted; those of a hypothesis are linearised in the temperature.
     rows, load = shared_rows(fit, reference), hypotheses[0].load
     log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * load.warmth
     healthy = Judgement(
@@ -128,20 +127,20 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
     )
     if quiet is None:
         limit = limits.z if alarm is None else min(limits.z, _NAMED)
-        # However often windows may alarm: a fault that is there leaves no more than this in 1 of 100.
+        # At any rate of alarms, a true fault leaves a larger residual in 1 of 100 only.
         left_over = min(rate, _LEFT_OVER)
         return limit_to_wear(
             _explain_alarm(healthy, reference, hypotheses, log_ratios, limit, rate=left_over)
         )
-    # That healthy pieces scatter by their load is no defect of this one, and the model's error is theirs as well.
+    # The scatter of healthy pieces includes loads and the model's error: neither is a defect of this piece.
     spread = hypothesis.difference.covariance
     if reference.includes_fit_error:
         spread = fit.white_covariance[np.ix_(rows, rows)]
     smallest = smallest_changes(replace(hypothesis.difference, covariance=spread), limits.z)
-    unseen = tuple(_describe_undecided(smallest, reference.source))
-    if len(unseen) == len(_CHECKED_FAULTS):
-        return replace(healthy, verdict=Verdict.UNUSABLE, reasons=unseen, severity=None, confidence=None)
-    healthy = replace(healthy, reasons=(*healthy.reasons, *unseen))
+    undecided = tuple(_describe_undecided(smallest, reference.source))
+    if len(undecided) == len(_CHECKED_FAULTS):
+        return replace(healthy, verdict=Verdict.UNUSABLE, reasons=undecided, severity=None, confidence=None)
+    healthy = replace(healthy, reasons=(*healthy.reasons, *undecided))
     return _check_noise(healthy, fit, reference, limits.noise_z)
 
 
@@ -154,9 +153,9 @@ def _explain_alarm(
     *,
     rate: float,
 ) -> Judgement:
-    """Name the fault that explains an alarm, or none; assume a load only if no fault explains it without one.
+    """Name the fault that explains an alarm, or none; assume a load only if needed.
 
-    The effect of temperature stays that of a motor without a load: with an open load too, anything could be explained.
+    The temperature acts as without a load; with an unknown load too, anything could be explained.
     """
 
     def suffices(fault: Explanation) -> bool:
@@ -164,8 +163,8 @@ def _explain_alarm(
 
     first = hypotheses[0]
     scales = find_scaling_errors(first.difference, reference.names, limit, rate)
-    also = [describe_scaling_errors(scales)] if scales else []
-    # What has taught no sensors says nothing of their gains.
+    scaling = [describe_scaling_errors(scales)] if scales else []
+    # Without recordings the reference does not include the sensors' gains.
     gains = [scale.gain for scale in scales if scale.gain is not None and reference.is_taught]
     for hypothesis in hypotheses[:1] if any(map(suffices, first.faults)) else hypotheses:
         difference = replace(first.difference, response=hypothesis.load.response)
@@ -177,40 +176,40 @@ def _explain_alarm(
             if gains:
                 probability = probabilities(difference, [*faults, *gains])
                 share = sum(probability[gain.kind] for gain in gains)
-                also[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
+                scaling[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
                 if share > probability[best.kind]:
                     break
             judgement = _name_fault(healthy, reference, as_fitted, probability, hypothesis.load.name)
-            return replace(judgement, reasons=(*judgement.reasons, *also))
+            return replace(judgement, reasons=(*judgement.reasons, *scaling))
     if gains and len(gains) == len(scales):
         probability = probabilities(first.difference, [*first.faults, *gains])
-        # Two that explain alike differ by rounding: the one that is named first counts.
+        # Equal explanations differ by rounding: take the first.
         likeliest = max(gains, key=lambda gain: round(probability[gain.kind], 9))
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
             judgement = _name_fault(healthy, reference, likeliest, probability, None)
-            return replace(judgement, reasons=(*also, *judgement.reasons))
+            return replace(judgement, reasons=(*scaling, *judgement.reasons))
     named = {fault.kind for fault in first.faults}
     unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
     # These cannot be named: a coupled load would look the same.
-    alike = (
+    unnameable = (
         f"it may be {fault.kind} by {fault.severity:.0%} ({fault.kind.finding}), or a coupled load: a recording of the"
         " speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
-    other = healthy.as_other(*also, *_describe_changes(healthy.changes, reference.source), *alike)
+    other = healthy.as_other(*scaling, *_describe_changes(healthy.changes, reference.source), *unnameable)
     return replace(other, confidence=probabilities(first.difference, first.faults)["other"])
 
 
 def _describe_warming(
     hypothesis: Hypothesis, same_warmth: FloatArray, reference: Reference
 ) -> tuple[str, ...]:
-    """Say that another temperature explains the changes, if it does: its posterior mean in kelvin."""
+    """Describe a change of the temperature that explains the changes: its posterior mean in kelvin."""
     if reference.temperature_k == 0.0:
         return ()
     kelvin, sd = estimate_warming(
         hypothesis.difference.log_ratios, same_warmth, hypothesis.load.warmth, reference.temperature_k
     )
-    if abs(kelvin) < max(_TELLING_WARMTH_K, 2.0 * sd):
+    if abs(kelvin) < max(_NOTABLE_WARMTH_K, 2.0 * sd):
         return ()
     word = "warmer" if kelvin > 0.0 else "colder"
     return (
@@ -225,7 +224,7 @@ def _name_fault(
     probability: dict[str, float],
     load: str | None,
 ) -> Judgement:
-    """Judge a piece with a known fault; the interval of its severity is that of Student's t."""
+    """Judge a piece with a known fault; the interval of the severity is Student's."""
     verdict, own = Verdict(fault.kind.verdict), severity_unit(fault.kind, reference.own_friction)
     half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
     low, high = (severity_of(fault.kind, fault.step + margin) / own for margin in (-half, half))
@@ -246,11 +245,11 @@ def _name_fault(
 
 
 def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
-    """Judge the noise of the current; `limit` is in standard deviations of its logarithm."""
-    if reference.log_noise is None or not isinstance(fit, Identified):
+    """Judge the noise of the current; `limit` is in standard deviations."""
+    if reference.log_noise is None or not isinstance(fit, StartFit):
         return healthy
-    # Coarse steps, a rectifier and a dead zone change the noise seen: it tells nothing. Healthy starts were recorded
-    # with the same sensor, and hold the same.
+    # Coarse steps, a rectifier and a dead zone change the measured noise. Healthy starts were recorded with the
+    # same sensor, so they remain comparable.
     is_coarse = fit.start.alignment.quantum_a > math.exp(reference.log_noise)
     if (is_coarse or fit.is_hidden) and not reference.includes_fit_error:
         return healthy
@@ -273,7 +272,7 @@ _CHECKED_FAULTS = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "re
 
 
 def _describe_undecided(smallest: dict[str, float], source: str) -> Iterator[str]:
-    """Describe what a piece leaves undecided: a doubling would not show, or there is no reference."""
+    """Describe quantities whose doubling would not show, or without a reference."""
     for kind, quantity in _CHECKED_FAULTS.items():
         severity = smallest.get(str(kind))
         if severity is None:
@@ -299,7 +298,7 @@ def _describe_changes(changes: tuple[Change, ...], source: str) -> tuple[str, ..
     ]
     if any(c.name.startswith("K^2") for c in moved):
         words.append("K down looks the same as J and B up in the current alone")
-    # Friction moves with any load; two others move together where the motor is another one.
+    # Friction moves with any load; two other quantities move together if it is another motor.
     several = len({c.name[0] for c in moved if c.significant} - {"B"}) > 1
     return (
         "; ".join(words),

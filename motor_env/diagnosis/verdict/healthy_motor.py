@@ -1,47 +1,53 @@
-"""Distribution of a healthy motor's quantities: from its data sheet, or from healthy pieces of its recordings."""
+"""Distribution of a healthy motor's quantities, by its data sheet or healthy recordings; motor files of fits."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from motor_env.motor import identifiable as quantities
-from motor_env.motor.data_sheet import Motor
+from motor_env.common.errors import InputError
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.operation_fit import OperationFit
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
+from motor_env.diagnosis.estimation.starts.start_prior import hides_inductance
+from motor_env.motor import identifiable
+from motor_env.motor.data_sheet import Motor, assumptions
 from motor_env.motor.healthy import Healthy
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, MotorParameters
 
 NORMAL_DOF = 1e6  # of a covariance that is known
 SHEET_NOISE_SD = 0.10
 MEASURED_TEMPERATURE_K = 4.0
 """Standard deviation of the winding's temperature about a measured one."""
-_FRICTION, _VOLTAGE = quantities.PARAMETERS.index("B"), quantities.PARAMETERS.index("V")
+_FRICTION, _VOLTAGE = identifiable.PARAMETERS.index("B"), identifiable.PARAMETERS.index("V")
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Distribution of a healthy motor's quantities that one kind of recording determines.
+    """Distribution of a healthy motor's quantities, for one kind of recording.
 
     Attributes:
         source: in words, for the user.
         names: the quantities.
         log_values: logarithms of the quantities of a healthy motor, shape (n,).
-        log_covariance: of the next equally warm healthy piece, shape (n, n); without the fit's own error, unless
+        log_covariance: of the next healthy piece at this temperature, shape (n, n); with the fit's own error only if
             `includes_fit_error`.
         degrees_of_freedom: of that covariance.
         log_noise: logarithm of the noise of the current; None if unknown.
         log_noise_sd: its standard deviation from start to start.
-        model: extensions to fit with; None to choose by evidence.
-        includes_fit_error: the covariance was estimated from fits, so it includes their errors.
+        model: extensions to fit; None to choose by evidence.
+        includes_fit_error: the covariance was estimated from fits.
         temperature_k: standard deviation of the temperature; 0 if the covariance includes it.
-        warmer_k: how much warmer the motor is than at `log_values`.
+        warmer_k: temperature above that of `log_values`.
         own_friction: the motor's own share of the drag; None if unknown.
-        excess: factor on the variance of healthy pieces beyond covariance and fit.
-        is_taught: learned from recordings, sensors included; a data sheet says nothing of sensors.
+        excess: factor on covariance and fit error of healthy pieces.
+        is_taught: learned from recordings, sensors included.
     """
 
     source: str
@@ -66,21 +72,22 @@ class Reference:
 
     @property
     def time_constant_s(self) -> float:
-        """Mechanical time constant R J / K^2 of a healthy motor; infinite if the quantities do not determine it."""
-        exponents = quantities.matrix(self.names)
-        wanted = np.array([{"R": 1.0, "J": 1.0, "K": -2.0}.get(name, 0.0) for name in quantities.PARAMETERS])
+        """Mechanical time constant R J / K^2; infinite if the quantities do not determine it."""
+        exponents = identifiable.matrix(self.names)
+        wanted = np.array(
+            [{"R": 1.0, "J": 1.0, "K": -2.0}.get(name, 0.0) for name in identifiable.PARAMETERS]
+        )
         powers = wanted @ np.linalg.pinv(exponents)
         return math.exp(powers @ self.log_values) if np.allclose(powers @ exponents, wanted) else math.inf
 
 
 class ReferenceShift(NamedTuple):
-    """Difference between the linear fit of a piece and the motor file of the same healthy motor.
+    """Shift of a healthy piece's linear fit from its motor file.
 
     Attributes:
-        driving: share s of the voltage that a brush drop leaves, if the fit has no such term.
-            s V = R i + L di/dt + K w is V = (R/s) i + (L/s) di/dt + (K/s) w: a linear motor with R, L, K, J and B over
-            s draws the same current and turns as fast.
-        friction: drag over speed, at the piece's speed over that at the file's.
+        driving: share s of the voltage behind a brush drop that the fit lacks. As s V = R i + L di/dt + K w, a linear
+            motor with R, L, K, J and B over s has the same current and speed.
+        friction: ratio of drag over speed, at the piece's speed and the file's.
         friction_log_sd: standard deviation of its logarithm.
     """
 
@@ -91,7 +98,7 @@ class ReferenceShift(NamedTuple):
     @property
     def logs(self) -> FloatArray:
         """Logarithms of R, L, K, J, B and V over those of the file."""
-        logs = np.full(len(quantities.PARAMETERS), -math.log(self.driving))
+        logs = np.full(len(identifiable.PARAMETERS), -math.log(self.driving))
         logs[_VOLTAGE] = 0.0
         logs[_FRICTION] += math.log(self.friction)
         return logs
@@ -105,14 +112,14 @@ def reference_of(
     temperature_c: float | None = None,
     shift: ReferenceShift | None = None,
 ) -> Reference | None:
-    """Return a motor file's distribution of the quantities of a piece; None if it has none of them.
+    """Return a motor's distribution of the quantities of a piece; None if it has none of them.
 
     Args:
         motor: data sheet, identified or commissioned motor.
-        names: quantities of the piece; the reference may have fewer.
-        are_starts: the piece is a start, not a window of a motor at work.
-        temperature_c: of the motor, where measured; used if that of the healthy pieces is known too.
-        shift: difference between the piece's fit and the file.
+        names: wanted quantities; the reference may have fewer.
+        are_starts: a start, not a window.
+        temperature_c: of the motor, if measured; used if that of the healthy pieces is known too.
+        shift: of the piece's fit from the file.
     """
     if motor.healthy is not None:
         return reference_of_pieces(
@@ -123,19 +130,19 @@ def reference_of(
             temperature_c=temperature_c,
             shift=shift,
         )
-    exponents = quantities.matrix(names)
+    exponents = identifiable.matrix(names)
     if exponents[:, _VOLTAGE].any():
         return None
-    # V is held at what the recording says; its tolerance scales the current, so it acts on all but ratios like B/J.
+    # V is the recorded one. Its tolerance scales the current, which acts on all but ratios such as B/J.
     scale = exponents.sum(axis=1)
-    logs = quantities.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
+    logs = identifiable.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
     shift = shift or ReferenceShift()
     logs += shift.logs
     return Reference(
         source=f"{'data sheet' if motor.kind == 'data_sheet' else f'{motor.kind} motor'} {motor.name}",
         names=names,
         log_values=exponents @ logs,
-        log_covariance=exponents @ quantities.tolerance_covariance(motor.tolerance) @ exponents.T
+        log_covariance=exponents @ identifiable.tolerance_covariance(motor.tolerance) @ exponents.T
         + motor.tolerance.supply**2 * np.outer(scale, scale)
         + shift.friction_log_sd**2 * np.outer(exponents[:, _FRICTION], exponents[:, _FRICTION]),
         log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
@@ -152,13 +159,13 @@ def reference_of_pieces(
     temperature_c: float | None = None,
     shift: ReferenceShift | None = None,
 ) -> Reference | None:
-    """Return the distribution that healthy pieces give, see `reference_of`.
+    """Return the distribution of healthy pieces, see `reference_of`.
 
-    If both temperatures are known, the healthy motor is taken at that of the piece. Healthy pieces of the other kind do
-    not stand for the errors of this fit.
+    If both temperatures are known, the reference is at that of the piece. Only healthy pieces of the same kind include
+    the errors of this fit.
     """
     # Each wanted quantity as powers of the known ones: K^2/J of K and J, where the healthy starts had a speed.
-    known, wanted = quantities.matrix(healthy.quantities), quantities.matrix(names)
+    known, wanted = identifiable.matrix(healthy.quantities), identifiable.matrix(names)
     powers = wanted @ np.linalg.pinv(known)
     follow: NDArray[np.bool_] = np.all(np.isclose(powers @ known, wanted), axis=1)
     if not follow.any():
@@ -200,10 +207,10 @@ def _describe_source(healthy: Healthy, motor: str) -> str:
 
 
 def add_normal_spread(covariance: FloatArray, normal: FloatArray, share: float, freedom: float) -> FloatArray:
-    """Add the covariance of a normal spread, as that of the temperature, to one of Student's t.
+    """Add the covariance of a normal spread, such as the temperature's, to one of Student's t.
 
-    The quantile of a sum of t and normal is at most the root of the sum of their squared quantiles. So the normal part
-    is weighted by the squared ratio of the two quantiles.
+    A quantile of the sum is at most the root of the sum of the squared quantiles, so the normal part is weighted by
+    their squared ratio.
 
     Args:
         covariance: shape (n, n).
@@ -213,3 +220,132 @@ def add_normal_spread(covariance: FloatArray, normal: FloatArray, share: float, 
     """
     ratio = float(ndtri(share) / stdtrit(freedom, share))
     return np.asarray(covariance + ratio**2 * normal, dtype=np.float64)
+
+
+_DIFFERENT = 2.0  # standard errors
+_UNDETERMINED = 0.5  # standard deviation of a logarithm
+_SMALL = 1e-3
+
+
+def to_motor(
+    fits: Sequence[StartFit],
+    name: str,
+    *,
+    healthy: Healthy | None = None,
+    constant: float | None = None,
+) -> Motor:
+    """Return the motor of fits of its starts: the geometric mean of their parameters.
+
+    Args:
+        fits: of starts.
+        name: of the motor.
+        healthy: statistics of the starts, for a commissioned motor.
+        constant: known torque constant in N m/A, for starts without a speed.
+    """
+    start = fits[0].start
+    mean = {
+        field: float(np.exp(np.mean([math.log(max(getattr(fit.parameters, field), 1e-300)) for fit in fits])))
+        for field in MotorParameters.__dataclass_fields__
+    }
+    known = fits[0].quantity_names if constant is None else ("K",)
+    return Motor(
+        name=name,
+        kind="identified" if healthy is None else "commissioned",
+        parameters=MotorParameters(**mean),
+        nominal_voltage_v=float(np.mean([fit.start.level_v for fit in fits])),
+        current_noise_a=float(np.exp(np.mean([math.log(max(fit.noise_a, 1e-12)) for fit in fits]))),
+        coulomb_friction_n_m=_mean_if_significant(fits, "coulomb"),
+        brush_drop_v=_mean_if_significant(fits, "brush_drop"),
+        healthy=healthy,
+        notes=()
+        if start.voltage_known and start.speed_rad_s is not None
+        else tuple(describe_undetermined(fits[0])),
+        assumed=assumptions(known, has_voltage=start.voltage_known),
+    )
+
+
+def _mean_if_significant(fits: Sequence[StartFit], name: str) -> float:
+    """Average an extension over fits; 0 if it is within two standard errors of 0."""
+    each = [fit.fitted_extension.get(name, (0.0, 0.0)) for fit in fits]
+    mean, error = np.mean(each, axis=0)[0], float(np.linalg.norm([e for _, e in each])) / len(each)
+    return float(mean) if mean > _DIFFERENT * error else 0.0
+
+
+def describe_undetermined(fit: StartFit) -> list[str]:
+    """Describe what this recording leaves undetermined."""
+    deviations = np.sqrt(np.diag(fit.log_covariance))
+    limits = {
+        "the voltage is unknown: everything is per volt, the supply counts as 1 V": not fit.start.voltage_known,
+        "the current alone tells K^2/J and B/J, not K, J and B (K down looks like J and B up): K is assumed": (
+            fit.start.speed_rad_s is None
+        ),
+        "all but B/J count a brush drop in: brushes that take 5 % of the supply make them 5 % larger": (
+            "brush_drop" not in fit.model
+        ),
+        "J counts the loss of a gear in: one that takes 10 % of the torque makes it 11 % larger, K^2/J smaller": True,
+        "a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told": hides_inductance(
+            fit.model
+        ),
+    }
+    return [sentence for sentence, holds in limits.items() if holds] + [
+        f"{name} is not told by this recording (its standard error is {100 * s:.0f} %)"
+        for name, s in zip(fit.quantity_names, deviations, strict=True)
+        if s > _UNDETERMINED
+    ]
+
+
+def motor_of_log(fit: OperationFit, name: str) -> Motor:
+    """Return the motor that was identified at work.
+
+    Raises:
+        InputError: current or speed was not recorded.
+    """
+    if not fit.record.seen.all():
+        raise InputError("a motor file needs current and speed: the parameters are not known one by one")
+    values = fit.solution.values
+    return replace(
+        _motor_of(values, name),
+        nominal_voltage_v=fit.record.peaks[0],
+        current_noise_a=float(values[index.NOISE_I]),
+        speed_noise_rad_s=float(values[index.NOISE_W]),
+        notes=fit.notes,
+    )
+
+
+def motor_of_windows(healthy: Healthy, name: str) -> Motor:
+    """Return the motor that was commissioned on windows."""
+    windows = healthy.windows
+    assert windows is not None  # noqa: S101  # it was learned from them
+    motor = _motor_of(windows.physical, name)
+    volts = 1.0 if windows.peaks is None else windows.peaks[0]
+    drag = float(windows.physical[index.B]) * windows.speed_rad_s
+    return replace(
+        motor,
+        kind="commissioned",
+        healthy=healthy,
+        coulomb_friction_n_m=_unless_small(motor.coulomb_friction_n_m, drag),
+        brush_drop_v=_unless_small(motor.brush_drop_v, volts),
+    )
+
+
+def _unless_small(value: float, beside: float) -> float:
+    """Return 0 for a negligible value: a bounded fit never reaches 0."""
+    return value if value > _SMALL * beside else 0.0
+
+
+def _motor_of(values: FloatArray, name: str) -> Motor:
+    """Return the motor of a fit's physical values, shape (N_VALUES,)."""
+    return Motor(
+        name=name,
+        kind="identified",
+        parameters=MotorParameters(
+            resistance_ohm=float(values[index.R]),
+            inductance_h=float(values[index.L]),
+            back_emf_constant_v_s_per_rad=float(values[index.K]),
+            torque_constant_n_m_per_a=float(values[index.K]),
+            inertia_kg_m2=float(values[index.J]),
+            viscous_friction_n_m_s_per_rad=float(values[index.B]),
+        ),
+        coulomb_friction_n_m=float(values[index.COULOMB]),
+        brush_drop_v=float(values[index.DROP]),
+    )

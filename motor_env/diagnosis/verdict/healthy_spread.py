@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified, ripple_quantities
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit, ripple_quantities
 from motor_env.diagnosis.estimation.starts.start_identification import NUISANCES, identify, identify_best
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.readers.start import Start
 from motor_env.diagnosis.verdict.decision import alarm_limits, decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, reference_of
@@ -23,19 +23,19 @@ from motor_env.motor.parameters import FloatArray
 START_SPREAD = 0.02
 """Prior standard deviation of a logarithm from start to start."""
 RECORD_SPREAD = np.array([0.01, 0.005, 0.01, 0.05])
-"""Standard deviation of the logarithms of R, K, J and B between records of a motor at work. Their length does not
-matter: the model's error is nearly constant within a record."""
+"""Standard deviation of the logarithms of R, K, J and B between records of a motor at work, of any length: model error
+is constant within a record."""
 PRIOR_WEIGHT = 4.0
-_FEW_BESIDE = 4  # times as many windows of the usual drive
+_FEW_BESIDE = 4  # times as many windows of the usual condition
 _NOISE_SPREAD = 0.10
 _DISAGREE = 0.5  # standard deviation of a logarithm between healthy starts
-_SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm between starts; so many are an outlier
+_SAME_MOTOR, _ODD = 0.1, 5.0  # standard deviation of a logarithm between starts; multiple of an outlier
 
 
-def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> list[Identified]:
-    """Fit healthy starts with one common model, which the evidence prefers in most of them.
+def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> list[StartFit]:
+    """Fit healthy starts with one model, which the evidence prefers in most of them.
 
-    The second of two fits begins at the median of the first ones, so that no start stays in an optimum of its own.
+    A second fit begins at the median of the first ones, to leave local optima.
 
     Raises:
         UnusableError: the current of one flows against its voltage.
@@ -53,10 +53,10 @@ def fit_healthy(starts: Sequence[Start], *, constant: float | None = None) -> li
 
 
 def predictive_t(logs: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return mean, covariance and degrees of freedom of the predictive Student t of the next healthy piece.
+    """Return mean, covariance and degrees of freedom of the next healthy piece's Student t.
 
-    The prior of the covariance is an inverse-Wishart worth 4 pieces (Gelman et al. 2013, ch. 3.6). The next piece then
-    has n - 1 + 4 degrees of freedom and the scale (1 + 1/n) S.
+    The covariance has an inverse-Wishart prior worth 4 pieces (Gelman et al. 2013, ch. 3.6): n - 1 + 4 degrees of
+    freedom, scale (1 + 1/n) S.
 
     Args:
         logs: of the pieces, shape (n, p).
@@ -73,50 +73,57 @@ def predictive_sd(values: FloatArray, prior_sd: float) -> float:
 
 
 def next_piece(
-    fits: Sequence[Fitted], prior_sd: float, lent: FloatArray | None = None
+    fits: Sequence[Fitted], prior_sd: float, borrowed: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return mean, covariance and degrees of freedom of the next healthy piece's logarithms.
 
-    The fit's error is independent between pieces, so the next one scatters by it at least.
+    The independent errors of the fits are the least scatter.
 
     Args:
         fits: healthy pieces with the same quantities.
         prior_sd: prior standard deviation of each logarithm from piece to piece.
-        lent: covariance of other pieces, used where it is larger.
+        borrowed: covariance of other pieces, used if larger.
     """
     logs = np.array([fit.log_values for fit in fits])
     error = np.mean([fit.white_covariance for fit in fits], axis=0)
     prior = np.eye(logs.shape[1]) * prior_sd**2 + error
-    return predictive_t(logs, prior if lent is None else prior + beyond(prior, lent))
+    return predictive_t(logs, prior if borrowed is None else prior + excess_covariance(prior, borrowed))
 
 
 def next_window(
     fits: Sequence[Fitted], *, steady: bool, usual: Sequence[Fitted] = ()
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return mean, covariance and degrees of freedom of the logarithms of R, K, J and B in another record's window.
+    """Return mean, covariance and degrees of freedom of log R, K, J and B in another record's window.
 
     Args:
         fits: healthy windows.
-        steady: only a fault moves the motor, also from record to record.
-        usual: healthy windows of the usual drive, if `fits` are few of another one: those scatter no less.
+        steady: without a spread from record to record.
+        usual: healthy windows of the usual condition, if `fits` are few of another one.
     """
-    lent = next_window(usual, steady=True)[1] if usual else None
-    centre, covariance, freedom = next_piece(fits, 0.0, lent)
+    borrowed = next_window(usual, steady=True)[1] if usual else None
+    centre, covariance, freedom = next_piece(fits, 0.0, borrowed)
     return centre, covariance if steady else covariance + np.diag(np.square(RECORD_SPREAD)), freedom
 
 
-def usual_condition_windows(few: Sequence[int], drives: Sequence[Sequence[int]]) -> Sequence[int]:
-    """Return the windows of the usual drive if those of another one are few beside them, else none."""
-    usual = max(drives, key=len)
-    return usual if len(usual) >= _FEW_BESIDE * len(few) else ()
+def usual_condition_windows(pieces: Sequence[int], conditions: Sequence[Sequence[int]]) -> Sequence[int]:
+    """Return the windows of the usual condition if those of another one are few, else none."""
+    usual = max(conditions, key=len)
+    return usual if len(usual) >= _FEW_BESIDE * len(pieces) else ()
 
 
 def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Healthy:
-    """Learn from all healthy pieces but one, with the same model; of windows from those of the same drive."""
-    drives = () if healthy.windows is None else healthy.windows.drives
-    alike = next((drive.pieces for drive in drives if number in drive.pieces), range(len(fits)))
-    others = [fits[n] for n in alike if n != number]
-    usual = [fits[n] for n in usual_condition_windows(alike, [drive.pieces for drive in drives] or [alike])]
+    """Learn from all healthy pieces but one; of windows from those under the same condition."""
+    conditions = () if healthy.windows is None else healthy.windows.drives
+    same_condition = next(
+        (condition.pieces for condition in conditions if number in condition.pieces), range(len(fits))
+    )
+    others = [fits[n] for n in same_condition if n != number]
+    usual = [
+        fits[n]
+        for n in usual_condition_windows(
+            same_condition, [condition.pieces for condition in conditions] or [same_condition]
+        )
+    ]
     if healthy.windows is None:
         centre, covariance, freedom = next_piece(others, START_SPREAD)
     else:
@@ -130,11 +137,8 @@ def learn_without(healthy: Healthy, fits: Sequence[Fitted], number: int) -> Heal
     )
 
 
-def learn_starts(fits: Sequence[Identified]) -> Healthy:
-    """Learn the distribution of the next start from one or more healthy starts, fitted with the same model.
-
-    The prior standard deviation of every quantity is 2 %.
-    """
+def learn_starts(fits: Sequence[StartFit]) -> Healthy:
+    """Learn the distribution of the next start from healthy starts, fitted with the same model."""
     centre, covariance, freedom = next_piece(fits, START_SPREAD)
     noise = np.log([max(fit.noise_a, 1e-12) for fit in fits])
     ripple = np.log([pair for pair in map(ripple_quantities, fits) if pair is not None])
@@ -157,7 +161,7 @@ def learn_starts(fits: Sequence[Identified]) -> Healthy:
     return Healthy(len(fits), freedom, fits[0].quantity_names, np.exp(centre), covariance, starts=starts)
 
 
-def explain_disagreement(fits: Sequence[Identified]) -> str | None:
+def explain_disagreement(fits: Sequence[StartFit]) -> str | None:
     """Explain which quantity differs too much between healthy starts; None if they agree."""
     logs = np.array([fit.log_values for fit in fits])
     for name, column in zip(fits[0].quantity_names, logs.T, strict=True):
@@ -167,7 +171,7 @@ def explain_disagreement(fits: Sequence[Identified]) -> str | None:
     return None
 
 
-def explain_outlier(fits: Sequence[Identified], number: int) -> str | None:
+def explain_outlier(fits: Sequence[StartFit], number: int) -> str | None:
     """Explain why a healthy start is an outlier; None if it agrees with the others."""
     others = np.array([fit.log_values for n, fit in enumerate(fits) if n != number])
     if len(others) < 2:
@@ -186,17 +190,19 @@ def explain_outlier(fits: Sequence[Identified], number: int) -> str | None:
 def detectable_changes(
     motor: Motor, fits: Sequence[Fitted], temperature_c: float | None, rate: float
 ) -> tuple[dict[str, float], dict[str, int]]:
-    """Return the smallest changes that the next piece shows under every drive, by kind of fault.
+    """Return the smallest changes that the next piece shows under every condition, by kind of fault.
 
-    Also return how many pieces, judged by the others, leave a quantity undecided, by its name.
+    Also return the number of pieces that, judged by the others, leave each quantity undecided.
     """
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was just learned
-    drives = () if healthy.windows is None else healthy.windows.drives
-    taught = [(fits[drive.pieces[0]], healthy.under(drive)) for drive in drives] or [(fits[0], healthy)]
+    conditions = () if healthy.windows is None else healthy.windows.drives
+    learned = [(fits[condition.pieces[0]], healthy.under(condition)) for condition in conditions] or [
+        (fits[0], healthy)
+    ]
     smallest: dict[str, float] = {}
-    for fit, some in taught:
-        reference = _reference(replace(motor, healthy=some), fit, temperature_c)
+    for fit, healthy_there in learned:
+        reference = _reference(replace(motor, healthy=healthy_there), fit, temperature_c)
         hypotheses = form_hypotheses(fit, reference, rate)
         limits = alarm_limits(hypotheses, rate, tests_noise=reference.log_noise is not None)
         for kind, severity in smallest_detectable(hypotheses, reference.own_friction, limits.z).items():
@@ -211,7 +217,7 @@ def detectable_changes(
 
 def _reference(motor: Motor, fit: Fitted, temperature_c: float | None) -> Reference:
     reference = reference_of(
-        motor, fit.quantity_names, are_starts=isinstance(fit, Identified), temperature_c=temperature_c
+        motor, fit.quantity_names, are_starts=isinstance(fit, StartFit), temperature_c=temperature_c
     )
     assert reference is not None  # noqa: S101  # it was learned from these quantities
     return reference

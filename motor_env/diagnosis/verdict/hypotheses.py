@@ -1,8 +1,8 @@
 """Explain the difference between a fitted piece and a healthy motor: by a fault, none, or something else.
 
-The difference d of the logarithms has a covariance C. It is tested along a fault's direction g by
-z = g'C^-1 d / sqrt(g'C^-1 g) and as a whole by d'C^-1 d; with few healthy pieces the quantiles are Student's and
-Fisher's. The load may be unknown: there is a hypothesis for each possible cause of the drag.
+The difference d of the logarithms has a covariance C. It is tested along a fault's direction g by z = g'C^-1 d /
+sqrt(g'C^-1 g) and as a whole by d'C^-1 d; with few healthy pieces the quantiles are Student's and Fisher's. Each
+possible cause of the drag is a hypothesis of its own.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from scipy import linalg, optimize, special
 
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.verdict.healthy_motor import NORMAL_DOF, Reference, add_normal_spread
 from motor_env.diagnosis.verdict.load_hypotheses import LoadHypothesis, possible_loads
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
 NAMES = ("R", "K", "J", "B")
 """Quantities of a window; B is the drag over the speed."""
-EXPONENTS = quantities.matrix(NAMES)
+EXPONENTS = identifiable.matrix(NAMES)
 _HOTTEST_K, _LEAST_FACTOR = 100.0, 0.5  # beyond them no quantity follows the temperature in a straight line
 _SEVERITY_PRIOR = 0.30  # scale of the half-Cauchy prior of a severity
 _HEALTHY_PRIOR = 0.8
@@ -36,7 +36,7 @@ _LARGEST_LOG = 30.0
 # Standard deviation of each parameter beside a fault, over the square of the fault's step; and the largest step.
 _MODEL_ERROR, _FURTHEST = 0.04, math.log(10.0)
 _LAG_IN_L = 0.3  # of the step of R's logarithm, by which L may move as well
-_R, _L, _VOLTAGE, *_IMITATED = (quantities.PARAMETERS.index(name) for name in "RLVKJB")
+_R, _L, _VOLTAGE, *_IMITATED = (identifiable.PARAMETERS.index(name) for name in "RLVKJB")
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1
 _DIRECTIONS = 4096
 _ROUNDING = 1e6 * float(np.finfo(np.float64).eps)  # of the largest: a smaller variance is none
@@ -50,7 +50,7 @@ class FittedWindow:
     Attributes:
         log_values: logarithms of R, K, J and of the drag over the speed, shape (4,).
         log_covariance: shape (4, 4).
-        whitened: innovations of current and speed over their standard deviations, shape (n, 2); empty if short.
+        whitened: innovations of current and speed over their standard deviations, shape (n, 2).
     """
 
     quantity_names: ClassVar[tuple[str, ...]] = NAMES
@@ -65,7 +65,7 @@ class FittedWindow:
         return self.log_covariance
 
 
-Fitted = Identified | FittedWindow
+Fitted = StartFit | FittedWindow
 """A fitted piece of a recording: a start, or a window of a motor at work."""
 
 
@@ -75,10 +75,10 @@ class Difference:
 
     Attributes:
         log_ratios: of the quantities, shape (n,).
-        covariance: of the logarithms, all uncertainties included, shape (n, n).
+        covariance: of the logarithms, shape (n, n).
         exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
         degrees_of_freedom: of the covariance.
-        response: derivative by the logarithms of (R, L, K, J, B, V), shape (n, 6); the exponents unless given.
+        response: derivative by log (R, L, K, J, B, V), shape (n, 6); by default the exponents.
     """
 
     log_ratios: FloatArray
@@ -98,7 +98,7 @@ class Difference:
         return float(self.log_ratios @ self.inverse @ self.log_ratios)
 
     def p_value(self, squared: float, dimensions: int) -> float:
-        """Return the probability of a squared distance at least as large (Hotelling); 1 for no dimension."""
+        """Return the p-value of a squared distance (Hotelling); 1 for no dimension."""
         if dimensions == 0:
             return 1.0
         return float(special.fdtrc(dimensions, self.degrees_of_freedom, max(squared, 0.0) / dimensions))
@@ -111,9 +111,9 @@ class Change:
     Attributes:
         name: the quantity.
         ratio: fitted over reference.
-        low, high: interval of the ratio, 95 %, the reference's uncertainty included.
-        verdict: `moved` if there is an alarm and 1 lies outside the interval at the rate of false alarms; `undecided`
-            if a doubling would not be found in 95 of 100 cases; else `healthy`.
+        low, high: 95 % interval of the ratio.
+        verdict: `moved` if an alarm finds 1 outside the interval; `undecided` if a doubling would be found in fewer
+            than 95 of 100 cases; else `healthy`.
     """
 
     name: str
@@ -157,26 +157,27 @@ class Explanation:
 
 
 def alarm_share(rate: float, exponents: FloatArray) -> float:
-    """Return the rate of one test: those of the faults, the noise and the whole share it (Bonferroni)."""
-    return rate / (len(quantities.nameable_kinds(exponents)) + _NOISE_AND_OMNIBUS)
+    """Share a rate among the tests of the faults, the noise and the whole (Bonferroni)."""
+    return rate / (len(identifiable.nameable_kinds(exponents)) + _NOISE_AND_OMNIBUS)
 
 
 @lru_cache(maxsize=16)
 def _directions(dimensions: int) -> FloatArray:
-    """Draw evenly spread unit vectors, always the same, shape (n, dimensions)."""
+    """Draw isotropic unit vectors, always the same, shape (n, dimensions)."""
     drawn = np.random.default_rng(1958).standard_normal((_DIRECTIONS, dimensions))
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True), dtype=np.float64)
 
 
 def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, freedom: float) -> float:
-    """Find the rate of one test at which those of the faults and of the whole together alarm at `rate`.
+    """Find the rate of one test at which all tests of faults and of the whole together alarm at `rate`.
 
-    The whitened difference of a healthy motor is an evenly spread direction times an independent length. In each
-    direction the tests alarm beyond some length, of which Fisher's distribution gives the probability.
+    The whitened difference of a healthy motor has an isotropic direction and an independent length. Fisher's
+    distribution gives the probability of a length beyond the nearest limit in each direction.
     """
     n, root = len(covariance), np.linalg.inv(np.linalg.cholesky(covariance))
     axes = [
-        root @ quantities.visible_direction(kind, exponents) for kind in quantities.nameable_kinds(exponents)
+        root @ identifiable.visible_direction(kind, exponents)
+        for kind in identifiable.nameable_kinds(exponents)
     ]
     along = np.max(_directions(n) @ np.transpose([axis / np.linalg.norm(axis) for axis in axes]), axis=1)
 
@@ -193,14 +194,13 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
 
 
 def covariance_with_fault(difference: Difference, kind: FaultKind, step: float) -> FloatArray:
-    """Return the covariance beside a fault, shape (n, n): each parameter may move by a share of its squared step.
+    """Return the covariance in the presence of a fault, shape (n, n).
 
-    The model is less exact the larger the fault. A lag of sensor or supply without a term is fitted as L, in proportion
-    to R.
+    The model error of each parameter grows with the squared step. An unmodelled lag is fitted as L, in proportion to R.
     """
     parameters = difference.exponents[:, :_VOLTAGE]
     variances = np.full(_VOLTAGE, _MODEL_ERROR * min(abs(step), _FURTHEST) ** 2) ** 2
-    variances[_L] += (_LAG_IN_L * step * quantities.fault_direction(kind)[_R]) ** 2
+    variances[_L] += (_LAG_IN_L * step * identifiable.fault_direction(kind)[_R]) ** 2
     return np.asarray(difference.covariance + parameters * variances @ parameters.T, dtype=np.float64)
 
 
@@ -213,17 +213,17 @@ def project(difference: Difference, direction: FloatArray) -> tuple[float, float
 
 
 def residual_p_value(difference: Difference, moved: FloatArray, covariance: FloatArray) -> float:
-    """Return the p-value of what is left after a fault has moved the quantities, shape (n,)."""
+    """Return the p-value of the residual of a fault."""
     rest = difference.log_ratios - moved
     return difference.p_value(float(rest @ np.linalg.solve(covariance, rest)), len(rest) - 1)
 
 
 def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
-    """Explain a difference by each visible fault; by default by those that the quantities can name."""
+    """Explain a difference by each visible fault, by default by each that the quantities can name."""
     response = difference.exponents if difference.response is None else difference.response
     explanations = []
-    for kind in quantities.nameable_kinds(difference.exponents) if kinds is None else kinds:
-        direction = quantities.visible_direction(kind, response)
+    for kind in identifiable.nameable_kinds(difference.exponents) if kinds is None else kinds:
+        direction = identifiable.visible_direction(kind, response)
         if np.linalg.norm(direction) >= _LEAST:
             z, step, step_sd = project(difference, direction)
             covariance = covariance_with_fault(difference, kind, step)
@@ -233,11 +233,11 @@ def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) 
 
 
 def is_separable(difference: Difference, kind: FaultKind) -> bool:
-    """Whether R and L alone confirm a fault: no magnet, inertia or load imitates it there.
+    """Whether R and L alone confirm a fault: they do not move with magnet, inertia or load.
 
-    Shorted turns move K too; a warm winding hides their R, and without L only K is left of them.
+    Shorted turns move K too, as a weak magnet does; a warm winding hides their R.
     """
-    direction = quantities.visible_direction(kind, difference.exponents)
+    direction = identifiable.visible_direction(kind, difference.exponents)
     winding = ~difference.exponents[:, _IMITATED].any(axis=1)
     if not direction[winding].any() or not direction[~winding].any():
         return True
@@ -247,7 +247,7 @@ def is_separable(difference: Difference, kind: FaultKind) -> bool:
 
 
 def smallest_changes(difference: Difference, limit: float) -> dict[str, float]:
-    """Return the severity of each fault that is found in 95 of 100 cases, for a limit in standard deviations."""
+    """Return the severity of each fault that is found in 95 of 100 cases, by a limit in standard deviations."""
     return {
         str(fault.kind): severity_of(fault.kind, (limit + _POWER_QUANTILE) * fault.step_sd)
         for fault in explain(difference)
@@ -273,14 +273,14 @@ def compare(
     *,
     is_alarm: bool,
 ) -> tuple[Change, ...]:
-    """Compare quantities with their reference.
+    """Find the change of each quantity.
 
     Args:
         names: the quantities.
         difference: of the logarithms, shape (n,).
-        covariance: of the difference, shape (n, n).
+        covariance: shape (n, n).
         freedom: degrees of freedom of the covariance.
-        limit: standard deviations beyond which a difference is significant.
+        limit: of significance, in standard deviations.
         is_alarm: whether quantities may have moved.
     """
     half = -float(special.stdtrit(freedom, 0.025))
@@ -296,7 +296,7 @@ def compare(
 
 
 def _log_density(points: FloatArray, covariance: FloatArray, freedom: int) -> FloatArray:
-    """Return the log density of Student's t at rows of n; a singular covariance, shape (n, n), counts on its axes."""
+    """Return the log density of Student's t at rows, on the axes of a covariance that may be singular."""
     n = len(covariance)
     sizes, axes = linalg.eigh(covariance)
     present = sizes > _ROUNDING * np.max(np.abs(sizes))
@@ -333,7 +333,7 @@ def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str
 
 
 class Hypothesis(NamedTuple):
-    """A piece against its reference under one hypothesis of its load; `faults` may explain the difference."""
+    """Difference of a piece from its reference under one hypothesis of its load, and its possible faults."""
 
     load: LoadHypothesis
     difference: Difference
@@ -347,14 +347,14 @@ class Hypothesis(NamedTuple):
 
 
 def form_hypotheses(fit: Fitted, reference: Reference, rate: float) -> list[Hypothesis]:
-    """Compare a fit with a reference at a rate of false alarms: without a load, and under each possible load.
+    """Compare a fit with a reference without a load, and under each possible load.
 
-    The fit of a motor at work has terms for loads, so only a start has several hypotheses.
+    Only a start has several: the fit of a motor at work has terms for loads.
     """
     rows, same_warmth = shared_rows(fit, reference), covariance_at_one_temperature(fit, reference)
     exponents, freedom, hypotheses = fit.exponents[rows], reference.degrees_of_freedom, []
     share = alarm_share(rate, exponents)
-    if isinstance(fit, Identified):
+    if isinstance(fit, StartFit):
         loads = possible_loads(fit, reference.own_friction)
     else:
         loads = [LoadHypothesis(None, fit.exponents, reference.own_friction or 1.0)]
@@ -372,7 +372,7 @@ def form_hypotheses(fit: Fitted, reference: Reference, rate: float) -> list[Hypo
 def _linearise_warming(
     ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
 ) -> FloatArray:
-    """Correct log ratios, shape (n,), so that they move in proportion to the temperature, as the factors do."""
+    """Linearise the effect of the temperature on log ratios, shape (n,)."""
     if temperature_k == 0.0:
         return ratios
     kelvin, _ = estimate_warming(ratios, spread, warmth, temperature_k)
@@ -383,7 +383,7 @@ def _linearise_warming(
 def estimate_warming(
     ratios: FloatArray, spread: FloatArray, warmth: FloatArray, temperature_k: float
 ) -> tuple[float, float]:
-    """Estimate how much warmer a motor is, in kelvin: the posterior mean and its standard deviation."""
+    """Estimate the warming of a motor in kelvin: posterior mean and standard deviation."""
     slope = np.linalg.solve(spread, warmth)
     precision = float(slope @ warmth) + temperature_k**-2
     return float(slope @ ratios) / precision, 1.0 / math.sqrt(precision)
@@ -397,7 +397,7 @@ def shared_rows(fit: Fitted, reference: Reference) -> list[int]:
 def smallest_detectable(hypotheses: list[Hypothesis], own: float | None, limit: float) -> dict[str, float]:
     """Return the smallest severity of each fault that is found in 95 of 100 cases under every hypothesis.
 
-    If the motor's `own` share of the drag is known, a bearing fault is one of its own friction.
+    `own` is the motor's share of the drag, if known: the unit of a bearing fault.
     """
     smallest: dict[str, float] = {}
     for hypothesis in hypotheses:
@@ -407,17 +407,17 @@ def smallest_detectable(hypotheses: list[Hypothesis], own: float | None, limit: 
 
 
 def severity_unit(kind: str, own: float | None) -> float:
-    """Return the unit of a severity: a bearing fault counts in the motor's own friction, if known."""
+    """Return the unit of a severity: of a bearing fault the motor's own friction, if known."""
     return own if own is not None and kind == FaultKind.BEARING else 1.0
 
 
 def covariance_at_one_temperature(fit: Fitted, reference: Reference) -> FloatArray:
-    """Return the covariance of the difference to a healthy motor that is as warm, shape (n, n).
+    """Return the covariance of the difference from a healthy motor at the same temperature, shape (n, n).
 
-    Healthy pieces include errors of fits like this one. If this piece is shorter or noisier, its excess error is added.
+    Healthy pieces include such a fit's error; the excess error of a shorter or noisier piece is added.
     """
     healthy, rows = reference.log_covariance, shared_rows(fit, reference)
     own = fit.white_covariance if reference.includes_fit_error else fit.log_covariance
     error = own[np.ix_(rows, rows)]
-    added = beyond(healthy, error) if reference.includes_fit_error else error
+    added = excess_covariance(healthy, error) if reference.includes_fit_error else error
     return np.asarray((healthy + added) * reference.excess, dtype=np.float64)

@@ -7,21 +7,21 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from motor_env.common.console import ExitStatus
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.readers.recording import Recording
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken
+from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.verdict.healthy_motor import Reference
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
 from motor_env.filters.consistency import Consistency, check_consistency
 from motor_env.motor.faults import FaultKind
 
 SURE_OF_KIND = 0.95
-"""Posterior probability below which a verdict names no kind of its family."""
+"""Least posterior probability of a named kind."""
 _FEWEST_FOR_WHITENESS = 40
 
 
 class Verdict(StrEnum):
-    """Verdict on a recording: healthy, a family of faults, or why there is none."""
+    """Verdict on a recording: healthy, a family of faults, or none."""
 
     HEALTHY = "healthy"
     BEARING = "bearing"
@@ -47,7 +47,7 @@ class Verdict(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> Verdict | None:
-        """Return the verdict of a fault kind that was registered from outside the package."""
+        """Return the verdict of a registered fault kind."""
         if value not in {kind.verdict for kind in FaultKind}:
             return None
         word = str.__new__(cls, value)
@@ -63,15 +63,15 @@ class Judgement:
     """Verdict on one piece of a recording, and its evidence.
 
     Attributes:
-        verdict: family of the fault, healthy, or why there is none.
+        verdict: on the piece.
         reasons: sentences.
         severity: size of the fault as a fraction; 0 for a healthy motor.
-        severity_interval: 95 %; None without a size.
+        severity_interval: 95 %.
         confidence: posterior probability of the verdict.
         fault_kind: the most probable kind of the family.
         kind_probability: posterior probability of that kind.
         fit: the fitted piece, if any.
-        reference: what it was compared with.
+        reference: of the comparison.
         changes: of each quantity from the reference.
         smallest_changes: severity of each fault that is found in 95 of 100 cases.
         begin_s: begin of the piece on the recording's clock.
@@ -93,11 +93,11 @@ class Judgement:
     duration_s: float = 0.0
 
     def on(self, piece: Recording) -> Judgement:
-        """Return the judgement with the time of its piece in the recording."""
+        """Return the judgement with the time of its piece."""
         return replace(self, begin_s=float(piece.time_s[0]), duration_s=len(piece.time_s) * piece.dt_s)
 
     def as_other(self, *reasons: str) -> Judgement:
-        """Return the judgement that something else is wrong, for these reasons, without kind and size."""
+        """Return the verdict `other` with these reasons, without kind and size."""
         return replace(
             self,
             verdict=Verdict.OTHER,
@@ -113,29 +113,29 @@ class Judgement:
         return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
 
     @property
-    def identified(self) -> Identified | None:
+    def identified(self) -> StartFit | None:
         """Fit of a start; None for other pieces."""
-        return self.fit if isinstance(self.fit, Identified) else None
+        return self.fit if isinstance(self.fit, StartFit) else None
 
     @property
     def consistency(self) -> Consistency | None:
-        """Mean, size and whiteness of the fit's innovations; None without a fit, or with too few of them."""
+        """Consistency of the fit's innovations; None with too few of them."""
         if self.fit is None or len(self.fit.whitened) <= _FEWEST_FOR_WHITENESS:
             return None
         return check_consistency(self.fit.whitened)
 
     @property
     def warning(self) -> str:
-        """Sentence that the recording is not consistent with the fitted model; empty if it is."""
+        """Sentence on an inconsistent fit; empty if consistent."""
         return "" if self.consistency is None else self.consistency.warning
 
 
 @dataclass(frozen=True, slots=True)
-class Diagnosis:
+class JudgedRecording:
     """Verdict on a recording, by judgements on its pieces; for attributes see `diagnose.Diagnosis`."""
 
     recording: Recording
-    taken: Taken
+    taken: RegimeDecision
     pieces: tuple[Judgement, ...]
     of: int = 1
     periods_per_turn: float | None = None
@@ -144,7 +144,7 @@ class Diagnosis:
     def decisive(self) -> Judgement:
         """The piece that decides the verdict.
 
-        It is the surest one of the most frequent fault; without a fault the first healthy piece, else the first.
+        It is the surest of the most frequent fault, else the first healthy one, else the first.
         """
         faults = [piece for piece in self.pieces if piece.verdict.is_fault]
         count = Counter(piece.verdict for piece in faults)
@@ -174,7 +174,7 @@ class Diagnosis:
 
     @property
     def kind(self) -> FaultKind | None:
-        """Kind of the fault, if it is distinguished from others of its family."""
+        """Kind of the fault, if distinguished from others of its family."""
         return self.decisive.kind
 
     @property

@@ -1,7 +1,7 @@
-"""Effect of a fault on the textbook fit of a start, which takes any load for viscous friction.
+"""Compute the effect of a fault on the textbook fit of a loaded start.
 
-First find the motor with that load whose start the textbook would fit like this one. A fault of that motor moves
-current and speed, and so the textbook's parameters.
+The textbook takes any load for viscous friction. Find the loaded motor whose start has this textbook fit; then fit the
+start of that motor with a fault.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.readers.start import mean_tail
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.parameters import FloatArray
 
 LOADS = {"constant": "a constant load", "fan": "a load that grows with the square of the speed"}
@@ -22,16 +22,16 @@ _OF_THE_DRAG = 0.95  # the load's share: the rest stays viscous
 _STEP = 0.01
 _ROUNDS = 4
 _FARTHEST = 3.0  # logarithm of a factor on a parameter
-_FRICTION = quantities.PARAMETERS.index("B")
+_FRICTION = identifiable.PARAMETERS.index("B")
 
 
 @dataclass(frozen=True, slots=True)
 class LoadHypothesis:
-    """A hypothesis of what makes the drag of a start.
+    """Hypothesis of the drag of a start.
 
     Attributes:
-        name: of `LOADS`, for most of it; None for viscous friction.
-        response: how the logarithms of the start's quantities move with those of R, L, K, J, the drag and V, (n, 6).
+        name: of `LOADS`; None for viscous friction.
+        response: derivatives of the start's log quantities by log R, L, K, J, drag and V, shape (n, 6).
         own_friction: the motor's own share of the drag.
     """
 
@@ -41,12 +41,12 @@ class LoadHypothesis:
 
     @property
     def warmth(self) -> FloatArray:
-        """Change of the logarithms per kelvin, shape (n,); a load does not fall with the temperature."""
-        return quantities.warmth_direction(self.response, self.own_friction)
+        """Change of the logarithms per kelvin, shape (n,); none of a load."""
+        return identifiable.warmth_direction(self.response, self.own_friction)
 
 
-def possible_loads(fit: Identified, own: float | None) -> list[LoadHypothesis]:
-    """Return what may make the drag, viscous friction first; `own` is the motor's share of it, None if unknown.
+def possible_loads(fit: StartFit, own: float | None) -> list[LoadHypothesis]:
+    """Return the hypotheses, viscous friction first; `own` is the motor's share of the drag, None if unknown.
 
     Dry friction looks like a constant load, and is the motor's own.
     """
@@ -64,11 +64,10 @@ def possible_loads(fit: Identified, own: float | None) -> list[LoadHypothesis]:
     ]
 
 
-def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | None:
+def _response(fit: StartFit, load: str, inverse: FloatArray) -> FloatArray | None:
     """Return the response of a `LoadHypothesis`; None if no motor with that load looks like this start.
 
-    More drag is a torque that does not depend on the speed, as that of a faulty bearing. `inverse` is
-    `_textbook_inverse`.
+    A faulty bearing adds a torque independent of the speed. `inverse` is `_textbook_inverse`.
     """
     free, textbook, motor = _free_parameters(fit), _simulate(fit, np.zeros(5)), np.zeros(5)
     for _ in range(_ROUNDS):
@@ -82,52 +81,52 @@ def _response(fit: Identified, load: str, inverse: FloatArray) -> FloatArray | N
     return np.column_stack([fit.exponents[:, free] @ textbooks, fit.exponents[:, -1]])
 
 
-def _textbook_inverse(fit: Identified) -> FloatArray:
-    """Return how the free logarithms of a textbook fit follow samples of `_simulate`, shape (n_free, n_samples)."""
+def _textbook_inverse(fit: StartFit) -> FloatArray:
+    """Return the slopes of free log parameters by samples of `_simulate`, shape (n_free, n_samples)."""
     textbook = _simulate(fit, np.zeros(5))
     columns = [(_simulate(fit, _STEP * np.eye(5)[n]) - textbook) / _STEP for n in _free_parameters(fit)]
     later = (_simulate(fit, np.zeros(5), late=_STEP) - textbook) / _STEP
     slopes = np.stack([*columns, later], axis=1)
-    # What the start hardly tells, such as L at a slow rate, stays: each logarithm, and a sample of delay, by 1 (1 sd).
+    # Ridge: a prior of 1 (sd) on each logarithm and on the delay in samples holds what the start hardly determines.
     inverse = np.linalg.solve(slopes.T @ slopes + np.eye(slopes.shape[1]), slopes.T)[:-1]
     return np.asarray(inverse, dtype=np.float64)
 
 
-def _free_parameters(fit: Identified) -> list[int]:
-    """Return which of R, L, K, J and B are free in the fit: K if the speed was recorded."""
+def _free_parameters(fit: StartFit) -> list[int]:
+    """Return which of R, L, K, J and B are free: K only with a speed."""
     has_speed = fit.start.speed_rad_s is not None
-    return [n for n, name in enumerate(quantities.PARAMETERS[:-1]) if name != "K" or has_speed]
+    return [n for n, name in enumerate(identifiable.PARAMETERS[:-1]) if name != "K" or has_speed]
 
 
 def _simulate(
-    fit: Identified,
+    fit: StartFit,
     logs: FloatArray,
     load: str | None = None,
     *,
     added: float = 0.0,
     late: float = 0.0,
 ) -> FloatArray:
-    """Simulate the current, and the speed if recorded, each over the fit's residual.
+    """Simulate current and recorded speed, each over the fit's residual.
 
     Args:
         fit: the start.
         logs: of factors on R, L, K, J and B of the fit, shape (5,).
-        load: what makes the drag; None for the textbook.
+        load: of `LOADS`; None for the textbook.
         added: friction torque of a bearing, over the drag.
-        late: how much later it starts, in samples.
+        late: delay in samples.
     """
     p, speed = fit.physical, abs(mean_tail(fit.states[:, 1]))
-    drag = p[places.B] * speed
-    p[[places.R, places.L, places.K, places.J, places.B]] *= np.exp(logs)
+    drag = p[index.B] * speed
+    p[[index.R, index.L, index.K, index.J, index.B]] *= np.exp(logs)
     if load is not None:
-        carried = _OF_THE_DRAG * p[places.B] * speed
-        p[places.B] *= 1.0 - _OF_THE_DRAG
+        carried = _OF_THE_DRAG * p[index.B] * speed
+        p[index.B] *= 1.0 - _OF_THE_DRAG
         constant, fan = (carried, 0.0) if load == "constant" else (0.0, carried)
-        p[places.COULOMB], p[places.SQUARE] = constant + added * drag, fan / speed**2
+        p[index.COULOMB], p[index.SQUARE] = constant + added * drag, fan / speed**2
     if fit.start.voltage_v is None:
-        p[places.ONSET] += late * fit.start.dt_s
+        p[index.ONSET] += late * fit.start.dt_s
     else:
-        p[places.DELAY] += late
+        p[index.DELAY] += late
     states = fit.solution.problem.record.predict(p, learn=False)[0][:, 2:4]
     channels = [states[:, 0] / np.std(fit.residual_a)]
     if fit.start.speed_rad_s is not None:

@@ -1,4 +1,4 @@
-"""Self-contained HTML pages: a verdict with what to do first and what it rests on; fits beside what was measured."""
+"""Draw self-contained HTML pages of verdicts and of fits."""
 
 from __future__ import annotations
 
@@ -9,15 +9,150 @@ import numpy as np
 
 from motor_env.common.console import printable
 from motor_env.common.pages import Axis, Chart, render, round_ticks
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.operation_fit import OperationFit as Operation
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
-from motor_env.diagnosis.estimation.starts.start_prior import absolute_parameters as absolute
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.operation_fit import OperationFit
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
+from motor_env.diagnosis.estimation.starts.start_prior import absolute_parameters
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
-from motor_env.diagnosis.verdict.judgement import Diagnosis, Judgement, Verdict
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
 from motor_env.diagnosis.verdict.report_text import as_text, describe_r2, warnings_of
-from motor_env.diagnosis.verdict.verdict_texts import KIND_TEXTS, RUN_ON_TEXTS, SIZE_TEXTS, VERDICT_TEXTS
+from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
+
+KIND_TEXTS = {
+    "bearing": "more friction",
+    "winding_contact": "more winding resistance",
+    "winding_short": "shorted turns",
+    "magnet": "weaker magnets",
+}
+SIZE_TEXTS = {
+    FaultKind.BEARING: "Friction up by {}",
+    FaultKind.WINDING_CONTACT: "Winding resistance up by {}",
+    FaultKind.WINDING_SHORT: "{} of the turns shorted",
+    **dict.fromkeys(map(FaultKind, ("current_gain", "speed_gain", "voltage_gain")), "Off by {}"),
+}
+VERDICT_TEXTS: dict[Verdict | FaultKind, tuple[str, ...]] = {
+    Verdict.HEALTHY: (
+        "Healthy",
+        "Nothing to do. Keep this recording: more healthy starts make smaller faults visible.",
+    ),
+    Verdict.BEARING: (
+        "More friction: bearing, lubricant or load",
+        "Switch off, lock out, and turn the shaft by hand: rough, stiff or noisy?",
+        "Uncouple the load and record another start. Still high: bearings or lubricant. Normal: the driven machine.",
+    ),
+    Verdict.WINDING: (
+        "Winding or brushes",
+        "Tighten and clean the terminals; measure the resistance with four leads at several rotor positions.",
+        "High at all positions: connections or brushes. High or low at some: commutator or winding.",
+    ),
+    FaultKind.WINDING_SHORT: (
+        "Winding: shorted turns",
+        "Take the motor out of service soon: shorted turns heat up and spread.",
+        (
+            "Measure the resistance with four leads at several rotor positions: low at some confirms it. Replace or"
+            " rewind."
+        ),
+    ),
+    Verdict.MAGNET: (
+        "Weak magnets",
+        "Let the motor cool to the temperature of its healthy starts and record again: warm magnets are weaker.",
+        "Still low: compare the no-load speed with the data sheet; it rises as magnets weaken.",
+    ),
+    Verdict.SENSOR: (
+        "A sensor, not the motor",
+        "Of the motor this recording says nothing: mend the sensor first, then record another start.",
+        "Read the quantity with another instrument beside it. Do they differ? Then look at cable, range and scale.",
+    ),
+    FaultKind("current_dead"): (
+        "The current's sensor shows nothing",
+        "Clamp another probe around a lead. Nothing there either: the circuit is open, or a fuse is.",
+        "A current there: check supply, cable and connector of the sensor, and the recorder's channel. Record again.",
+    ),
+    FaultKind("speed_dead"): (
+        "The speed's sensor shows nothing",
+        "Turn the shaft by hand and watch the reading: supply, cable and connector of the encoder or tachometer.",
+        "Look whether its wheel or coupling slips on the shaft. Then record again.",
+    ),
+    **dict.fromkeys(
+        map(FaultKind, ("current_polarity", "speed_polarity", "voltage_polarity")),
+        (
+            "A reading with the wrong sign",
+            "Check which way round probe, encoder and the motor's leads are connected: who worked on them last?",
+            "Turn the one round that differs, and record again; its size may be right.",
+        ),
+    ),
+    **dict.fromkeys(
+        map(FaultKind, ("current_clipped", "speed_clipped")),
+        (
+            "A reading at the end of its range",
+            "Choose a range of which the peak fills half, and record again: from before switching on.",
+            "Still flat: the supply limits the current, or the counter its rate; look at their settings.",
+        ),
+    ),
+    **dict.fromkeys(
+        map(FaultKind, ("current_stuck", "speed_stuck")),
+        (
+            "A reading that stands still",
+            "Move the cable and watch the reading; look whether the recorder repeats the last sample.",
+            "Switch sensor and recorder off and on, and record again.",
+        ),
+    ),
+    **dict.fromkeys(
+        map(FaultKind, ("current_gain", "speed_gain", "voltage_gain")),
+        (
+            "A scale that changed",
+            "Compare with a second instrument: a clamp meter, a stroboscope, a voltmeter at the terminals under load.",
+            "Check range switch, shunt or divider, pulses a turn and gear; a battery: charge it. Then record again.",
+        ),
+    ),
+    FaultKind("current_offset"): (
+        "A current that does not begin at zero",
+        "Read the current with the motor's lead off: what shows then is the offset. Balance the sensor there.",
+        "It comes back: look for a magnet or a high current beside the sensor.",
+    ),
+    FaultKind("swapped"): (
+        "Columns that are swapped",
+        "Check the order of the columns and which cable is in which channel: unplug one and see which reading stops.",
+        "Name the columns with --column, or swap the cables, and diagnose again.",
+    ),
+    Verdict.NOISE: (
+        "Noisy current",
+        "Check brushes and commutator for sparks and wear, then the probe, its cable and its ground.",
+        "Record again with the probe on another supply line to tell the motor's noise from the sensor's.",
+    ),
+    Verdict.OTHER: (
+        "Something changed that is no single known fault",
+        "Check the recording first: the probe's scale, the units and the supply voltage under Read as, below.",
+        "Is it this motor, with the usual load? Record two more starts; if they agree, take it out for inspection.",
+    ),
+    Verdict.NO_REFERENCE: (
+        "Nothing to compare with",
+        "Record three healthy starts and run: motor-env commission A.csv B.csv C.csv -o motor.toml",
+        "Or write the data sheet into a motor file, and run diagnose again with --motor motor.toml.",
+    ),
+    Verdict.UNUSABLE: (
+        "This recording cannot be judged",
+        "Record again: from before switching on until the current is steady, without clipping.",
+        "Choose the range so that the peak fills half of it, and leave some milliseconds without current before it.",
+    ),
+}
+"""The heading of a verdict, or of a kind of its own, and what to do first."""
+
+RUN_ON_TEXTS: dict[Verdict | FaultKind, str] = {
+    Verdict.HEALTHY: "It may run on.",
+    Verdict.BEARING: "It may run on to the next stop while it stays cool and quiet: friction heats it, and may jam it.",
+    Verdict.WINDING: "It may run on to the next stop at a light load: a bad contact heats up, and may open.",
+    FaultKind.WINDING_SHORT: "It should not run on: shorted turns heat up and spread.",
+    Verdict.MAGNET: "It may run on with less torque: under the same load it draws more current and gets hotter.",
+    Verdict.SENSOR: "The motor is not judged. Let it run on only where nothing relies on this reading.",
+    Verdict.NOISE: "It may run on while the brushes do not spark.",
+    Verdict.OTHER: "Not known: stop it at the next occasion and look.",
+    Verdict.NO_REFERENCE: "Not known from this recording.",
+    Verdict.UNUSABLE: "Not known from this recording.",
+}
+"""Whether the motor may run on, by verdict or kind."""
+
 
 _WIDTH = 480.0  # so narrow that its numbers can be read on a phone
 _RATIOS = (1.0, 0.5, 2.0, 0.25, 4.0, 0.125, 8.0, 1.5, 0.75, 1.25, 0.8, 1.1, 0.9, 1.05, 0.95)
@@ -38,7 +173,7 @@ _QUANTITY = {
 }
 
 
-def page(diagnosis: Diagnosis) -> str:
+def page(diagnosis: JudgedRecording) -> str:
     """Draw the page of a diagnosis."""
     decisive, verdict = diagnosis.decisive, diagnosis.verdict
     fit, expected = decisive.identified, reference_current(decisive)
@@ -77,7 +212,7 @@ def page(diagnosis: Diagnosis) -> str:
 
 
 def page_of_fits(
-    title: str, fits: Mapping[str, Identified | Operation], *, spread: str = "", note: str = ""
+    title: str, fits: Mapping[str, StartFit | OperationFit], *, spread: str = "", note: str = ""
 ) -> str:
     """Draw the page of fits: measured beside fitted current and speed, and the residuals.
 
@@ -104,9 +239,9 @@ def page_of_fits(
     )
 
 
-def _fit_charts(fit: Identified | Operation) -> Iterator[str]:
-    """Draw current and speed with their residuals, of a log also the voltage, without uncounted samples."""
-    if isinstance(fit, Identified):
+def _fit_charts(fit: StartFit | OperationFit) -> Iterator[str]:
+    """Draw current and speed with residuals, of a log also the voltage, without uncounted samples."""
+    if isinstance(fit, StartFit):
         time, unit = 1e3 * (fit.start.time_s - fit.onset_s), "ms"
         measured = [fit.start.current_a, fit.start.speed_rad_s]
         counted = [fit.start.counted, np.full(len(time), fill_value=True)]
@@ -119,12 +254,12 @@ def _fit_charts(fit: Identified | Operation) -> Iterator[str]:
     for (name, symbol), values, fitted, rows in zip(channels, measured, fit.expected.T, counted, strict=True):
         if values is None:
             continue
-        kept = np.flatnonzero(rows)
-        kept = kept[:: max(len(kept) // _MOST_POINTS, 1)]
-        both = {"measured": values[kept], "healthy": fitted[kept]}
-        yield _chart(time[kept], both, symbol, f"{name}, measured and fitted", time_unit=unit)
-        residual = {"beyond": values[kept] - fitted[kept]}
-        yield _chart(time[kept], residual, symbol, f"{name}: residual", time_unit=unit)
+        rows_shown = np.flatnonzero(rows)
+        rows_shown = rows_shown[:: max(len(rows_shown) // _MOST_POINTS, 1)]
+        curves = {"measured": values[rows_shown], "healthy": fitted[rows_shown]}
+        yield _chart(time[rows_shown], curves, symbol, f"{name}, measured and fitted", time_unit=unit)
+        residual = {"beyond": values[rows_shown] - fitted[rows_shown]}
+        yield _chart(time[rows_shown], residual, symbol, f"{name}: residual", time_unit=unit)
 
 
 def spread_chart(fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, Any]]) -> str:
@@ -150,23 +285,23 @@ def _size(judgement: Judgement) -> str:
 def reference_current(judgement: Judgement) -> FloatArray | None:
     """Simulate the current of the reference's motor in this start, shape (n,); None without a reference.
 
-    If only the current was recorded, K is that of the fit: the current depends on K^2/J and B/J only.
+    Without a speed, K is that of the fit: the current depends on K^2/J and B/J only.
     """
     fit, reference = judgement.identified, judgement.reference
     if fit is None or reference is None:
         return None
     believed = float(np.max(fit.parameters.back_emf_constant_v_s_per_rad))
-    value = absolute(
+    value = absolute_parameters(
         dict(zip(fit.quantity_names, fit.values.tolist(), strict=True)) | reference.values, believed
     )
     physical = fit.physical
     for name in "RLKJB":
-        physical[getattr(places, name)] = value[name]
+        physical[getattr(index, name)] = value[name]
     return fit.run(physical)[:, 0] + fit.start.alignment.offset_a
 
 
 def _bars(changes: tuple[Change, ...], pieces: Mapping[str, FloatArray] | None = None) -> str:
-    """Draw the change of each quantity, or those of several pieces, with its interval on a logarithmic axis."""
+    """Draw the change of each quantity, or of several pieces, with its interval on a logarithmic axis."""
     height = 34.0 * len(changes)
     chart = Chart(
         _ratio_axis(changes),
@@ -198,17 +333,17 @@ def _ratio_axis(changes: Sequence[Change]) -> Axis:
     edge = float(np.clip(1.1 * widest, 1.1, 8.0))
     ticks: list[float] = []
     for tick in _RATIOS:
-        apart = min((abs(np.log(tick / other)) for other in ticks), default=1.0)
-        if 1.0 / edge <= tick <= edge and apart > 0.36 * np.log(edge):
+        difference = min((abs(np.log(tick / drawn)) for drawn in ticks), default=1.0)
+        if 1.0 / edge <= tick <= edge and difference > 0.36 * np.log(edge):
             ticks.append(tick)
     return Axis("", 1.0 / edge, edge, ticks, lambda ratio: f"{100.0 * (ratio - 1.0):+.0f} %", is_log=True)
 
 
-def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -> tuple[str, str]:
-    """Draw the measured current beside the healthy motor's, and their difference; empty without a healthy motor.
+def _currents(fit: StartFit, expected: FloatArray | None, *, is_fault: bool) -> tuple[str, str]:
+    """Draw the measured current beside the healthy motor's, and their difference; empty without the latter.
 
-    The difference is averaged over a fiftieth of the recording, with the sensor's noise as a band. If the curves of a
-    fault would coincide, only the end of the start is drawn, averaged alike.
+    The difference is averaged over a fiftieth of the recording, with the sensor's noise as a band. If curves of a fault
+    would coincide, only the averaged end is drawn.
     """
     time_ms = 1e3 * (fit.start.time_s - fit.onset_s)
     begin = int(np.searchsorted(time_ms, -_SHOWN_SHARE * time_ms[-1]))
@@ -220,10 +355,13 @@ def _currents(fit: Identified, expected: FloatArray | None, *, is_fault: bool) -
         curves["healthy"] = expected[shown]
     whole_ms, current = time_ms[shown], ""
     if expected is not None and is_fault:
-        apart = np.abs(moving_average(measured - expected, span))[begin:]
-        if np.max(apart) < _COINCIDE * np.ptp(curves["healthy"]):
+        difference = np.abs(moving_average(measured - expected, span))[begin:]
+        if np.max(difference) < _COINCIDE * np.ptp(curves["healthy"]):
             current = _end_chart(
-                time_ms, moving_average(measured, span), moving_average(expected, span), float(np.max(apart))
+                time_ms,
+                moving_average(measured, span),
+                moving_average(expected, span),
+                float(np.max(difference)),
             )
     label = "Measured current and that of the healthy motor"
     current = current or _chart(whole_ms, curves, "A", label)
@@ -252,7 +390,7 @@ def moving_average(values: FloatArray, span: int) -> FloatArray:
 
 
 def _end_chart(time_ms: FloatArray, measured: FloatArray, healthy: FloatArray, apart_a: float) -> str:
-    """Draw both currents from where they have settled; empty if they do not settle."""
+    """Draw both settled currents; empty if they do not settle."""
     moving = np.flatnonzero(np.abs(healthy - healthy[-1]) > 2.0 * apart_a)
     begin = int(moving[-1]) + 1 if moving.size else 0
     if begin > 0.9 * len(healthy):
@@ -274,7 +412,7 @@ def _chart(
     band: float = 0.0,
     time_unit: str = "ms",
 ) -> str:
-    """Draw curves by their style over the time, within limits or their own, and a band about 0."""
+    """Draw curves over the time, within their limits, and a band about 0."""
     begin, end = float(time_ms[0]), float(time_ms[-1])
     low, high = limits or (min(map(np.min, curves.values())), max(map(np.max, curves.values())))
     room = 0.05 * max(high - low, 1e-9)

@@ -8,15 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from motor_env.diagnosis.estimation.starts.start_fit import (
-    StartFit as Identified,
-    constants_at,
-    find_ripple,
-    implausible,
-)
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit, constants_at, find_ripple, implausible
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.diagnosis.verdict.hypotheses import Fitted
-from motor_env.diagnosis.verdict.judgement import Diagnosis, Judgement
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement
 from motor_env.motor.parameters import RAD_S_PER_RPM
 
 TWO_SIDED = 1.96
@@ -46,11 +41,11 @@ _EXTENSION_UNITS = {
     "brush_drop": "V",
 }
 _PER_VOLT = {"coulomb": "N m/V", "brush_drop": "of the supply"}
-"""Units of extensions for a supply of unknown voltage, which counts as 1 V."""
+"""Units of extensions for an unknown voltage, which counts as 1 V."""
 
 
-def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return one object: regime of the recording, its verdict by the decisive piece, and all pieces."""
+def as_json(diagnosis: JudgedRecording) -> dict[str, Any]:
+    """Return one object: regime, verdict of the decisive piece, and all pieces."""
     recording, decisive = diagnosis.recording, diagnosis.decisive
     fit, consistency = decisive.identified, decisive.consistency
     parameters: dict[str, Any] = {} if decisive.fit is None else quantities_json(decisive.fit)
@@ -105,12 +100,12 @@ def _judgement_json(judgement: Judgement) -> dict[str, Any]:
     }
 
 
-def warnings_of(recording: Recording, fit: Identified | None) -> list[str]:
-    """Return sentences on what looks wrong with the columns or the values that they give."""
+def warnings_of(recording: Recording, fit: StartFit | None) -> list[str]:
+    """Return warnings on columns and implausible values."""
     return [*recording.warnings, *([] if fit is None else implausible(fit))]
 
 
-def ripple_json(fit: Identified, periods_per_turn: float | None) -> dict[str, Any] | None:
+def ripple_json(fit: StartFit, periods_per_turn: float | None) -> dict[str, Any] | None:
     """Return speed and constants by the commutation ripple; None without one."""
     ripple = find_ripple(fit)
     if ripple is None:
@@ -166,7 +161,7 @@ def exp_or_none(log: float) -> float | None:
     return math.exp(log) if log < _LARGEST_LOG else None
 
 
-def extensions_json(fit: Identified) -> dict[str, Any]:
+def extensions_json(fit: StartFit) -> dict[str, Any]:
     """Return the extensions with standard errors and intervals, 95 %."""
     units = _EXTENSION_UNITS if fit.start.voltage_known else _EXTENSION_UNITS | _PER_VOLT
     return {
@@ -198,8 +193,8 @@ def finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
-    """Describe a diagnosis for a maintenance engineer; `verbose` adds how well model and filter fit."""
+def as_text(diagnosis: JudgedRecording, *, verbose: bool = False) -> str:
+    """Describe a diagnosis for a maintenance engineer; `verbose` adds the quality of the fit."""
     recording, decisive, fit = diagnosis.recording, diagnosis.decisive, diagnosis.decisive.identified
     several = diagnosis.pieces if len(diagnosis.pieces) > 1 else ()
     lines = [
@@ -223,7 +218,7 @@ def as_text(diagnosis: Diagnosis, *, verbose: bool = False) -> str:
     return "\n".join(lines)
 
 
-def _count_agreeing(diagnosis: Diagnosis) -> str:
+def _count_agreeing(diagnosis: JudgedRecording) -> str:
     """Count the pieces with the same verdict, in words."""
     same = sum(piece.verdict is diagnosis.verdict for piece in diagnosis.pieces)
     word = "windows" if diagnosis.taken.regime == "operation" else "starts"
@@ -231,7 +226,7 @@ def _count_agreeing(diagnosis: Diagnosis) -> str:
     return f"; {same} of {len(diagnosis.pieces)} {word}{judged}"
 
 
-def _piece_line(diagnosis: Diagnosis, piece: Judgement) -> str:
+def _piece_line(diagnosis: JudgedRecording, piece: Judgement) -> str:
     """Format one of several pieces: begin, verdict, and changes of its quantities."""
     moved = ", ".join(f"{c.name} {c.ratio - 1.0:+.1%}" for c in piece.changes)
     mark = " <" if piece is diagnosis.decisive else ""
@@ -259,14 +254,14 @@ def _piece_table(judgement: Judgement) -> list[str]:
 
 
 def describe_friction_share(own: float | None) -> str:
-    """Say which friction a bearing fault counts in; `own` is the motor's share of the drag, if known."""
+    """Name the unit of a bearing fault; `own` is the motor's share of the drag, if known."""
     if own is None:
         return "bearing: of the whole drag, any load included"
     return "bearing: of the motor's own friction" + (f", {own:.0%} of the drag" if own < 1.0 else "")
 
 
 def expert_lines(judgement: Judgement) -> list[str]:
-    """Describe how well model and filter fit."""
+    """Describe the quality of the fit."""
     fit, consistency = judgement.identified, judgement.consistency
     lines = []
     if fit is not None:

@@ -1,4 +1,4 @@
-"""Scaling errors of columns that make a healthy motor look faulty: a unit, a probe's scale, a clock.
+"""Find scaling errors of columns that resemble faults: a unit, a probe's scale, a clock.
 
 A column that is g times too large multiplies each quantity by a power of g, by V = R i + L di/dt + K w and
 J dw/dt = K i - B w.
@@ -51,7 +51,7 @@ _ROUND = (2.0, 10.0, 100.0, 1e3)
 _NEAR, _SURE = 0.05, 3.0  # of a factor, and its standard errors, within which it is a unit's
 _FAR, _NOT_NEAR = math.log(3.0), math.log(1.5)
 _MOST = {"B": math.log(10.0), "R": math.log(10.0)}
-"""Logarithm of the largest wear of friction and R; `_FAR` for anything else."""
+"""Logarithm of the largest plausible wear; `_FAR` for anything else."""
 BEYOND_WEAR = (
     "so large a change is no wear: is this the right motor? It is another motor or load, or no motor at all, or"
     " columns, units or a rate were read wrongly"
@@ -62,7 +62,7 @@ SWAPPED = f"voltage and current {READ_SO}"
 
 
 class ScalingError(NamedTuple):
-    """A column at a wrong scale that explains a difference; `gain` is None if the scale is a unit's or the clock's."""
+    """Wrong scale of a column that explains a difference; `gain` is None for a unit or the clock."""
 
     column: str
     words: str
@@ -70,7 +70,7 @@ class ScalingError(NamedTuple):
 
 
 def describe_scaling_errors(scales: Sequence[ScalingError]) -> str:
-    """Describe the columns of which one, at a wrong scale, would explain a difference; empty without any."""
+    """Describe the wrong scales that would explain a difference; empty without any."""
     words = sorted(f"the {scale.column} is {scale.words}" for scale in scales)
     return f"{EXPLAINED} if {', or if '.join(words)}" if words else ""
 
@@ -78,7 +78,7 @@ def describe_scaling_errors(scales: Sequence[ScalingError]) -> str:
 def find_scaling_errors(
     difference: Difference, names: tuple[str, ...], limit: float, rate: float
 ) -> list[ScalingError]:
-    """Find the columns of which each, at a wrong scale, would explain a difference.
+    """Find the columns whose wrong scale would explain a difference.
 
     Args:
         difference: of the logarithms to a healthy motor, shape (n,).
@@ -113,7 +113,7 @@ def find_scaling_errors(
 
 
 def _describe_factor(column: str, step: float, near: float, *, only_known: bool) -> str:
-    """Describe what multiplies a column by e^step; empty if only known factors count and it is none."""
+    """Describe the factor e^step of a column; empty if only known factors count and it is none."""
     for factor, unit in _UNITS[column].items():
         if abs(step - math.log(factor)) < near:
             return unit
@@ -127,7 +127,7 @@ def _describe_factor(column: str, step: float, near: float, *, only_known: bool)
 
 
 def is_far_from_healthy(judgement: Judgement) -> bool:
-    """Whether a window is so far from the healthy motor, where its fit begins, that the fit may not have converged."""
+    """Whether a window is so far from the healthy motor, its initial value, that the fit may not have converged."""
     return judgement.verdict.is_fault and any(
         abs(math.log(change.ratio)) > (_FAR if change.name == "B" else _NOT_NEAR)
         for change in judgement.changes
@@ -135,13 +135,13 @@ def is_far_from_healthy(judgement: Judgement) -> bool:
 
 
 def is_unlike_motor(judgement: Judgement) -> bool:
-    """Whether a piece cannot be judged, or is no motor's, or too far from this one."""
+    """Whether a piece cannot be judged, or is not of this motor."""
     odd = {NOT_TURNING, BEYOND_WEAR} & set(judgement.reasons)
     return judgement.verdict is Verdict.UNUSABLE or bool(odd)
 
 
 def limit_to_wear(judgement: Judgement) -> Judgement:
-    """Return the judgement; beyond plausible wear it names no fault and says so."""
+    """Limit a judgement to plausible wear; beyond it, name no fault."""
     kind, interval = judgement.fault_kind, judgement.severity_interval
     if kind is not None and interval is not None:
         moved = list(zip(PARAMETERS, float(kind.log_size(interval[0])) * fault_direction(kind), strict=True))

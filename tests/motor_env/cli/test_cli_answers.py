@@ -34,9 +34,9 @@ from motor_env.diagnosis.embedded import monitor as monitors, source
 from motor_env.diagnosis.embedded.monitor import CusumBank
 from motor_env.diagnosis.prognosis import files as trends
 from motor_env.diagnosis.readers.profiles import Profile, load_profile
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken
+from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.readers.start import Circuit
-from motor_env.diagnosis.streaming import command
+from motor_env.diagnosis.streaming import watch as watching
 from motor_env.diagnosis.verdict.judgement import Judgement
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -50,7 +50,7 @@ def outcome(verdict: str | None, *, is_bug: bool = False) -> Outcome:
         return Outcome(path, None, "None.csv: is empty", is_bug=is_bug)
     recording = Recording(path, np.arange(2.0), np.zeros(2))
     judged = Judgement(Verdict(verdict), ("because",))
-    return Outcome(path, Diagnosis(recording, Taken("start", "as asked"), (judged,)))
+    return Outcome(path, Diagnosis(recording, RegimeDecision("start", "as asked"), (judged,)))
 
 
 @pytest.mark.parametrize(
@@ -292,14 +292,14 @@ def test_choices_of_a_command_are_kept_and_come_before_those_of_a_profile(tmp_pa
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What the command hands to `command.run`."""
+    """What the command hands to `watch.run`."""
     found: dict[str, Any] = {}
 
     def run(*places: Any, **options: Any) -> int:
         found.update(options, places=places)
         return 3
 
-    monkeypatch.setattr(command, "run", run)
+    monkeypatch.setattr(watching, "run", run)
     return found
 
 

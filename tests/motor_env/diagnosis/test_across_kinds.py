@@ -23,12 +23,16 @@ from motor_env import (
     commission,
     diagnose,
 )
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.readers.regime import taken_for
 from motor_env.diagnosis.verdict.decision import decide
-from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift, reference_of
+from motor_env.diagnosis.verdict.healthy_motor import (
+    Reference,
+    ReferenceShift,
+    motor_of_windows,
+    reference_of,
+)
 from motor_env.diagnosis.verdict.hypotheses import Difference, FittedWindow, joint_share
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows
 from motor_env.diagnosis.verdict.report_page import reference_current
 from motor_env.diagnosis.verdict.scaling_errors import find_scaling_errors
 
@@ -55,10 +59,10 @@ TRUE = np.array(
 
 def of_windows(dry_n_m: float = 0.0, drop_v: float = 0.0) -> Motor:
     """The motor known by twelve windows, whose effective speed is far below that of a start."""
-    physical = np.zeros(places.N_VALUES)
-    physical[[places.R, places.K, places.J, places.B]] = TRUE
-    physical[[places.L, places.COULOMB, places.DRAG]] = [float(PAPER_MOTOR.inductance_h), dry_n_m, 1.0]
-    physical[places.DROP] = drop_v
+    physical = np.zeros(index.N_VALUES)
+    physical[[index.R, index.K, index.J, index.B]] = TRUE
+    physical[[index.L, index.COULOMB, index.DRAG]] = [float(PAPER_MOTOR.inductance_h), dry_n_m, 1.0]
+    physical[index.DROP] = drop_v
     values = TRUE + np.array([0.0, 0.0, 0.0, dry_n_m / SPEED])
     covariance = np.diag([0.02, 0.01, 0.02, 0.05]) ** 2
     windows = Windows(0.5, (), physical, "held", 1e-3, SPEED, window_excess=0.7)

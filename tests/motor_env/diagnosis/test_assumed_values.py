@@ -25,7 +25,9 @@ from motor_env import (
     read_recording,
     simulate,
 )
-from motor_env.diagnosis.verdict.motor_files import to_motor
+
+# Reaches in: the motor file of fits that no recording gives.
+from motor_env.diagnosis.verdict.healthy_motor import to_motor
 from motor_env.envs import MonitorOptions
 from motor_env.motor.data_sheet import to_toml
 

@@ -22,9 +22,11 @@ from motor_env import (
     watch,
 )
 from motor_env.diagnosis.commission import commission
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.diagnosis.readers.start import prepare
+
+# Reaches in: what a window tells, by name.
 from motor_env.diagnosis.verdict.hypotheses import NAMES
 from motor_env.diagnosis.verdict.judgement import Judgement
 from motor_env.motor.healthy import Healthy, Windows
@@ -42,14 +44,14 @@ Holes = NDArray[np.bool_]
 
 def taught() -> Healthy:
     """The paper's motor, as windows of a second would have taught it."""
-    p, physical = PAPER_MOTOR, np.zeros(places.N_VALUES)
+    p, physical = PAPER_MOTOR, np.zeros(index.N_VALUES)
     known = (p.resistance_ohm, p.inductance_h, p.back_emf_constant_v_s_per_rad, p.inertia_kg_m2)
-    physical[[places.R, places.L, places.K, places.J]] = [float(np.mean(one)) for one in known]
-    physical[places.B] = float(np.mean(p.viscous_friction_n_m_s_per_rad))
-    physical[[places.NOISE_I, places.NOISE_W]] = 0.02, 1.0
+    physical[[index.R, index.L, index.K, index.J]] = [float(np.mean(one)) for one in known]
+    physical[index.B] = float(np.mean(p.viscous_friction_n_m_s_per_rad))
+    physical[[index.NOISE_I, index.NOISE_W]] = 0.02, 1.0
     terms = ("R", "K", "J", "B", "noise_current", "noise_speed")
     windows = Windows(1.0, terms, physical, "late", DT_S, 200.0, (3.0, 9.0), (10.0, 6.0, 430.0))
-    quantities = physical[[places.R, places.K, places.J, places.B]]
+    quantities = physical[[index.R, index.K, index.J, index.B]]
     spread = np.diag([0.005, 0.005, 0.005, 0.06]) ** 2
     return Healthy(20, 23.0, NAMES, quantities, spread, temperature_k=0.0, windows=windows)
 

@@ -11,6 +11,8 @@ from odd_recordings import THINGS, WRONG_SCALES, at_work, scaled, started, swapp
 from motor_env import Recording, commission, diagnose, identify
 from motor_env.diagnosis.diagnose import Diagnosis
 from motor_env.diagnosis.verdict.judgement import Verdict
+
+# Reaches in: the sentences that a judgement may give.
 from motor_env.diagnosis.verdict.scaling_errors import BEYOND_WEAR, EXPLAINED, SWAPPED
 from motor_env.motor.data_sheet import Motor
 

@@ -14,7 +14,7 @@ from motor_env.diagnosis.estimation.problem import Solution, r_squared
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.readers.noise import difference_noise, floor_noise, over_angle
 from motor_env.diagnosis.readers.start import Start, mean_tail
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.parameters import FloatArray, MotorParameters
 
 _USUAL = {
@@ -79,7 +79,7 @@ class StartFit:
 
     @property
     def parameters(self) -> MotorParameters:
-        """Textbook parameters; absolute ones only as far as `quantities` says."""
+        """Textbook parameters; absolute ones only as far as `identifiable` says."""
         r, inductance, k, j, b = self.physical[[index.R, index.L, index.K, index.J, index.B]].tolist()
         return MotorParameters(r, inductance, k, k, j, b)
 
@@ -189,7 +189,7 @@ class StartFit:
     @property
     def exponents(self) -> FloatArray:
         """Exponents of (R, L, K, J, B, V) in each quantity, shape (n, 6)."""
-        return quantities.matrix(self.quantity_names)
+        return identifiable.matrix(self.quantity_names)
 
     @property
     def values(self) -> FloatArray:

@@ -24,7 +24,7 @@ from motor_env.diagnosis.estimation.uncertainty import (
 )
 from motor_env.diagnosis.readers.noise import constant_lines
 from motor_env.diagnosis.readers.start import Start
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.compiled import on_one_thread
 from motor_env.motor.parameters import FloatArray, MotorParameters
 
@@ -127,9 +127,9 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
     elif "supply_ramp" in model:
         moved = _hidden_inductance(problem, theta, jacobian)
         more += np.outer(moved, moved)
-    names = quantities.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
-    exponents = quantities.matrix(names)
-    core = exponents[:, [quantities.PARAMETERS.index(name) for name in belief.core]]
+    names = identifiable.names(has_voltage=start.voltage_known, has_speed=start.speed_rad_s is not None)
+    exponents = identifiable.matrix(names)
+    core = exponents[:, [identifiable.PARAMETERS.index(name) for name in belief.core]]
     extras = {}
     for name in model:
         if name == "supply_curve":
@@ -146,7 +146,7 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
         model=model,
         solution=best,
         quantity_names=names,
-        log_values=exponents @ quantities.logarithms(parameters, start.level_v),
+        log_values=exponents @ identifiable.logarithms(parameters, start.level_v),
         log_covariance=capped(core @ (covariance + more)[:n_core, :n_core] @ core.T),
         series_covariance=capped(core @ covariance[:n_core, :n_core] @ core.T),
         expected=expected,

@@ -26,10 +26,17 @@ from motor_env import (
     SensorParameters,
     simulate,
 )
-from motor_env.diagnosis.embedded.arithmetic import Numbers, fixed_point, floating
 from motor_env.diagnosis.embedded.monitor import CusumBank, Monitor, monitor_of
 from motor_env.diagnosis.embedded.source import write_library
-from motor_env.diagnosis.embedded.twin import SampleVerdict, TwinResult, readings_of, run_twin
+from motor_env.diagnosis.embedded.twin import (
+    Numbers,
+    SampleVerdict,
+    TwinResult,
+    fixed_point,
+    floating,
+    readings_of,
+    run_twin,
+)
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]

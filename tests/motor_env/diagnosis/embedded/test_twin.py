@@ -30,10 +30,18 @@ from motor_env import (
 )
 from motor_env.cli import main
 from motor_env.diagnosis.embedded import source
-from motor_env.diagnosis.embedded.arithmetic import Numbers, Row, fixed_point, floating
 from motor_env.diagnosis.embedded.monitor import CusumBank, Monitor, Readings, monitor_of, steady_schedule
 from motor_env.diagnosis.embedded.source import checks, write_library
-from motor_env.diagnosis.embedded.twin import SampleVerdict, TwinResult, readings_of, run_twin
+from motor_env.diagnosis.embedded.twin import (
+    Numbers,
+    Row,
+    SampleVerdict,
+    TwinResult,
+    fixed_point,
+    floating,
+    readings_of,
+    run_twin,
+)
 
 # Reaches in: the gain that is exported ends the filter's schedule, which it is compared with.
 from motor_env.filters.kalman import schedule

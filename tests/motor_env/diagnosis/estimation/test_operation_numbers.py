@@ -58,7 +58,7 @@ from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.readers.start import Circuit
-from motor_env.diagnosis.verdict.motor_files import motor_of_log
+from motor_env.diagnosis.verdict.healthy_motor import motor_of_log
 from motor_env.motor.parameters import FloatArray
 
 

@@ -15,11 +15,9 @@ from scipy.stats import f as fisher, t as student_t
 from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
 from motor_env.cli import main
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.fleet.fits import fit_fleet, processes
-from motor_env.diagnosis.fleet.initial_fit import FitCache, InitialFit, Reading
+from motor_env.diagnosis.fleet.fits import FitCache, InitialFit, Reading, fit_fleet, processes
 from motor_env.diagnosis.fleet.judging import FleetDiagnosis, common_cause, diagnose_fleet
-from motor_env.diagnosis.fleet.learning import LearnedFleet, learn_fleet
-from motor_env.diagnosis.fleet.unit import UnitId
+from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet
 from motor_env.diagnosis.verdict.hypotheses import Difference, FittedWindow
 from motor_env.diagnosis.verdict.judgement import Verdict
 from motor_env.envs import MonitorEnv
@@ -152,7 +150,7 @@ def test_the_records_of_a_motor_share_its_rate(
 
     def noted(path: Path, _: Motor, *, false_alarm_rate: float, **reading: object) -> Diagnosis:
         rates[path.stem] = false_alarm_rate
-        return found.units[-1].telling
+        return found.units[-1].decisive
 
     monkeypatch.setattr("motor_env.diagnosis.fleet.judging.learn_fleet", lambda *_, **__: more)
     monkeypatch.setattr("motor_env.diagnosis.fleet.judging.diagnose", noted)
@@ -161,7 +159,7 @@ def test_the_records_of_a_motor_share_its_rate(
 
 
 def test_a_motor_is_told_by_the_surest_of_its_faults(found: FleetDiagnosis) -> None:
-    healthy, worst = found.units[-1].telling, found.units[0].telling
+    healthy, worst = found.units[-1].decisive, found.units[0].decisive
 
     def record(verdict: Verdict, confidence: float) -> Diagnosis:
         return replace(worst, pieces=(replace(worst.decisive, verdict=verdict, confidence=confidence),))
@@ -178,7 +176,7 @@ def test_a_fleet_says_once_how_it_was_read(learned: LearnedFleet) -> None:
 
 def test_motors_of_one_machine_do_not_count_for_each_other(learned: LearnedFleet) -> None:
     """Both motors of a machine off alike are both odd, however many motors it has."""
-    core = learned.core_without("3")
+    core = learned.population_without("3")
     assert len(core.probability) == 6
     without = learned.motor("others", core, "left").healthy
     assert without is not None
@@ -318,7 +316,7 @@ def test_a_fleet_that_was_stopped_goes_on_where_it_was(starts: list[Path], tmp_p
     fitted.clear()
     found = learn_fleet(starts, group=GROUP, kept=kept, progress=fitted.append)
     assert fitted == [*starts[6:], *starts]  # first fits of the rest, then second ones of all
-    assert found.core.centres.tolist() == learn_fleet(starts, group=GROUP).core.centres.tolist()
+    assert found.population.centres.tolist() == learn_fleet(starts, group=GROUP).population.centres.tolist()
 
 
 def test_a_kept_fit_counts_only_for_the_file_as_it_was(tmp_path: Path) -> None:

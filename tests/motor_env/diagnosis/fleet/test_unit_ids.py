@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.fleet.unit import UnitId, unit_ids
+from motor_env.diagnosis.fleet.learning import UnitId, unit_ids
 
 GROUP = r"(?P<machine>\d+)(_(?P<repeat>[a-z]+))?_(?P<motor>left|right)"
 

@@ -15,9 +15,8 @@ from trend_laws import verdicts
 from motor_env import InputError
 from motor_env.cli import main
 from motor_env.diagnosis.prognosis.degradation import first_passage_cdf, fit_degradation
-from motor_env.diagnosis.prognosis.estimates import Series, date_of, read_estimates
-from motor_env.diagnosis.prognosis.files import Trends
-from motor_env.diagnosis.prognosis.trend import judge, parse_limits
+from motor_env.diagnosis.prognosis.files import Trends, date_of, read_estimates
+from motor_env.diagnosis.prognosis.trend import Series, judge, parse_limits
 
 
 def array(*values: float) -> np.ndarray:
@@ -292,7 +291,7 @@ def test_wear_that_accelerates_has_a_life_that_holds() -> None:
     day = np.arange(45.0)
     found = judge(history(1.0 + 0.002 * np.expm1(day / 12.0)), (1.25,)).forecasts[0]
     left = 12.0 * math.log(126.0) - 44.0
-    assert found.is_told
+    assert found.has_remaining_life
     assert found.life.low <= left <= found.life.high
     assert found.life.median < 2.0 * left  # a straight line would be 4 times too late
     assert found.wear.growth @ found.wear.weights > 1.0

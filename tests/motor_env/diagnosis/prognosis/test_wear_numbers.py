@@ -17,10 +17,10 @@ from motor_env import InputError
 from motor_env.cli import main
 from motor_env.diagnosis.prognosis import files
 from motor_env.diagnosis.prognosis.degradation import Degradation, RemainingLife, fit_degradation, time_scale
-from motor_env.diagnosis.prognosis.estimates import Series, build_series, read_estimates
-from motor_env.diagnosis.prognosis.files import Trends
+from motor_env.diagnosis.prognosis.files import Trends, build_series, read_estimates
 from motor_env.diagnosis.prognosis.trend import (
     Forecast,
+    Series,
     at_one_temperature,
     describe,
     judge,

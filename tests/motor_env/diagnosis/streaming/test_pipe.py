@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from motor_env import PAPER_MOTOR, Motor, discretize
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.terms import NOISES
 
 # Reaches in: what windows teach is written by hand, without the long fits of a commissioning at work.
@@ -27,17 +27,17 @@ TERMS = ("R", "K", "J", "coulomb", "load_constant", "load_square", "offset_curre
 def healthy() -> Healthy:
     """As the textbook motor would have taught it."""
     motor = PAPER_MOTOR
-    physical = np.zeros(places.N_VALUES)
-    physical[[places.R, places.L, places.K, places.J, places.B]] = (
+    physical = np.zeros(index.N_VALUES)
+    physical[[index.R, index.L, index.K, index.J, index.B]] = (
         motor.resistance_ohm,
         motor.inductance_h,
         motor.torque_constant_n_m_per_a,
         motor.inertia_kg_m2,
         motor.viscous_friction_n_m_s_per_rad,
     )
-    physical[[places.NOISE_I, places.NOISE_W, places.NOISE_V]] = 0.003, 0.2, 0.01
+    physical[[index.NOISE_I, index.NOISE_W, index.NOISE_V]] = 0.003, 0.2, 0.01
     # So that a sample in which the motor turns costs its events.
-    physical[[places.COULOMB, places.DROP]] = 1e-6, 1e-3
+    physical[[index.COULOMB, index.DROP]] = 1e-6, 1e-3
     averaged = 17  # 100,000 samples of a window as at most 6,000
     windows = Windows(
         window_s=WINDOW_S,
@@ -53,7 +53,7 @@ def healthy() -> Healthy:
         pieces=10,
         degrees_of_freedom=13.0,
         quantities=NAMES,
-        values=np.array([*physical[[places.R, places.K, places.J]], drag]),
+        values=np.array([*physical[[index.R, index.K, index.J]], drag]),
         log_covariance=np.eye(4) * 1e-3,
         windows=windows,
     )

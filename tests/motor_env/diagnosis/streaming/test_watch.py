@@ -16,7 +16,7 @@ from operation_simulator import draw_motor, simulate
 
 from motor_env import InputError, Recording
 from motor_env.cli import main
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.streaming.sources import SILENCE, Piece
 from motor_env.diagnosis.streaming.state import State
 from motor_env.diagnosis.streaming.watch import Watch
@@ -27,7 +27,7 @@ HEADER = b"t_ms,voltage_v,current_ma,speed_rad_s\n"
 
 def healthy(window_s: float = 1e6, dt_s: float = 1e-3) -> Healthy:
     """What ten windows have taught."""
-    windows = Windows(window_s, (), np.zeros(places.N_VALUES), "held", dt_s, 500.0, (11.0, 13.0))
+    windows = Windows(window_s, (), np.zeros(index.N_VALUES), "held", dt_s, 500.0, (11.0, 13.0))
     return Healthy(10, 13.0, ("R", "K", "J", "B"), np.ones(4), np.eye(4) * 1e-4, windows=windows)
 
 

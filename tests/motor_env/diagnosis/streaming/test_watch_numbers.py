@@ -23,20 +23,19 @@ from output_schema import follows
 from motor_env import InputError, Recording
 from motor_env.cli import main
 from motor_env.common.console import ExitStatus
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.operation.windows import WindowJudge, judge_of
 from motor_env.diagnosis.readers.recording import UnusableError
-from motor_env.diagnosis.streaming import command, watch as watching
-from motor_env.diagnosis.streaming.command import showing
+from motor_env.diagnosis.streaming import watch as watching
 from motor_env.diagnosis.streaming.sources import NEW_FILE, SILENCE, Notice, Piece, lines
 from motor_env.diagnosis.streaming.state import State
-from motor_env.diagnosis.streaming.watch import Event, LearningPhase, Watch
-from motor_env.diagnosis.verdict.channels import sensor_judgement
+from motor_env.diagnosis.streaming.watch import Event, LearningPhase, Watch, showing
 
 # Reaches in: the judge of windows is replaced, or is given fits made by hand, and answers in its own types.
 from motor_env.diagnosis.verdict.decision import decide
 from motor_env.diagnosis.verdict.hypotheses import Change, FittedWindow
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.sensor_diagnosis import sensor_judgement
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.parameters import RAD_S_PER_RPM
@@ -45,7 +44,7 @@ HEADER = b"speed_rpm,t_ms,voltage_mv,current_ma\n"
 WINDOWS = Windows(
     window_s=0.0995,
     terms=(),
-    physical=np.zeros(places.N_VALUES),
+    physical=np.zeros(index.N_VALUES),
     hold="held",
     dt_s=1e-3,
     speed_rad_s=50.0,
@@ -344,7 +343,7 @@ def watching_a_log(judge: Judge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     """A command that has judged one window of a log, and kept its state."""
     (tmp_path / "log.csv").write_bytes(joined([HEADER, *samples(150)]))
     (tmp_path / "m.toml").write_text("this motor", encoding="utf-8")
-    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
+    monkeypatch.setattr(watching, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
     run = [str(tmp_path / name) for name in ("m.toml", "log.csv", "state.json")]
     run = ["watch", *run[:2], "--state", run[2]]
     assert main(run) == 0
@@ -374,7 +373,7 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
     assert "--follow needs a log" in capsys.readouterr().err
     for taught in (None, replace(TAUGHT, windows=None, starts=Starts(-3.0, 0.1))):
         monkeypatch.setattr(
-            command, "load_motor", lambda _, taught=taught: SimpleNamespace(name="m", healthy=taught)
+            watching, "load_motor", lambda _, taught=taught: SimpleNamespace(name="m", healthy=taught)
         )
         assert main(run) == 2
         assert "was not commissioned by windows of the motor at work" in capsys.readouterr().err
@@ -417,9 +416,9 @@ def test_the_state_is_that_of_the_motor_which_was_learned(
 ) -> None:
     (tmp_path / "log.csv").write_bytes(joined([HEADER, *samples(6 * 101)]))
     monkeypatch.setattr(watching, "learn_windows", lambda *_, **__: (TAUGHT, []))
-    monkeypatch.setattr(command, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
-    monkeypatch.setattr(command, "motor_of_windows", lambda *_: None)
-    monkeypatch.setattr(command, "save_motor", lambda _, path: path.write_text("learned"))
+    monkeypatch.setattr(watching, "load_motor", lambda _: SimpleNamespace(healthy=TAUGHT))
+    monkeypatch.setattr(watching, "motor_of_windows", lambda *_: None)
+    monkeypatch.setattr(watching, "save_motor", lambda _, path: path.write_text("learned"))
     motor, log, state = (str(tmp_path / name) for name in ("m.toml", "log.csv", "state.json"))
     run = ["watch", motor, log, "--learn", "0.4975", "--window", "0.0995", "--state", state]
     assert main(run) == 0

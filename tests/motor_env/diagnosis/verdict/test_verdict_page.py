@@ -12,8 +12,7 @@ import pytest
 from judged_by_hand import SHEET, start
 
 from motor_env import Diagnosis, Fault, FaultKind, Verdict, diagnose
-from motor_env.diagnosis.verdict.report_page import page, reference_current
-from motor_env.diagnosis.verdict.verdict_texts import RUN_ON_TEXTS
+from motor_env.diagnosis.verdict.report_page import RUN_ON_TEXTS, page, reference_current
 
 Answers = tuple[str, str, str]
 

@@ -23,7 +23,7 @@ from motor_env import (
     simulate,
     simulate_states,
 )
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 
 # Reaches in: the long test judges by the joint fit itself, made once for two motors.
 from motor_env.diagnosis.estimation.operation_fit import identify_operation
@@ -58,11 +58,11 @@ HALF_WAY = (Fault(FaultKind.BEARING, 1.0, onset_s=1.6),)
 
 def true_fit(record: Record) -> Any:
     """Instead of the joint fit of a log, which takes many seconds: its motor as simulated."""
-    values = np.zeros(places.N_VALUES)
-    told = [places.R, places.L, places.K, places.J, places.B]
+    values = np.zeros(index.N_VALUES)
+    told = [index.R, index.L, index.K, index.J, index.B]
     values[told] = P.resistance_ohm, P.inductance_h, K, P.inertia_kg_m2, P.viscous_friction_n_m_s_per_rad
-    values[[places.NOISE_I, places.NOISE_W, places.NOISE_V]] = 0.02, 1.0, 0.005
-    values[[places.HEATING, places.COOLING]] = 3.0, 0.1
+    values[[index.NOISE_I, index.NOISE_W, index.NOISE_V]] = 0.02, 1.0, 0.005
+    values[[index.HEATING, index.COOLING]] = 3.0, 0.1
     return SimpleNamespace(
         record=SimpleNamespace(seen=np.ones(2), hold="late"),
         solution=SimpleNamespace(values=values, names=TERMS),
@@ -117,7 +117,7 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
 
     def one_direction(record: Record) -> Any:
         found = true_fit(record)
-        found.solution.values[[places.COULOMB, places.LOAD]] = 5e-3, -5e-3
+        found.solution.values[[index.COULOMB, index.LOAD]] = 5e-3, -5e-3
         found.solution.names = (*TERMS, "coulomb", "load_constant", "load_walk")
         return found
 
@@ -139,11 +139,11 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
     )
     given: list[Record] = []
 
-    def chosen_terms(records: list[Record], joint: Any) -> Any:
+    def choose_window_terms(records: list[Record], joint: Any) -> Any:
         given.extend(records)
-        return window_baseline.chosen_terms(records, joint)
+        return window_baseline.choose_window_terms(records, joint)
 
-    monkeypatch.setattr(log_diagnosis, "chosen_terms", chosen_terms)
+    monkeypatch.setattr(log_diagnosis, "choose_window_terms", choose_window_terms)
     judge = judge_for(whole, SHEET)
     assert [record.hold for record in given] == ["late"] * (4 - at_rest // 400)
     if at_rest == 1600:
@@ -151,7 +151,7 @@ def test_friction_is_told_of_a_motor_that_turns_in_one_direction(
         return
     assert judge.windows.terms == (*TERMS, "coulomb", "load_walk")
     assert judge.windows.one_way
-    assert judge.windows.physical[places.COULOMB] == judge.windows.physical[places.LOAD] == 0.0
+    assert judge.windows.physical[index.COULOMB] == judge.windows.physical[index.LOAD] == 0.0
     assert said(whole, SHEET) == ["unusable" if at_rest else "healthy", "healthy", "bearing", "bearing"]
 
 
@@ -176,7 +176,7 @@ def test_the_reference_of_a_log_by_hand() -> None:
     speed = float(np.sqrt(np.mean(np.square(np.asarray(log().speed_rad_s)))))
     assert (taught.window_s, taught.speed_rad_s, taught.dt_s) == pytest.approx((0.8, speed, DT_S))
     assert (taught.terms, taught.hold, taught.rms_volts, taught.calibration) == (TERMS, "late", None, None)
-    assert taught.physical[places.HEATING] == taught.physical[places.COOLING] == 0.0
+    assert taught.physical[index.HEATING] == taught.physical[index.COOLING] == 0.0
     heavy = P.scaled(inertia_kg_m2=10.0)  # a window lasts 40 of its mechanical time constants
     window_s = judge_for(log(), replace(SHEET, parameters=heavy)).windows.window_s
     assert window_s == pytest.approx(40.0 * float(np.mean(heavy.mechanical_time_constant_s)))
@@ -206,7 +206,7 @@ def test_stretches_of_a_log_tell_how_it_is_fitted() -> None:
 
 
 def test_a_motor_that_was_commissioned_at_work_says_how_its_windows_are_judged() -> None:
-    windows = Windows(0.4, TERMS, np.zeros(places.N_VALUES), "late", DT_S, 100.0)
+    windows = Windows(0.4, TERMS, np.zeros(index.N_VALUES), "late", DT_S, 100.0)
     healthy = Healthy(9, 12.0, NAMES, np.ones(4), np.eye(4), temperature_c=20.0, windows=windows)
     judge = judge_for(log(), replace(SHEET, healthy=healthy), 45.0)
     assert judge.windows is windows
@@ -233,8 +233,8 @@ def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPat
 
 
 def physical(b: float, coulomb: float, square: float = 0.0) -> FloatArray:
-    values = np.zeros(places.N_VALUES)
-    values[[places.B, places.COULOMB, places.SQUARE]] = b, coulomb, square
+    values = np.zeros(index.N_VALUES)
+    values[[index.B, index.COULOMB, index.SQUARE]] = b, coulomb, square
     return values
 
 

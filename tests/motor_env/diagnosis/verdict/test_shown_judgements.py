@@ -24,9 +24,9 @@ from motor_env.cli import main
 from motor_env.diagnosis.batch import page_path
 
 # Reaches in: fits are altered by hand.
-from motor_env.diagnosis.estimation.starts.start_fit import StartFit as Identified
+from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.readers.noise import PeriodicLine
-from motor_env.diagnosis.verdict import report_page as page, report_text as formats
+from motor_env.diagnosis.verdict import report_page, report_text
 from motor_env.diagnosis.verdict.hypotheses import (
     Change,
     joint_share,
@@ -57,13 +57,13 @@ def test_text_and_json_say_the_same() -> None:
     found, fit, _ = fitted()
     check = found.consistency
     assert check is not None
-    told, text = formats.as_json(faulty()), formats.as_text(faulty(), verbose=True)
+    told, text = report_text.as_json(faulty()), report_text.as_text(faulty(), verbose=True)
     said = "winding (winding_contact) +20% (95 %: +10% to +31%), confidence 0.88"
     assert text.splitlines()[0] == f"start.csv: {said}"
     unsure = replace(faulty().decisive, kind_probability=0.94)
-    assert formats.headline(unsure) == said.replace(" (winding_contact)", "")
+    assert report_text.headline(unsure) == said.replace(" (winding_contact)", "")
     bearing = replace(faulty().decisive, verdict=Verdict.BEARING, fault_kind=FaultKind.BEARING)
-    assert formats.headline(bearing).startswith("bearing +20%")
+    assert report_text.headline(bearing).startswith("bearing +20%")
     assert "R            " in text
     assert "+20.0% from the reference (95 %: +10.0% to +31.0%)\n" in text
     assert "-5.0% from the reference (95 %: -10.0% to +0.0%), undecided\n" in text
@@ -106,11 +106,11 @@ def test_text_and_json_say_the_same() -> None:
         assert f"{value:.4g} +- {error:.2g} {unit}" in text
     assert told["parameters"]["onset_s"] == {"value": fit.onset_s, "unit": "s"}
     assert told["parameters"]["offset_a"] == {"value": fit.offset_a, "unit": "A"}
-    assert formats.describe_friction_share(0.4).endswith("own friction, 40% of the drag")
+    assert report_text.describe_friction_share(0.4).endswith("own friction, 40% of the drag")
     assert of_one(severity_interval=(0.1, 0.31)).severity_interval == (0.1, 0.31)
     for number in (math.nan, math.inf):
-        assert formats.as_json(of_one(severity=number))["severity"] is None
-    assert formats.headline(of_one(confidence=None).decisive) == "healthy"
+        assert report_text.as_json(of_one(severity=number))["severity"] is None
+    assert report_text.headline(of_one(confidence=None).decisive) == "healthy"
 
 
 def test_something_else_names_what_moved_most() -> None:
@@ -131,7 +131,7 @@ def drawn(html: str, name: str) -> list[tuple[float, ...]]:
 @pytest.mark.parametrize(("high", "edge"), [(1.5, 1.65), (1.01, 1.1 * 1.01), (30.0, 8.0)])
 def test_bars_stand_on_a_logarithmic_axis_a_tenth_wider_than_they_are(high: float, edge: float) -> None:
     changes = (Change("R", 1.005, 0.995, high, "healthy"), Change("B/J", 1.0, 0.999, 1.001, "moved"))
-    html = page.page(of_one(changes=changes))
+    html = report_page.page(of_one(changes=changes))
     edge = max(edge, 1.1)
 
     def x(ratio: float) -> float:
@@ -160,7 +160,7 @@ def test_pieces_stand_at_their_middles_on_one_axis_of_time() -> None:
         for begin, length, ratio in ratios
     ]
     silent = replace(pieces[1], changes=(), begin_s=99.0)
-    html = page.pieces_chart([*pieces[:2], silent, pieces[2]])
+    html = report_page.pieces_chart([*pieces[:2], silent, pieces[2]])
     assert html.count("<svg") == 1
     edge = math.log(1.1 * 1.65)
     spots = [66.0 + 382.0 * (begin + 0.5 * length) / 40.0 for begin, length, _ in ratios]
@@ -173,7 +173,7 @@ def test_pieces_stand_at_their_middles_on_one_axis_of_time() -> None:
     ):
         assert dot == pytest.approx((spot, y(ratio)), abs=0.1)
         assert line == pytest.approx((spot, y(0.9 * ratio), spot, y(1.1 * ratio)), abs=0.1)
-    assert page.pieces_chart([silent]) == ""
+    assert report_page.pieces_chart([silent]) == ""
 
 
 def test_the_residuals_band_and_edge() -> None:
@@ -182,7 +182,7 @@ def test_the_residuals_band_and_edge() -> None:
     ripple = PeriodicLine(30.0, 0.05, 0.02)  # so slow that the mean over a fiftieth shows it
     fit = replace(fit, start=replace(fit.start, lines=(ripple,)))
     found = replace(found, fit=fit)
-    expected = page.reference_current(found)
+    expected = report_page.reference_current(found)
     assert expected is not None
     beyond_ = fit.start.current_a - fit.start.ripple_a - expected
     span = len(beyond_) // 50
@@ -193,7 +193,11 @@ def test_the_residuals_band_and_edge() -> None:
     shown = slice(begin, None, max((len(time_ms) - begin) // 700, 1))
     noise = 2.0 * fit.noise_a / math.sqrt(span)
     largest = max(np.quantile(np.abs(smooth[shown][time_ms[shown] > 0.0]), 0.98), 2.0 * noise)
-    html = page.page(of_one(fit=fit)).split('aria-label="Measured less healthy current')[1].split("</svg>")[0]
+    html = (
+        report_page.page(of_one(fit=fit))
+        .split('aria-label="Measured less healthy current')[1]
+        .split("</svg>")[0]
+    )
     ticks = [(float(y), float(value)) for y, value in re.findall(r'y="([-\d.]+)"[^>]*>([-\d.]+) mA<', html)]
     (y0, v0), (y1, v1) = ticks[0], ticks[-1]
     per_pixel = (v1 - v0) / (y0 - y1)
@@ -224,17 +228,17 @@ def test_the_residuals_band_and_edge() -> None:
 )
 def test_ticks_of_the_bars(high: float, ticks: set[int]) -> None:
     """The most welcome ones that lie more than 0.36 of the axis' half apart."""
-    html = page.page(of_one(changes=(Change("R", 1.005, 0.995, high, "undecided"),)))
+    html = report_page.page(of_one(changes=(Change("R", 1.005, 0.995, high, "undecided"),)))
     bars = html.split('aria-label="Deviation of each quantity')[1].split("</svg>")[0]
     assert set(map(int, re.findall(r">([-+]\d+) %<", bars))) == ticks
 
 
 def test_words_of_the_page() -> None:
-    html = page.page(faulty())
+    html = report_page.page(faulty())
     assert "Winding resistance up by 20%, between 10% and 31%" in html
     assert "88% sure" in html
-    assert "over 99 % sure" in page.page(of_one(confidence=0.991))
-    assert "99% sure" in page.page(of_one(confidence=0.99))
+    assert "over 99 % sure" in report_page.page(of_one(confidence=0.991))
+    assert "99% sure" in report_page.page(of_one(confidence=0.99))
     assert "more friction" in html
     assert "12%" in html
 
@@ -259,10 +263,10 @@ def test_the_piece_that_a_verdict_rests_on(said: list[tuple[str, float | None]],
     found = replace(judged(), pieces=pieces, of=9)
     assert found.decisive is pieces[telling]
     assert (found.verdict, found.confidence) == (Verdict(said[telling][0]), said[telling][1])
-    told = formats.as_json(found)
+    told = report_text.as_json(found)
     assert (told["verdict"], told["pieces_of_recording"]) == (said[telling][0], 9)
     assert [(one["verdict"], one["confidence"]) for one in told["pieces"]] == said
-    first, *lines = formats.as_text(found).splitlines()
+    first, *lines = report_text.as_text(found).splitlines()
     same = sum(word == said[telling][0] for word, _ in said)
     assert first.endswith(f"; {same} of {len(said)} starts judged, of 9")
     marked = [line for line in lines if line.endswith(" <")]
@@ -326,7 +330,7 @@ def test_a_false_alarm_rate_reaches_the_tests(capsys: pytest.CaptureFixture[str]
     one = diagnose(read_recording(EXAMPLES / "startup_capture.csv"), SHEET)  # the library's own default
     assert smallest[""] == smallest["0.01"] == math.log1p(one.decisive.smallest_changes["bearing"])
     (judgement,) = one.pieces
-    assert isinstance(judgement.identified, Identified)
+    assert isinstance(judgement.identified, StartFit)
     assert judgement.reference is not None
     covariance = judgement.identified.log_covariance + judgement.reference.log_covariance
     shares = {rate: joint_share(0.8 * float(rate), covariance, EXPONENTS, 1e6) for rate in ("0.01", "0.2")}

@@ -19,10 +19,10 @@ from motor_env.diagnosis import diagnose as judging
 from motor_env.diagnosis.diagnose import explain_unusable
 
 # Reaches in: fits are moved by hand in directions that no public name gives.
-from motor_env.diagnosis.estimation import parameter_index as places
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation import parameter_index as index
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.identification import Identification
-from motor_env.diagnosis.verdict import report_text as formats
+from motor_env.diagnosis.verdict import report_text
 from motor_env.diagnosis.verdict.decision import alarm_limits, decide
 from motor_env.diagnosis.verdict.hypotheses import (
     covariance_at_one_temperature,
@@ -84,7 +84,7 @@ def test_a_kind_is_told_from_a_probability_of_19_in_20_on() -> None:
         found = moved(*(size * at), degrees_of_freedom=7.0)
         assert found.kind_probability == pytest.approx(0.95, abs=1e-4)
         one = replace(judged(), pieces=(found,))
-        assert (one.kind, formats.as_json(one)["kind"]) == (kind, kind)
+        assert (one.kind, report_text.as_json(one)["kind"]) == (kind, kind)
     assert judged().kind is None
 
 
@@ -258,7 +258,7 @@ def test_another_temperature_is_told_from_eight_kelvin_on() -> None:
     warmth = np.array([0.00393, 0.0, -0.002, -0.003])
     covariance = np.diag([1e-3, 1.0, 1e-3, 1.0]) ** 2
     _, fit, _ = fitted()
-    same = covariance + beyond(covariance, fit.white_covariance)
+    same = covariance + excess_covariance(covariance, fit.white_covariance)
     pull = warmth @ np.linalg.inv(same) @ warmth
     shrunk = pull / (pull + 15.0**-2)
     assert 2.0 * (pull + 15.0**-2) ** -0.5 < 8.0
@@ -279,7 +279,7 @@ def test_another_temperature_is_told_beyond_two_of_its_deviations() -> None:
     for _ in range(60):
         middle = math.sqrt(low * high)
         covariance = np.diag([middle, 1.0, middle, 1.0]) ** 2
-        pull = warmth @ np.linalg.inv(covariance + beyond(covariance, error)) @ warmth
+        pull = warmth @ np.linalg.inv(covariance + excess_covariance(covariance, error)) @ warmth
         low, high = (middle, high) if (pull + 15.0**-2) ** -0.5 < 6.0 else (low, middle)
     for kelvin, is_told in ((11.9, False), (12.1, True)):
         shrunk = pull / (pull + 15.0**-2)
@@ -295,13 +295,13 @@ def test_units_of_the_extensions() -> None:
         "dead_zone": "A", "coulomb": "N m", "brush_drop": "V",
     }  # fmt: skip
     extended = replace(fit, fitted_extension=dict.fromkeys(units, (0.5, 0.1)))
-    told = formats.extensions_json(extended)
+    told = report_text.extensions_json(extended)
     assert {name: row["unit"] for name, row in told.items()} == units
     interval = pytest.approx([0.5 - 0.196, 0.5 + 0.196])
     assert told["coulomb"] == {"value": 0.5, "standard_error": 0.1, "interval": interval, "unit": "N m"}
     unknown = replace(extended, start=replace(fit.start, voltage_known=False))
     per_volt = units | {"coulomb": "N m/V", "brush_drop": "of the supply"}
-    assert {name: row["unit"] for name, row in formats.extensions_json(unknown).items()} == per_volt
+    assert {name: row["unit"] for name, row in report_text.extensions_json(unknown).items()} == per_volt
 
 
 def test_a_fit_that_explains_too_little_is_unusable() -> None:
@@ -352,7 +352,7 @@ def test_innovations_leave_out_what_is_not_shown() -> None:
     assert np.count_nonzero(fit.residual_a[[begin + 7, begin + 90]]) == 2
     problem, zone = fit.solution.problem, float(fit.states[begin + 300, 0])
     hiding = problem.known.copy()
-    hiding[places.ZONE] = 2.0 * zone
+    hiding[index.ZONE] = 2.0 * zone
     blind = replace(fit, solution=replace(fit.solution, problem=replace(problem, known=hiding)))
     np.testing.assert_array_equal(np.isnan(blind.whitened[:, 0]), fit.states[begin:, 0] < zone)
     assert not fit.is_hidden
@@ -365,7 +365,7 @@ def test_a_warning_is_allowed_for_where_there_is_a_verdict() -> None:
     warned = of_one(fit=odd)
     said = warned.decisive.warning
     assert "their mean is not 0" in said
-    assert f"  {said}; the verdict allows for it" in formats.expert_lines(warned.decisive)
-    assert f"  {said}" in formats.expert_lines(replace(warned.decisive, reference=None))
-    assert formats.as_json(warned)["warning"] == said
-    assert formats.as_json(warned)["consistent"] is False
+    assert f"  {said}; the verdict allows for it" in report_text.expert_lines(warned.decisive)
+    assert f"  {said}" in report_text.expert_lines(replace(warned.decisive, reference=None))
+    assert report_text.as_json(warned)["warning"] == said
+    assert report_text.as_json(warned)["consistent"] is False

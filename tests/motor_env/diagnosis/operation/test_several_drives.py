@@ -9,24 +9,25 @@ import numpy as np
 import pytest
 
 from motor_env import FaultKind, Recording, commission
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.operation_fit import WindowFit, fit_window
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
 from motor_env.diagnosis.operation import window_baseline, windows
-from motor_env.diagnosis.operation.operating_conditions import off_others, sorted_by_condition
-from motor_env.diagnosis.operation.score_calibration import learn_calibration
-from motor_env.diagnosis.operation.sequential_monitor import YEAR_S, SequentialMonitor
+from motor_env.diagnosis.operation.sequential_monitor import YEAR_S, SequentialMonitor, learn_calibration
 from motor_env.diagnosis.operation.window_baseline import learn_windows
 from motor_env.diagnosis.operation.windows import (
     CONDITION_SPREAD,
     DRIVEN_OTHERWISE,
     WindowJudge,
+    condition_offsets,
+    group_by_condition,
     judge_of,
     windows_of,
 )
+from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows
 from motor_env.diagnosis.verdict.healthy_spread import (
     RECORD_SPREAD,
     detectable_changes,
@@ -37,11 +38,10 @@ from motor_env.diagnosis.verdict.healthy_spread import (
 )
 from motor_env.diagnosis.verdict.hypotheses import FittedWindow
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows
 from motor_env.motor.healthy import Healthy, OperatingCondition
 from motor_env.motor.parameters import FloatArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[4] / "benchmarks"))
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
 
 WINDOW = 400
@@ -77,13 +77,13 @@ def test_windows_are_sorted_by_how_they_are_driven() -> None:
     levels = np.array([1.0, 1.1, 3.0, 1.2, 3.3])
     moved: FloatArray = np.zeros((5, 3, 17))
     moved[:, :, :10] = levels[:, None, None]  # a constant: as far apart as the levels, over the other's
-    drive, alike = sorted_by_condition(moved, 1.0)
+    drive, alike = group_by_condition(moved, 1.0)
     assert drive.tolist() == [0, 0, 1, 0, 1]
     assert alike == pytest.approx(0.12)  # 0.3 / 3.3 is less
-    farther, alike = sorted_by_condition(moved, 6.0)
+    farther, alike = group_by_condition(moved, 6.0)
     assert farther.tolist() == [0] * 5  # 1.8 / 3.0 is 0.6
     assert alike == pytest.approx(0.72)
-    spread, alike = sorted_by_condition(moved * np.array([1.0, 1.2, 1.0, 1.0, 1.3])[:, None, None], 1.0)
+    spread, alike = group_by_condition(moved * np.array([1.0, 1.2, 1.0, 1.0, 1.3])[:, None, None], 1.0)
     assert spread.tolist() == [0, 0, 1, 0, 1]
     assert alike == pytest.approx(1.29 / 3.0)
 
@@ -114,7 +114,7 @@ def test_windows_of_a_rare_drive_scatter_no_less_than_those_of_the_usual_one() -
     rare = [FittedWindow(np.full(4, 1.0 + 0.001 * n), error, np.zeros((1, 2))) for n in range(2)]
     logs = np.array([fit.log_values for fit in rare])
     of_usual = next_window(usual, steady=True)[1]
-    believed = error + beyond(error, of_usual)
+    believed = error + excess_covariance(error, of_usual)
     assert np.diag(believed)[0] == pytest.approx(of_usual[0, 0], rel=0.1)
     assert believed[3, 3] > 4.0  # its own error is larger
     centre, covariance, freedom = next_window(rare, steady=False, usual=usual)
@@ -131,7 +131,7 @@ def test_a_rare_drive_is_learned_beside_the_usual_one(
     simulated: SimulatedMotor, logs: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     of = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1, 1])
-    monkeypatch.setattr(window_baseline, "sorted_by_condition", lambda *_: (of, 1.0))
+    monkeypatch.setattr(window_baseline, "group_by_condition", lambda *_: (of, 1.0))
     log = log_of(simulated, PROFILES[0], 8, usual=simulated, windows=10)
     healthy, fits = learn_windows([log], WINDOW * 0.1 * simulated.mechanical_s)
     assert healthy.windows is not None
@@ -154,14 +154,14 @@ def test_how_far_a_drive_is_off_the_others() -> None:
             for n, row in zip(counts, rows, strict=False)
         ]
 
-    off = off_others(with_windows(2, 2, 4))
+    off = condition_offsets(with_windows(2, 2, 4))
     np.testing.assert_allclose(off[0], [-0.3, 0.1, -0.2, -1.35])
     np.testing.assert_allclose(off[2], [0.45, -0.2, 0.4, 2.7])
-    usual = off_others(with_windows(2, 2, 5))
+    usual = condition_offsets(with_windows(2, 2, 5))
     np.testing.assert_array_equal(usual[:2], off[:2])
     assert not usual[2].any()
-    assert off_others(with_windows(4)).tolist() == [[0.0] * 4]
-    assert off_others([]).tolist() == [[0.0] * 4]
+    assert condition_offsets(with_windows(4)).tolist() == [[0.0] * 4]
+    assert condition_offsets([]).tolist() == [[0.0] * 4]
 
 
 def test_a_window_is_compared_with_those_that_are_driven_alike(
@@ -329,7 +329,7 @@ def test_half_of_the_windows_that_are_driven_otherwise_must_show_a_fault(
 
     def judged_by(judge: WindowJudge) -> list[Judgement]:
         left = iter(judged)
-        monkeypatch.setattr(WindowJudge, "_judged", lambda *_: next(left))
+        monkeypatch.setattr(WindowJudge, "_judge_window", lambda *_: next(left))
         return judge.judge(log, 0.01)[0]
 
     healthy = learned[0]
@@ -355,7 +355,7 @@ def test_a_fit_begins_at_what_its_own_drive_has_taught(
     judge, begun = judge_of(taught), list[float]()
 
     def spy(record: Record, known: FloatArray, *args: Any, **options: Any) -> WindowFit:
-        begun.append(float(known[places.K]))
+        begun.append(float(known[index.K]))
         return fit_window(record, known, *args, **options)
 
     monkeypatch.setattr(windows, "fit_window", spy)

@@ -15,7 +15,7 @@ from motor_env import Motor, MotorParameters, Recording, commission, diagnose, l
 from motor_env.cli import main
 from motor_env.motor.parameters import FloatArray
 
-MOTOR = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml").parameters
+MOTOR = load_motor(Path(__file__).parents[4] / "examples" / "motor.toml").parameters
 TIME_S: FloatArray = np.linspace(-0.02, 0.0999, 1200)
 SPEED = float(12.0 / MOTOR.back_emf_constant_v_s_per_rad)
 TORQUE = float(0.12 * MOTOR.torque_constant_n_m_per_a * 12.0 / MOTOR.resistance_ohm)

@@ -12,23 +12,22 @@ import pytest
 from scipy import stats
 
 from motor_env import InputError, Recording
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.operation import sequential_monitor
-from motor_env.diagnosis.operation.operating_conditions import condition_features
-from motor_env.diagnosis.operation.score_calibration import (
-    fault_directions,
-    learn_calibration,
-    normal_scores,
-)
 from motor_env.diagnosis.operation.sequential_monitor import (
     EFFECT_SIZES,
     YEAR_S,
     SequentialMonitor,
     checked_calibration,
+    fault_directions,
     is_alarm,
+    learn_calibration,
+    normal_scores,
     updated_sums,
 )
-from motor_env.diagnosis.operation.windows import WindowJudge, judge_of
+from motor_env.diagnosis.operation.windows import WindowJudge, condition_features, judge_of
+
+# Reaches in: windows are fits made by hand.
 from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.motor.healthy import Healthy, OperatingCondition, ScoreCalibration, Windows
@@ -194,7 +193,7 @@ def commissioned(*, steady: bool, scatter: float = 1.0, seed: int = 8) -> Health
     rng = np.random.default_rng(seed)
     kelvin, prior = (0.0, np.zeros(4)) if steady else (15.0, np.full(4, 0.01))
     calibration = checked_calibration(*windows_of(rng, 12, np.zeros(4), scatter), prior, temperature_k=kelvin)
-    windows = Windows(WINDOW_S, (), np.zeros(places.N_VALUES), "held", 1.0, 100.0, calibration=calibration)
+    windows = Windows(WINDOW_S, (), np.zeros(index.N_VALUES), "held", 1.0, 100.0, calibration=calibration)
     return Healthy(12, 15.0, NAMES, np.ones(4), scatter**2 * ERROR, temperature_k=kelvin, windows=windows)
 
 

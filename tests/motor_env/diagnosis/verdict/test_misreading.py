@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
+
+# Reaches in: a log that is read wrongly is judged by its windows.
 from motor_env.diagnosis.operation import log_diagnosis as judging
 from motor_env.diagnosis.operation.windows import WindowJudge
 from motor_env.diagnosis.readers.recording import Recording
@@ -130,16 +132,16 @@ def test_a_whole_log_that_was_read_wrongly_need_not_fit_to_a_percent(
 ) -> None:
     """A speed in degrees a second, and windows that scatter by 1 %; the friction is not all viscous."""
     motor, by = {"R": 2.0, "K": 0.03, "J": 4e-6, "B": 2e-6}, 180.0 / math.pi
-    windows = Windows(0.5, (), np.zeros(places.N_VALUES), "held", 1e-3, 100.0)
+    windows = Windows(0.5, (), np.zeros(index.N_VALUES), "held", 1e-3, 100.0)
     reference = Reference("it", NAMES, np.log(list(motor.values())), 1e-4 * np.eye(4))
-    read = np.zeros(places.N_VALUES)
-    read[[places.R, places.K, places.J]] = 1.02 * motor["R"], motor["K"] / by, 0.97 * motor["J"] / by**2
-    read[places.B] = friction * motor["B"] / by**2
+    read = np.zeros(index.N_VALUES)
+    read[[index.R, index.K, index.J]] = 1.02 * motor["R"], motor["K"] / by, 0.97 * motor["J"] / by**2
+    read[index.B] = friction * motor["B"] / by**2
     monkeypatch.setattr(judging, "from_recordings", lambda _: None)
     monkeypatch.setattr(
         judging, "identify_record", lambda _: SimpleNamespace(solution=None, expected=np.ones((2, 2)))
     )
-    monkeypatch.setattr(judging, "known_of", lambda _: read)
+    monkeypatch.setattr(judging, "values_without_warming", lambda _: read)
     log: Any = Recording(Path("log"), np.arange(2.0), np.zeros(2))
     said = Judgement(Verdict.OTHER, (BEYOND_WEAR,))
     (found,) = judging._as_a_whole([said], log, WindowJudge(windows, reference))

@@ -16,14 +16,14 @@ from motor_env import (
     Motor,
 )
 from motor_env.diagnosis import batch, commission
-from motor_env.diagnosis.estimation.uncertainty import excess_covariance as beyond
+from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.diagnosis.readers.start import Circuit, prepare
 from motor_env.diagnosis.verdict import (
+    healthy_motor,
     healthy_spread,
-    motor_files,
-    report_page as page,
-    report_text as formats,
+    report_page,
+    report_text,
 )
 from motor_env.diagnosis.verdict.decision import alarm_limits
 from motor_env.diagnosis.verdict.healthy_motor import (
@@ -70,9 +70,11 @@ def test_the_next_of_several_healthy_ones() -> None:
 
 def test_an_error_counts_as_far_as_it_is_beyond_the_healthy_spread() -> None:
     healthy = np.diag([1.0, 4.0])
-    np.testing.assert_allclose(beyond(healthy, np.diag([3.0, 2.0])), np.diag([2.0, 0.0]), atol=1e-12)
+    np.testing.assert_allclose(
+        excess_covariance(healthy, np.diag([3.0, 2.0])), np.diag([2.0, 0.0]), atol=1e-12
+    )
     turn = np.array([[0.6, -0.8], [0.8, 0.6]]) @ np.array([[2.0, 0.3], [0.0, 0.7]])
-    found = beyond(turn @ healthy @ turn.T, turn @ np.diag([3.0, 2.0]) @ turn.T)
+    found = excess_covariance(turn @ healthy @ turn.T, turn @ np.diag([3.0, 2.0]) @ turn.T)
     np.testing.assert_allclose(found, turn @ np.diag([2.0, 0.0]) @ turn.T, atol=1e-12)
 
 
@@ -257,7 +259,7 @@ def test_a_start_is_compared_with_what_is_as_warm() -> None:
         covariance_at_one_temperature(fit, sheet), sheet.log_covariance + fit.log_covariance
     )
     starts = replace(sheet, includes_fit_error=True)
-    expected = sheet.log_covariance + beyond(sheet.log_covariance, fit.white_covariance)
+    expected = sheet.log_covariance + excess_covariance(sheet.log_covariance, fit.white_covariance)
     np.testing.assert_allclose(covariance_at_one_temperature(fit, starts), expected)
     warm = replace(starts, temperature_k=15.0, warmer_k=5.0, own_friction=1.0, degrees_of_freedom=8.0)
     view = form_hypotheses(fit, warm, RATE)[0]
@@ -340,9 +342,9 @@ def test_a_shunt_is_in_series_with_the_healthy_motor() -> None:
     behind = replace(fit, start=replace(fit.start, circuit=Circuit(shunt_ohm=0.5)))
     logs = reference.log_values.copy()
     logs[0] = math.log(math.exp(logs[0]) + 0.5)
-    larger = page.reference_current(replace(found, reference=replace(reference, log_values=logs)))
+    larger = report_page.reference_current(replace(found, reference=replace(reference, log_values=logs)))
     assert larger is not None
-    ours = page.reference_current(replace(found, fit=behind))
+    ours = report_page.reference_current(replace(found, fit=behind))
     np.testing.assert_allclose(np.asarray(ours), larger, rtol=1e-9, atol=1e-12)
 
 
@@ -351,7 +353,7 @@ def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
     theta = fit.solution.theta.copy()
     theta[[fit.solution.names.index(name) for name in "RJ"]] += np.log([4.0, 0.25])
     other = replace(fit, solution=replace(fit.solution, theta=theta))
-    motor = motor_files.to_motor([fit, other], "two")
+    motor = healthy_motor.to_motor([fit, other], "two")
     assert motor.parameters.resistance_ohm == pytest.approx(2.0 * float(fit.parameters.resistance_ohm))
     assert motor.parameters.inertia_kg_m2 == pytest.approx(0.5 * float(fit.parameters.inertia_kg_m2))
     assert motor.nominal_voltage_v == pytest.approx(12.0)
@@ -359,13 +361,13 @@ def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
     for error, told in ((0.0495, 0.1), (0.0505, 0.0)):
         # Twice their mean's standard error: that of one over the root of two.
         pair = [replace(fit, fitted_extension={"coulomb": (0.1, error * math.sqrt(2.0))})] * 2
-        assert motor_files.to_motor(pair, "two").coulomb_friction_n_m == pytest.approx(told)
+        assert healthy_motor.to_motor(pair, "two").coulomb_friction_n_m == pytest.approx(told)
     wide = replace(fit, log_covariance=np.diag([0.49, 0.51, 0.1, 0.1]) ** 2)
-    assert [one for one in motor_files.describe_undetermined(wide) if "is not told" in one] == [
+    assert [one for one in healthy_motor.describe_undetermined(wide) if "is not told" in one] == [
         "L is not told by this recording (its standard error is 51 %)"
     ]
     for model, alike in (((), False), (("speed_lag", "coulomb"), False), (("coulomb", "sensor_lag"), True)):
-        said = motor_files.describe_undetermined(replace(fit, model=model))
+        said = healthy_motor.describe_undetermined(replace(fit, model=model))
         assert any("a lag of the sensor and L look alike" in one for one in said) is alike
 
 
@@ -387,12 +389,12 @@ def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> N
     expected = 0
     for n in range(5):
         _, covariance, freedom = predictive_t(np.delete(logs, n, axis=0), prior)
-        same = covariance + beyond(covariance, white)
+        same = covariance + excess_covariance(covariance, white)
         whole = add_normal_spread(same, 225.0 * np.outer(warmth, warmth), RATE / 5.0, freedom)
         limit = stats.t.isf(joint_share(0.8 * RATE, whole, EXPONENTS, freedom), freedom)
         expected += bool((limit + 1.645) * math.sqrt(same[3, 3]) > math.log(2.0))
     assert expected == (4 if odd else 0)
-    motor = motor_files.to_motor(given, "m", healthy=learn_starts(given))
+    motor = healthy_motor.to_motor(given, "m", healthy=learn_starts(given))
     smallest, undecided = healthy_spread.detectable_changes(motor, given, None, RATE)
     assert undecided == ({"B/J": expected} if odd else {})
     reference = reference_of(motor, CURRENT)
@@ -408,16 +410,16 @@ def test_words_of_a_commissioning() -> None:
     """The interval of the next healthy start, at the rate on both sides together."""
     given = fits(*SCATTER)
     learned = learn_starts(given)
-    motor = motor_files.to_motor(given, "m", healthy=learned)
+    motor = healthy_motor.to_motor(given, "m", healthy=learned)
     known = commission.Commissioned(motor, tuple(given), {"bearing": 0.25}, {"B/J": 2})
     text = repr(replace(known, false_alarm_rate=0.05))
     half = stats.t.isf(0.025, 6.0) * np.sqrt(np.diag(learned.log_covariance))
     assert "(95%, Student t, 6 degrees)" in text
     for name, value, h in zip(learned.quantities, learned.values, half, strict=True):
-        words = f"{value:.4g} {formats.UNITS[name]:<12} {math.expm1(-h):+.1%} to {math.expm1(h):+.1%}"
+        words = f"{value:.4g} {report_text.UNITS[name]:<12} {math.expm1(-h):+.1%} to {math.expm1(h):+.1%}"
         assert " ".join(words.split()) in " ".join(text.split()), name
         told = replace(known, false_alarm_rate=0.05).parameters[name]
-        assert (told["value"], told["unit"]) == (value, formats.UNITS[name])
+        assert (told["value"], told["unit"]) == (value, report_text.UNITS[name])
         assert told["interval"] == pytest.approx([value * math.exp(-h), value * math.exp(h)])
     assert "found in 95 of 100 cases: bearing 25.0%" in text
     assert "\n  B/J is left undecided by 2 of these 3 starts: a doubling would not show\n" in text

@@ -14,18 +14,22 @@ from motor_env import Diagnosis, InputError, Recording, diagnose, load_motor
 
 # Reaches in: windows are made by hand.
 from motor_env.diagnosis.estimation.operation_fit import identify_operation
-from motor_env.diagnosis.operation.operating_conditions import condition_distance, condition_features
 from motor_env.diagnosis.operation.window_baseline import learn_windows
-from motor_env.diagnosis.operation.windows import WindowJudge, judge_of
+from motor_env.diagnosis.operation.windows import (
+    WindowJudge,
+    condition_distance,
+    condition_features,
+    judge_of,
+)
 from motor_env.diagnosis.verdict.decision import decide
+from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows
 from motor_env.diagnosis.verdict.hypotheses import FittedWindow
 from motor_env.diagnosis.verdict.judgement import Verdict
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows
 from motor_env.motor.data_sheet import save_motor
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.parameters import FloatArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[4] / "benchmarks"))
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
 
 

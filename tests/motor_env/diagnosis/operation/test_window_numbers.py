@@ -17,33 +17,31 @@ from motor_env import Diagnosis, FaultKind, InputError, Motor, Recording, Verdic
 from motor_env.cli import main
 from motor_env.diagnosis import batch
 from motor_env.diagnosis.commission import Commissioned, commission
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 
 # Reaches in: judgements rest on fits and records made by hand, off in the direction of a fault.
 from motor_env.diagnosis.estimation.operation_fit import WindowFit
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.operation import window_baseline, windows
-from motor_env.diagnosis.operation.operating_conditions import (
-    condition_distance,
-    condition_features,
-    rms_volts,
-)
 from motor_env.diagnosis.operation.window_baseline import learn_windows
 from motor_env.diagnosis.operation.windows import (
     WARMTH,
     WindowJudge,
     averaged,
+    condition_distance,
+    condition_features,
     judge_of,
-    over_speed,
+    rms_volts,
     viscous,
     windows_of,
+    with_drag_over_speed,
 )
 from motor_env.diagnosis.readers.recording import UnusableError
-from motor_env.diagnosis.readers.regime import RegimeDecision as Taken
+from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.readers.start import Circuit
-from motor_env.diagnosis.verdict import hypotheses, report_text as formats
+from motor_env.diagnosis.verdict import hypotheses, report_text
 from motor_env.diagnosis.verdict.decision import decide
-from motor_env.diagnosis.verdict.healthy_motor import Reference
+from motor_env.diagnosis.verdict.healthy_motor import Reference, motor_of_windows
 from motor_env.diagnosis.verdict.healthy_spread import learn_without, predictive_t
 from motor_env.diagnosis.verdict.hypotheses import (
     EXPONENTS,
@@ -54,16 +52,15 @@ from motor_env.diagnosis.verdict.hypotheses import (
     joint_share,
 )
 from motor_env.diagnosis.verdict.judgement import Judgement
-from motor_env.diagnosis.verdict.motor_files import motor_of_windows
 from motor_env.diagnosis.verdict.sensor_diagnosis import physical_values
 from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.identifiable import matrix, visible_direction, warmth_direction
 from motor_env.motor.parameters import FloatArray
 
 WHITE: FloatArray = np.random.default_rng(3).standard_normal((200, 2))
-PHYSICAL = np.zeros(places.N_VALUES)
-PHYSICAL[[places.R, places.L, places.K, places.J]] = 2.1, 1e-3, 0.031, 4.2e-6
-PHYSICAL[[places.B, places.COULOMB, places.SQUARE]] = 2e-6, 3e-4, 1e-8
+PHYSICAL = np.zeros(index.N_VALUES)
+PHYSICAL[[index.R, index.L, index.K, index.J]] = 2.1, 1e-3, 0.031, 4.2e-6
+PHYSICAL[[index.B, index.COULOMB, index.SQUARE]] = 2e-6, 3e-4, 1e-8
 WINDOWS = Windows(
     window_s=0.5,
     terms=("R", "K", "J"),
@@ -122,9 +119,9 @@ def test_the_drag_of_a_window_is_told_over_the_speed() -> None:
     """Viscous friction, dry friction over the speed, and the square law times it; none at all stays a number."""
     assert viscous(PHYSICAL, 200.0) == pytest.approx(2e-6 + 1.5e-6 + 2e-6)
     assert viscous(PHYSICAL, 50.0) == pytest.approx(2e-6 + 6e-6 + 0.5e-6)
-    assert viscous(np.zeros(places.N_VALUES), 200.0) == 1e-300
+    assert viscous(np.zeros(index.N_VALUES), 200.0) == 1e-300
     window = WindowFit(np.log([2.0, 0.03, 4e-6, 1.5]), spread(4), PHYSICAL, WHITE, 0.0)
-    fit = over_speed(window, PHYSICAL, 200.0)
+    fit = with_drag_over_speed(window, PHYSICAL, 200.0)
     np.testing.assert_allclose(np.exp(fit.log_values), [2.0, 0.03, 4e-6, 1.5 * 5.5e-6])
     assert fit.log_covariance is fit.white_covariance
     np.testing.assert_allclose(fit.log_covariance, spread(4))
@@ -147,9 +144,9 @@ def test_sensors_are_checked_against_what_windows_have_taught(monkeypatch: pytes
     assert JUDGE.failed_sensor(recording(500)) is None
     given.append(physical_values(motor_of_windows(HEALTHY, "m")))
     for physical in given:
-        assert physical[[places.R, places.K, places.J]] == pytest.approx([2.0, 0.03, 4e-6])
-        assert physical[[places.L, places.B, places.COULOMB]] == pytest.approx([1e-3, 2e-6, 3e-4])
-    assert given[0][places.DRAG] == pytest.approx(DRAG)
+        assert physical[[index.R, index.K, index.J]] == pytest.approx([2.0, 0.03, 4e-6])
+        assert physical[[index.L, index.B, index.COULOMB]] == pytest.approx([1e-3, 2e-6, 3e-4])
+    assert given[0][index.DRAG] == pytest.approx(DRAG)
 
 
 def test_the_temperature_of_healthy_logs_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,9 +169,9 @@ def fits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
     def fitting(record: Record, known: FloatArray, terms: Sequence[str], *, one_way: bool) -> WindowFit:
         assert one_way is WINDOWS.one_way
-        assert (record.hold, terms, known[places.DRAG]) == ("late", WINDOWS.terms, pytest.approx(DRAG))
+        assert (record.hold, terms, known[index.DRAG]) == ("late", WINDOWS.terms, pytest.approx(DRAG))
         logs = np.log([*HEALTHY.values[:3], DRAG]) + 0.01
-        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(places.N_VALUES), WHITE, 0.0)
+        return WindowFit(logs, np.eye(4) * 1e-6, np.zeros(index.N_VALUES), WHITE, 0.0)
 
     monkeypatch.setattr(windows, "fit_window", fitting)
     monkeypatch.setattr(windows, "decide", deciding)
@@ -213,7 +210,7 @@ def test_of_many_windows_some_are_judged_and_the_rate_is_still_shared_by_all(
     odd = {7, 20, 33}
 
     def predict(self: Record, values: FloatArray) -> tuple[FloatArray, float]:
-        assert (self.hold, values[places.R], values[places.KNEE]) == ("late", pytest.approx(2.0), 0.0)
+        assert (self.hold, values[index.R], values[index.KNEE]) == ("late", pytest.approx(2.0), 0.0)
         out = np.zeros((len(self.voltage_v), 6))
         window = (self.readings[:, 0] // 500.0).astype(int)
         out[:, 0] = np.where(np.isin(window, list(odd)), 5.0, 1.0 + 1e-3 * window)
@@ -451,8 +448,8 @@ class Lesson:
         self.wanted: list[tuple[str, ...]] = []
         self.joint: list[int] = []
         self.error = np.diag([1e-4, 1e-4, 1e-4, load_sd**2])
-        self.values = np.pad([2.0, 1e-3, 0.03, 4e-6, 2e-6, 3e-4], (0, places.N_VALUES - 6))
-        self.values[[places.HEATING, places.COOLING]] = 5.0, 0.1
+        self.values = np.pad([2.0, 1e-3, 0.03, 4e-6, 2e-6, 3e-4], (0, index.N_VALUES - 6))
+        self.values[[index.HEATING, index.COOLING]] = 5.0, 0.1
         monkeypatch.setattr(window_baseline, "identify_operation", self.identify)
         monkeypatch.setattr(window_baseline, "fit_window", self.fit)
         monkeypatch.setattr(window_baseline, "without_load", self.without_load)
@@ -469,7 +466,7 @@ class Lesson:
         assert best.names == self.names
         self.again.append(speed_rad_s)
         values = self.values.copy()
-        values[[places.COULOMB, places.LOAD]] = 7e-4, 0.0
+        values[[index.COULOMB, index.LOAD]] = 7e-4, 0.0
         return SimpleNamespace(values=values)
 
     def fit(
@@ -477,12 +474,12 @@ class Lesson:
     ) -> WindowFit:
         assert record.hold == "late"
         assert one_way is bool(abs(np.mean(self.speeds)) > 0.9 * np.mean(np.abs(self.speeds)))
-        assert known[places.HEATING] == known[places.COOLING] == 0.0
+        assert known[index.HEATING] == known[index.COOLING] == 0.0
         number = len(self.wanted)
         self.wanted.append(wanted)
         values = self.values.copy()
-        values[places.WALK] = 0.1 if "load_walk" in wanted else known[places.WALK]
-        values[places.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
+        values[index.WALK] = 0.1 if "load_walk" in wanted else known[index.WALK]
+        values[index.NOISE_I] = [1.0, 2.0, 3.0, 4.0, 5.0, 9.0][number % 6]
         error = self.error.copy() if len(self.wanted) <= 6 else np.diag([1e-4, 1e-4, 1e-4, 1e-4])
         return WindowFit(self.logs[number % 6], error, values, WHITE, 0.0)
 
@@ -526,8 +523,8 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
     volts = np.quantile(np.abs(recording(500).voltage_v), 0.999)  # type: ignore[arg-type]  # it has a voltage
     amps = np.quantile(np.arange(2500.0, 3000.0), 0.999)
     assert taught.peaks == pytest.approx((volts, amps, 30.0 * amps))
-    assert taught.physical[places.NOISE_I] == 3.5  # the median of the windows
-    assert taught.physical[places.HEATING] == taught.physical[places.COOLING] == 0.0
+    assert taught.physical[index.NOISE_I] == 3.5  # the median of the windows
+    assert taught.physical[index.HEATING] == taught.physical[index.COOLING] == 0.0
     as_believed = replace(judge_of(found).reference, excess=1.0)
     believed = np.linalg.inv(covariance_at_one_temperature(learned[0], as_believed))
     squares = [
@@ -558,10 +555,10 @@ def test_windows_teach_the_next_one(steady: bool, monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("place", "torque", "times"),
     [
-        (places.NOISE_T, 0.0, 3.0),
-        (places.NOISE_T, 0.99 * 5e-5, 3.0),
-        (places.NOISE_T, 1.01 * 5e-5, 1.0),
-        (places.WALK, 1e-9, 1.0),
+        (index.NOISE_T, 0.0, 3.0),
+        (index.NOISE_T, 0.99 * 5e-5, 3.0),
+        (index.NOISE_T, 1.01 * 5e-5, 1.0),
+        (index.WALK, 1e-9, 1.0),
     ],
 )
 @pytest.mark.parametrize("is_alike", [True, False])
@@ -573,7 +570,7 @@ def test_a_model_that_lacks_nothing_errs_under_far_drives_only(
     Beyond 0.12 windows are driven alike that are as far apart as the healthy one is that is farthest from all others.
     """
     lesson, log, among = Lesson(monkeypatch), recording(3100), 0.12
-    lesson.values[[places.B, places.COULOMB, place]] = 4e-6, 6e-4, torque
+    lesson.values[[index.B, index.COULOMB, place]] = 4e-6, 6e-4, torque
     if not is_alike:  # the voltage is the same in all windows otherwise
         log = replace(log, voltage_v=log.current_a)
         parts = [condition_features(part) for part in windows_of(log, 0.5)]
@@ -621,7 +618,7 @@ def test_a_load_is_unknown_in_windows_that_tell_it_from_friction(monkeypatch: py
         lesson.logs = np.column_stack([lesson.logs[:, :3], lesson.logs[:, 3].mean() + scatter * drag])
         found = taught([recording(3000)], 0.5)
         assert ("load_walk" in found.terms) is is_told
-        assert bool(found.physical[places.WALK] > 0.0) is is_told  # none, or a constant load would be unknown
+        assert bool(found.physical[index.WALK] > 0.0) is is_told  # none, or a constant load would be unknown
         assert lesson.wanted[0] == ("R", "K", "offset_speed", "load_constant", "load_walk")
 
 
@@ -647,13 +644,13 @@ def test_a_load_that_nothing_tells_from_friction_is_a_part_of_it(
     """The joint fit is made again where it had a load, and one that walks stays. On a test bench no constant one is."""
     lesson = Lesson(monkeypatch, load_sd=load_sd)
     lesson.names, lesson.speeds = ("R", load, "K", "offset_speed"), (90.0, -back)
-    lesson.values[[places.COULOMB, places.LOAD, places.WALK]] = 3e-4, 2e-4, 9.0
+    lesson.values[[index.COULOMB, index.LOAD, index.WALK]] = 3e-4, 2e-4, 9.0
     found = learn_windows([recording(3100)], 0.5, steady=steady)[0].windows
     assert found is not None
     had_load = load != "gear_loss"
     assert lesson.again == ([45.0 - 0.5 * back] if again and had_load else [])  # the mean speed
     np.testing.assert_allclose(
-        found.physical[[places.COULOMB, places.LOAD]], [7e-4, 0.0] if again and had_load else [3e-4, 2e-4]
+        found.physical[[index.COULOMB, index.LOAD]], [7e-4, 0.0] if again and had_load else [3e-4, 2e-4]
     )
     loads = {"load_constant", "load_walk"}
     expected = {load} & loads if steady or load_sd > 0.1 else loads
@@ -662,7 +659,7 @@ def test_a_load_that_nothing_tells_from_friction_is_a_part_of_it(
     assert found.one_way is again
     assert set(found.terms) & loads == (expected - {"load_constant"} if steady else expected)
     assert ("offset_speed" in found.terms) is not steady
-    assert bool(found.physical[places.WALK] > 0.0) is ("load_walk" in found.terms)
+    assert bool(found.physical[index.WALK] > 0.0) is ("load_walk" in found.terms)
 
 
 def test_a_lesson_needs_four_windows_and_chooses_some_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -731,32 +728,34 @@ def pieces(*said: str) -> tuple[Judgement, ...]:
 
 
 def record(*said: str, of: int | None = None) -> Diagnosis:
-    taken = Taken("operation", "reversed")
+    taken = RegimeDecision("operation", "reversed")
     return Diagnosis(recording(500), taken, pieces(*said), len(said) if of is None else of)
 
 
 def test_text_and_json_of_a_record_say_the_same() -> None:
     found = record("healthy", "bearing", of=7)
-    assert formats.as_text(found).splitlines() == [
+    assert report_text.as_text(found).splitlines() == [
         "log: bearing; 1 of 2 windows judged, of 7",
         "  it is bearing.",
         "  taken for a motor at work (reversed)",
         "  from 0 s: healthy; R +25.0%, K -2.0%, J +0.0%, B +33.3%",
         "  from 0.5 s: bearing; R +25.0%, K -2.0%, J +0.0%, B +33.3% <",
     ]
-    told = formats.as_json(found)
+    told = report_text.as_json(found)
     assert told["taken_for"] == {"regime": "operation", "why": "reversed"}
     assert [(one["verdict"], one["begin_s"], one["duration_s"]) for one in told["pieces"]] == [
         ("healthy", 0.0, 0.5),
         ("bearing", 0.5, 0.5),
     ]
-    whole = formats.as_text(record("bearing", "bearing", "healthy"))
+    whole = report_text.as_text(record("bearing", "bearing", "healthy"))
     assert whole.startswith("log: bearing; 2 of 3 windows\n")
     torn = Judgement(Verdict.UNUSABLE, ("torn", "worn"), begin_s=1.0)
-    assert "  from 1 s: unusable; torn; worn" in formats.as_text(replace(found, pieces=(*found.pieces, torn)))
-    one = replace(found, taken=Taken("start", "it rises"), pieces=(torn,), of=1)
+    assert "  from 1 s: unusable; torn; worn" in report_text.as_text(
+        replace(found, pieces=(*found.pieces, torn))
+    )
+    one = replace(found, taken=RegimeDecision("start", "it rises"), pieces=(torn,), of=1)
     lines = ["log: unusable", "  torn.", "  worn.", "  taken for a start (it rises)"]
-    assert formats.as_text(one).splitlines() == lines
+    assert report_text.as_text(one).splitlines() == lines
 
 
 def test_a_log_has_no_reference_without_a_motor() -> None:

@@ -18,12 +18,19 @@ from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recordi
 from motor_env.common.errors import InputError
 
 # Reaches in: motors that one recording teaches, and the checks by themselves.
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.readers.start import Circuit
-from motor_env.diagnosis.verdict.channels import ChannelRecord, correlation, find_failure, free_run
 from motor_env.diagnosis.verdict.judgement import Judgement
-from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors, learn_signs, physical_values
-from motor_env.diagnosis.verdict.verdict_texts import VERDICT_TEXTS
+from motor_env.diagnosis.verdict.report_page import VERDICT_TEXTS
+from motor_env.diagnosis.verdict.sensor_diagnosis import (
+    ChannelRecord,
+    correlation,
+    diagnose_sensors,
+    find_failure,
+    free_run,
+    learn_signs,
+    physical_values,
+)
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.faults import SENSOR_KINDS, FaultKind
 from motor_env.motor.parameters import FloatArray
@@ -114,11 +121,11 @@ def test_a_shunt_is_in_the_circuit_that_sensors_are_checked_in(monkeypatch: pyte
     given: list[float] = []
     monkeypatch.setattr(
         "motor_env.diagnosis.verdict.sensor_diagnosis.find_failure",
-        lambda _, physical: given.append(float(physical[places.R])),
+        lambda _, physical: given.append(float(physical[index.R])),
     )
     for circuit in (None, Circuit(shunt_ohm=0.5)):
         assert diagnose_sensors(commanded(5), SHEET, circuit=circuit) is None
-    assert given == pytest.approx([PHYSICAL[places.R], PHYSICAL[places.R] + 0.5])
+    assert given == pytest.approx([PHYSICAL[index.R], PHYSICAL[index.R] + 0.5])
 
 
 def test_a_range_and_an_offset_are_named() -> None:
@@ -170,11 +177,11 @@ def test_what_a_controller_holds_is_not_clipped() -> None:
 def test_a_current_that_a_rotor_at_rest_draws_is_no_offset() -> None:
     """The current of a winding that falls slowly; more than that is an offset."""
     slow = PHYSICAL.copy()
-    slow[places.L] = 0.02
+    slow[index.L] = 0.02
     volts = np.tile(np.repeat([8.0, -8.0], 30), 20)
     current, speed = free_run(slow, volts, DT_S)
-    pulses, decay = np.tile(np.repeat([5.0, 0.0], 3), 10), math.exp(-DT_S * slow[places.R] / slow[places.L])
-    held = lfilter([0.0, 1.0 - decay], [1.0, -decay], pulses / slow[places.R])
+    pulses, decay = np.tile(np.repeat([5.0, 0.0], 3), 10), math.exp(-DT_S * slow[index.R] / slow[index.L])
+    held = lfilter([0.0, 1.0 - decay], [1.0, -decay], pulses / slow[index.R])
     log = ChannelRecord(
         DT_S,
         np.append(volts, pulses),
@@ -189,7 +196,7 @@ def test_a_current_that_a_rotor_at_rest_draws_is_no_offset() -> None:
     late[len(volts) + 3 :: 6] += 0.8
     assert find_failure(log._replace(current_a=late), slow) is None
     known = slow.copy()
-    known[places.OFFSET_I] = 0.4
+    known[index.OFFSET_I] = 0.4
     assert find_failure(off, known) is None
 
 
@@ -199,7 +206,7 @@ def test_only_a_motor_that_turns_both_ways_tells_an_offset_while_it_never_rests(
 ) -> None:
     """A rotor that sticks under a small voltage does not turn back: what it is off by may be its friction."""
     sticking = PHYSICAL.copy()
-    sticking[places.COULOMB] = 0.5 * sticking[places.K]
+    sticking[index.COULOMB] = 0.5 * sticking[index.K]
     volts = np.tile(np.repeat([-8.0, other_volts], 60), 20)
     current, speed = free_run(sticking, volts, DT_S)
     found = find_failure(ChannelRecord(DT_S, volts, current + 1.2, speed, at_work=True), sticking)

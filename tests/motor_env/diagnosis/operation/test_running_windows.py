@@ -15,21 +15,21 @@ from motor_env import InputError, Motor, Recording, Verdict, commission, diagnos
 from motor_env.cli import main
 from motor_env.common.console import worst
 from motor_env.diagnosis import batch
-from motor_env.diagnosis.estimation import parameter_index as places
+from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.operation import windows
 from motor_env.diagnosis.operation.windows import WindowJudge
 from motor_env.diagnosis.verdict.hypotheses import EXPONENTS, NAMES, alarm_share, joint_share
 from motor_env.diagnosis.verdict.judgement import Judgement
 
 # Reaches in: the oracle of the joint share needs the direction in which each fault shows.
-from motor_env.motor import identifiable as quantities
+from motor_env.motor import identifiable
 from motor_env.motor.healthy import Healthy, Windows
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[4] / "benchmarks"))
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
 
 COLUMNS = ("current_a", "voltage_v", "speed_rad_s")
-PHYSICAL = np.zeros(places.N_VALUES)
+PHYSICAL = np.zeros(index.N_VALUES)
 WINDOWS = Windows(
     window_s=0.01, terms=("R", "K"), physical=PHYSICAL, hold="held", dt_s=1e-3, speed_rad_s=100.0
 )
@@ -181,7 +181,7 @@ def test_the_tests_of_a_window_alarm_together_at_the_rate(rate: float) -> None:
     length = np.sqrt(rng.chisquare(freedom, n) / freedom)
     drawn = rng.standard_normal((n, 4)) / length[:, None]
     axes = np.linalg.inv(root) @ np.transpose(
-        [quantities.visible_direction(kind, EXPONENTS) for kind in quantities.nameable_kinds(EXPONENTS)]
+        [identifiable.visible_direction(kind, EXPONENTS) for kind in identifiable.nameable_kinds(EXPONENTS)]
     )
     along = drawn @ (axes / np.linalg.norm(axes, axis=0))
     alarms = (along > stats.t.isf(share, freedom)).any(axis=1)
