@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 from peers import command, environment, export_starts
-from result import Result
+from run import Result, best_rate
 from scipy.optimize import least_squares
-from timing import best_rate
 
 from motor_classifiers.estimators.methods import make_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork

@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from result import Result
+from run import Result, best_rate
 from scipy.integrate import solve_ivp
 from scipy.signal import dlsim
-from timing import best_rate
 
 from motor_datasets import generate_arrays, generate_dataset, parquet
 from motor_datasets.layout import make_plan
