@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 import reference_scores
 from tables import KEPT, kept_tables, marked, table
-from trust_tables import trust_tables
+from trust import trust_tables
 
 FOLDER = Path(__file__).resolve().parent
 DIGESTS = FOLDER.parent / "classifiers" / "motor_classifiers" / "scoring" / "motor_bench.json"

@@ -7,7 +7,6 @@ commissioning of 200 s, one false alarm an hour asked for. A run that was stoppe
 """
 
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from motor_env.diagnosis.streaming.watch import LearningPhase, Watch
 WINDOW_S, LEARN_S, DT_S = 20.0, 200.0, 0.01
 SUPPORT = {"yes": "if the fitted tails hold", "no": "is not supported"}
 HEADER = (
-    "profile",
     *ALARM_HEADER,
     "on one motor",
     "motors beyond 99 %",
@@ -56,24 +54,18 @@ def one(job: tuple[int, int, float]) -> dict[str, Any]:
     }
 
 
-def rows_by_profile(found: list[dict[str, Any]]) -> Iterator[list[str]]:
-    """Make the rows of the table, and one of all."""
-    for profile in (*PROFILES, "all"):
-        some = [row for row in found if profile in (row["profile"], "all")]
-        if some:
-            total = alarm_row(
-                profile, "hour", sum(row["hours"] for row in some), sum(row["alarms"] for row in some)
-            )
-            beyond = sum(row["alarms"] > poisson.ppf(0.99, due("hour", row["hours"])) for row in some)
-            by = Counter(row["by"] for row in some)
-            unusable = sum(row["names"].get("window unusable", 0) for row in some)
-            yield [
-                *total,
-                f"{max(row['alarms'] for row in some)} at most",
-                f"{beyond} of {len(some)}",
-                f"{unusable * WINDOW_S / 3600.0 / sum(row['hours'] for row in some):.0%}",
-                ", ".join(f"{how} {count}" for how, count in sorted(by.items())),
-            ]
+def row(found: list[dict[str, Any]]) -> list[str]:
+    """Make the row of all motors."""
+    hours = sum(one["hours"] for one in found)
+    by = Counter(one["by"] for one in found)
+    unusable = sum(one["names"].get("window unusable", 0) for one in found)
+    return [
+        *alarm_row("all", "hour", hours, sum(one["alarms"] for one in found))[1:],
+        f"{max(one['alarms'] for one in found)} at most",
+        f"{sum(one['alarms'] > poisson.ppf(0.99, due('hour', one['hours'])) for one in found)} of {len(found)}",
+        f"{unusable * WINDOW_S / 3600.0 / hours:.0%}",
+        ", ".join(f"{how} {count}" for how, count in sorted(by.items())),
+    ]
 
 
 def main(
@@ -95,7 +87,7 @@ def main(
     """
     jobs = {number: (seed, number, hours) for number in range(motors)}
     known = kept_rows(one, jobs, lambda row: row["number"], workers, rows)
-    keep_table("operation", "watched", HEADER, rows_by_profile(known))
+    keep_table("operation", "watched", HEADER, [row(known)])
 
 
 if __name__ == "__main__":

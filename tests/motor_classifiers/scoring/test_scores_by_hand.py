@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import verdict_times
+import trust_figures
 from made_results import RECIPE, TASK, answer, decisions, made_results
 from scipy.stats import binom
 from sklearn.metrics import brier_score_loss, confusion_matrix, log_loss
-from trust_figures import scored_severities, set_figures
-from verdict_times import STATED_ERRORS, accuracy_by_moment, moments
+from trust_figures import STATED_ERRORS, accuracy_by_moment, moments, scored_severities, set_figures
 
 from motor_classifiers.scoring import progress
 from motor_classifiers.scoring.benchmark import Plan, make_tasks, unit_of, units
@@ -344,21 +343,21 @@ def test_a_race_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
         asked.append(given)
         return next(told)
 
-    monkeypatch.setattr(verdict_times, "judged_starts", starts)
+    monkeypatch.setattr(trust_figures, "judged_starts", starts)
     tolerant = SimpleNamespace(from_recipe=lambda _: SimpleNamespace(white=lambda X: X))
     rule = SimpleNamespace(statistic=lambda white: white[:, 0])
-    monkeypatch.setattr(verdict_times, "TolerantFilter", tolerant)
+    monkeypatch.setattr(trust_figures, "TolerantFilter", tolerant)
     for name in ("Sprt", "Cusum", "Glr"):
-        monkeypatch.setattr(verdict_times, name, lambda *_: rule)
+        monkeypatch.setattr(trust_figures, name, lambda *_: rule)
     # The limit is the surer the later: 0.75, 0.85, ... at the moments.
     sure = np.array([0.75, 0.85, 0.92, 0.96, 0.985, 0.9925, 0.997, 0.999, 0.9995, 0.9999, 0.99999])
     n_moments = len(moments(Timing(1_000.0, 0.04)).samples)
     by_moment = np.stack([np.full((10, 2), 1.0 - s) for s in sure[:n_moments]])
     by_moment[:, np.arange(10), faulty.astype(int)] = sure[:n_moments, None]
-    monkeypatch.setattr(verdict_times, "limit_by_samples", lambda *_: by_moment)
+    monkeypatch.setattr(trust_figures, "limit_by_samples", lambda *_: by_moment)
     recipe = replace(RECIPE, timing=Timing(1_000.0, 0.04))
     fault = FaultClass(FaultKind.BEARING, 0.25)
-    curves = verdict_times.race(recipe, fault, seed=3, first_case=700, n_cases=10, n_healthy=101)
+    curves = trust_figures.race(recipe, fault, seed=3, first_case=700, n_cases=10, n_healthy=101)
     assert [given[1:] for given in asked] == [(3, 700, 10), (3, 710, 101)]
     assert [[c.kind for c in given[0].classes] for given in asked] == [[None, FaultKind.BEARING], [None]]
     rows = test[:, 0].astype(np.float64)
@@ -370,12 +369,12 @@ def test_a_race_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
             [bool(len(found)) != bad for found, bad in zip(above, faulty, strict=True)]
         )
     time_s = moments(recipe.timing).time_s
-    stopped = [point.time_s for point in curves[verdict_times.STOPPING_RULE]]
+    stopped = [point.time_s for point in curves[trust_figures.STOPPING_RULE]]
     assert stopped == pytest.approx(
         [time_s[np.argmax(sure >= 1.0 - e)] for e in (0.2, 0.1, 0.05, 0.02, 0.01, 0.005)]
     )
-    assert [point.time_s for point in curves[verdict_times.FIXED_TIME]] == pytest.approx(time_s.tolist())
-    assert {point.wrong for point in curves[verdict_times.FIXED_TIME]} == {0.0}
+    assert [point.time_s for point in curves[trust_figures.FIXED_TIME]] == pytest.approx(time_s.tolist())
+    assert {point.wrong for point in curves[trust_figures.FIXED_TIME]} == {0.0}
 
 
 def test_figures_of_sets_are_those_of_the_coverage() -> None:

@@ -1,7 +1,7 @@
 """Times of verdicts: moments, the alarm by hand, and the order of the rules that theory gives."""
 
 import numpy as np
-from verdict_times import FIXED_TIME, STATED_ERRORS, STOPPING_RULE, race, stopping_rows
+from trust_figures import FIXED_TIME, STATED_ERRORS, STOPPING_RULE, race, stopping_rows
 
 # Reaches in: the rows are the scores of the rule that stops, on probabilities that no classifier gave.
 from motor_classifiers.wrappers.early import stop_when_sure, stopping_score
