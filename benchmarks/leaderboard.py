@@ -210,7 +210,7 @@ def board(scores: dict[str, Row]) -> str:
         elif task.bracket is not None:
             best = " The best possible on average: between {:.2f} and {:.2f}.".format(*task.bracket)
         above = ["above the best possible"] * known
-        head = ["method", "by", task.metric, *above, "learned from", "what it is"]
+        head = ["method", task.metric, *above, "learned from", "what it is"]
         parts.append(f"## {name}\n\n{task.title}. {task.n_test} cases, motor-bench {VERSION}.{best}\n")
         parts.append(table(head, [_cells(row, told) for row in rows]).replace("-0.00", "0.00") + "\n")
     return "\n".join(parts)
@@ -223,8 +223,7 @@ def _cells(row: Row, told: set[str]) -> list[str]:
     about = "" if row["about"] in told else row["about"]
     told.add(row["about"])
     return [
-        row["method"],
-        row["authors"],
+        row["method"] if row["authors"] == US else f"{row['method']} ({row['authors']})",
         f"{row['value']:.2f} ({row['low']:.2f} to {row['high']:.2f})",
         *(["{:.2f} ({:.2f} to {:.2f})".format(*above)] if above else []),
         row["learned_from"],

@@ -165,7 +165,7 @@ def cells_by(rows: list[dict[str, Any]], key: str) -> Iterator[list[str]]:
         for name in QUANTITIES:
             if name in row and row[name]["told"]:
                 groups[name if key == "quantity" else row[key]].append(row[name])
-    order = {"profile": PROFILES, "load": LOADS, "quantity": QUANTITIES}[key]
+    order = {"profile": PROFILES, "quantity": QUANTITIES}[key]
     named = [(name, groups[name]) for name in order if name in groups]
     for name, cells in [*named, ("all", [cell for _, group in named for cell in group])]:
         ratios = ([cell[m] for cell in cells if m in cell] for m in ("error", "ls", "ekf"))
@@ -190,7 +190,7 @@ def main(
     known = kept_rows(one, jobs, lambda row: row["number"], workers, rows)
     failed = [row for row in known if "error" in row]
     print(f"\n{len(known)} records, {len(failed)} not fitted", *failed, sep="\n  ")
-    for key in ("profile", "load", "quantity"):
+    for key in ("profile", "quantity"):
         keep_table("operation", key, [key, *HEADER], cells_by(known, key))
 
 

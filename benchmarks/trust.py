@@ -201,10 +201,6 @@ def _unknown(figures: Figures) -> dict[str, Table]:
 
 
 def _early(figures: Figures) -> dict[str, Table]:
-    seen = [
-        [f"{1e3 * time_s:g} ms", *(f"{share:.4f}" for share in shares)]
-        for time_s, *shares in zip(figures["time_s"], *figures["accuracy"].values(), strict=True)
-    ]
     stopping = [
         [
             percent(row["stated"], digits=0),
@@ -217,10 +213,7 @@ def _early(figures: Figures) -> dict[str, Table]:
         for row in figures["stopping"]
     ]
     head = ["stated error", "probabilities of", "error of those that stopped", "stopped", "mean time"]
-    return {
-        "seen": (["seen", *figures["accuracy"]], seen),
-        "stopping": ([*head, "accuracy of all"], stopping),
-    }
+    return {"stopping": ([*head, "accuracy of all"], stopping)}
 
 
 def _interval(value: float | None, low: float, high: float) -> str:

@@ -5,8 +5,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from accuracy_limits import cramer_rao_bound
 from gymnasium.vector import AutoresetMode
+from limits import cramer_rao_bound
 from maintain_bounds import clairvoyant_value, maintenance_bound
 from scipy.stats import norm
 from single_lanes import assert_lanes_are_single
