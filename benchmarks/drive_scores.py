@@ -12,9 +12,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from best_policies import PlannedDrive
 from cyclopts import run
 from numpy.typing import NDArray
-from planned_drive import PlannedDrive
 from tables import keep_table
 
 from motor_env.envs import DriveVectorEnv, Lqg, parts_of, returns_of

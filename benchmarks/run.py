@@ -34,9 +34,6 @@ ONE_THREAD = dict.fromkeys(
 Row = dict[str, Any]
 AT_LEAST_S = 0.2
 
-ENVIRONMENTS = {"classifiers": ".venv"}
-"""Benchmarks that need the project's extras, which do not go with the other peers, run in its own environment."""
-
 
 @dataclass(frozen=True)
 class Result:
@@ -90,9 +87,8 @@ def measure_apart(name: str) -> list[Row] | None:
     """Run one benchmark in a process of its own; None if it failed."""
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "rows.json"
-        own = FOLDER.parent / ENVIRONMENTS.get(name, "") / "bin" / "python"
         command = [
-            str(own) if name in ENVIRONMENTS and own.exists() else sys.executable,
+            sys.executable,
             str(Path(__file__).resolve()),
             "--measure-here",
             name,

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 from cyclopts import run
-from kept_rows import kept_rows
 from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
 from scipy.stats import poisson
 from tables import keep_table
+from verdict_tables import kept_rows
 from watch_counts import ALARM_HEADER, RATES, alarm_row, alarms, due, lines
 
 from motor_env.diagnosis.streaming.state import State
