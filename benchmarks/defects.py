@@ -1,6 +1,6 @@
 """Verdicts on simulated captures, each with one defect of real ones: the table of docs/results/recordings.md.
 
-python benchmarks/defects.py --starts 60
+python benchmarks/defects.py --starts 60     # four minutes of one core
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,9 @@
-"""A fleet's false alarms, power and names beside an oracle that knows the healthy motors' true distribution.
+"""A fleet's false alarms and power beside an oracle that knows the healthy motors' true distribution.
 
 python benchmarks/fleet.py --healthy 3000 --sick 300 --workers 2
 
 Fits are drawn from their own law: the motor's quantities from the spread found in a fleet of real robots, the errors
-from the fit's covariance. Some ten minutes.
+from the fit's covariance.
 """
 
 import math

@@ -5,7 +5,7 @@
     python benchmarks/running_windows.py --motors 30 --other-physics --every-drive
     python benchmarks/running_windows.py --motors 12 --other-physics --one-way
 
-Four tables of docs/results/operation.md, half an hour of two cores each or less. Random motors and profiles from the
+Four tables of docs/results/operation.md. Random motors and profiles from the
 independent simulator in operation_simulator.py, with speed and without a load. Each is commissioned by 10 windows of 40
 mechanical time constants, and judged by records of 3, at one false alarm in 100. With other physics the motors have all
 of its SWITCHES, and are judged in other profiles, under other controllers, too, severe faults in the own one alone.

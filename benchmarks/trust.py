@@ -1,4 +1,4 @@
-"""Figures, tables and charts of docs/trust.md: `python benchmarks/trust.py [PART...]`, some twenty minutes for all.
+"""Figures, tables and charts of docs/trust.md: `python benchmarks/trust.py [PART...]`.
 
 `sets` and `figures` are kept in benchmarks/results/trust.json, `shifts` and `powers` among the tables; `charts` draws
 what is kept.

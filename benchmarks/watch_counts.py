@@ -1,6 +1,6 @@
 """Alarms and delays of `motor-env watch` on simulated work; watch_c counts those of the exported C with its parts.
 
-    python benchmarks/watch_counts.py delays --runs 12                                # some half an hour
+    python benchmarks/watch_counts.py delays --runs 12
     python benchmarks/watch_counts.py other-physics --motors 10 --hours 0.25 --rows out/watch_other_physics.jsonl
 
 `delays`: the textbook motor with a heavy flywheel on a test bench: a random duty cycle at 1 Hz, and nothing else moves.
