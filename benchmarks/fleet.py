@@ -1,6 +1,6 @@
 """A fleet's false alarms and power beside an oracle that knows the healthy motors' true distribution.
 
-python benchmarks/fleet.py --healthy 3000 --sick 300 --workers 2
+python benchmarks/fleet.py --healthy 3000 --sick 300 --workers 2     # five minutes of one core
 
 Fits are drawn from their own law: the motor's quantities from the spread found in a fleet of real robots, the errors
 from the fit's covariance.

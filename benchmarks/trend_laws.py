@@ -1,6 +1,6 @@
 """What is said of a wearing motor under laws of wear that the model has and lacks: the table of docs/results/trend.md.
 
-python benchmarks/trend_laws.py --histories 400
+python benchmarks/trend_laws.py --histories 400     # two minutes of one core
 
 A history is judged once, after 10 to 60 daily estimates, at a random moment between 30 and 98 % of the nominal life;
 one that has failed before is drawn anew.
