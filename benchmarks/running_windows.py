@@ -1,6 +1,6 @@
 """Verdicts on simulated motors at work: commissioned by windows in one profile, judged in the same.
 
-    python benchmarks/running_windows.py --motors 40
+    python benchmarks/running_windows.py --motors 40     # four minutes of one core
     python benchmarks/running_windows.py --motors 30 --other-physics
     python benchmarks/running_windows.py --motors 30 --other-physics --every-drive
     python benchmarks/running_windows.py --motors 12 --other-physics --one-way
