@@ -91,7 +91,7 @@ peers: $(AEON_READY) ## make .venv-aeon, the environment of the generic classifi
 peers-anew: $(READY) $(AEON_READY) ## let them judge the benchmark's starts again; their answers are kept in benchmarks/results
 	$(BIN)/python benchmarks/peers.py
 
-bench: $(BENCH_READY) $(READY) $(AEON_READY) ## speed against peers, in an environment of its own; writes out/bench.json
+bench: $(BENCH_READY) ## speed against peers, in an environment of its own; writes out/bench.json
 	.venv-bench/bin/python benchmarks/run.py --out out/bench.json $(BENCH_ARGS)
 
 docs: $(DOCS_READY) ## build the documentation into docs/_build/html; warnings are errors

@@ -1,8 +1,7 @@
 """Peers of aeon on the benchmark's own starts, in an environment of their own (`make peers`).
 
 `python aeon_peers.py CASES.npz ANSWER.npz METHOD...` trains each peer on the training starts and judges the test
-starts. The files hold plain arrays; neither side needs the other's packages. With `--rate` for ANSWER.npz it says
-`ready` when the first peer is trained, and then how many starts a second it judges for each line on its input.
+starts. The files hold plain arrays; neither side needs the other's packages.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import json
 import os
 import platform
 import sys
-import time
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -69,25 +67,11 @@ def machine() -> dict[str, str]:
     }
 
 
-def tell_rate(name: str, cases: dict[str, npt.NDArray[Any]]) -> None:
-    """Train, say `ready`, then one rate (starts a second) for each line."""
-    model = make_peer(name).fit(cases["train_X"], cases["train_class_index"])
-    model.predict_proba(cases["test_X"])  # compiles
-    print("ready", flush=True)
-    for _ in sys.stdin:
-        begin = time.perf_counter()
-        model.predict_proba(cases["test_X"])
-        print(len(cases["test_X"]) / (time.perf_counter() - begin), flush=True)
-
-
 def main() -> None:
     """Judge the peers asked for and write their answers, whole or not at all."""
     source, target, *names = sys.argv[1:]
     with np.load(source) as arrays:  # plain arrays only: NumPy refuses anything else by itself
         cases = dict(arrays)
-    if target == "--rate":
-        tell_rate(names[0], cases)
-        return
     answers = {
         name: cases[name] for name in ("train_mean", "test_mean", "train_class_index", "test_class_index")
     }

@@ -1,22 +1,18 @@
-"""Making labelled transients: against scipy's simulators, NumPy's generator and pyarrow's writer. One thread each.
+"""Making labelled transients: against scipy's simulator, NumPy's generator and pyarrow's writer. One thread each.
 
 The linear motor: `bench` recipe, 1000 samples, one channel, float32 with noise; the peers scipy.signal.dlsim (without
-noise, one case at a time) and NumPy's SFC64 that draws the noise alone. The nonlinear one: `field` recipe, against
-solve_ivp at its default tolerance. To disk: `generate_dataset` against pyarrow writing the same ready tables.
+noise, one case at a time) and NumPy's SFC64 that draws the noise alone. To disk: `generate_dataset` against
+pyarrow writing the same ready tables.
 """
 
-import math
 import shutil
 import tempfile
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from result import Result
-from scipy.integrate import solve_ivp
+from run import Result, best_rate
 from scipy.signal import dlsim
-from timing import best_rate
 
 from motor_datasets import generate_arrays, generate_dataset, parquet
 from motor_datasets.generate import make_plan
@@ -49,47 +45,6 @@ def _dlsim_cases(count: int) -> list[FloatArray]:
     return answers
 
 
-def _solve_ivp_case(case: int) -> FloatArray:
-    """The field recipe's motor as one would write it for scipy: plain floats, equations of simulation.nonlinear."""
-    recipe = RECIPES["field"]
-    drawn = draw(recipe, SEED, [case])
-    p = apply_faults(drawn.scenario.parameters, drawn.scenario.faults).motor(0)
-    assert drawn.effects is not None
-    e = {f.name: float(np.ravel(getattr(drawn.effects, f.name))[0]) for f in fields(drawn.effects)}
-    r_hot = float(p.resistance_ohm) * (1.0 + 0.00393 * e["temperature_rise_k"])
-    magnet = 1.0 - 0.001 * e["temperature_rise_k"]
-    k_b, k_t = p.back_emf_constant_v_s_per_rad * magnet, p.torque_constant_n_m_per_a * magnet
-    inductance, inertia, viscous = p.inductance_h, p.inertia_kg_m2, p.viscous_friction_n_m_s_per_rad
-    level = float(np.ravel(drawn.scenario.supply.voltage_v)[0])
-    ramp, ripple, omega = e["ramp_s"], e["ripple_v"], 2.0 * math.pi * e["ripple_hz"]
-    brush, source = e["brush_drop_v"], e["supply_resistance_ohm"]
-    dry, stribeck = e["coulomb_friction_n_m"] + e["load_torque_n_m"], e["stribeck_friction_n_m"]
-    w_s, bearing, q = e["stribeck_speed_rad_s"], e["bearing_ripple_n_m"], e["bearing_per_turn"]
-    commutation, n = e["commutation_ripple"], e["commutation_per_turn"]
-    capacity, leak = e["heat_capacity_j_per_k"], 1.0 / e["thermal_resistance_k_per_w"]
-
-    def rhs(t: float, x: FloatArray) -> tuple[float, float, float, float]:
-        i, w, angle, heat = x.tolist()
-        resistance = r_hot * (1.0 + 0.00393 * heat)
-        r = min(t / ramp, 1.0) if ramp > 0.0 else 1.0
-        supply = (level + ripple * math.cos(omega * t)) * r * r * (3.0 - 2.0 * r)
-        drop = (resistance + source) * i + k_b * w + brush * i / math.sqrt(i * i + 4e-4)
-        sign = w / math.sqrt(w * w + 1.0)
-        friction = dry + stribeck / (1.0 + (w / w_s) ** 2) + bearing * math.cos(q * angle)
-        torque = k_t * (1.0 + commutation * math.cos(n * angle)) * i - viscous * w - friction * sign
-        return (
-            (supply - drop) / inductance,
-            torque / inertia,
-            w,
-            (i * i * resistance - heat * leak) / capacity,
-        )
-
-    times = recipe.timing.time_s
-    times = times[times > 0.0] - e["delay_s"]
-    answer: FloatArray = solve_ivp(rhs, (0.0, times[-1]), np.zeros(4), t_eval=times).y[0]
-    return answer
-
-
 def linear() -> list[Result]:
     """Samples a second, drawn, simulated and with noise, in memory."""
     recipe = RECIPES["bench"]
@@ -107,24 +62,6 @@ def linear() -> list[Result]:
     return [
         Result(name, ours, peer, "scipy.signal.dlsim, no noise", bar=1000.0),
         Result(name, ours, noise, "NumPy SFC64 float32, noise alone", bar=2.0),
-    ]
-
-
-def nonlinear() -> list[Result]:
-    """Samples a second of the field recipe; the peer simulates without noise and sensor."""
-    recipe = RECIPES["field"]
-    cases = np.arange(256)
-    samples = recipe.timing.n_samples
-    out = np.empty((len(cases), 1, samples), dtype=np.float32)
-    ours = best_rate(lambda: measure_draw(draw(recipe, SEED, cases), recipe, SEED, out), out.size)
-    driven = recipe.timing.n_after
-    quiet = measure_draw(draw(recipe, SEED, [0]), recipe, SEED)[0, 0, -driven:]
-    assert np.abs(quiet - _solve_ivp_case(0)).max() < 0.1
-    peer = best_rate(lambda: _solve_ivp_case(0), samples, rounds=3)
-    return [
-        Result(
-            "field recipe, 256 x 1200 samples", ours, peer, "scipy solve_ivp, default tolerance", bar=200.0
-        )
     ]
 
 
@@ -160,4 +97,4 @@ def to_disk() -> list[Result]:
 
 def run() -> list[Result]:
     """All of them."""
-    return [*linear(), *nonlinear(), *to_disk()]
+    return [*linear(), *to_disk()]

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from result import Result
+from run import Result
 
 ROUNDS = 5
 ROWS = 500

@@ -1,10 +1,7 @@
-"""The filter over many transients, 2,000 x 1,000 samples: innovations and NIS, against the packages that compute them.
+"""The filter over many transients, 2,000 x 1,000 samples: innovations and NIS, against filterpy and a jitted JAX scan.
 
-Every peer has the same belief with a start that is not known, so that the gain varies, and is asked for what ours
-gives: innovations and NIS in new arrays. filterpy and the jitted JAX scan compute both on the way. dynamax and
-simdkalman return filtered means and covariances; what follows from these (`from_filtered`, in one jit with dynamax) is
-counted as theirs: a tenth of dynamax's time or less. Peers without a known input get
-measurements from which it has been taken out beforehand; the scan also gets its gains beforehand and time first.
+Both have the same belief with a start that is not known, so that the gain varies, and compute innovations and NIS on
+the way. The scan gets measurements from which the known input has been taken out, its gains beforehand, and time first.
 """
 
 import os
@@ -14,14 +11,11 @@ from typing import Any, NamedTuple
 # Before jax is imported: one thread for it as for all others.
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 
-import dynamax.linear_gaussian_ssm as dynamax
 import jax
 import jax.numpy as jnp
 import numpy as np
-import simdkalman
 from filterpy.kalman import KalmanFilter as FilterpyFilter
-from result import Result
-from timing import best_rate
+from run import Result, best_rate
 
 from motor_env.filters.batch import filter_residuals
 from motor_env.filters.kalman import KalmanFilter, schedule
@@ -92,69 +86,6 @@ def jax_scan(work: Work, dtype: Any) -> Callable[[], Any]:
     return lambda: jax.block_until_ready(run(deviations))
 
 
-def from_filtered(belief: KalmanFilter, samples: Any, means: Any, covariances: Any, xp: Any) -> Any:
-    """Innovations and NIS of all cases from filtered means (cases, n, 2) and the covariances (n, 2, 2) of them all."""
-    a = belief.model.transition[0]
-    before = xp.concatenate([xp.asarray(belief.initial_covariance)[None], covariances[:-1]])
-    variance = before @ a @ a + belief.process_covariance[0, 0] + belief.measurement_covariance[0, 0]
-    predicted = means[:, :-1, 0] * a[0] + means[:, :-1, 1] * a[1]
-    innovation = samples - xp.pad(predicted, ((0, 0), (1, 0)))
-    return innovation, innovation * innovation / variance
-
-
-def with_dynamax(work: Work) -> Callable[[], Any]:
-    """Dynamax, jitted and mapped over the cases, deviations from the nominal trajectory."""
-    belief = work.belief
-    model = dynamax.LinearGaussianSSM(2, 1)
-    a = belief.model.transition
-    parameters, _ = model.initialize(
-        jax.random.PRNGKey(0),
-        initial_mean=jnp.zeros(2),
-        initial_covariance=jnp.asarray(a @ belief.initial_covariance @ a.T + belief.process_covariance),
-        dynamics_weights=jnp.asarray(a),
-        dynamics_covariance=jnp.asarray(belief.process_covariance),
-        emission_weights=jnp.asarray(belief.observation),
-        emission_covariance=jnp.asarray(belief.measurement_covariance),
-    )
-    deviations = jnp.asarray((work.measurements[:, 0] - work.nominal[:, 0])[..., None])
-
-    def means_and_covariances(samples: Any) -> Any:
-        found = dynamax.lgssm_filter(parameters, samples)
-        return found.filtered_means, found.filtered_covariances
-
-    # The quickest of the ways tried; the covariances are computed once for all cases.
-    mapped = jax.vmap(means_and_covariances, out_axes=(0, None))
-
-    @jax.jit
-    def run(samples: Any) -> Any:
-        means, spread = mapped(samples)
-        return from_filtered(belief, samples[..., 0], means, spread, jnp)
-
-    return lambda: jax.block_until_ready(run(deviations))
-
-
-def with_simdkalman(work: Work) -> tuple[FloatArray, FloatArray]:
-    """Innovations and NIS of all cases."""
-    belief = work.belief
-    a = belief.model.transition
-    peer = simdkalman.KalmanFilter(
-        a, belief.process_covariance, belief.observation, belief.measurement_covariance
-    )
-    deviations = work.measurements[:, 0] - work.nominal[:, 0]
-    answer = peer.compute(
-        deviations,
-        n_test=0,
-        initial_value=np.zeros(2),
-        initial_covariance=a @ belief.initial_covariance @ a.T + belief.process_covariance,
-        filtered=True,
-        smoothed=False,
-        observations=False,
-    )
-    states = answer.filtered.states
-    innovation, nis = from_filtered(belief, deviations, states.mean, states.cov[0], np)
-    return innovation, nis
-
-
 def with_filterpy(work: Work) -> tuple[FloatArray, FloatArray]:
     """Innovations and NIS of the first cases."""
     belief = work.belief
@@ -176,16 +107,12 @@ def run() -> list[Result]:
     """Check that all agree, then measure them. Rates are samples filtered a second."""
     work = make_work()
     ours = filter_residuals(work.belief, work.measurements, work.voltage_v)
-    mapped = with_dynamax(work)
     scans = {kind: jax_scan(work, kind) for kind in (np.float64, np.float32)}
     in_time = [np.asarray(part).T for part in scans[np.float64]()]
-    for innovation, nis in (with_filterpy(work), with_simdkalman(work), in_time):
+    for innovation, nis in (with_filterpy(work), in_time):
         shown = len(innovation)
         np.testing.assert_allclose(innovation, ours.innovation[:shown, :, 0], atol=1e-8)
         np.testing.assert_allclose(nis, ours.nis[:shown], rtol=1e-5, atol=1e-8)
-    # dynamax adds a little to the diagonal of what it inverts
-    for part, same in zip(mapped(), (ours.innovation[:, :, 0], ours.nis), strict=True):
-        np.testing.assert_allclose(np.asarray(part), same, rtol=1e-3, atol=1e-4)
 
     amount = N_CASES * N_SAMPLES
     single = work.measurements.astype(np.float32)
@@ -196,8 +123,6 @@ def run() -> list[Result]:
     name = f"filter, {N_CASES} transients x {N_SAMPLES} samples"
     peers = [
         ("filterpy", best_rate(lambda: with_filterpy(work), FEWER * N_SAMPLES, rounds=3), 1000.0),
-        ("simdkalman", best_rate(lambda: with_simdkalman(work), amount, rounds=2), 50.0),
-        ("dynamax, jit + vmap", best_rate(mapped, amount, rounds=3), 10.0),
         ("jitted JAX scan", best_rate(scans[np.float64], amount), 0.8),
     ]
     results = [Result(name, ours=rate, peer=peer, peer_name=who, bar=bar) for who, peer, bar in peers]

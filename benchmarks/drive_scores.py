@@ -1,4 +1,4 @@
-"""What detection is worth to a controller: scores of the policies of a drive for docs/results/decisions.md.
+"""What detection is worth to a controller: scores of the baselines of a drive for docs/drive-and-maintain.md.
 
 python benchmarks/drive_scores.py --task Drive-v0       # some two minutes of one core
 
@@ -12,9 +12,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from best_policies import PlannedDrive
 from cyclopts import run
 from numpy.typing import NDArray
-from planned_drive import PlannedDrive
 from tables import keep_table
 
 from motor_env.envs import DriveVectorEnv, Lqg, parts_of, returns_of
@@ -80,7 +80,7 @@ def main(*, task: str = "Drive-v0") -> None:
         row(name, np.concatenate([parts_of(envs, policy, seed) for seed in SEEDS], axis=1), class_index)
         for name, policy in policies.items()
     )
-    keep_table("decisions", task, HEADER, rows)
+    keep_table("drive-and-maintain", task, HEADER, rows)
 
 
 if __name__ == "__main__":

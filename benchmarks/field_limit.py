@@ -15,7 +15,6 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -65,10 +64,9 @@ def kept(name: str) -> Path:
     return FOLDER.parent / "out" / f"{name}_limit"
 
 
-def chunks(name: str, run: int, starts: range | None = None) -> list[tuple[int, int, Path]]:
-    """Run, first start and file of each chunk of a run: of these starts, or of those of the limit."""
-    starts = starts or range(COUNTS[name][run])
-    return [(run, first, kept(name) / f"{run}-{first}.npz") for first in starts[::CHUNK]]
+def chunks(name: str, run: int) -> list[tuple[int, int, Path]]:
+    """Run, first start and file of each chunk of a run."""
+    return [(run, first, kept(name) / f"{run}-{first}.npz") for first in range(0, COUNTS[name][run], CHUNK)]
 
 
 def sample(recipe: Recipe, run: int, first: int, path: Path) -> None:
@@ -83,15 +81,6 @@ def sample(recipe: Recipe, run: int, first: int, path: Path) -> None:
     probabilities, effective = (np.array(part) for part in zip(*sampled, strict=True))
     with replacing(path) as temporary:
         np.savez(temporary, probabilities=probabilities, effective=effective, seconds=seconds)
-
-
-def sample_missing(name: str, parts: Iterable[tuple[int, int, Path]], minutes: float = math.inf) -> None:
-    """Sample the chunks that are not there, for so many minutes of processor time."""
-    for run, first, path in parts:
-        if not path.is_file():
-            if time.process_time() > 60.0 * minutes:
-                raise SystemExit("not done: run it again")
-            sample(single(name), run, first, path)
 
 
 def mean_and_error(values: FloatArray) -> tuple[float, float]:
@@ -130,10 +119,10 @@ def accuracy_of_network(name: str) -> tuple[float, float]:
     return mean_and_error(np.load(path)["right"].astype(np.float64))
 
 
-def stored(name: str, run: int, starts: range | None = None) -> tuple[FloatArray, FloatArray, float]:
+def stored(name: str, run: int) -> tuple[FloatArray, FloatArray, float]:
     """Posteriors of `chunks` as far as they go, the effective draws behind them, and the processor seconds."""
     parts = []
-    for _, _, path in chunks(name, run, starts):
+    for _, _, path in chunks(name, run):
         if not path.is_file():
             break
         parts.append(dict(np.load(path)))
@@ -186,7 +175,11 @@ def main(*, minutes: float = math.inf, recipe: Literal["field", "operation"] = "
     """Sample what is missing, for so many minutes of processor time, and write the figures."""
     name = recipe
     parts = sorted([*chunks(name, 0), *chunks(name, 1)], key=lambda each: each[1] * (1 + each[0]))
-    sample_missing(name, parts, minutes)
+    for run, first, path in parts:
+        if not path.is_file():
+            if time.process_time() > 60.0 * minutes:
+                raise SystemExit("not done: run it again")
+            sample(single(name), run, first, path)
     once, effective_once, seconds_once = stored(name, 0)
     again, effective_again, seconds_again = stored(name, 1)
     effective = np.concatenate([effective_once[once > 0.01], effective_again[again > 0.01]])

@@ -1,9 +1,9 @@
-"""A fleet's false alarms, power and names beside an oracle that knows the healthy motors' true distribution.
+"""A fleet's false alarms and power beside an oracle that knows the healthy motors' true distribution.
 
-python benchmarks/fleet.py --healthy 3000 --sick 300 --workers 2
+python benchmarks/fleet.py --healthy 3000 --sick 300 --workers 2     # five minutes of one core
 
 Fits are drawn from their own law: the motor's quantities from the spread found in a fleet of real robots, the errors
-from the fit's covariance. `--check 300` compares that law with full fits of simulated logs.
+from the fit's covariance.
 """
 
 import math
@@ -11,18 +11,13 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from itertools import product
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 from cyclopts import run
 from tables import keep_table
 
-from motor_env.diagnosis.fleet.fits import Reading, fit_fleet, fit_log, processes
 from motor_env.diagnosis.fleet.learning import PRIOR_SPREAD, combine_with_records, directions_of
 from motor_env.diagnosis.fleet.population import HealthyPopulation, Motors, learn_population
 from motor_env.diagnosis.verdict.decision import decide
@@ -32,10 +27,8 @@ from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow
 from motor_env.diagnosis.verdict.judgement import Judgement
 from motor_env.motor import identifiable
 from motor_env.motor.healthy import Fleet, Healthy, Starts
-from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
-from motor_env.simulation.simulate import simulate_states
+from motor_env.motor.parameters import FloatArray
 
-_LEARNED = 20  # logs that tell the model of all
 FLEETS = (
     (10, 0.0),
     (30, 0.0),
@@ -66,22 +59,21 @@ WAYS = directions_of(identifiable.matrix(NAMES))
 
 
 class Fault(NamedTuple):
-    """A fault: what is said of it, how R, K, J and the drag move, and the verdict that names it."""
+    """A fault: what is said of it, and how R, K, J and the drag move."""
 
     name: str
     moves: FloatArray
-    verdict: str
 
 
 def faults() -> Iterator[Fault]:
     """Those of the tables."""
     for factor in (1.5, 2.0, 3.0):
-        yield Fault(f"friction x {factor:g}", np.array([0.0, 0.0, 0.0, math.log(factor)]), "bearing")
-    yield Fault("R +25 %", np.array([math.log(1.25), 0.0, 0.0, 0.0]), "winding")
-    yield Fault("K -10 %", np.array([0.0, math.log(0.9), 0.0, 0.0]), "magnet")
+        yield Fault(f"friction x {factor:g}", np.array([0.0, 0.0, 0.0, math.log(factor)]))
+    yield Fault("R +25 %", np.array([math.log(1.25), 0.0, 0.0, 0.0]))
+    yield Fault("K -10 %", np.array([0.0, math.log(0.9), 0.0, 0.0]))
     for (name, way), sd in product(GAINS.items(), (3.0, 4.0, 6.0)):
         size = sd / math.sqrt(way @ np.linalg.solve(TOTAL + ERROR, way))
-        yield Fault(f"{name}, {sd:g} sd", size * way, "sensor")
+        yield Fault(f"{name}, {sd:g} sd", size * way)
 
 
 def drawn(rng: np.random.Generator, count: int) -> FloatArray:
@@ -113,7 +105,7 @@ ORACLE = HealthyPopulation(CENTRE[None], np.zeros((1, 4, 4)), BETWEEN, WITHIN, 1
 
 
 class Cell(NamedTuple):
-    """Counts of a fleet: healthy ones judged and called faulty, by fleet and oracle; by fault: judged, found, named."""
+    """Counts of a fleet: healthy ones judged and called faulty, by fleet and oracle; by fault: judged, found."""
 
     healthy: FloatArray
     by_fault: FloatArray
@@ -130,62 +122,12 @@ def one(job: tuple[int, float, int, int, int]) -> Cell:
     counts = np.zeros(3)
     for fit in drawn(rng, healthy):
         counts += [1, judged(fit, core).verdict.is_fault, judged(fit, ORACLE).verdict.is_fault]
-    rows = np.zeros((len(every), 5))
+    rows = np.zeros((len(every), 3))
     for row, fault in zip(rows, every, strict=True):
         for fit in drawn(rng, sick) + fault.moves:
             found, known = judged(fit, core), judged(fit, ORACLE)
-            row += [
-                1,
-                found.verdict.is_fault,
-                known.verdict.is_fault,
-                found.verdict == fault.verdict,
-                known.verdict == fault.verdict,
-            ]
+            row += [1, found.verdict.is_fault, known.verdict.is_fault]
     return Cell(counts, rows)
-
-
-def checked(count: int, workers: int) -> Iterator[list[str]]:
-    """Full fits of simulated logs against their own law: squared errors over the fit's variances, by quantity."""
-    rng = np.random.default_rng(34)
-    with TemporaryDirectory() as folder:
-        files, truths = [], []
-        for number in range(count):
-            spread = np.exp(rng.normal(0.0, [0.06, 0.025, 0.06, 0.2]))
-            files.append(Path(folder) / f"{number}.csv")
-            log(rng, spread).to_csv(files[-1], index=False)
-            p = PAPER_MOTOR
-            constant = float(p.back_emf_constant_v_s_per_rad)
-            of = [p.resistance_ohm, constant, p.inertia_kg_m2, p.viscous_friction_n_m_s_per_rad]
-            truths.append(np.log(np.array(of, dtype=np.float64) * spread))
-        with processes(workers) as each:
-            shared = fit_fleet(files[:_LEARNED], Reading(), each=each).windows
-            assert shared is not None
-            fits = list(each(partial(fit_log, Reading(regime="operation"), shared), files))
-    off = np.array([fit.log_values for fit in fits]) - truths
-    squares = np.square(off) / np.array([np.diag(fit.log_covariance) for fit in fits])
-    for name, column in zip(NAMES, squares.T, strict=True):
-        yield [name, str(count), f"{np.mean(column):.2f}", f"{np.mean(column < 1.96**2):.1%}"]
-
-
-def log(rng: np.random.Generator, spread: FloatArray) -> pd.DataFrame:
-    """What the sensors of a motor see that differs from the paper's by factors on R, K, J and B."""
-    r, k, j, b = spread.tolist()
-    motor = PAPER_MOTOR.scaled(
-        resistance_ohm=r,
-        back_emf_constant_v_s_per_rad=k,
-        torque_constant_n_m_per_a=k,
-        inertia_kg_m2=j,
-        viscous_friction_n_m_s_per_rad=b,
-    )
-    voltage_v = np.repeat([0.0, 4.0, 10.0, -10.0, -4.0, 8.0], 170)
-    current_a, speed_rad_s = simulate_states(motor, voltage_v, 1e-3).T
-    columns = {
-        "time_s": 1e-3 * np.arange(len(voltage_v)),
-        "voltage_v": voltage_v,
-        "current_a": current_a + rng.normal(0.0, 0.02, len(voltage_v)),
-        "speed_rad_s": speed_rad_s + rng.normal(0.0, 1.0, len(voltage_v)),
-    }
-    return pd.DataFrame(columns)
 
 
 def smallest_faults(motors: int) -> Iterator[list[str]]:
@@ -222,17 +164,14 @@ def smallest_faults(motors: int) -> Iterator[list[str]]:
         yield [str(count), *cells]
 
 
-def main(*, healthy: int = 3000, sick: int = 300, check: int = 300, workers: int = 1) -> None:
+def main(*, healthy: int = 3000, sick: int = 300, workers: int = 1) -> None:
     """Judge fresh motors by simulated fleets and keep the tables of docs/fleet.md.
 
     Args:
         healthy: number of healthy motors judged in each cell, at least.
         sick: number of motors with each fault, in each cell.
-        check: number of full fits that the law of the drawn ones is compared with.
         workers: processes.
     """
-    law = ["quantity", "full fits", "squared error over the variance", "95 % intervals that hold"]
-    keep_table("fleet", "law", law, checked(check, workers))
     header = [
         "own records",
         "bearing, 30 sisters",
@@ -242,7 +181,7 @@ def main(*, healthy: int = 3000, sick: int = 300, check: int = 300, workers: int
     ]
     keep_table("fleet", "own", header, smallest_faults(100))
     alarms = []
-    found, names = defaultdict[str, list[str]](list), defaultdict[str, list[str]](list)
+    found = defaultdict[str, list[str]](list)
     with ProcessPoolExecutor(workers) as pool:
         for size, share in FLEETS:
             fleets = max(healthy // 10, 1)
@@ -257,13 +196,11 @@ def main(*, healthy: int = 3000, sick: int = 300, check: int = 300, workers: int
             alarms.append([str(size), f"{share:.0%}", f"{counts[0]:.0f}", *(f"{one:.2%}" for one in rates)])
             for fault, row in zip(faults(), by_fault / by_fault[:, :1], strict=True):
                 found[fault.name].append(f"{row[1]:.2f} of {row[2]:.2f}")
-                names[fault.name].append(f"{row[3]:.2f} of {row[4]:.2f}")
             print(alarms[-1], file=sys.stderr, flush=True)
     keep_table("fleet", "alarms", ["motors", "sick", "judged", "false alarms", "±", "oracle"], alarms)
     header = [f"{size}, {share:.0%}" for size, share in FLEETS]
-    for name, rows in (("power", found), ("names", names)):
-        shown = ([fault, *cells] for fault, cells in rows.items() if not fault.endswith(NOT_SHOWN))
-        keep_table("fleet", name, ["fault", *header], shown)
+    shown = ([fault, *cells] for fault, cells in found.items() if not fault.endswith(NOT_SHOWN))
+    keep_table("fleet", "power", ["fault", *header], shown)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ import sklearn_methods
 from cyclopts import run
 from networks import network_of
 from peers import peer_answers
-from stream_delays import alarm_times
 from tables import marked, table
 
 from motor_classifiers import OutsideDetector
@@ -33,7 +32,7 @@ from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.task import ClassTask, DrawnTask
 from motor_env import Cusum, Glr, TolerantFilter
 from motor_env.common.files import write_text
-from motor_env.detection.rules.base import Rule
+from motor_env.detection.rules.base import Rule, first_above
 from motor_env.motor.parameters import FloatArray
 
 FOLDER = Path(__file__).resolve().parent
@@ -90,6 +89,12 @@ def isolation(task: DrawnTask) -> FloatArray:
     model = sklearn_methods.isolation(task.recipe, 0)
     answers: FloatArray = -model.fit(fed(model, task.train().X)).score_samples(fed(model, task.test().X))
     return answers
+
+
+def alarm_times(task: StreamTask, statistic: FloatArray, threshold: float) -> FloatArray:
+    """First time above a threshold, nan for none, shape (n,)."""
+    timing, index = task.recipe.timing, first_above(statistic, threshold)
+    return np.where(index < 0, np.nan, (index + 1 - timing.n_quiet) * timing.dt_s)
 
 
 def alarms(rule: Rule, task: DrawnTask) -> FloatArray:
@@ -193,7 +198,7 @@ def kept_scores() -> dict[str, Row]:
 
 def board(scores: dict[str, Row]) -> str:
     """The tables in Markdown, one a task, the best first."""
-    parts = []
+    parts, told = [], set[str]()
     for name, task in TASKS.items():
         rows = sorted((row for row in scores.values() if row["task"] == name), key=lambda row: row["value"])
         if not rows:
@@ -204,22 +209,24 @@ def board(scores: dict[str, Row]) -> str:
         elif task.bracket is not None:
             best = " The best possible on average: between {:.2f} and {:.2f}.".format(*task.bracket)
         above = ["above the best possible"] * known
-        head = ["method", "by", task.metric, *above, "learned from", "what it is"]
+        head = ["method", task.metric, *above, "learned from", "what it is"]
         parts.append(f"## {name}\n\n{task.title}. {task.n_test} cases, motor-bench {VERSION}.{best}\n")
-        parts.append(table(head, (_cells(row) for row in rows)).replace("-0.00", "0.00") + "\n")
+        parts.append(table(head, [_cells(row, told) for row in rows]).replace("-0.00", "0.00") + "\n")
     return "\n".join(parts)
 
 
-def _cells(row: Row) -> list[str]:
+def _cells(row: Row, told: set[str]) -> list[str]:
+    """A row of the table; what a method is stands where it first comes."""
     names = ("", "_low", "_high")
     above = [row[f"above_limit{end}"] for end in names] if "limit" in row else []
+    about = "" if row["about"] in told else row["about"]
+    told.add(row["about"])
     return [
-        row["method"],
-        row["authors"],
+        row["method"] if row["authors"] == US else f"{row['method']} ({row['authors']})",
         f"{row['value']:.2f} ({row['low']:.2f} to {row['high']:.2f})",
         *(["{:.2f} ({:.2f} to {:.2f})".format(*above)] if above else []),
         row["learned_from"],
-        row["about"],
+        about,
     ]
 
 

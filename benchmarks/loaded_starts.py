@@ -1,6 +1,6 @@
 """Verdicts on starts under a load that scatters, of warmer motors behind a resistance (docs/results/recordings.md).
 
-python benchmarks/loaded_starts.py --motors 216
+python benchmarks/loaded_starts.py --motors 216     # four minutes of one core
 python benchmarks/loaded_starts.py --motors 108 --other-physics --rows out/starts_other_physics.jsonl
 
 Motors and sensors are those of operation_simulator.py: Stribeck friction, brush drop, ripple, 10 bits. Each motor is

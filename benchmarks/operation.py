@@ -1,6 +1,6 @@
-"""Motors at work: errors against the Cramer-Rao bound and coverage of the intervals, beside least squares and an EKF.
+"""Motors at work: errors against the Cramer-Rao bound and coverage of the intervals, beside least squares.
 
-python benchmarks/operation.py --records 1000 --workers 2 --rows out/operation.jsonl
+python benchmarks/operation.py --records 1000 --workers 2 --rows out/operation.jsonl     # 22 minutes of one core
 
 A run that was stopped goes on where it was. Every record has its own motor, profile and load, from the independent
 simulator in operation_simulator.py. A quantity counts where the bound says that the record tells it to better than a
@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 from cyclopts import run
-from kept_rows import kept_rows
 from operation_simulator import KNEE, LOADS, PROFILES, SLIDING, VOLTAGE_NOISE, Motor, draw_motor, simulate
 from tables import keep_table
+from verdict_tables import kept_rows
 
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.model_selection import initial_problems
@@ -27,8 +27,7 @@ from motor_env.diagnosis.estimation.problem import motor_unknowns
 from motor_env.diagnosis.estimation.terms import terms
 from motor_env.diagnosis.estimation.uncertainty import information_covariance, secants
 from motor_env.diagnosis.readers.recording import UnusableError
-from motor_env.filters.adaptive import joint_filter
-from motor_env.motor.parameters import Channel, FloatArray, MotorParameters, SensorParameters
+from motor_env.motor.parameters import FloatArray
 
 QUANTITIES = ("R", "L", "K", "J", "B", "coulomb", "brush_drop", "load_constant", "load_square")
 HEADER = (
@@ -36,7 +35,6 @@ HEADER = (
     "error over the bound",
     "95 % intervals that hold",
     "least squares",
-    "extended Kalman filter",
 )
 TOLD = 0.5
 NORMAL_MEDIAN = 0.6745
@@ -84,9 +82,9 @@ def bound(found: OperationFit, true: FloatArray) -> dict[str, tuple[float, float
     return {free[n].name: (at[n], float(spread[row])) for row, n in enumerate(motor_unknowns(same))}
 
 
-def one(job: tuple[int, int, bool]) -> dict[str, Any]:
+def one(job: tuple[int, int]) -> dict[str, Any]:
     """One record: errors over the bound, and whether the intervals hold the truth."""
-    seed, number, with_ekf = job
+    seed, number = job
     rng = np.random.default_rng([seed, number])
     motor, profile = draw_motor(rng), PROFILES[number % len(PROFILES)]
     load, has_speed = str(rng.choice(LOADS)), bool(rng.random() < 0.6)
@@ -104,7 +102,6 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
     rows = {problem.names[n]: (theta[n], spread[r]) for r, n in enumerate(motor_unknowns(problem))}
     regressed, begin = initial_problems(found.record)[0]
     least = regressed.values(begin)
-    ekf = extended(recording, motor, rng) if with_ekf and has_speed else None
     for name, (at, sd) in bound(found, true).items():
         if name not in QUANTITIES or name not in rows:
             continue
@@ -116,46 +113,11 @@ def one(job: tuple[int, int, bool]) -> dict[str, Any]:
             "error": float(abs(estimate - at) / sd),
             "held": bool(abs(estimate - at) <= 1.96 * own),
         }
-        for method, values in (("ls", least), ("ekf", ekf)):
-            value = None if values is None else float(values[term.place])
-            if value and true[term.place] > 0.0:
-                unit = (
-                    math.log(value / true[term.place])
-                    if term.is_log
-                    else (value - true[term.place]) / term.unit
-                )
-                row[name][method] = float(abs(unit) / sd)
+        value, place = float(least[term.place]), float(true[term.place])
+        if value and place > 0.0:
+            unit = math.log(value / place) if term.is_log else (value - place) / term.unit
+            row[name]["ls"] = float(abs(unit) / sd)
     return row
-
-
-def extended(recording: Any, motor: Motor, rng: np.random.Generator) -> FloatArray:
-    """An extended Kalman filter with the parameters in its state, begun from a motor that is 20 % off."""
-    off = np.exp(0.2 * rng.standard_normal(5))
-    believed = MotorParameters(
-        resistance_ohm=motor.ohm * off[0],
-        inductance_h=motor.henry * off[1],
-        back_emf_constant_v_s_per_rad=motor.constant * off[2],
-        torque_constant_n_m_per_a=motor.constant * off[2],
-        inertia_kg_m2=motor.inertia * off[3],
-        viscous_friction_n_m_s_per_rad=motor.viscous * off[4],
-    )
-    names = ("resistance", "inductance", "constants", "inertia", "friction")
-    sensor = SensorParameters(
-        (Channel.CURRENT, Channel.SPEED), current_noise_a=motor.noise_a, speed_noise_rad_s=motor.noise_w
-    )
-    measured = np.stack([recording.current_a, recording.speed_rad_s])[None]
-    result = joint_filter(
-        believed, sensor, recording.dt_s, measured, recording.voltage_v, names=names,
-        process_noise_std=(1e-3 * motor.stall_a, 1e-3 * motor.speed), prior_std=0.3,
-    )  # fmt: skip
-    factors = np.exp(result.theta[0, -1])
-    values = np.zeros(index.N_VALUES)
-    p = believed
-    values[[index.R, index.L, index.K, index.J, index.B]] = factors * [
-        p.resistance_ohm, p.inductance_h, p.back_emf_constant_v_s_per_rad, p.inertia_kg_m2,
-        p.viscous_friction_n_m_s_per_rad,
-    ]  # fmt: skip
-    return values
 
 
 def cells_by(rows: list[dict[str, Any]], key: str) -> Iterator[list[str]]:
@@ -165,32 +127,29 @@ def cells_by(rows: list[dict[str, Any]], key: str) -> Iterator[list[str]]:
         for name in QUANTITIES:
             if name in row and row[name]["told"]:
                 groups[name if key == "quantity" else row[key]].append(row[name])
-    order = {"profile": PROFILES, "load": LOADS, "quantity": QUANTITIES}[key]
+    order = {"profile": PROFILES, "quantity": QUANTITIES}[key]
     named = [(name, groups[name]) for name in order if name in groups]
     for name, cells in [*named, ("all", [cell for _, group in named for cell in group])]:
-        ratios = ([cell[m] for cell in cells if m in cell] for m in ("error", "ls", "ekf"))
+        ratios = ([cell[m] for cell in cells if m in cell] for m in ("error", "ls"))
         medians = [f"{np.median(one) / NORMAL_MEDIAN:.2f}" if one else "-" for one in ratios]
         held = np.mean([cell["held"] for cell in cells])
         yield [name, str(len(cells)), medians[0], f"{held:.1%}", *medians[1:]]
 
 
-def main(
-    *, records: int = 100, seed: int = 0, workers: int = 1, ekf: int = 50, rows: Path | None = None
-) -> None:
+def main(*, records: int = 100, seed: int = 0, workers: int = 1, rows: Path | None = None) -> None:
     """Fit the records and keep the tables of docs/results/operation.md.
 
     Args:
         records: number of random motors.
         seed: of them.
         workers: processes.
-        ekf: an EKF on the first so many records.
         rows: file of a JSON line a record; those that it holds are not fitted again.
     """
-    jobs = {number: (seed, number, number < ekf) for number in range(records)}
+    jobs = {number: (seed, number) for number in range(records)}
     known = kept_rows(one, jobs, lambda row: row["number"], workers, rows)
     failed = [row for row in known if "error" in row]
     print(f"\n{len(known)} records, {len(failed)} not fitted", *failed, sep="\n  ")
-    for key in ("profile", "load", "quantity"):
+    for key in ("profile", "quantity"):
         keep_table("operation", key, [key, *HEADER], cells_by(known, key))
 
 

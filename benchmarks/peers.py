@@ -10,7 +10,6 @@ import os
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import cyclopts
 import numpy as np
@@ -43,11 +42,11 @@ def environment() -> dict[str, str]:
     return {**os.environ, **ONE_THREAD}
 
 
-def export_starts(train: Dataset, test: Dataset, path: Path, **more: NDArray[Any]) -> None:
-    """Write starts to learn from and starts to be judged, as plain arrays, and what else a peer learns from."""
+def export_starts(train: Dataset, test: Dataset, path: Path) -> None:
+    """Write starts to learn from and starts to be judged, as plain arrays."""
     with replacing(path) as temporary:
         facts = {"n_classes": len(test.class_names), "recipe": test.recipe.name, "seed": test.seed}
-        arrays = {name: np.array(value) for name, value in facts.items()} | identity(train, test) | more
+        arrays = {name: np.array(value) for name, value in facts.items()} | identity(train, test)
         np.savez(temporary, allow_pickle=False, train_X=train.X, test_X=test.X, **arrays)
 
 

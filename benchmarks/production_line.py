@@ -1,6 +1,6 @@
 """False alarms and misses on the production line's recordings, commissioned on many choices of five good starts.
 
-MOTOR_ENV_RECORDINGS=... python benchmarks/production_line.py
+MOTOR_ENV_RECORDINGS=... python benchmarks/production_line.py     # 20 minutes
 """
 
 import os

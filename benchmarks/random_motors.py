@@ -1,6 +1,6 @@
 """Verdicts on motors of all sizes, each known by five healthy starts, or by a data sheet (docs/results/recordings.md).
 
-python benchmarks/random_motors.py --motors 60
+python benchmarks/random_motors.py --motors 60     # two minutes of one core
 """
 
 from functools import partial

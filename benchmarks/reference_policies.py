@@ -1,7 +1,7 @@
 """What plays in the table of reference scores: for each id a textbook policy and the best known, and a bound.
 
-Designs and thresholds were tuned by sweeps, and by drive_scores.py and maintain.py beside this file, on seeds that the
-table does not use.
+Designs and thresholds were tuned by sweeps, and by drive_scores.py beside this file, on seeds that the table does not
+use.
 """
 
 from __future__ import annotations
@@ -11,13 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from bounds import upper_bound
-from drive_bound import drive_bound
-from look_ahead import LookAhead
-from maintain_bounds import maintenance_bound
+from best_policies import LookAhead, PlannedDecisions, PlannedDrive, ShownFaults, TolerancePolicy
+from bounds import drive_bound, maintenance_bound, upper_bound
 from numpy.typing import NDArray
-from planned_drive import PlannedDecisions, PlannedDrive, ShownFaults
-from tolerances import TolerancePolicy
 
 from motor_env.detection.rules import Cusum, Glr
 from motor_env.envs import (

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 from cyclopts import run
-from kept_rows import kept_rows
 from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
 from tables import keep_table
+from verdict_tables import kept_rows
 
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.identification import identify

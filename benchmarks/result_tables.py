@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 import reference_scores
 from tables import KEPT, kept_tables, marked, table
-from trust_tables import trust_tables
+from trust import trust_tables
 
 FOLDER = Path(__file__).resolve().parent
 DIGESTS = FOLDER.parent / "classifiers" / "motor_classifiers" / "scoring" / "motor_bench.json"
@@ -36,8 +36,6 @@ _SWEPT = (
     "posterior-network",
     "physical-logistic",
     "rules",
-    "residual-qda",
-    "raw-logistic",
     "residual-network",
     "threshold",
 )
@@ -92,21 +90,18 @@ def default_table() -> str:
                 row["method"],
                 f"{row['accuracy']:.4f} ({row['accuracy_low']:.3f} to {row['accuracy_high']:.3f})",
                 "{} ({} to {})".format(*below) if below else "",
-                *(_points(row[name], 1) for name in ("winding", "bearing", "level")),
+                _points(row["bearing"], 1),
                 *(f"{row[name]:.3f}" if graded else "" for name in ("log_loss", "ece")),
                 _quantity(row["microseconds_per_transient"]),
-                _quantity(row["inference_memory_mb"]),
                 ""
                 if is_limit
                 else f"{row['train_s']:.1f}"
                 if row["train_s"] < 20.0
                 else f"{row['train_s']:.0f}",
-                "" if is_limit else _quantity(row["train_memory_mb"]),
             ]
         )
-    head = "method, accuracy, below the limit, winding, bearing, level, log-loss, ECE"
-    costs = "µs a start, MB to judge, training s, MB to train"
-    return table(f"{head}, {costs}".split(", "), rows)
+    head = "method, accuracy, below the limit, bearing, log-loss, ECE, µs a start, training s"
+    return table(head.split(", "), rows)
 
 
 def _sweep(wanted: str) -> Iterable[tuple[Any, Any]]:
@@ -130,15 +125,6 @@ def noise_table() -> str:
         for (recipe, rate, noise, _), one in _sweep("n_train == 2000")
     ]
     return table(["recipe", "rate", "noise", "limit", *_SWEPT], rows)
-
-
-def size_table() -> str:
-    """Accuracy at 20 mA by the number of training starts."""
-    rows = [
-        [f"{recipe}, {rate / 1e3:g} kHz", str(count), *(f"{one[name]:.3f}" for name in _SWEPT[1:])]
-        for (recipe, rate, _, count), one in _sweep("recipe != 'paper' and noise_a == 0.02")
-    ]
-    return table(["recipe, rate, 20 mA", "training starts", *_SWEPT[1:]], rows)
 
 
 def field_table(name: str = "field") -> str:
@@ -190,7 +176,6 @@ def pages() -> dict[Path, str]:
         DOCS / "benchmark.md": {
             "default": default_table(),
             "noise": noise_table(),
-            "size": size_table(),
         },
     }
     for path in sorted(KEPT.glob("*.json")):

@@ -1,4 +1,4 @@
-"""Measure motor-env against its peers: `make bench`, or `python benchmarks/run.py --only kalman`.
+"""Measure motor-env against its peers: `make bench`, or `python benchmarks/run.py --only filter`.
 
 Every module ``bench_*.py`` beside this file offers ``run() -> list[Result]``. Each runs in a process of its
 own with all thread pools at 1, and both sides of a ratio are measured in that one process.
@@ -11,6 +11,9 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +32,48 @@ ONE_THREAD = dict.fromkeys(
     "1",
 )
 Row = dict[str, Any]
+AT_LEAST_S = 0.2
 
-ENVIRONMENTS = {"classifiers": ".venv"}
-"""Benchmarks that need the project's extras, which do not go with the other peers, run in its own environment."""
+
+@dataclass(frozen=True)
+class Result:
+    """Two rates of the same work, measured in one process, and the ratio promised.
+
+    Rates are work per second (samples, steps, cases): larger is better.
+    """
+
+    name: str
+    ours: float
+    peer: float
+    peer_name: str
+    bar: float
+
+    def as_row(self) -> Row:
+        """Return the fields and what follows from them, as written to bench.json."""
+        ratio = self.ours / self.peer
+        return {**asdict(self), "ratio": ratio, "holds": ratio >= self.bar}
+
+
+def best_rate(work: Callable[[], object], amount: float, *, rounds: int = 5) -> float:
+    """Return ``amount`` per second of ``work()``: the best of some rounds, after one call that warms up.
+
+    A round repeats the work until ``AT_LEAST_S`` has passed, so that quick work is not lost in the clock.
+    """
+    work()
+    return max(_rate(work, amount) for _ in range(rounds))
+
+
+def _rate(work: Callable[[], object], amount: float) -> float:
+    start, repeats, elapsed = time.perf_counter(), 0, 0.0
+    while elapsed < AT_LEAST_S:
+        work()
+        repeats += 1
+        elapsed = time.perf_counter() - start
+    return amount * repeats / elapsed
 
 
 def discover() -> list[str]:
-    """Names of the benchmarks: ``bench_kalman.py`` is ``kalman``."""
+    """Names of the benchmarks: ``bench_filter.py`` is ``filter``."""
     return sorted(path.stem.removeprefix("bench_") for path in FOLDER.glob("bench_*.py"))
 
 
@@ -49,9 +87,8 @@ def measure_apart(name: str) -> list[Row] | None:
     """Run one benchmark in a process of its own; None if it failed."""
     with tempfile.TemporaryDirectory() as folder:
         answer = Path(folder) / "rows.json"
-        own = FOLDER.parent / ENVIRONMENTS.get(name, "") / "bin" / "python"
         command = [
-            str(own) if name in ENVIRONMENTS and own.exists() else sys.executable,
+            sys.executable,
             str(Path(__file__).resolve()),
             "--measure-here",
             name,

@@ -1,24 +1,23 @@
 """Verdicts on simulated motors at work: commissioned by windows in one profile, judged in the same.
 
-    python benchmarks/running_windows.py --motors 40
+    python benchmarks/running_windows.py --motors 40     # four minutes of one core
     python benchmarks/running_windows.py --motors 30 --other-physics
-    python benchmarks/running_windows.py --motors 30 --other-physics --window-s 20
     python benchmarks/running_windows.py --motors 30 --other-physics --every-drive
-    python benchmarks/running_windows.py --motors 20 --other-physics --every-drive --window-s 20
     python benchmarks/running_windows.py --motors 12 --other-physics --one-way
 
-Random motors and profiles from the independent simulator in operation_simulator.py, with speed and without a load. Each
-is commissioned by 10 windows of 40 mechanical time constants, and judged by records of 3, at one false alarm in 100.
-With other physics the motors have all of its SWITCHES, and are judged in other profiles, under other controllers, too.
-Windows of a length in seconds are sampled at 100 Hz. Their faults, and severe ones, are judged in the own one alone.
-With --every-drive motors are commissioned by one record of 2 windows under each, and all but severe faults are judged
-under each. With --one-way they never turn back, and are commissioned and judged with each of LOADED.
+Four tables of docs/results/operation.md. Random motors and profiles from the
+independent simulator in operation_simulator.py, with speed and without a load. Each is commissioned by 10 windows of 40
+mechanical time constants, and judged by records of 3, at one false alarm in 100. With other physics the motors have all
+of its SWITCHES, and are judged in other profiles, under other controllers, too, severe faults in the own one alone.
+With --every-drive motors are commissioned by one record of 2 windows under each. With --one-way they never turn back,
+and are commissioned and judged with each of LOADED.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -36,7 +35,6 @@ from motor_env.diagnosis.verdict.healthy_motor import motor_of_windows
 
 WINDOW, LEARNED, JUDGED, RATE = 400, 10, 3, 0.01
 DT = 0.1  # of the mechanical time constant
-SLOW_S = 0.01
 WARM_K = 20.0
 UNDER: dict[str, dict[str, Any]] = {
     "the same": {},
@@ -73,31 +71,27 @@ def changed(motor: Motor) -> dict[str, tuple[Motor, str]]:
     }
 
 
-def judge(number: int, seed: int, *, other_physics: bool, window_s: float | None, every_drive: bool) -> Said:
+def judge(number: int, seed: int, *, other_physics: bool, every_drive: bool) -> Said:
     """Verdicts on one motor, commissioned in one profile, or under each drive."""
     rng = np.random.default_rng([seed, number])
     motor = draw_motor(rng, SWITCHES if other_physics else ())
-    learned = PROFILES[number % len(PROFILES)]
-    dt_s = DT * motor.mechanical_s if window_s is None else SLOW_S
-    window = WINDOW if window_s is None else round(window_s / SLOW_S)
+    learned, dt_s = PROFILES[number % len(PROFILES)], DT * motor.mechanical_s
     recorded = partial(simulate, rng=rng, dt_s=dt_s, usual=motor)
     drives = (UNDER if every_drive else OWN).values()
     try:
         logs = [
-            recorded(motor, samples=LEARNED // len(drives) * window, **({"profile": learned} | drive))
+            recorded(motor, samples=LEARNED // len(drives) * WINDOW, **({"profile": learned} | drive))
             for drive in drives
         ]
-        healthy, _ = learn_windows(logs, window * dt_s)
+        healthy, _ = learn_windows(logs, WINDOW * dt_s)
     except UnusableError as error:
         return [(("commissioning", learned), str(error))]
     known, said = motor_of_windows(healthy, "this motor"), Said()
-    for name, (other, right) in changed(motor).items():
-        is_everywhere = right == "healthy" or every_drive or window_s is None
-        is_own = not other_physics or name in SEVERE or not is_everywhere
-        for under, options in OWN.items() if is_own else UNDER.items():
+    for name, (other, _) in changed(motor).items():
+        for under, options in (OWN if not other_physics or name in SEVERE else UNDER).items():
             warm_k = WARM_K if "K more" in name else 0.0
             drive = {"profile": learned} | options
-            log = recorded(other, samples=JUDGED * window, warm_k=warm_k, **drive)
+            log = recorded(other, samples=JUDGED * WINDOW, warm_k=warm_k, **drive)
             found = diagnose(log, known, false_alarm_rate=RATE, regime="operation")
             said.append(((name, under, learned), found.verdict))
     return said
@@ -128,14 +122,16 @@ def judge_one_way(number: int, seed: int, *, other_physics: bool) -> Said:
     return said
 
 
-def rows(counts: Counts, unders: Iterable[str]) -> Iterator[list[str]]:
-    """What was judged right, and what else was said."""
+def cell(said: Counter[str], right: str) -> str:
+    """How many were judged right, and what else was said."""
+    others = [f"`{verdict}` {n}" for verdict, n in said.most_common() if verdict != right]
+    return ", ".join([str(said[right]), *others]) if said else ""
+
+
+def rows(counts: Counts, unders: tuple[str, ...]) -> Iterator[list[str]]:
+    """A row for each change: the right verdict, and what was said in each drive or with each load."""
     for name, (_, right) in changed(draw_motor(np.random.default_rng(0))).items():
-        for under in unders:
-            if not (said := counts[(name, under)]):
-                continue
-            others = ", ".join(f"`{verdict}` {n}" for verdict, n in said.most_common() if verdict != right)
-            yield [name, under, f"`{right}`", f"{said[right]} of {said.total()}", others or "-"]
+        yield [name, f"`{right}`", *(cell(counts[(name, under)], right) for under in unders)]
 
 
 def main(
@@ -143,7 +139,6 @@ def main(
     motors: int = 20,
     seed: int = 1,
     other_physics: bool = False,
-    window_s: float | None = None,
     every_drive: bool = False,
     one_way: bool = False,
     how: How = HERE,
@@ -154,33 +149,25 @@ def main(
         motors: how many, of all profiles in turn.
         seed: of them.
         other_physics: motors with all switches, also judged under other drives than they were commissioned in.
-        window_s: length of a window; by default 40 mechanical time constants.
         every_drive: commissioned by a record under each drive, not in one profile.
         one_way: never turning back, with each of several loads.
         how: options of every table.
     """
-    of: dict[str, Any] = {"seed": seed} | ({"other_physics": True} if other_physics else {})
-    if window_s is not None:
-        of["window_s"] = window_s
-    if every_drive:
-        of["every_drive"] = True
-    if one_way:
-        if every_drive or window_s is not None:
-            raise SystemExit("--one-way goes with neither --every-drive nor --window-s")
-        of["one_way"] = True
-        judged = partial(judge_one_way, seed=seed, other_physics=other_physics)
-    else:
-        judged = partial(
-            judge, seed=seed, other_physics=other_physics, window_s=window_s, every_drive=every_drive
-        )
-    counts = counted(judged, motors, how, of=of)
+    if one_way and every_drive:
+        raise SystemExit("--one-way does not go with --every-drive")
+    asked = {"other_physics": other_physics, "every_drive": every_drive, "one_way": one_way}
+    chosen = [name for name, is_on in asked.items() if is_on]
+    judged = (
+        partial(judge_one_way, seed=seed, other_physics=other_physics)
+        if one_way
+        else partial(judge, seed=seed, other_physics=other_physics, every_drive=every_drive)
+    )
+    counts = counted(judged, motors, how, of={"seed": seed, **dict.fromkeys(chosen, True)})
     print(*counts[("commissioning",)].elements(), sep="\n")
-    header = ("changed", "load" if one_way else "judged in", "right verdict", "said", "else")
-    name = "windows_other_physics" if other_physics else "windows"
-    name += "_one_way" if one_way else ("" if window_s is None else "_longer")
-    name += "_every_drive" if every_drive else ""
+    unders = LOADED if one_way else tuple(UNDER if other_physics else OWN)
+    named = [f"load: {under}" if one_way else under for under in unders]
     keep_table(
-        "operation", name, header, rows(counts, LOADED if one_way else UNDER if other_physics else OWN)
+        "operation", "_".join(("windows", *chosen)), ("changed", "right", *named), rows(counts, unders)
     )
 
 

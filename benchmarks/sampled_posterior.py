@@ -13,11 +13,10 @@ from functools import lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
-from box_mass import mirrored
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import brentq, least_squares
-from scipy.special import logsumexp, ndtr, ndtri_exp, softmax
+from scipy.special import log_ndtr, logsumexp, ndtr, ndtri_exp, softmax
 
 from motor_env.inference.class_model import ClassModel
 from motor_env.motor.parameters import FloatArray
@@ -47,6 +46,20 @@ def log_joint(
     prior = -0.5 * (np.square(values[:, : len(FACTORS)]) + _LOG_2PI).sum(axis=1)
     joint: FloatArray = np.nansum(logs, axis=1) + prior
     return joint
+
+
+def mirrored(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """An interval mirrored to where the normal distribution's tail keeps its digits.
+
+    Returns:
+        The sign of the mirror, the log probability of what lies left of the interval, and that of the interval.
+    """
+    sign = np.where(low > 0.0, -1.0, 1.0)
+    below, above = (
+        log_ndtr(np.minimum(sign * low, sign * high)),
+        log_ndtr(np.maximum(sign * low, sign * high)),
+    )
+    return sign, below, above + np.log(-np.expm1(below - above))
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,8 +133,10 @@ def captures(
     recordings = []
     for n, row in enumerate(readings):
         time_s, current_a = defect.reshape(timing.time_s, row, np.random.default_rng([seed, n]))
-        commanded = np.where(timing.time_s > 1e-9, SUPPLY_V, 0.0)
         even, columns, notes = resampled(time_s, {"current": current_a})
+        # Samples at uneven times become a few more or fewer on the even axis.
+        shown = np.minimum(np.arange(len(even)), timing.n_samples - 1)
+        commanded = np.where(timing.time_s > 1e-9, SUPPLY_V, 0.0)[shown]
         recordings.append(
             Recording(Path(f"simulated-{n}"), even, columns["current"], commanded, columns=notes)
         )

@@ -1,20 +1,56 @@
 """Tables of verdicts: numbered cases are made and judged, in processes, and what was said in each cell is counted.
 
 A cell is what its cases were, in words: a profile, a motor, a fault. Case n depends on a seed and n alone, so a count
-goes on where its file ends, whatever the number of workers.
+goes on where its file ends, whatever the number of workers. `kept_rows` does so for rows of any kind.
 """
 
 from __future__ import annotations
 
+import json
+import sys
+import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cyclopts import Parameter
-from kept_rows import Row, kept_rows
+
+Job = TypeVar("Job")
+Row = dict[str, Any]
+
+
+def kept_rows(
+    one: Callable[[Job], Row],
+    jobs: Mapping[Any, Job],
+    key: Callable[[Row], Hashable],
+    workers: int,
+    file: Path | None,
+) -> list[Row]:
+    """The rows that a file holds, and those of the other jobs, in the order in which they came.
+
+    Args:
+        one: makes the row of a job.
+        jobs: by what they depend on.
+        key: the same of a row.
+        workers: processes.
+        file: of the rows; None: nothing is kept.
+    """
+    file = file or Path(tempfile.mkdtemp()) / "rows.jsonl"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    done = {key(row) for row in rows}
+    left = [job for name, job in jobs.items() if name not in done]
+    with ProcessPoolExecutor(workers) as pool, file.open("a", encoding="utf-8") as out:
+        for row in pool.map(one, left):
+            rows.append(row)
+            print(json.dumps(row), file=out, flush=True)
+            print(f"\r{len(rows)} of {len(jobs)}", end="", file=sys.stderr, flush=True)
+    return rows
+
 
 Cell = tuple[str, ...]
 Said = list[tuple[Cell, str]]

@@ -1,27 +1,47 @@
-"""Alarms and delays of monitors on simulated work: shared by watch_delays, watch_c and watch_other_physics.
+"""Alarms and delays of `motor-env watch` on simulated work; watch_c counts those of the exported C with its parts.
 
-The textbook motor with more inertia and a random duty cycle, healthy or with a fault; alarms beside those that are due;
-delays beside the CUSUM that knows kind and size of the fault.
+    python benchmarks/watch_counts.py delays --runs 12
+    python benchmarks/watch_counts.py other-physics --motors 10 --hours 0.25 --rows out/watch_other_physics.jsonl
+
+`delays`: the textbook motor with a heavy flywheel on a test bench: a random duty cycle at 1 Hz, and nothing else moves.
+It comes as the text that a device would print, in windows of 10 min after a commissioning of 5 h. One false alarm is
+asked for in an hour, and in a year; the fault begins anywhere in a window. Beside it stands the CUSUM that knows kind
+and size of the fault: it adds up the likelihood ratio of two Kalman filters of current and speed. Its threshold is
+found by simulation for one alarm an hour.
+
+`other-physics`: false alarms on motors of operation_simulator.py with all its switches on, whose physics the fit does
+not have, each at work under one profile at 100 Hz. Windows of 20 s, a commissioning of 200 s, one false alarm an hour
+asked for. A run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
 
 import math
+import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
+from cyclopts import App
 from numba import njit
 from numpy.typing import NDArray
+from operation_simulator import PROFILES, SWITCHES, draw_motor, simulate
 from scipy.stats import poisson
+from tables import keep_table
+from verdict_tables import kept_rows
 
-from motor_env import PAPER_MOTOR, Fault, FaultKind
+from motor_env import PAPER_MOTOR, Fault, FaultKind, KalmanFilter, SensorParameters, run_filter
 from motor_env.diagnosis.operation.sequential_monitor import YEAR_S
-from motor_env.diagnosis.streaming.watch import Event
+from motor_env.diagnosis.streaming.state import State
+from motor_env.diagnosis.streaming.watch import Event, LearningPhase, Watch
 from motor_env.motor.faults import apply_fault
+from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import discretize
-from motor_env.motor.parameters import MotorParameters
+from motor_env.motor.parameters import Channel, MotorParameters
 
+app = App()
 Floats = NDArray[np.float64]
 Samples = TypeVar("Samples")
 FLYWHEEL = 1000.0  # times the rotor's inertia
@@ -143,3 +163,169 @@ def delays_by_fault(
             return first + 1 if first >= 0 else math.inf
 
         yield (kind, severity), faulty, best
+
+
+NOISE_A, NOISE_RAD_S = 0.02, 1.0
+SENSOR = SensorParameters((Channel.CURRENT, Channel.SPEED), NOISE_A, NOISE_RAD_S)
+WINDOW_S, LEARN_S = 600.0, 5 * 3600.0
+HEALTHY_S, FAULTY_S, CALIBRATION_H = 1200, 3600, 50
+HOLDS = (6, 16)
+FAULTS = (
+    (FaultKind.BEARING, 0.25),
+    (FaultKind.BEARING, 0.5),
+    (FaultKind.BEARING, 1.0),
+    (FaultKind.WINDING_CONTACT, 0.1),
+    (FaultKind.WINDING_CONTACT, 0.25),
+    (FaultKind.BEARING, 0.1),
+    (FaultKind.WINDING_CONTACT, 0.01),
+    (FaultKind.WINDING_CONTACT, 0.005),
+)
+ASKED = {"hour": RATES["hour"], "year": 1.0}
+DELAY_HEADER = ("fault", "best CUSUM, hour (s)", "`watch`, hour (s)", "year (s)", "named at once")
+
+
+def work(rng: np.random.Generator, *parts: tuple[MotorParameters, int]) -> Floats:
+    """Time, voltage, current, speed at 1 Hz of motors, each for so many seconds, shape (n, 4)."""
+    volts, x = duty(rng, sum(seconds for _, seconds in parts), HOLDS), np.zeros(2)
+    ends = np.cumsum([seconds for _, seconds in parts])[:-1]
+    each = zip(parts, np.split(volts, ends), strict=True)
+    states = np.concatenate([motion(motor, 1.0, some, x) for (motor, _), some in each])
+    shown = states + rng.standard_normal(states.shape) * (NOISE_A, NOISE_RAD_S)
+    return np.column_stack([np.arange(len(volts)) + 1.0, volts, shown])
+
+
+def taught(samples: Floats) -> Healthy:
+    """Learn a healthy motor at work as `watch --learn` does, from what a device prints."""
+    watch = Watch(LearningPhase(WINDOW_S, LEARN_S, steady=True), State(), false_alarms_per_year=1.0)
+    next(event for event in watch.events(lines([samples])) if event.kind == "learned")
+    if watch.healthy is None:
+        raise TypeError("nothing was learned")
+    return watch.healthy
+
+
+def logs(motor: MotorParameters, samples: Floats) -> Floats:
+    """Log likelihood of each sample."""
+    _, volts, *measured = samples.T
+    result = run_filter(KalmanFilter.from_parameters(motor, SENSOR, 1.0), np.array(measured), volts)
+    out: Floats = -0.5 * (result.nis + np.linalg.slogdet(result.innovation_covariance)[1])
+    return out
+
+
+def ratios(samples: Floats, faulty: MotorParameters) -> Floats:
+    """Log likelihood ratio of each sample."""
+    return logs(faulty, samples) - logs(heavy(), samples)
+
+
+def first_alarm(healthy: Healthy, samples: Floats, onset_s: float, rate: str) -> tuple[float, str]:
+    """Measure the time from the fault's begin to the first alarm, and its verdict; infinite where there is none."""
+    watch = Watch(healthy, State(), false_alarms_per_year=ASKED[rate])
+    for event in watch.events(lines([samples])):
+        if event.time_s > onset_s and event.name not in NO_ALARM:
+            return event.time_s - onset_s, event.text
+    return np.inf, "none"
+
+
+def compared(runs: int) -> Iterator[tuple[str, float, list[str]]]:
+    """Measure for each fault a row of median delays; yield its kind and size, too."""
+    rng = np.random.default_rng([77, 3])
+    healthy = taught(work(rng, (heavy(), int(LEARN_S + WINDOW_S))))
+    usual = work(rng, (heavy(), CALIBRATION_H * 3600)), float(CALIBRATION_H)
+    for fault, faulty, best in delays_by_fault(heavy(), FAULTS, usual, ratios, HEALTHY_S):
+        kind, severity = fault
+        firsts = []
+        ours: dict[str, list[tuple[float, str]]] = {rate: [] for rate in ASKED}
+        for _ in range(runs):
+            samples = work(rng, (heavy(), HEALTHY_S), (faulty, FAULTY_S))
+            firsts.append(best(samples))
+            late = samples[rng.integers(int(WINDOW_S)) :]
+            for rate, found in ours.items():
+                found.append(first_alarm(healthy, late, HEALTHY_S, rate))
+        ours_s = [float(np.median([delay for delay, _ in found])) for found in ours.values()]
+        row = [
+            f"{kind} +{severity:.1%}",
+            f"{np.median(firsts):.3g}",
+            *(f"{delay:.4g}" if np.isfinite(delay) else "none in an hour" for delay in ours_s),
+            f"{sum(verdict == kind.verdict for _, verdict in ours['hour']) / runs:.0%}",
+        ]
+        print(*row, sep=", ", file=sys.stderr, flush=True)
+        yield str(kind), severity, row
+
+
+@app.command
+def delays(*, runs: int = 40) -> None:
+    """Measure the delays on the test bench and keep the table of docs/results/watch.md."""
+    keep_table("watch", "delays", DELAY_HEADER, (row for _, _, row in sorted(compared(runs))))
+
+
+SHORT_WINDOW_S, SHORT_LEARN_S, DT_S = 20.0, 200.0, 0.01
+SUPPORT = {"yes": "if the fitted tails hold", "no": "is not supported"}
+OTHER_HEADER = (
+    *ALARM_HEADER,
+    "on one motor",
+    "motors beyond 99 %",
+    "unusable windows",
+    "rate supported",
+)
+
+
+def watched(job: tuple[int, int, float]) -> dict[str, Any]:
+    """Watch one motor: alarms behind its commissioning, their names, and whether the rate is supported."""
+    seed, number, hours = job
+    rng, profile = np.random.default_rng([seed, number]), PROFILES[number % len(PROFILES)]
+    samples = round((SHORT_LEARN_S + 2.0 * SHORT_WINDOW_S + 3600.0 * hours) / DT_S)
+    recording = simulate(draw_motor(rng, SWITCHES), profile, rng, samples=samples, dt_s=DT_S)
+    columns = (recording.time_s, recording.voltage_v, recording.current_a, recording.speed_rad_s)
+    block = np.column_stack([np.asarray(column) for column in columns])
+    watch = Watch(LearningPhase(SHORT_WINDOW_S, SHORT_LEARN_S), State(), false_alarms_per_year=RATES["hour"])
+    said = list(watch.events(lines([block], b"%.2f,%.6g,%.6g,%.6g\n")))
+    names = Counter(event.name for event in said if event.kind in ("window", "another_motor"))
+    promise = next((event.text for event in said if event.kind == "learned"), "")
+    return {
+        "number": number,
+        "profile": profile,
+        "hours": hours,
+        "alarms": alarms(said),
+        "names": {name: count for name, count in names.items() if name != "window healthy"},
+        "by": next((how for how, words in SUPPORT.items() if words in promise), "nothing learned"),
+    }
+
+
+def counted_row(found: list[dict[str, Any]]) -> list[str]:
+    """Make the row of all motors."""
+    hours = sum(one["hours"] for one in found)
+    by = Counter(one["by"] for one in found)
+    unusable = sum(one["names"].get("window unusable", 0) for one in found)
+    return [
+        *alarm_row("all", "hour", hours, sum(one["alarms"] for one in found))[1:],
+        f"{max(one['alarms'] for one in found)} at most",
+        f"{sum(one['alarms'] > poisson.ppf(0.99, due('hour', one['hours'])) for one in found)} of {len(found)}",
+        f"{unusable * SHORT_WINDOW_S / 3600.0 / hours:.0%}",
+        ", ".join(f"{how} {count}" for how, count in sorted(by.items())),
+    ]
+
+
+@app.command
+def other_physics(
+    *,
+    motors: int = 40,
+    hours: float = 0.5,
+    seed: int = 5,
+    workers: int = 1,
+    rows: Path | None = None,
+) -> None:
+    """Watch motors of other physics and keep the table of docs/results/operation.md.
+
+    Args:
+        motors: number.
+        hours: that each is watched.
+        seed: of the motors.
+        workers: processes.
+        rows: file of a JSON line a motor; those that it holds are not watched again.
+    """
+    jobs = {number: (seed, number, hours) for number in range(motors)}
+    known = kept_rows(watched, jobs, lambda row: row["number"], workers, rows)
+    keep_table("operation", "watched", OTHER_HEADER, [counted_row(known)])
+
+
+if __name__ == "__main__":
+    app()

@@ -8,11 +8,8 @@ from pathlib import Path
 import film
 import numpy as np
 import rules
-import scaling
-import stream_delays
 import trust
 from PIL import Image
-from tables import kept_tables
 
 from motor_env import Cusum, MOfN
 
@@ -67,27 +64,6 @@ def test_the_delays_of_the_rules_are_those_of_today(tmp_path: Path) -> None:
         assert abs(rule.average_run_length(threshold, rules.DRAWN) - kept[name][1]) < 0.01
 
 
-def test_the_curves_of_the_streams_are_those_of_the_table(tmp_path: Path) -> None:
-    kept = json.loads(stream_delays.KEPT_CURVES.read_bytes())
-    stream_delays.draw(kept, tmp_path / "stream.svg")
-    drawn = (tmp_path / "stream.svg").read_text(encoding="utf-8")
-    assert drawn == stream_delays.PICTURE.read_text(encoding="utf-8")
-    for share, name, delay, missed, _ in kept_tables("calibration")["stream"]["rows"]:
-        first = next(row for row in kept[name] if 100.0 * row[0] <= float(share.removesuffix(" %")))
-        assert (f"{1e3 * first[1]:.0f} ms", f"{100.0 * first[2]:.1f} %") == (delay, missed)
-
-
-def test_the_errors_by_number_of_starts_are_those_kept(tmp_path: Path) -> None:
-    scaling.draw(tmp_path / "scaling.svg")
-    assert (tmp_path / "scaling.svg").read_text(encoding="utf-8") == scaling.PICTURE.read_text(
-        encoding="utf-8"
-    )
-    every = scaling.kept()
-    for task, peer, starts, _, said, *_ in kept_tables("leaderboard")["hour"]["rows"]:
-        one = every[task][peer][int(starts.replace(",", ""))]
-        assert said == f"{one['value']:.2f} ({one['low']:.2f} to {one['high']:.2f})"
-
-
 def test_the_charts_of_the_trust_page_are_those_of_the_kept_figures() -> None:
     """`python benchmarks/trust.py charts` writes them."""
     charts = dict(trust.kept_charts())
@@ -104,7 +80,7 @@ def test_every_picture_is_shown_and_has_a_test() -> None:
     of_the_paper = {name for name in kept if name.startswith(("figure_", "error_covariance"))}
     assert kept - of_the_paper == {
         *("hero.png", "rooms.svg", "verdict.svg", "probe-agent.gif", "fleet.svg"),
-        *("rules_delay.svg", "other-roc.svg", "early-verdicts.svg", "stream_delays.svg", "scaling.svg"),
+        *("rules_delay.svg", "other-roc.svg", "early-verdicts.svg"),
     }
 
 

@@ -4,17 +4,14 @@ import csv
 import io
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import verdict_times
 from made_results import RECIPE, TASK, answer, decisions, made_results
 from scipy.stats import binom
 from sklearn.metrics import brier_score_loss, confusion_matrix, log_loss
 from trust_figures import scored_severities, set_figures
-from verdict_times import STATED_ERRORS, accuracy_by_moment, moments
 
 from motor_classifiers.scoring import judging
 from motor_classifiers.scoring.benchmark import Plan, make_tasks, unit_of, units
@@ -35,7 +32,7 @@ from motor_classifiers.scoring.results import as_csv, evaluation_lines, result_r
 from motor_classifiers.scoring.task import class_task, judged_cases
 
 # Reaches in: stand-ins for models answer in the types of real ones; a score is compared with the posterior below it.
-from motor_env import FaultKind, Timing, load_recipe
+from motor_env import FaultKind, load_recipe
 from motor_env.simulation.recipes import FACTORS, FaultClass, Spread
 
 
@@ -315,67 +312,6 @@ def test_a_foreign_fault_is_applied_to_a_healthy_motor() -> None:
         expected = simulate_states(motor, fault.supply * certain.timing.step(12.0), 1e-3)[:, 0]
         got = foreign_starts(certain, fault, 1, np.arange(2))
         np.testing.assert_allclose(got[:, 0], np.stack([expected, expected]), atol=1e-6)
-
-
-def test_looks_at_a_start_are_shares_of_it() -> None:
-    shares = [1, 2, 3, 5, 7, 10, 14, 20, 25, 30, 35, 40, 50, 60, 70, 80, 90, 100]
-    seen = moments(Timing(10_000.0, 0.2, 0.01))
-    assert seen.samples.tolist() == [100 + 20 * share for share in shares]
-    np.testing.assert_allclose(seen.time_s, [0.002 * share for share in shares])
-    assert moments(Timing(1_000.0, 0.011)).samples.tolist() == [10, 11]
-    assert STATED_ERRORS == (0.10, 0.05, 0.02, 0.01)
-    told = np.array([[[0.6, 0.4], [0.6, 0.4]], [[0.6, 0.4], [0.4, 0.6]]])
-    assert accuracy_by_moment(told, [0, 1]).tolist() == [0.5, 1.0]
-
-
-def test_a_race_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rules whose statistic is the start itself; of 101 quiet starts the largest statistics are 0 .. 100."""
-    heights = [69.0, 75.0, 85.0, 93.0, 96.5, 98.5, 99.25, 99.75, 60.0, 98.5]
-    test = np.zeros((10, 1, 40), dtype=np.float32)
-    test[:, 0, 20:] = np.array(heights)[:, None] * np.minimum(np.linspace(0.1, 2.0, 20), 1.0)
-    quiet = np.tile(np.arange(101.0)[:, None, None], (1, 1, 40))
-    faulty = np.arange(10) < 8
-    told = iter([
-        SimpleNamespace(X=test, class_index=faulty.astype(int), case_id=np.arange(700, 710)), SimpleNamespace(X=quiet),
-    ])  # fmt: skip
-    asked: list[tuple[Any, ...]] = []
-
-    def starts(*given: Any) -> Any:
-        asked.append(given)
-        return next(told)
-
-    monkeypatch.setattr(verdict_times, "judged_starts", starts)
-    tolerant = SimpleNamespace(from_recipe=lambda _: SimpleNamespace(white=lambda X: X))
-    rule = SimpleNamespace(statistic=lambda white: white[:, 0])
-    monkeypatch.setattr(verdict_times, "TolerantFilter", tolerant)
-    for name in ("Sprt", "Cusum", "Glr"):
-        monkeypatch.setattr(verdict_times, name, lambda *_: rule)
-    # The limit is the surer the later: 0.75, 0.85, ... at the moments.
-    sure = np.array([0.75, 0.85, 0.92, 0.96, 0.985, 0.9925, 0.997, 0.999, 0.9995, 0.9999, 0.99999])
-    n_moments = len(moments(Timing(1_000.0, 0.04)).samples)
-    by_moment = np.stack([np.full((10, 2), 1.0 - s) for s in sure[:n_moments]])
-    by_moment[:, np.arange(10), faulty.astype(int)] = sure[:n_moments, None]
-    monkeypatch.setattr(verdict_times, "limit_by_samples", lambda *_: by_moment)
-    recipe = replace(RECIPE, timing=Timing(1_000.0, 0.04))
-    fault = FaultClass(FaultKind.BEARING, 0.25)
-    curves = verdict_times.race(recipe, fault, seed=3, first_case=700, n_cases=10, n_healthy=101)
-    assert [given[1:] for given in asked] == [(3, 700, 10), (3, 710, 101)]
-    assert [[c.kind for c in given[0].classes] for given in asked] == [[None, FaultKind.BEARING], [None]]
-    rows = test[:, 0].astype(np.float64)
-    for level, point in zip((70.0, 80.0, 90.0, 95.0, 98.0, 99.0, 99.5), curves["CUSUM"], strict=True):
-        above = [np.flatnonzero(row > level) for row in rows]
-        times = [0.001 * (found[0] + 1) if len(found) else 0.04 for found in above]
-        assert point.time_s == pytest.approx(np.mean(np.array(times)[:8]))
-        assert point.wrong == np.mean(
-            [bool(len(found)) != bad for found, bad in zip(above, faulty, strict=True)]
-        )
-    time_s = moments(recipe.timing).time_s
-    stopped = [point.time_s for point in curves[verdict_times.STOPPING_RULE]]
-    assert stopped == pytest.approx(
-        [time_s[np.argmax(sure >= 1.0 - e)] for e in (0.2, 0.1, 0.05, 0.02, 0.01, 0.005)]
-    )
-    assert [point.time_s for point in curves[verdict_times.FIXED_TIME]] == pytest.approx(time_s.tolist())
-    assert {point.wrong for point in curves[verdict_times.FIXED_TIME]} == {0.0}
 
 
 def test_figures_of_sets_are_those_of_the_coverage() -> None:

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trust_figures
-from shifts import shift_scores, textbook_shifts
-from trust_figures import Counts, halves_coverage, shipped_network
+from trust_figures import Counts, halves_coverage, shift_scores, shipped_network, textbook_shifts
 
 from motor_classifiers import ConformalSets, OutsideDetector
 from motor_classifiers.scoring.frozen_tasks import UNKNOWN_FAULTS, foreign_starts

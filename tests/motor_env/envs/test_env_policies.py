@@ -7,11 +7,9 @@ from typing import Any
 import bounds
 import numpy as np
 import pytest
-from look_ahead import LookAhead, RatioTest
-from looks import LOG_ODDS, PROBABILITY, look_matrix
-from pairs import declared_worth, silent_worth
+from best_policies import LookAhead, RatioTest, TolerancePolicy, level_std
+from bounds import LOG_ODDS, PROBABILITY, declared_worth, look_matrix, silent_worth
 from scipy.stats import multivariate_normal, norm
-from tolerances import TolerancePolicy, level_std
 
 from motor_env import Cusum, FaultKind, Recipe, discretize
 from motor_env.envs import (

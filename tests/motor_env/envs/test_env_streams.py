@@ -18,9 +18,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from look_ahead import RatioTest
-from maintain_bounds import maintenance_bound
-from tolerances import TolerancePolicy
+from best_policies import RatioTest, TolerancePolicy
+from bounds import maintenance_bound
 
 import motor_env  # noqa: F401  # registers the environments
 from motor_env import Channel, Cusum, SensorParameters, load_recipe

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from accuracy_limits import class_limits, severity_limit
+from limits import class_limits, severity_limit
 
 from motor_env import FaultKind, SensorParameters, SeverityPrior, Timing, load_recipe
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from accuracy_limits import cramer_rao_bound
+from limits import cramer_rao_bound
 from scipy.optimize import least_squares
 from scipy.stats import norm
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from accuracy_limits import bayes_limit
+from limits import bayes_limit
 from scipy.optimize import least_squares
 from scipy.special import gammaln, logsumexp
 from scipy.stats import norm

@@ -7,10 +7,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from drive_bound import drive_bounds
+from best_policies import PlannedDecisions, PlannedDrive
+from bounds import drive_bounds
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from planned_drive import PlannedDecisions, PlannedDrive
 from single_lanes import assert_lanes_are_single
 
 from motor_env import discretize
