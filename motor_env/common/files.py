@@ -161,7 +161,7 @@ def _move_into(folder: Path, source: Path) -> None:
 
 def write_examples(folder: Path) -> list[Path]:
     """Copy the examples that come with the package (in a clone: the folder beside it); returns what was written."""
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     source = next(each for each in (package / "examples", package.parent / "examples") if each.is_dir())
     written = []
     for file in sorted(source.glob("*.*")):

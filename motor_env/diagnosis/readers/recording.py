@@ -139,6 +139,8 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
 
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
     """Return a recording, or that of a file."""
+    instance("recording", recording, (Recording, str, Path))
+    instance("columns", choices, (tuple, list))
     return recording if isinstance(recording, Recording) else read_recording(recording, choices)
 
 

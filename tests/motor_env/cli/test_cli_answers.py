@@ -48,12 +48,9 @@ def outcome(verdict: str | None, *, is_bug: bool = False) -> Outcome:
     path = Path(f"{verdict}.csv")
     if verdict is None:
         return Outcome(path, None, "None.csv: is empty", is_bug=is_bug)
-    recording = Recording(path, *2 * [EMPTY])
+    recording = Recording(path, np.arange(2.0), np.zeros(2))
     judged = Judgement(Verdict(verdict), ("because",))
     return Outcome(path, Diagnosis(recording, Taken("start", "as asked"), (judged,)))
-
-
-EMPTY: Any = ()
 
 
 @pytest.mark.parametrize(

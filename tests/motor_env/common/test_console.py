@@ -128,7 +128,7 @@ def test_what_steers_a_terminal_is_shown_as_text() -> None:
 
 
 def test_examples_are_written_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source = Path(console.__file__).parents[1] / "examples"
+    source = Path(console.__file__).parents[2] / "examples"
     names = sorted(file.name for file in source.glob("*.*"))
     (tmp_path / names[0]).write_text("mine")
     assert cli.main(["examples", str(tmp_path)]) == 0

@@ -203,7 +203,7 @@ def test_bad_input_is_one_sentence(
 ) -> None:
     folder = tmp_path / "out"
     rate = [] if "--rate-hz" in options else ["--rate-hz", "1000"]
-    sheet = str(Path(__file__).parents[3] / "examples" / "motor.toml")
+    sheet = str(Path(__file__).parents[4] / "examples" / "motor.toml")
     assert main(["export-c", sheet, "--out", str(folder), *rate, *options]) == 2
     assert words in capsys.readouterr().err
     assert not folder.exists()
@@ -212,7 +212,7 @@ def test_bad_input_is_one_sentence(
 def test_a_library_is_whole_and_only_in_its_own_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder, sheet = tmp_path / "out", str(Path(__file__).parents[3] / "examples" / "motor.toml")
+    folder, sheet = tmp_path / "out", str(Path(__file__).parents[4] / "examples" / "motor.toml")
     command = ["export-c", sheet, "--out", str(folder), "--rate-hz", "1000"]
 
     def contents() -> dict[str, str]:

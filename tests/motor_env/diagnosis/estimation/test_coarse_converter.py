@@ -71,7 +71,7 @@ def test_steps_as_large_as_the_noise_are_no_rectifier() -> None:
 @pytest.mark.parametrize("place", [0.0, 0.25, 0.5, 0.625])
 def test_rounding_is_no_noise_of_the_motor(place: float) -> None:
     """A data sheet's noise is the sensor's alone; a level at the edge of two steps flips between them."""
-    sheet, step = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml"), 0.0125
+    sheet, step = load_motor(Path(__file__).parents[4] / "examples" / "motor.toml"), 0.0125
     chain = SensorChain(offset_a=place * step, range_a=512 * step, adc_bits=10)
     (capture,) = captures(Defect(noise_a=0.25 * step, chain=chain), (), sheet.parameters, 5, 1)
     assert diagnose(capture, replace(sheet, current_noise_a=0.25 * step)).verdict is Verdict.HEALTHY

@@ -924,7 +924,7 @@ def test_the_command_tells_logs_from_starts(
     rows = np.column_stack([DT_S * np.arange(500.0), record.voltage_v, record.readings])
     log, toml = tmp_path / "log.csv", tmp_path / "motor.toml"
     np.savetxt(log, rows, delimiter=",", header="time_s,voltage_v,current_a,speed_rad_s", comments="")
-    start = str(Path(__file__).parents[3] / "examples" / "startup_capture.csv")
+    start = str(Path(__file__).parents[4] / "examples" / "startup_capture.csv")
     monkeypatch.setattr(identifying, "identify_operation", lambda _: identified)
     assert main(["identify", str(log), start, "--json"]) == 0
     first, second = json.loads(capsys.readouterr().out)

@@ -464,7 +464,7 @@ def test_json_says_what_was_judged(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_recordings_may_be_dated_by_their_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two copies of a start, a day and a half apart."""
-    start = (Path(__file__).parents[3] / "examples" / "startup_capture.csv").read_bytes()
+    start = (Path(__file__).parents[4] / "examples" / "startup_capture.csv").read_bytes()
     for n, stamp in enumerate((1_767_225_600.0, 1_767_225_600.0 + 129_600.0)):
         (tmp_path / f"{n}.csv").write_bytes(start)
         os.utime(tmp_path / f"{n}.csv", (stamp, stamp))

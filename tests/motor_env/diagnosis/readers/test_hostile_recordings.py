@@ -24,7 +24,7 @@ from motor_env.diagnosis.readers.start import chosen_starts, split_starts
 from motor_env.diagnosis.readers.text import number_parser as pieces
 from motor_env.motor.parameters import FloatArray
 
-EXAMPLES = Path(__file__).parents[3] / "examples"
+EXAMPLES = Path(__file__).parents[4] / "examples"
 TIME = np.linspace(0.0, 0.0399, 400)
 CURRENT: FloatArray = 3.0 * np.exp(-TIME / 0.01) + 0.1
 VOLTAGE = np.where(TIME > 0.005, 12.0, 0.0)

@@ -15,7 +15,7 @@ from motor_env.diagnosis.readers.recording import describe_reading
 TIME = np.linspace(0.0, 0.049, 50)
 CURRENT = np.sin(50.0 * TIME) + 1.0
 SPEED = 100.0 * TIME
-START = Path(__file__).parents[3] / "examples" / "startup_capture.csv"
+START = Path(__file__).parents[4] / "examples" / "startup_capture.csv"
 
 
 def check(path: Path, *columns: str) -> None:
