@@ -283,8 +283,10 @@ def whole_actions(actions: Any, num_envs: int, count: int) -> NDArray[np.int64]:
             raise ValueError(f"{wanted}: {error}") from None
     if actions.shape != (num_envs,):
         raise ValueError(f"{wanted}, got shape {actions.shape}")
-    # for an array that is read-only or not contiguous the step would be compiled anew
-    return actions if actions.dtype == LONG and actions.flags.carray else actions.astype(LONG, order="C")
+    checked: NDArray[np.int64] = actions
+    if actions.dtype != LONG or not actions.flags.carray:  # else the step would be compiled anew for it
+        checked = actions.astype(LONG, order="C")
+    return checked
 
 
 def refuse_actions(actions: NDArray[np.int64], count: int) -> NoReturn:
