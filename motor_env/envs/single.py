@@ -283,17 +283,15 @@ def whole_actions(actions: Any, num_envs: int, count: int) -> NDArray[np.int64]:
             raise ValueError(f"{wanted}: {error}") from None
     if actions.shape != (num_envs,):
         raise ValueError(f"{wanted}, got shape {actions.shape}")
-    return readable(actions, LONG)
+    checked: NDArray[np.int64] = actions
+    if actions.dtype != LONG or not actions.flags.carray:  # else the step would be compiled anew for it
+        checked = actions.astype(LONG, order="C")
+    return checked
 
 
 def refuse_actions(actions: NDArray[np.int64], count: int) -> NoReturn:
     """Raise the `ValueError` about actions outside 0 .. count - 1."""
     raise ValueError(f"actions must be in 0 .. {count - 1}, got {actions.min()} .. {actions.max()}")
-
-
-def readable(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Copy an array that is read-only or not contiguous, for which a compiled step would be compiled anew."""
-    return array if array.dtype == dtype and array.flags.carray else array.astype(dtype, order="C")
 
 
 def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
@@ -304,7 +302,7 @@ def finite_action(action: Any, shape: tuple[int, ...] | None) -> FloatArray:
     """
     if type(action) is not np.ndarray or action.shape != shape or action.dtype.kind not in "iuf":
         action = _as_numbers(action, shape)
-    checked: FloatArray = readable(action, DOUBLE)
+    checked: FloatArray = action.astype(DOUBLE, order="C")
     # numpy takes a microsecond for what a single environment's few numbers need
     if not (all(map(math.isfinite, checked.tolist())) if checked.ndim == 1 else np.isfinite(checked).all()):
         entry = checked[~np.isfinite(checked)][0]

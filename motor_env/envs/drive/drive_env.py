@@ -53,10 +53,9 @@ def command(control: Control, action: Any) -> FloatArray:
     """
     if control is Control.DECISION:
         return _decided(np.array([whole_action(action, len(DECISIONS))]))
-    shape = (
-        (2,) if control is Control.VOLTAGE_AND_DECISION else (3,)
-    )  # `_width` would cost a hundredth of a step
-    return _from_numbers(finite_action(action, shape)[None])
+    if control is Control.VOLTAGE_AND_DECISION:
+        return finite_action(action, (2,))[None]
+    return _from_numbers(finite_action(action, (3,))[None])
 
 
 def commands(control: Control, actions: Any, count: int) -> FloatArray:
