@@ -136,6 +136,14 @@ def setter(value: Any, name: str) -> Callable[[Any], Any]:
     return lambda v: replace(value, **{name: v})
 
 
+def diagnosed(name: str) -> Callable[[Any], Any]:
+    return lambda v: str(diagnose(STARTUP, "paper", **{name: v}))
+
+
+def identified(name: str) -> Callable[[Any], Any]:
+    return lambda v: str(identify(STARTUP, **{name: v}))
+
+
 def smoother(name: str) -> Callable[[Any], Any]:
     return lambda v: smooth(TWO, RESULT._replace(**{name: v}))
 
@@ -756,7 +764,7 @@ ROWS = [
     ),
     Row.of("diagnose", "columns", lambda v: str(diagnose(STARTUP, "paper", columns=v)), (), "empty list"),
     *(
-        Row.of("diagnose", name, lambda v, n=name: str(diagnose(STARTUP, "paper", **{n: v})), good, *allows)
+        Row.of("diagnose", name, diagnosed(name), good, *allows)
         for name, good, *allows in (
             ("false_alarm_rate", 0.01),
             ("voltage_v", 12.0, "None"),
@@ -765,7 +773,7 @@ ROWS = [
         )
     ),
     *(
-        Row.of("identify", name, lambda v, n=name: str(identify(STARTUP, **{n: v})), good, "None")
+        Row.of("identify", name, identified(name), good, "None")
         for name, good in (("start", 1), ("voltage_v", 12.0), ("constant", 0.02), ("periods_per_turn", 14.0))
     ),
     Row.of("identify", "recordings", lambda v: str(identify(v)), STARTUP, also=([1], [None])),

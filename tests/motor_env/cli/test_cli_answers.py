@@ -48,12 +48,12 @@ def outcome(verdict: str | None, *, is_bug: bool = False) -> Outcome:
     path = Path(f"{verdict}.csv")
     if verdict is None:
         return Outcome(path, None, "None.csv: is empty", is_bug=is_bug)
-    recording = Recording(path, *2 * [EMPTY])
+    recording = Recording(path, SAMPLES, SAMPLES)
     judged = Judgement(Verdict(verdict), ("because",))
     return Outcome(path, Diagnosis(recording, Taken("start", "as asked"), (judged,)))
 
 
-EMPTY: Any = ()
+SAMPLES = np.arange(2.0)
 
 
 @pytest.mark.parametrize(
