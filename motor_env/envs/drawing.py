@@ -1,6 +1,6 @@
 """The drawing of episodes, compiled into the step: class, onset, motor, and the motor at each level of its fault.
 
-The numbers are those of `simulation.sampling.draw` and `motor.model.discretize` for the case of the episode, to the bit,
+Numbers are those of `simulation.sampling.draw` and `motor.model.discretize` for the case of the episode, to the bit,
 so a data set and an environment draw the same motors (a test compares them). An episode depends on (task, seed,
 sub-environment, number of the episode) alone. What costs most, a motor's matrices, is computed when it is needed: at
 the begin of an episode, and when its fault reaches a level. Where all motors are alike they stand in a table.
