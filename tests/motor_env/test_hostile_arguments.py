@@ -136,6 +136,14 @@ def setter(value: Any, name: str) -> Callable[[Any], Any]:
     return lambda v: replace(value, **{name: v})
 
 
+def diagnosed(name: str) -> Callable[[Any], Any]:
+    return lambda v: str(diagnose(STARTUP, "paper", **{name: v}))
+
+
+def identified(name: str) -> Callable[[Any], Any]:
+    return lambda v: str(identify(STARTUP, **{name: v}))
+
+
 def smoother(name: str) -> Callable[[Any], Any]:
     return lambda v: smooth(TWO, RESULT._replace(**{name: v}))
 

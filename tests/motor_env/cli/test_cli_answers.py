@@ -34,7 +34,6 @@ from motor_env.diagnosis.embedded import monitor as monitors, source
 from motor_env.diagnosis.embedded.monitor import CusumBank
 from motor_env.diagnosis.prognosis import files as trends
 from motor_env.diagnosis.readers.profiles import Profile, load_profile
-from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.readers.start import Circuit
 from motor_env.diagnosis.streaming import watch as watching
 from motor_env.diagnosis.verdict.judgement import Judgement
@@ -48,9 +47,12 @@ def outcome(verdict: str | None, *, is_bug: bool = False) -> Outcome:
     path = Path(f"{verdict}.csv")
     if verdict is None:
         return Outcome(path, None, "None.csv: is empty", is_bug=is_bug)
-    recording = Recording(path, np.arange(2.0), np.zeros(2))
+    recording = Recording(path, SAMPLES, SAMPLES)
     judged = Judgement(Verdict(verdict), ("because",))
-    return Outcome(path, Diagnosis(recording, RegimeDecision("start", "as asked"), (judged,)))
+    return Outcome(path, Diagnosis(recording, Taken("start", "as asked"), (judged,)))
+
+
+SAMPLES = np.arange(2.0)
 
 
 @pytest.mark.parametrize(
