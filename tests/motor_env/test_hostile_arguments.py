@@ -161,14 +161,6 @@ THREE = KalmanFilter(
 STREAMS = KalmanFilter.from_parameters(BATCH, SENSOR, DT_S)
 
 
-def diagnosed(option: str) -> Callable[[Any], str]:
-    return lambda value: str(diagnose(STARTUP, "paper", **{option: value}))
-
-
-def identified(option: str) -> Callable[[Any], str]:
-    return lambda value: str(identify(STARTUP, **{option: value}))
-
-
 ROWS = [
     *(
         Row.of("KalmanFilter", name, setter(TWO, name), getattr(TWO, name))

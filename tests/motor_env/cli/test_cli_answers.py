@@ -49,7 +49,7 @@ def outcome(verdict: str | None, *, is_bug: bool = False) -> Outcome:
         return Outcome(path, None, "None.csv: is empty", is_bug=is_bug)
     recording = Recording(path, SAMPLES, SAMPLES)
     judged = Judgement(Verdict(verdict), ("because",))
-    return Outcome(path, Diagnosis(recording, Taken("start", "as asked"), (judged,)))
+    return Outcome(path, Diagnosis(recording, RegimeDecision("start", "as asked"), (judged,)))
 
 
 SAMPLES = np.arange(2.0)
