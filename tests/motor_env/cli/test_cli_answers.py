@@ -34,6 +34,7 @@ from motor_env.diagnosis.embedded import monitor as monitors, source
 from motor_env.diagnosis.embedded.monitor import CusumBank
 from motor_env.diagnosis.prognosis import files as trends
 from motor_env.diagnosis.readers.profiles import Profile, load_profile
+from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.readers.start import Circuit
 from motor_env.diagnosis.streaming import watch as watching
 from motor_env.diagnosis.verdict.judgement import Judgement
