@@ -213,8 +213,9 @@ def run_filter(
     shape = ("...", len(kalman.observation), "n_samples")
     given = numbers("measurements", measurements, shape, missing=True, single=True)
     measured, batch, nominal = _series(kalman, given, voltage_v, load_torque_n_m)
-    missing = np.isnan(measured).swapaxes(1, 2)
-    own_covariance = kalman.model.transition.ndim > 2 or bool(missing.any())
+    lost = np.isnan(measured)
+    missing = lost.swapaxes(1, 2)
+    own_covariance = kalman.model.transition.ndim > 2 or bool(lost.any())
     rows = schedules(kalman, missing if own_covariance else np.zeros((1, *missing.shape[1:]), np.bool_))
     innovation, state = innovations_and_states(kalman, measured, nominal, rows.gain)
     last = state[:, -1]
