@@ -1,5 +1,7 @@
 """Detection: decision rules on residuals, and the run lengths they have.
 
+It never filters: a rule takes whitened residuals. Begin at `rules.cusum`, and `run_length` for its threshold.
+
 Example:
     How high must a CUSUM's threshold be for one false alarm in a thousand healthy starts of 1,000 samples, and how long
     does it take to see a shift of one standard deviation?

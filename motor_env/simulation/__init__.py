@@ -1,5 +1,7 @@
 """Simulated motors: the transients of a recipe, with supply, sensors, disturbances and random numbers.
 
+It never decides anything: what it returns as truth is for scores alone. Begin at `simulate.simulate`.
+
 Example:
     Three starts of one motor with a bad contact; case n has the same noise whatever else is simulated.
 

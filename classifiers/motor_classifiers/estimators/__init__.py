@@ -1,1 +1,4 @@
-"""Estimators: features, scikit-learn pipelines, torch networks, confirmation by thresholds."""
+"""Estimators: features, scikit-learn pipelines, torch networks, confirmation by thresholds.
+
+They never see a label outside `fit`. Begin at `methods`.
+"""

@@ -1,1 +1,4 @@
-"""Trained models as files, without pickle."""
+"""Trained models as files.
+
+Nothing is ever unpickled. Begin at `persistence`.
+"""

@@ -1,1 +1,4 @@
-"""The benchmark's page: charts, tables, HTML."""
+"""The benchmark's page: charts, tables, HTML.
+
+It never computes a score. Begin at `page`.
+"""

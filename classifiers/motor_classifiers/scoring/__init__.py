@@ -1,1 +1,4 @@
-"""Scores, the limit beside them, and the plan of a benchmark."""
+"""Scores, the limit beside them, the plan of a benchmark, and frozen tasks.
+
+It never trains on what it scores. Begin at `benchmark`.
+"""

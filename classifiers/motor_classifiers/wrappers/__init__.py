@@ -1,1 +1,4 @@
-"""Wrappers around an estimator: prediction sets, unknown faults, early verdicts."""
+"""Wrappers around an estimator: prediction sets, unknown starts, early verdicts.
+
+They never change its answers, only what is said of them. Begin at `conformal`.
+"""

@@ -1,5 +1,7 @@
 """Recordings of real motors: tables read, columns recognised, time and level put right, starts cut out.
 
+They never run what a file holds, and fit nothing. Begin at `recording.read_recording`.
+
 Example:
     >>> from motor_env import read_recording
     >>> recording = read_recording("examples/startup_capture.csv")
