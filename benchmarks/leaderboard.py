@@ -26,9 +26,9 @@ from motor_classifiers.estimators.methods import fed, find_method
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring import frozen_tasks
+from motor_classifiers.scoring.benchmark import PEERS
 from motor_classifiers.scoring.frozen_tasks import TASKS, VERSION, StreamTask, load_task, score_answers
 from motor_classifiers.scoring.judging import in_recipe_order, judge
-from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.task import ClassTask, DrawnTask
 from motor_env import Cusum, Glr, TolerantFilter
 from motor_env.common.files import write_text

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from run import FOLDER, ONE_THREAD
 
-from motor_classifiers.scoring.peers import PEERS, identity
+from motor_classifiers.scoring.benchmark import PEERS, identity
 from motor_classifiers.scoring.task import class_task
 from motor_datasets.arrays import Dataset
 from motor_env.common.files import replacing

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from motor_classifiers.estimators.methods import find_method
-from motor_classifiers.scoring.benchmark import Plan
+from motor_classifiers.scoring.benchmark import PEERS, Plan
 from motor_classifiers.scoring.metrics import Reliability, Score
-from motor_classifiers.scoring.peers import PEERS
 from motor_classifiers.scoring.results import as_csv, family, result_rows
 from motor_classifiers.scoring.score import SIGNIFICANCE, ClassResult, Results
 from motor_env.common.files import write_text

@@ -11,9 +11,8 @@ from hostile import Poison, refused
 
 # Reaches in: the table that a run prints names where kept answers come from.
 from motor_classifiers.cli.sweep import table_lines
-from motor_classifiers.scoring.benchmark import Plan, run_plan
+from motor_classifiers.scoring.benchmark import PEERS, Plan, read_peers, run_plan
 from motor_classifiers.scoring.judging import Cost
-from motor_classifiers.scoring.peers import PEERS, read_peers
 from motor_classifiers.scoring.results import result_rows
 from motor_classifiers.scoring.task import class_task
 from motor_env import InputError, Timing, load_recipe
