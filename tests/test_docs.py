@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 MADE_BY_THE_BUILD = [DOCS / "_build", DOCS / "api", DOCS / "environments"]
 PAGES = sorted(page for page in DOCS.rglob("*.md") if not set(page.parents) & set(MADE_BY_THE_BUILD))
-WITH_README = [ROOT / "README.md", *PAGES]
+WITH_README = [ROOT / "README.md", ROOT / "motor_env" / "README.md", *PAGES]
 FENCE = re.compile(
     r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*|\{code-cell\} ipython3)\n"
     r"(?:---\n.*?^---\n)?(?P<code>.*?)^```$",
@@ -174,6 +174,13 @@ def test_links_and_pictures_exist(page: Path) -> None:
     assert [
         path for path in there if not path.exists() and path.resolve().parent not in MADE_BY_THE_BUILD
     ] == []
+
+
+def test_files_that_the_design_names_exist() -> None:
+    text = (DOCS / "design.md").read_text(encoding="utf-8")
+    files = re.findall(r"`((?:motor_env|datasets|classifiers)/[^`]*)`", text)
+    assert len(files) > 40
+    assert [file for file in files if not (ROOT / file).exists()] == []
 
 
 @pytest.mark.parametrize("page", WITH_README, ids=name)

@@ -24,6 +24,14 @@ def blocks(language: str) -> list[str]:
     )
 
 
+def test_the_path_through_the_code_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """From an equation to an agent: one session, block after block."""
+    door = README.parent / "motor_env" / "README.md"
+    path = re.findall(r"^```python\n(.*?)^```", door.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    exec(compile("\n".join(path), door.name, "exec"), {"__name__": "__main__"})  # noqa: S102  # it is our own
+    assert "alarm at sample [362]" in capsys.readouterr().out
+
+
 def commands() -> list[str]:
     lines = "\n".join(blocks("bash")).replace("\\\n", " ").splitlines()
     return [line.split("  #")[0].strip() for line in lines if line.startswith("motor-")]
