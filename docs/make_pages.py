@@ -13,23 +13,23 @@ from motor_env.common.plotting import COLOUR, INK, QUIET, drawing, save, subplot
 DOCS = Path(__file__).parent
 
 
-def layers() -> list[list[str]]:
-    """The rooms of motor_env from top to bottom, as the import contract in pyproject.toml names them."""
+def layers(container: str) -> list[list[str]]:
+    """The rooms of a package from top to bottom, as its import contract in pyproject.toml names them."""
     settings = tomllib.loads((DOCS.parent / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = settings["tool"]["importlinter"]["contracts"]
-    (contract,) = [each for each in contracts if each.get("containers") == ["motor_env"]]
-    rows = [[room.strip() for room in row.split("|")] for row in contract["layers"]]
-    return [row for row in rows if row != ["__main__"]]
+    (contract,) = [each for each in contracts if each.get("containers") == [container]]
+    rows = [[f"{container}.{room.strip()}" for room in row.split("|")] for row in contract["layers"]]
+    return [row for row in rows if row != ["motor_env.__main__"]]
 
 
 def arrows(rooms: set[str]) -> set[tuple[str, str]]:
     """Imports of one room by another, without those that follow from a chain of others."""
     graph = grimp.build_graph("motor_env")
     direct: dict[str, set[str]] = {room: set() for room in rooms}
-    for importer in graph.modules - {"motor_env"}:
-        for imported in graph.find_modules_directly_imported_by(importer) - {"motor_env"}:
-            upper, lower = importer.split(".")[1], imported.split(".")[1]
-            if upper != lower and upper in rooms:
+    for importer in graph.modules:
+        for imported in graph.find_modules_directly_imported_by(importer):
+            upper, lower = room_of(importer, rooms), room_of(imported, rooms)
+            if upper != lower and upper and lower:
                 direct[upper].add(lower)
 
     def below(room: str) -> set[str]:
@@ -43,25 +43,38 @@ def arrows(rooms: set[str]) -> set[tuple[str, str]]:
     }
 
 
+def room_of(module: str, rooms: set[str]) -> str:
+    """The room that a module lies in; empty for a front."""
+    parts = module.split(".")
+    heads = (".".join(parts[:n]) for n in (3, 2))
+    return next((head for head in heads if head in rooms), "")
+
+
 def draw_rooms(path: Path) -> None:
-    """Rooms as boxes, one row a layer; an arrow from the room that imports to the one that is imported."""
-    rows = layers()
-    places = {
-        room: ((column + 0.5) / len(row), len(rows) - depth)
-        for depth, row in enumerate(rows)
-        for column, room in enumerate(row)
-    }
+    """Two wings side by side, one row a layer; an arrow from the room that imports to the one that is imported."""
+    top, both, bottom = layers("motor_env"), "motor_env.diagnosis", "motor_env.common"
+    mission = [[room for room in row if room not in (both, bottom)] for row in top]
+    mission = [row for row in mission if row and row[0] not in ("motor_env.cli", "motor_env.apps")]
+    wing = layers(both)
+    places = {"motor_env.cli": (0.5, 10.0), "motor_env.apps": (0.5, 9.0), bottom: (0.22, 0.0)}
+    for rows, centre, width in ((mission, 0.22, 0.3), (wing, 0.72, 0.5)):
+        for depth, row in enumerate(rows):
+            for column, room in enumerate(row):
+                x = centre + width * ((column + 0.5) / len(row) - 0.5)
+                places[room] = (x, 7.5 - depth * 6.5 / max(len(rows) - 1, 1))
     with drawing():
-        figure, (axes,) = subplots(width_in=6.5, height_in=6.5)
+        figure, (axes,) = subplots(width_in=7.5, height_in=6.5)
         for upper, lower in sorted(arrows(set(places))):
             (x0, y0), (x1, y1) = places[upper], places[lower]
-            bend = 0.25 if x0 == x1 and y0 - y1 > 1 else 0.0
-            line = {"arrowstyle": "->", "color": QUIET, "connectionstyle": f"arc3,rad={bend}"}
-            axes.annotate("", (x1, y1 + 0.27), (x0, y0 - 0.27), arrowprops=line)
+            line = {"arrowstyle": "->", "color": QUIET, "shrinkA": 10, "shrinkB": 12, "alpha": 0.8}
+            axes.annotate("", (x1, y1), (x0, y0), arrowprops=line)
         for room, (x, y) in places.items():
-            box = {"boxstyle": "round,pad=0.4", "facecolor": "white", "edgecolor": COLOUR["healthy"]}
-            axes.text(x, y, room, ha="center", va="center", color=INK, fontsize=11, bbox=box)
-        axes.set(xlim=(0, 1), ylim=(0.4, len(rows) + 0.6))
+            box = {"boxstyle": "round,pad=0.35", "facecolor": "white", "edgecolor": COLOUR["healthy"]}
+            name = room.rpartition(".")[2]
+            axes.text(x, y, name, ha="center", va="center", color=INK, fontsize=10, bbox=box)
+        for x, title in ((0.22, "the mission"), (0.72, "real motors: diagnosis")):
+            axes.text(x, 8.3, title, ha="center", va="center", color=QUIET, fontsize=11, fontstyle="italic")
+        axes.set(xlim=(0, 1), ylim=(-0.5, 10.5))
         axes.set_axis_off()
         save(figure, path)
 
