@@ -188,7 +188,7 @@ def diagnose(
         return int(found.status)
     if sisters.group is not None:
         raise InputError("--group goes with --fleet")
-    from motor_env.diagnosis.batch import diagnose_files
+    from motor_env.diagnosis.file_verdicts import diagnose_files
 
     with console.working("reading") as say:
         outcomes = diagnose_files(
@@ -248,8 +248,8 @@ def trend(
         json_: Print one array with one object a quantity.
     """
     from motor_env.common.files import write_text
-    from motor_env.diagnosis.prognosis.files import trend as trends_of
     from motor_env.diagnosis.prognosis.trend import parse_limits
+    from motor_env.diagnosis.prognosis.trend_report import trend as trends_of
 
     chosen = reading.chosen
     with console.working("reading") as say:

@@ -15,7 +15,7 @@ from scipy import integrate, optimize, stats
 
 from motor_env import Diagnosis, FaultKind, InputError, Motor, Recording, Verdict, diagnose
 from motor_env.cli import main
-from motor_env.diagnosis import batch
+from motor_env.diagnosis import file_verdicts
 from motor_env.diagnosis.commission import Commissioned, commission
 from motor_env.diagnosis.estimation import parameter_index as index
 
@@ -806,7 +806,7 @@ def test_the_command_counts_all_windows_of_a_log(
         return motor_of_windows(HEALTHY, "m")
 
     monkeypatch.setattr(WindowJudge, "judge", judge)
-    monkeypatch.setattr(batch, "load_motor", known)
+    monkeypatch.setattr(file_verdicts, "load_motor", known)
     log = str(log_file(tmp_path))
     assert main(["diagnose", log, "--motor", "m.toml", "--json", "--false-alarm-rate", "0.2"]) == 1
     (told,) = json.loads(capsys.readouterr().out)
