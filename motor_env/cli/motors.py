@@ -48,7 +48,7 @@ def identify(
     """
     if motor is not None:
         options.refuse("--motor", torque_constant=torque_constant, out=out)
-        return _beside_sisters(files, motor, output, measurement, regime=regime, name=name, json_=json_)
+        return _identify_with_fleet(files, motor, output, measurement, regime=regime, name=name, json_=json_)
     from motor_env.diagnosis.identification import identify as fitted
     from motor_env.motor.data_sheet import save_motor
 
@@ -68,7 +68,7 @@ def identify(
     return int(ExitStatus.HEALTHY if found.is_complete else ExitStatus.UNDECIDED)
 
 
-def _beside_sisters(
+def _identify_with_fleet(
     files: list[Path],
     motor: Path,
     output: Path | None,
@@ -78,7 +78,7 @@ def _beside_sisters(
     name: str,
     json_: bool,
 ) -> int:
-    """`identify` with the file of a fleet as the prior."""
+    """Run `identify` with a fleet's motor file as the prior."""
     from motor_env.diagnosis.fleet.learning import unit_quantities, update_unit
     from motor_env.motor.data_sheet import load_motor, save_motor
 
@@ -160,7 +160,9 @@ def commission(
             out=out,
         )
         reading = measurement.of_fleet(regime)
-        text = _of_sisters(files, output, reading, sisters, name=name, motor=motor, rate=false_alarm_rate)
+        text = _commission_fleet(
+            files, output, reading, sisters, name=name, motor=motor, rate=false_alarm_rate
+        )
     else:
         if sisters.group is not None:
             raise InputError("--group goes with --fleet")
@@ -189,7 +191,7 @@ def commission(
     return 0
 
 
-def _of_sisters(
+def _commission_fleet(
     files: list[Path],
     output: Path,
     reading: Reading,
@@ -199,7 +201,7 @@ def _of_sisters(
     motor: Path | None,
     rate: float,
 ) -> str:
-    """`commission` with sisters: of a fleet, or of one motor beside the fleet's file; what was learned, in words."""
+    """Learn a fleet, or one motor with a fleet's motor file as the prior; return what was learned, in words."""
     from motor_env.diagnosis.fleet.learning import learn_fleet, update_unit
     from motor_env.diagnosis.readers.recording import describe_reading, read_recording
     from motor_env.motor.data_sheet import load_motor, save_motor

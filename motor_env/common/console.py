@@ -106,7 +106,7 @@ def _heed_termination() -> None:
 
 
 def printable(text: str) -> str:
-    """Text of strangers, such as the name of a file, without what steers a terminal or cannot be encoded."""
+    """Remove from a text, such as a file's name, what steers a terminal or cannot be encoded."""
     return "".join(
         letter if letter.isprintable() or letter in "\n\t" else letter.encode("unicode_escape").decode()
         for letter in text

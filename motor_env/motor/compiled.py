@@ -47,7 +47,7 @@ def on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
 
 @cache
 def _say_once() -> None:
-    """One line a process: `cache` swallows the repetitions."""
+    """Print a line once a process: `cache` swallows repetitions."""
     sys.stderr.write("numba's cache cannot be read or written: compiling without it\n")
 
 
@@ -132,7 +132,7 @@ class _Notice(event.Listener):
     said = False
 
     def on_start(self, event: event.Event) -> None:
-        """Something begins to be compiled."""
+        """Print the notice when numba begins to compile."""
         dispatcher = event.data["dispatcher"]
         if self.said or sys.stderr is None or not isinstance(dispatcher._cache, _KeptCache):  # noqa: SLF001
             return
@@ -147,7 +147,7 @@ class _Notice(event.Listener):
             sys.stderr.flush()
 
     def on_end(self, event: event.Event) -> None:
-        """Something has been compiled."""
+        """Do nothing; numba calls it when a compilation ends."""
 
 
 _NOTICE = _Notice()
@@ -155,8 +155,8 @@ event.register("numba:compile", _NOTICE)
 
 
 @contextmanager
-def in_silence() -> Iterator[None]:
-    """Without that notice: for what says itself what it compiles."""
+def without_notice() -> Iterator[None]:
+    """Switch the notice off, for programs that report themselves what they compile."""
     before, _NOTICE.said = _NOTICE.said, True
     try:
         yield

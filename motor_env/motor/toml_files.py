@@ -1,4 +1,4 @@
-"""TOML files of strangers, checked against dataclasses: one sentence for whatever is wrong with them."""
+"""Untrusted TOML files, checked against dataclasses: one sentence for the first error."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def from_dict(cls: type[T], content: Mapping[str, Any], whole: str) -> T:
 
 
 def _sentence(cls: type[Any], error: ValidationError, whole: str) -> str:
-    """What is wrong first: where, what it must be, and what stands there."""
+    """Format the first error: its place, what is allowed there, and the value."""
     # A misspelt key first: it explains why another one is missing.
     first = min(error.errors(), key=lambda entry: entry["type"] != "unexpected_keyword_argument")
     *outer, last = first["loc"] or ("",)

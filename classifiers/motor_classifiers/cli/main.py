@@ -32,7 +32,7 @@ def task(name: str, /, *, out: Path) -> int:
 
     chosen = load_task(name)
     test = chosen.test()
-    arrays: dict[str, dict[str, Any]] = {"train": chosen.learned(), "test": {"X": test.X}}
+    arrays: dict[str, dict[str, Any]] = {"train": chosen.training_arrays(), "test": {"X": test.X}}
     for part, content in arrays.items():
         with replacing(out / f"{part}.npz") as temporary:
             np.savez(temporary, allow_pickle=False, **content)

@@ -56,7 +56,7 @@ class TolerantFilter:
         )
         bias, slopes = second_order(recipe, belief)
         voltage = recipe.nominal_voltage_v
-        return cls(belief, voltage, bias, MarginalWhitener.from_slopes(_seen(slopes)))
+        return cls(belief, voltage, bias, MarginalWhitener.from_slopes(_significant_directions(slopes)))
 
     def white(self, measurements: ArrayLike) -> FloatArray:
         """Residuals for the rules, white for healthy motors of the recipe, shape (..., n_samples, n_channels).
@@ -146,8 +146,8 @@ def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, Floa
     return middle + 0.5 * bent.sum(axis=0), np.moveaxis(slopes, 0, -1)
 
 
-def _seen(slopes: FloatArray) -> FloatArray:
-    """A covariance from the directions that the noise does not hide: principal components (Hotelling 1933)."""
+def _significant_directions(slopes: FloatArray) -> FloatArray:
+    """Return the slopes along the principal components that noise does not hide (Hotelling 1933)."""
     if slopes.shape[-1] == 0:
         return slopes
     left, sizes, _ = np.linalg.svd(slopes.reshape(-1, slopes.shape[-1]), full_matrices=False)

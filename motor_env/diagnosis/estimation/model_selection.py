@@ -55,9 +55,9 @@ def initial_values(record: Record) -> list[FloatArray]:
     for window in _WINDOWS:
         if len(record.voltage_v) < 12 * window:
             break
-        if record.seen.all():
+        if record.recorded.all():
             guesses += [_from_current_and_speed(record, window, loaded=loaded) for loaded in (False, True)]
-        elif record.seen[0]:
+        elif record.recorded[0]:
             guesses += [
                 _from_current(record, window, share, loaded=loaded)
                 for share in _RESISTANCES
@@ -113,8 +113,8 @@ def _values(record: Record, **given: float) -> FloatArray:
     for name, value in given.items():
         values[getattr(index, name)] = value
     values[index.L] = max(values[index.L], _LEAST_LAG * values[index.R] * record.dt_s)
-    values[index.NOISE_I] = median_noise(filled(record.readings[:, 0])) if record.seen[0] else 1.0
-    values[index.NOISE_W] = median_noise(filled(record.readings[:, 1])) if record.seen[1] else 1.0
+    values[index.NOISE_I] = median_noise(filled(record.readings[:, 0])) if record.recorded[0] else 1.0
+    values[index.NOISE_W] = median_noise(filled(record.readings[:, 1])) if record.recorded[1] else 1.0
     return values
 
 
@@ -271,7 +271,7 @@ def _with_shape_parameters(best: Solution) -> Solution:
 
     Noise and a walking load may have carried a fit away; dry friction and a constant load may stand for each other.
     """
-    added = [best.problem.every[shape] for shape, of in SHAPES.items() if of in best.names]
+    added = [best.problem.available_terms[shape] for shape, of in SHAPES.items() if of in best.names]
     problem = best.problem.with_terms(added)
     begin = np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added])
     calm = np.array(
@@ -303,7 +303,9 @@ def _select_terms(first: Solution) -> Solution:
     best = _forward_selection(best)
     for name in _TORQUE_DISTURBANCES:
         if name not in best.names:
-            disturbed = _refit(_remove_terms(best, _TORQUE_DISTURBANCES), [best.problem.every[name]])
+            disturbed = _refit(
+                _remove_terms(best, _TORQUE_DISTURBANCES), [best.problem.available_terms[name]]
+            )
             if disturbed.bic() < best.bic() - STRONG_EVIDENCE:
                 best = _forward_selection(disturbed)
     # It may have stood for a term that came later.
@@ -350,9 +352,9 @@ def _remove_terms(best: Solution, names: Collection[str]) -> Solution:
 def _base_terms(record: Record) -> list[str]:
     """Name the terms to begin with: what every motor has, as far as the channels can tell, and any load."""
     names = ["J", "coulomb", "load_constant", "noise_voltage", "load_walk"]
-    if record.seen[0]:
+    if record.recorded[0]:
         names += ["R", "L", "B", "brush_drop", "offset_current", "noise_current"]
-    if record.seen[1]:
+    if record.recorded[1]:
         names += ["K", "offset_speed", "noise_speed"]
     return names
 
@@ -401,7 +403,7 @@ def _refit(before: Solution, added: list[Term]) -> Solution:
 
 def _add_best_term(best: Solution) -> Solution | None:
     """Fit with the one more term that the evidence wants most; None unless it is strong."""
-    every = best.problem.every
+    every = best.problem.available_terms
     tested = [(test.chi_square, name) for name, test in score_tests(best, every, candidates(best)).items()]
     for chi_square, name in sorted(tested, reverse=True):
         if chi_square < math.log(best.problem.count) + STRONG_EVIDENCE:

@@ -95,7 +95,7 @@ class Suggestions:
 
     def ambiguous(self, quantity: str, columns: Sequence[int]) -> str:
         """Return the sentence for columns that look alike."""
-        fitting = self._beside([k for k in columns if self.can_be(quantity, k)])
+        fitting = self._nearest_in_name([k for k in columns if self.can_be(quantity, k)])
         options = [f"--column {_quoted(f'{quantity}={self.name(k)}')}" for k in fitting[:_MOST_NAMED]]
         if quantity not in ("time", "current"):
             options.append(f"--column {quantity}=none")
@@ -107,7 +107,7 @@ class Suggestions:
 
     def missing_current(self, free: Collection[int]) -> str:
         """Return the sentence for a file without a current."""
-        fitting = self._beside([k for k in free if self.can_be("current", k)])
+        fitting = self._nearest_in_name([k for k in free if self.can_be("current", k)])
         said = [k for k in fitting if "current" in kinds_named(self.meanings[k].name)]
         if not fitting:
             hint = "none of the others can be a current, by name, unit and range"
@@ -182,8 +182,8 @@ class Suggestions:
             if other != k and meaning.quantity in ("time", "voltage", "speed", "duty") and meaning.quantity
         ]
 
-    def _beside(self, columns: list[int]) -> list[int]:
-        """Return the columns of the motor of which one is chosen already."""
+    def _nearest_in_name(self, columns: list[int]) -> list[int]:
+        """Return the columns whose names share the most words with those of the columns already chosen."""
         parts = [set(name_parts(self.meanings[k].name)) for k in self.chosen.values()]
         shared = [sum(len(own & set(name_parts(self.meanings[k].name))) for own in parts) for k in columns]
         return [k for k, count in zip(columns, shared, strict=True) if count == max(shared)]

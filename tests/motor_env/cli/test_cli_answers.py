@@ -116,7 +116,7 @@ def test_identify_ends_with_3_where_no_motor_explains_a_start_or_the_logs(
     start = Recording(Path("a"), np.arange(2.0), np.zeros(2))
     trouble = "no motor" if works else ""
     logs = () if works is None else (replace(start, path=Path("b")),)
-    fits = cast("Any", tuple((start, is_told) for is_told in explained))
+    fits = cast("Any", tuple((start, is_determined) for is_determined in explained))
     found = identifying.Identification(fits, logs, {}, None, trouble)
 
     def fitted(files: list[Path], **more: Any) -> identifying.Identification:
