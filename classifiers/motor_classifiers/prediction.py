@@ -1,4 +1,4 @@
-"""What a model says of a start: a recording put on its time axis, its prediction, the diagnosis beside it."""
+"""Predict a recorded start: put it on the model's time axis, predict, and diagnose it beside."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ LEAST_PROBABILITY = 0.5
 
 
 class Prediction(NamedTuple):
-    """What a model says of a start.
+    """Prediction of a model for a start.
 
     Attributes:
         verdict: healthy, bearing, winding, noise, `outside what I know`, or unusable.

@@ -115,7 +115,7 @@ def require_own_output(folder: Path, name: str, mark: str, *, command: str) -> N
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, which becomes `path` when the block ends well and is removed when it does not.
+    """Yield a temporary path, which becomes `path` when the block ends without an error, and else is removed.
 
     Raises:
         InputError: the folder does not exist and cannot be made, or cannot be written.
@@ -151,7 +151,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def filling(folder: Path) -> Iterator[Path]:
-    """A temporary folder in `folder`: what is in it moves to `folder` when the block ends well, and else is removed.
+    """Yield a temporary folder; its files move to `folder` when the block ends without an error, else are removed.
 
     Raises:
         InputError: the folder cannot be made or written.

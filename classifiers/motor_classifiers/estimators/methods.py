@@ -137,7 +137,7 @@ def _svm(recipe: Recipe, seed: int) -> BaseEstimator:
     15.0,
 )
 def _boosting(recipe: Recipe, seed: int) -> BaseEstimator:
-    """Shallow trees; alone they are far too sure of themselves (docs/classifiers.md)."""
+    """Return shallow boosted trees, with calibrated probabilities (docs/classifiers.md)."""
     trees = HistGradientBoostingClassifier(
         learning_rate=0.03, max_iter=150, max_leaf_nodes=7, min_samples_leaf=10, random_state=seed
     )

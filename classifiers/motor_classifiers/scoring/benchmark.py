@@ -83,7 +83,7 @@ def read_peers(path: Path, task: ClassTask) -> dict[str, Answer]:
 
 
 def _same_starts(arrays: dict[str, NDArray[Any]], task: ClassTask) -> bool:
-    """Whether a file speaks of the starts of this setting; the file may hold more test starts."""
+    """Whether a file's answers are for the starts of this setting; it may hold more test starts."""
     if len(arrays["test_mean"]) < task.n_test or len(arrays["train_mean"]) != task.n_train:
         return False
     ours = identity(task.train(), task.starts())
@@ -180,7 +180,7 @@ def make_tasks(
 
 
 class Unit(NamedTuple):
-    """One answer to be had.
+    """Unit of work: the answer of a method in a setting.
 
     Attributes:
         task: setting.
@@ -196,7 +196,7 @@ class Unit(NamedTuple):
 
 
 def units(plan: Plan) -> tuple[Unit, ...]:
-    """All answers that a plan needs, each once: the limit does not depend on the training starts."""
+    """List the answers that a plan needs, each once: the limit does not depend on the training starts."""
     needed: dict[str, Unit] = {}
     for task in plan.tasks:
         for name in (limit_of(task), *plan.methods):
@@ -268,7 +268,7 @@ def run_plan(
     store: AnswerStore | None = None,
     on_unit: Callable[[Unit, bool], object] = lambda unit, known: None,
 ) -> tuple[Results, ...]:
-    """Have all answers, then score them task by task.
+    """Compute all answers, then score them task by task.
 
     Args:
         plan: what to run.

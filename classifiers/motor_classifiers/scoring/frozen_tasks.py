@@ -169,7 +169,7 @@ class NoveltyTask(DrawnTask):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """One score, the larger the stranger."""
+        """One novelty score, larger for novel starts."""
         return ("strangeness",)
 
     def test(self) -> Cases:

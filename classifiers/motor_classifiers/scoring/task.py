@@ -1,4 +1,4 @@
-"""What is asked of methods: cases, what a wrong answer costs, the metric, and the best possible answers.
+"""Tasks for methods: cases, the cost of an answer, the metric, and the best possible answers.
 
 Every metric comes from costs of cases, so methods are compared in pairs.
 """
