@@ -52,20 +52,20 @@ def identify(
     from motor_env.diagnosis.identification import identify as fitted
     from motor_env.motor.data_sheet import save_motor
 
-    found = fitted(
+    result = fitted(
         files,
         **measurement.options,
         regime=regime,
         constant=torque_constant,
         periods_per_turn=measurement.ripple_periods_per_turn,
     )
-    if output is not None and (found.logs or found.usable):
-        save_motor(found.motor(name), output)
+    if output is not None and (result.logs or result.usable):
+        save_motor(result.motor(name), output)
     if out is not None:
-        write_text(out / "identify.html", found.page())
-    options.show(json_, found.to_json, found.text)
+        write_text(out / "identify.html", result.page())
+    options.show(json_, result.to_json, result.text)
     measurement.keep()
-    return int(ExitStatus.HEALTHY if found.is_complete else ExitStatus.UNDECIDED)
+    return int(ExitStatus.HEALTHY if result.is_complete else ExitStatus.UNDECIDED)
 
 
 def _identify_with_fleet(
@@ -82,10 +82,10 @@ def _identify_with_fleet(
     from motor_env.diagnosis.fleet.learning import unit_quantities, update_unit
     from motor_env.motor.data_sheet import load_motor, save_motor
 
-    found = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
-    rows = unit_quantities(found)
+    result = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
+    rows = unit_quantities(result)
     if output is not None:
-        save_motor(found, output)
+        save_motor(result, output)
     lines = [
         f"{_recordings(files, '')} beside the sisters of {motor}; 95 % intervals",
         *(

@@ -51,9 +51,9 @@ def _say_once() -> None:
     sys.stderr.write("numba's cache cannot be read or written: compiling without it\n")
 
 
-def _gather(module: ModuleType, found: dict[str, bytes]) -> None:
+def _gather(module: ModuleType, sources: dict[str, bytes]) -> None:
     """Write down what code compiled in a module depends on: its source, the constants and modules that it imports."""
-    found[module.__name__] = b""  # two modules may use each other
+    sources[module.__name__] = b""  # two modules may use each other
     own_package = module.__name__.partition(".")[0]
     text, others = [inspect.getsource(module)], []
     for name, value in sorted(vars(module).items()):
@@ -72,19 +72,19 @@ def _gather(module: ModuleType, found: dict[str, bytes]) -> None:
             value, bool | int | float | str | tuple | np.generic | np.dtype
         ) and not name.startswith("__"):
             text.append(f"{name} {value!r}")
-    found[module.__name__] = "\n".join(text).encode()
+    sources[module.__name__] = "\n".join(text).encode()
     for other in others:
-        if other.__name__ not in found:
-            _gather(other, found)
+        if other.__name__ not in sources:
+            _gather(other, sources)
 
 
 @cache
 def source_digest(module_name: str) -> str:
     """Digest of all that code compiled in a module depends on: sources and constants."""
-    found: dict[str, bytes] = {}
-    _gather(sys.modules[module_name], found)
+    sources: dict[str, bytes] = {}
+    _gather(sys.modules[module_name], sources)
     return hashlib.sha256(
-        b"\0".join(name.encode() + b"\0" + found[name] for name in sorted(found))
+        b"\0".join(name.encode() + b"\0" + sources[name] for name in sorted(sources))
     ).hexdigest()
 
 

@@ -112,10 +112,10 @@ def _sentence(cls: type[Any], error: ValidationError, whole: str) -> str:
     place = _place(first["loc"]) or whole
     if first["type"] == "missing":
         return f"{place} is missing"
-    told = first["msg"].removeprefix("Value error, ")
-    if told.startswith("Input should "):
-        return f"{place} must {told.removeprefix('Input should ')}, got {reprlib.repr(first['input'])}"
-    return f"{place}: {told}"
+    message = first["msg"].removeprefix("Value error, ")
+    if message.startswith("Input should "):
+        return f"{place} must {message.removeprefix('Input should ')}, got {reprlib.repr(first['input'])}"
+    return f"{place}: {message}"
 
 
 def _place(parts: Any) -> str:

@@ -200,11 +200,11 @@ def noise_variances(recipe: Recipe) -> FloatArray:
 def class_mixture(recipe: Recipe, at: FloatArray, class_index: NDArray[np.int64]) -> GaussianMixture:
     """Fit one normal distribution to each class that is drawn."""
     drawn = [n for n in range(len(recipe.classes)) if (class_index == n).sum() > 1]
-    own = [at[class_index == n] for n in drawn]
+    groups = [at[class_index == n] for n in drawn]
     return GaussianMixture(
-        np.log([len(each) / len(at) for each in own]),
-        np.array([each.mean(axis=0) for each in own]),
-        np.array([np.atleast_2d(np.cov(each.T)) for each in own]),
+        np.log([len(each) / len(at) for each in groups]),
+        np.array([each.mean(axis=0) for each in groups]),
+        np.array([np.atleast_2d(np.cov(each.T)) for each in groups]),
         noise_variances(recipe)[drawn],
     )
 
@@ -303,7 +303,7 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         starts: list[Any] = [
             density.calibration_starts(level) if given is None else self._at(given) for level in levels
         ]
-        distances = [density.distance(own, (low, high)) for own in starts]
+        distances = [density.distance(group, (low, high)) for group in starts]
         self.offset_ = np.array([np.quantile(-distance, rate) for distance in distances])
         return self
 

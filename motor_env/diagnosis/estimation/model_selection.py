@@ -211,8 +211,8 @@ def _with_timing_alternatives(best: Solution) -> Solution:
     if np.nansum(np.abs(np.diff(slopes))) > np.nansum(np.abs(slopes)):
         return best
     rivals = []
-    for begun in _fits_of_other_voltages(best, best.problem.record):
-        other = _refit(begun, [])
+    for initial in _fits_of_other_voltages(best, best.problem.record):
+        other = _refit(initial, [])
         if other.misfit < best.misfit + _ALTERNATIVE * best.problem.count:
             rivals.append(other)
     return _with_alternatives(best, rivals)
@@ -315,8 +315,8 @@ def _select_terms(first: Solution) -> Solution:
 
 def _output_error_fits(solutions: Sequence[Solution]) -> list[Solution]:
     """Fit the same terms without process noise, to output errors."""
-    begun = [_remove_terms(solution, ("noise_voltage", *_TORQUE_DISTURBANCES)) for solution in solutions]
-    return [less.problem.solve(less.theta, most=60) for less in begun]
+    reduced = [_remove_terms(solution, ("noise_voltage", *_TORQUE_DISTURBANCES)) for solution in solutions]
+    return [less.problem.solve(less.theta, most=60) for less in reduced]
 
 
 def _free_run_misfit(solution: Solution) -> float:
@@ -363,8 +363,8 @@ def _initial_fits(record: Record) -> list[Solution]:
     """Fit the first terms, once for each variant of the voltage that may be true."""
     few = []
     for behaved in _voltage_variants(record):
-        begun = initial_problems(behaved)[:_MOST_TRIED]
-        tried = [problem.solve(theta, most=_FEW_EVALUATIONS) for problem, theta in begun]
+        initial = initial_problems(behaved)[:_MOST_TRIED]
+        tried = [problem.solve(theta, most=_FEW_EVALUATIONS) for problem, theta in initial]
         few += sorted(tried, key=lambda solution: solution.misfit)[:1]
     if not few:
         raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
@@ -377,8 +377,8 @@ def _initial_fits(record: Record) -> list[Solution]:
 
 def initial_problems(record: Record) -> list[tuple[Problem, FloatArray]]:
     """Return problems and initial unknowns out of regressions, smallest prediction errors first."""
-    begun = [_initial_problem(record, values) for values in initial_values(record)]
-    return sorted(begun, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
+    problems = [_initial_problem(record, values) for values in initial_values(record)]
+    return sorted(problems, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
 
 
 def _initial_problem(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:

@@ -100,10 +100,10 @@ class Suggestions:
         if quantity not in ("time", "current"):
             options.append(f"--column {quantity}=none")
         names = [self.name(k) for k in columns]
-        alike = f"{', '.join(names[:-1])} and {names[-1]}"
+        listed = f"{', '.join(names[:-1])} and {names[-1]}"
         which = f"say which: {' or '.join(options)}" if options else f"none of them can be a {quantity}"
         both = "both" if len(names) == 2 else "all"
-        return f"{self.path}: the columns {alike} {both} look like the {quantity}; {which}"
+        return f"{self.path}: the columns {listed} {both} look like the {quantity}; {which}"
 
     def missing_current(self, free: Collection[int]) -> str:
         """Return the sentence for a file without a current."""
@@ -232,14 +232,14 @@ def recognise(
     places = dict(chosen)
     for quantity in dict.fromkeys(meanings[k].quantity for k in free):
         if quantity is not None and quantity in named:
-            alike = [k for k in free if meanings[k].quantity == quantity]
-            if quantity == "time" and len(alike) > 1:  # what does not rise is no time axis
-                rising = [k for k in alike if suggested.can_be(quantity, k)]
-                alike = rising if len(rising) == 1 else alike
-            if len(alike) > 1:
-                raise InputError(suggested.ambiguous(quantity, alike))
-            columns[quantity] = _column(suggested, meanings[alike[0]], alike[0], quantity)
-            places[quantity] = alike[0]
+            candidates = [k for k in free if meanings[k].quantity == quantity]
+            if quantity == "time" and len(candidates) > 1:  # what does not rise is no time axis
+                rising = [k for k in candidates if suggested.can_be(quantity, k)]
+                candidates = rising if len(rising) == 1 else candidates
+            if len(candidates) > 1:
+                raise InputError(suggested.ambiguous(quantity, candidates))
+            columns[quantity] = _column(suggested, meanings[candidates[0]], candidates[0], quantity)
+            places[quantity] = candidates[0]
     counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
     if "time" not in columns:
         columns["time"] = _counted(suggested, counter)
