@@ -22,7 +22,7 @@ from peers import peer_answers
 from tables import marked, table
 
 from motor_classifiers import OutsideDetector
-from motor_classifiers.estimators.methods import fed, find_method
+from motor_classifiers.estimators.methods import find_method, model_input
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring import frozen_tasks
@@ -75,7 +75,9 @@ def least_squares(task: DrawnTask) -> FloatArray:
     """Partial least squares of scikit-learn."""
     train, test = task.train(), task.test()
     model = sklearn_methods.least_squares(task.recipe, 0)
-    answers: FloatArray = model.fit(fed(model, train.X), train.severity).predict(fed(model, test.X))
+    answers: FloatArray = model.fit(model_input(model, train.X), train.severity).predict(
+        model_input(model, test.X)
+    )
     return answers
 
 
@@ -87,7 +89,9 @@ def distance(task: DrawnTask) -> FloatArray:
 def isolation(task: DrawnTask) -> FloatArray:
     """Isolation forest of scikit-learn."""
     model = sklearn_methods.isolation(task.recipe, 0)
-    answers: FloatArray = -model.fit(fed(model, task.train().X)).score_samples(fed(model, task.test().X))
+    answers: FloatArray = -model.fit(model_input(model, task.train().X)).score_samples(
+        model_input(model, task.test().X)
+    )
     return answers
 
 

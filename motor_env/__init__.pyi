@@ -35,7 +35,7 @@ from .diagnosis.fleet.learning import (
 from .diagnosis.identification import (
     identify as identify,
 )
-from .diagnosis.prognosis.files import (
+from .diagnosis.prognosis.trend_report import (
     trend as trend,
 )
 from .diagnosis.readers.headers import (

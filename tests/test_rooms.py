@@ -32,12 +32,14 @@ SHARED = {
     "motor_env.motor.healthy": "what a commissioned Motor holds",
     "motor_env.motor.model": "the equations that every room is compared with",
     "motor_env.motor.parameters": "the type of arrays, and constants of the paper's motor",
-    "motor_env.diagnosis.estimation.parameter_index": "the places of values in what windows of work have taught",
+    "motor_env.diagnosis.estimation.parameter_index": "the order of the values in what healthy windows have taught",
     "motor_env.diagnosis.readers.recording": "what a recording is refused with",
     "motor_env.diagnosis.readers.start": "from a Recording to what `identify` takes; the documentation calls it",
     "motor_env.simulation.recipes": "what a Recipe is made of",
 }
 """Inner modules that tests of every room may import, and why."""
+IN_EVERY_FAMILY = {"kernel", "kernels", "options"}
+"""Names that several modules of `motor_env` may have: each family has one."""
 REACHES_IN = "# Reaches in: "
 PAGES = importlib.import_module("site_pages")
 COMPILED = ("njit", "vectorize", "compiled", "inlined")
@@ -63,6 +65,16 @@ def test_no_folder_is_crowded() -> None:
     assert {str(folder): n for folder, n in count.items() if n > 15} == {}
     top = [path.name for path in (ROOT / "motor_env").iterdir() if path.is_file()]
     assert len([name for name in top if name not in ("py.typed", "__init__.pyi")]) <= 8
+
+
+def test_no_module_name_occurs_twice() -> None:
+    places: dict[str, list[str]] = defaultdict(list)
+    for file in MODULES:
+        if file.is_relative_to(PACKAGES[0]) and not file.stem.startswith("__"):
+            places[file.stem].append(str(file.relative_to(ROOT)))
+    twice = {name: files for name, files in places.items() if len(files) > 1}
+    assert {name: files for name, files in twice.items() if name not in IN_EVERY_FAMILY} == {}
+    assert set(twice) == IN_EVERY_FAMILY
 
 
 def test_no_function_takes_more_than_five_positional_arguments() -> None:

@@ -1,4 +1,4 @@
-"""What a model says of a start: a recording put on its time axis, its prediction, the diagnosis beside it."""
+"""Predict a recorded start: put it on the model's time axis, predict, and diagnose it beside."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
 from motor_classifiers.estimators.cases import values_of_start
-from motor_classifiers.estimators.methods import answered
+from motor_classifiers.estimators.methods import model_probabilities
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
 from motor_classifiers.scoring.judging import in_recipe_order
@@ -95,7 +95,7 @@ def _noise_level(case: FloatArray, recipe: Recipe, noise_range: tuple[float, flo
 
 
 def _moved_onto_a_sample(recording: Recording, recipe: Recipe) -> FloatArray:
-    """What the fit leaves over, on top of the fitted motor's response to a step at a sample: shape (1, ...)."""
+    """Move a start onto the sample grid: fitted response to a step at a sample, plus the residual, shape (1, ...)."""
     timing = recipe.timing
     prepared = prepare(recording, float(np.asarray(recipe.supply.voltage_v)))
     # The recipe's supply is a step; a measured voltage would also bring its noise, and pin the onset to its samples.
@@ -154,7 +154,7 @@ LEAST_PROBABILITY = 0.5
 
 
 class Prediction(NamedTuple):
-    """What a model says of a start.
+    """Prediction of a model for a start.
 
     Attributes:
         verdict: healthy, bearing, winding, noise, `outside what I know`, or unusable.
@@ -209,7 +209,7 @@ def predictions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Prediction
         sets = (tuple(model.classes_[chosen].tolist()) for chosen in model.predict_set(X))
         inside = predictions(model.wrapped_model, recipe, X)
         return [prediction._replace(candidates=names) for prediction, names in zip(inside, sets, strict=True)]
-    probabilities = in_recipe_order(model, answered(model, X), recipe)
+    probabilities = in_recipe_order(model, model_probabilities(model, X), recipe)
     verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
     best = probabilities.argmax(axis=1)
     same_verdict = np.where(verdicts == verdicts[best][:, None], probabilities, 0.0)

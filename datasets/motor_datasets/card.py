@@ -1,4 +1,4 @@
-"""What a data set says of itself: its card for Hugging Face, Croissant, and a recipe in words and pictures."""
+"""Description of a data set: its card for Hugging Face, Croissant, and the recipe in words and pictures."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from motor_env.simulation.recipes import FACTORS, Recipe
 
 
 def describe(recipe: Recipe) -> str:
-    """What the recipe samples, one line a quantity."""
+    """Describe what the recipe samples, a line for each quantity."""
     timing, sensor = recipe.timing, recipe.sensor
     lines = [f"recipe {recipe.name}", "motor"]
     lines += [f"  {f.name} = {getattr(recipe.motor, f.name):g}" for f in fields(recipe.motor)]

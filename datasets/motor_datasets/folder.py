@@ -135,7 +135,7 @@ def _make_files(
 
 
 def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> dict[str, Entry]:
-    """The files that an earlier generation left in the folder, each as it was written; none in a new folder."""
+    """Return the whole files that an interrupted generation left in the folder, by name."""
     note = out / UNFINISHED
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return {}
@@ -161,13 +161,13 @@ def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> dict[str, Entry]:
 
 
 def _note(plan: Plan, entries: Iterable[Entry] = ()) -> str:
-    """What is being made, and a line for each of its files that is whole."""
+    """Format the note of progress: the plan, and a line for each finished file."""
     made = {"recipe": recipe_to_dict(plan.recipe), "seed": plan.seed, "cases": plan.cases}
     return "".join(f"{json.dumps(line)}\n" for line in (made, *map(asdict, entries)))
 
 
 def _recorded(note: str) -> Iterator[Entry]:
-    """The files that a note names; a line that is none is of no file."""
+    """Yield the finished files of a note of progress; skip damaged lines."""
     for line in note.splitlines()[1:]:
         with suppress(TypeError, ValueError):
             yield Entry(**json.loads(line))
@@ -222,7 +222,7 @@ def _write_files(files: list[PlannedFile], folder: Folder, plan: Plan, workers: 
 
 
 def seconds_per_case(recipe: Recipe, seed: int) -> float:
-    """Time to make and write one case here, measured on a thousand."""
+    """Measure the seconds to make and write a case on this machine."""
     count = 1024
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "some.parquet"

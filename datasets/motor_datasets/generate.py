@@ -82,7 +82,7 @@ class PlannedFile:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What will be written where; follows from recipe, seed and number of cases alone."""
+    """Plan of a data set's files: follows from recipe, seed and number of cases alone."""
 
     recipe: Recipe
     seed: int

@@ -32,7 +32,7 @@ Folder: TypeAlias = "Path | UPath"
 
 @contextmanager
 def whole_file(target: Folder) -> Iterator[Path]:
-    """A local file to write, which appears as `target` when the block ends well, whole or not at all.
+    """Yield a local file to write, which becomes `target` when the block ends without an error.
 
     Raises:
         InputError: the storage is read only.
@@ -55,7 +55,7 @@ def whole_file(target: Folder) -> Iterator[Path]:
 
 
 def folder_of(where: str | Folder) -> Folder:
-    """The folder that a plain path or a URL such as `s3://bucket/prefix` names; `file://` is a local folder.
+    """Return the folder of a path or a URL such as `s3://bucket/prefix`; `file://` is a local folder.
 
     Raises:
         InputError: no such protocol, the package for it is not installed, or the storage does not answer.
@@ -94,7 +94,7 @@ _FILE_NAME = re.compile(r"data/(train|validation|test|shift_\w+)-\d{6}\.parquet"
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A written file; of a name, and with a size and a digest, as this package gives them."""
+    """File of a data set: name, size and digest."""
 
     path: str
     split: str
@@ -122,7 +122,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What a data set holds."""
+    """Manifest of a data set."""
 
     recipe: Recipe
     seed: int
@@ -162,7 +162,7 @@ class Manifest:
 
 
 def read_manifest(folder: Folder) -> Manifest:
-    """The manifest of a data set.
+    """Read the manifest of a data set.
 
     Raises:
         InputError: no data set there, or one of another kind.
@@ -180,7 +180,7 @@ def read_manifest(folder: Folder) -> Manifest:
 
 
 def whole_content(folder: Folder, entry: Entry) -> bytes:
-    """The content of a file, exactly as it was written.
+    """Read a file and check it against its digest.
 
     Raises:
         InputError: it is missing, cannot be read, or has another digest.
@@ -193,7 +193,7 @@ def whole_content(folder: Folder, entry: Entry) -> bytes:
 
 
 def defect(folder: Folder, entry: Entry) -> str:
-    """Why a file is not as it was written, in one sentence; empty where it is."""
+    """Describe in a sentence what is wrong with a file; empty if nothing is."""
     try:
         whole_content(folder, entry)
     except InputError as error:
@@ -202,7 +202,7 @@ def defect(folder: Folder, entry: Entry) -> str:
 
 
 def problems(folder: Folder) -> list[str]:
-    """One sentence for each file that is missing, damaged or foreign.
+    """List a sentence for each file that is missing, damaged or foreign.
 
     Raises:
         InputError: no data set there.

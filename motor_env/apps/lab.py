@@ -15,8 +15,8 @@ import numpy as np
 
 from motor_env.common.errors import InputError
 from motor_env.detection.rules import Cusum, MOfN, Rule, first_above, in_a_row
-from motor_env.diagnosis.batch import diagnose_files
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
+from motor_env.diagnosis.file_verdicts import diagnose_files
 from motor_env.diagnosis.readers.recording import Recording, read_recording
 from motor_env.diagnosis.verdict.report_page import moving_average, reference_current
 from motor_env.diagnosis.verdict.report_text import as_json, headline

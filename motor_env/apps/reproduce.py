@@ -25,7 +25,7 @@ from motor_env.apps.paper import (
     slips,
     start_up,
 )
-from motor_env.common.files import require_ours, write_text
+from motor_env.common.files import require_own_output, write_text
 from motor_env.common.pages import render
 from motor_env.common.plotting import COLOUR, INK, QUIET, drawing, end_label, note, save, subplots
 from motor_env.filters.batch import run_filter
@@ -450,7 +450,7 @@ def reproduce(out: Path, *, progress: Callable[[PaperFigure], None] = lambda _: 
     Raises:
         InputError: a folder that cannot be written, or files of others in it.
     """
-    require_ours(out, _RECORD, f'"made_by": "{MADE_BY}"', command="reproduce")
+    require_own_output(out, _RECORD, f'"made_by": "{MADE_BY}"', command="reproduce")
     result = record()
     # The record comes first: a folder left by an interrupted run is still known as ours.
     write_text(out / _RECORD, json.dumps(result, indent=1, ensure_ascii=False) + "\n")

@@ -19,7 +19,7 @@ from motor_env.envs.offline_data import TASKS, Behaviour, episodes_of
 from motor_env.inference.class_model import physical_features
 from motor_env.inference.posterior import SeverityPrior, class_probabilities, severity_posterior
 from motor_env.inference.work_features import work_features
-from motor_env.motor.compiled import in_silence
+from motor_env.motor.compiled import without_notice
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
@@ -119,7 +119,7 @@ def warm_up(
     seconds = {}
     for part in parts:
         begin = time.perf_counter()
-        with in_silence():
+        with without_notice():
             _CALLS[part]()
         seconds[part] = time.perf_counter() - begin
         said(part, seconds[part])

@@ -48,27 +48,27 @@ def identify(
     """
     if motor is not None:
         options.refuse("--motor", torque_constant=torque_constant, out=out)
-        return _beside_sisters(files, motor, output, measurement, regime=regime, name=name, json_=json_)
+        return _identify_with_fleet(files, motor, output, measurement, regime=regime, name=name, json_=json_)
     from motor_env.diagnosis.identification import identify as fitted
     from motor_env.motor.data_sheet import save_motor
 
-    found = fitted(
+    result = fitted(
         files,
         **measurement.options,
         regime=regime,
         constant=torque_constant,
         periods_per_turn=measurement.ripple_periods_per_turn,
     )
-    if output is not None and (found.logs or found.usable):
-        save_motor(found.motor(name), output)
+    if output is not None and (result.logs or result.usable):
+        save_motor(result.motor(name), output)
     if out is not None:
-        write_text(out / "identify.html", found.page())
-    options.show(json_, found.to_json, found.text)
+        write_text(out / "identify.html", result.page())
+    options.show(json_, result.to_json, result.text)
     measurement.keep()
-    return int(ExitStatus.HEALTHY if found.is_complete else ExitStatus.UNDECIDED)
+    return int(ExitStatus.HEALTHY if result.is_complete else ExitStatus.UNDECIDED)
 
 
-def _beside_sisters(
+def _identify_with_fleet(
     files: list[Path],
     motor: Path,
     output: Path | None,
@@ -78,14 +78,14 @@ def _beside_sisters(
     name: str,
     json_: bool,
 ) -> int:
-    """`identify` with the file of a fleet as the prior."""
+    """Run `identify` with a fleet's motor file as the prior."""
     from motor_env.diagnosis.fleet.learning import unit_quantities, update_unit
     from motor_env.motor.data_sheet import load_motor, save_motor
 
-    found = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
-    rows = unit_quantities(found)
+    result = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
+    rows = unit_quantities(result)
     if output is not None:
-        save_motor(found, output)
+        save_motor(result, output)
     lines = [
         f"{_recordings(files, '')} beside the sisters of {motor}; 95 % intervals",
         *(
@@ -160,7 +160,9 @@ def commission(
             out=out,
         )
         reading = measurement.of_fleet(regime)
-        text = _of_sisters(files, output, reading, sisters, name=name, motor=motor, rate=false_alarm_rate)
+        text = _commission_fleet(
+            files, output, reading, sisters, name=name, motor=motor, rate=false_alarm_rate
+        )
     else:
         if sisters.group is not None:
             raise InputError("--group goes with --fleet")
@@ -189,7 +191,7 @@ def commission(
     return 0
 
 
-def _of_sisters(
+def _commission_fleet(
     files: list[Path],
     output: Path,
     reading: Reading,
@@ -199,7 +201,7 @@ def _of_sisters(
     motor: Path | None,
     rate: float,
 ) -> str:
-    """`commission` with sisters: of a fleet, or of one motor beside the fleet's file; what was learned, in words."""
+    """Learn a fleet, or one motor with a fleet's motor file as the prior; return what was learned, in words."""
     from motor_env.diagnosis.fleet.learning import learn_fleet, update_unit
     from motor_env.diagnosis.readers.recording import describe_reading, read_recording
     from motor_env.motor.data_sheet import load_motor, save_motor

@@ -180,15 +180,15 @@ def diagnose(
         from motor_env.diagnosis.fleet.judging import diagnose_fleet
 
         with sisters.fitted(files, measurement.of_fleet(regime)) as how:
-            found = diagnose_fleet(files, false_alarm_rate=false_alarm_rate, **how)
+            result = diagnose_fleet(files, false_alarm_rate=false_alarm_rate, **how)
         if out is not None:
-            write_text(out / "fleet.html", found.page())
-        show(json_, found.to_json, found.text)
+            write_text(out / "fleet.html", result.page())
+        show(json_, result.to_json, result.text)
         measurement.keep()
-        return int(found.status)
+        return int(result.status)
     if sisters.group is not None:
         raise InputError("--group goes with --fleet")
-    from motor_env.diagnosis.batch import diagnose_files
+    from motor_env.diagnosis.file_verdicts import diagnose_files
 
     with console.working("reading") as say:
         outcomes = diagnose_files(
@@ -248,12 +248,12 @@ def trend(
         json_: Print one array with one object a quantity.
     """
     from motor_env.common.files import write_text
-    from motor_env.diagnosis.prognosis.files import trend as trends_of
     from motor_env.diagnosis.prognosis.trend import parse_limits
+    from motor_env.diagnosis.prognosis.trend_report import trend as trends_of
 
     chosen = reading.chosen
     with console.working("reading") as say:
-        found = trends_of(
+        result = trends_of(
             paths,
             parse_limits(limit or ()),
             level=level,
@@ -263,9 +263,9 @@ def trend(
             reference_count=reference_count,
             progress=lambda path: say(f"fitting {path}"),
         )
-    write_text(out, found.page())
-    for note in found.notes:
+    write_text(out, result.page())
+    for note in result.notes:
         print(f"motor-env: {note}", file=sys.stderr)
-    show(json_, found.to_json, lambda: f"{found.text()}\n{out}")
+    show(json_, result.to_json, lambda: f"{result.text()}\n{out}")
     reading.keep()
-    return int(found.verdict in ("reached", "trending", "close"))
+    return int(result.verdict in ("reached", "trending", "close"))

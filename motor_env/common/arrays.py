@@ -1,4 +1,4 @@
-"""Numbers and arrays of callers, checked once at the door: what cannot be used is refused in one sentence.
+"""Check numbers and arrays of callers: a bad value raises `ValueError` with one sentence.
 
 Compiled loops check nothing, so every public entry takes its arguments through these functions first.
 
@@ -39,7 +39,7 @@ def numbers(
     single: bool = False,
     least: float | None = None,
 ) -> NDArray[np.float64]:
-    """The values as a float64 array that compiled code can read; a copy only where they are none.
+    """Convert values to a contiguous float64 array; copy them only if they are none.
 
     Args:
         name: of the argument.
@@ -72,7 +72,7 @@ def numbers(
 
 
 def real(name: str, values: Any, shape: Shape | None = None, *, single: bool = False) -> NDArray[np.float64]:
-    """As `numbers`, with whatever values: for what finds out itself that one is not finite."""
+    """Convert as `numbers` does, without the check for finite values."""
     array = values if type(values) is np.ndarray else _array(name, values)
     if array.dtype is not _DOUBLE and not (single and array.dtype == _SINGLE):
         array = _doubles(name, array)
@@ -83,7 +83,7 @@ def real(name: str, values: Any, shape: Shape | None = None, *, single: bool = F
 
 
 def spread(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """As `numbers`, of a shape that NumPy's rules spread over `shape`: a scalar, or the last axes."""
+    """Convert as `numbers` does, if the result can be broadcast to `shape`."""
     array = numbers(name, values)
     if not array.ndim:
         return array
@@ -102,7 +102,7 @@ def number(
     below: float = np.inf,
     most: float = LARGEST_NUMBER,
 ) -> float:
-    """One finite number within the bounds that are given; else `ValueError`."""
+    """Return a finite number within the bounds; else raise `ValueError`."""
     found = value if isinstance(value, float) else float(real(name, value, ()))
     if least <= found <= most and above < found < below:
         return found
@@ -120,7 +120,7 @@ def instance(name: str, value: object, kind: type | tuple[type, ...]) -> None:
 
 
 def whole(name: str, value: Any, least: int = 0, most: int = _WHOLE) -> int:
-    """One whole number within the bounds; else `ValueError`. A bool and 1.5 are none."""
+    """Return an integer within the bounds; else raise `ValueError`, also for a bool."""
     found = value
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "iu" and not np.ma.is_masked(value):
         found = value.tolist()
@@ -130,7 +130,7 @@ def whole(name: str, value: Any, least: int = 0, most: int = _WHOLE) -> int:
 
 
 def wholes(name: str, values: Any, least: int = 0, most: int = _WHOLE) -> NDArray[np.int64]:
-    """Whole numbers within the bounds, of any shape; else `ValueError` with the place of the first one that is none."""
+    """Return integers within the bounds, of any shape; else raise `ValueError` with the place of the first other."""
     array = _array(name, values)
     is_good = array.dtype.kind in "iu" and (not array.size or (array.min() >= least and array.max() <= most))
     for place, entry in enumerate(() if is_good else array.reshape(-1).tolist()):
@@ -141,7 +141,7 @@ def wholes(name: str, values: Any, least: int = 0, most: int = _WHOLE) -> NDArra
 
 
 def flags(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Bools of that shape; else `ValueError`."""
+    """Return bools of a shape; else raise `ValueError`."""
     array = _array(name, values)
     if array.dtype != np.bool_ or array.shape != shape:
         raise ValueError(f"{name} must be bools of shape {shape}, got shape {array.shape}")
@@ -154,7 +154,7 @@ def is_one_of(value: Any, words: Iterable[str]) -> bool:
 
 
 def shown(value: Any) -> str:
-    """What a caller gave, in a few words of one line."""
+    """Describe a caller's value in a few words, on one line."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, np.ndarray):
@@ -175,7 +175,7 @@ def _array(name: str, values: Any) -> NDArray[Any]:
 
 
 def _unmasked(values: Any) -> Any:
-    """NaN in place of masked values, in lists too; whole numbers without a mask stay such."""
+    """Replace masked values by NaN, in lists too; integers without a mask stay integers."""
     if isinstance(values, np.ma.MaskedArray):
         is_missing = np.ma.is_masked(values) and values.dtype.kind in "fiu"
         return np.ma.filled(values.astype(np.float64), np.nan) if is_missing else values.data
@@ -185,7 +185,7 @@ def _unmasked(values: Any) -> Any:
 
 
 def _doubles(name: str, array: NDArray[Any]) -> NDArray[np.float64]:
-    """Float64 of real numbers, of Python's own among them, such as integers beyond 64 bits; None becomes NaN."""
+    """Convert real numbers to float64, also Python integers beyond 64 bits; None becomes NaN."""
     is_object = array.dtype.kind == "O"
     if array.dtype.kind in "fiu" or (
         is_object and not any(isinstance(entry, str | bytes | bool) for entry in array.flat)

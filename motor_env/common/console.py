@@ -1,4 +1,4 @@
-"""What the three commands share: errors as one sentence with exit status 2, exit statuses of verdicts and of bugs."""
+"""Base of the three commands: errors as one sentence with exit status 2, exit statuses, progress, JSON."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _WORST_FIRST = (
 
 
 def worst(statuses: Iterable[ExitStatus]) -> ExitStatus:
-    """The exit status of several files or pieces; undecided where there is none."""
+    """Return the worst exit status of several files; undecided without any."""
     return min(statuses, key=_WORST_FIRST.index, default=ExitStatus.UNDECIDED)
 
 
@@ -106,7 +106,7 @@ def _heed_termination() -> None:
 
 
 def printable(text: str) -> str:
-    """Text of strangers, such as the name of a file, without what steers a terminal or cannot be encoded."""
+    """Remove from a text, such as a file's name, what steers a terminal or cannot be encoded."""
     return "".join(
         letter if letter.isprintable() or letter in "\n\t" else letter.encode("unicode_escape").decode()
         for letter in text
@@ -115,7 +115,7 @@ def printable(text: str) -> str:
 
 @contextmanager
 def working(words: str) -> Iterator[Callable[[object], None]]:
-    """A line on the terminal that says what is worked on; yields the function that changes it."""
+    """Show on a terminal what is worked on; yield the function that changes this line."""
     if sys.stderr is None or not sys.stderr.isatty():
         yield lambda now: None
         return
@@ -134,7 +134,7 @@ def _sentence(error: Exception) -> str:
 
 @contextmanager
 def progress_bar(total: float | None, text: str, *columns: ProgressColumn) -> Iterator[Callable[..., None]]:
-    """A bar with the time left, on standard error and only on a terminal.
+    """Show a progress bar on standard error, only on a terminal.
 
     Yields:
         Function that takes `advance`, `completed`, `total` or `description`.
@@ -149,12 +149,12 @@ def progress_bar(total: float | None, text: str, *columns: ProgressColumn) -> It
 
 
 def json_text(value: Any, *, indent: int | None = 1) -> str:
-    """A result for programs, on one line without `indent`. What is infinite or no number is null, as JSON wants it."""
+    """Format a result as JSON, on one line without `indent`; infinite numbers and nan become null."""
     return json.dumps(_finite(value), indent=indent, allow_nan=False)
 
 
 def _finite(value: Any) -> Any:
-    """A value as JSON can hold it: null for a number that is infinite or none."""
+    """Replace infinite numbers and nan in a value by None."""
     if isinstance(value, dict):
         return {key: _finite(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

@@ -18,7 +18,7 @@ from motor_env.common.errors import InputError
 
 
 def end_with_parent() -> None:
-    """For the start of a worker: it ends when its parent ends, however that was killed."""
+    """End this worker process when its parent ends, however that was killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         sentinel: int | None = getattr(parent, "sentinel", None)
@@ -54,7 +54,7 @@ class Readable(Protocol):
 
 
 def read_file(path: Readable, largest_bytes: int, missing: str = "no such file") -> bytes:
-    """The content of a regular file that is not too large. A device or a pipe is not opened.
+    """Read a regular file that is not too large. A device or a pipe is not opened.
 
     Args:
         path: of the file.
@@ -84,7 +84,7 @@ def read_file(path: Readable, largest_bytes: int, missing: str = "no such file")
 
 
 def read_json(path: Readable, largest_bytes: int, missing: str = "no such file") -> Any:
-    """What a file of JSON holds; see `read_file`.
+    """Read a file of JSON; see `read_file`.
 
     Raises:
         InputError: it cannot be read, or is not JSON.
@@ -97,8 +97,8 @@ def read_json(path: Readable, largest_bytes: int, missing: str = "no such file")
         raise InputError(f"{path}: is not JSON ({reason})") from None
 
 
-def require_ours(folder: Path, name: str, mark: str, *, command: str) -> None:
-    """Refuse a folder that is neither new nor empty, unless its file of that name holds the mark of a command.
+def require_own_output(folder: Path, name: str, mark: str, *, command: str) -> None:
+    """Refuse a folder that holds anything but an earlier output of the same command, shown by a mark in a file.
 
     Raises:
         InputError: it is another's.
@@ -115,7 +115,7 @@ def require_ours(folder: Path, name: str, mark: str, *, command: str) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path`, which becomes `path` when the block ends well and is removed when it does not.
+    """Yield a temporary path, which becomes `path` when the block ends without an error, and else is removed.
 
     Raises:
         InputError: the folder does not exist and cannot be made, or cannot be written.
@@ -151,7 +151,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def filling(folder: Path) -> Iterator[Path]:
-    """A temporary folder in `folder`: what is in it moves to `folder` when the block ends well, and else is removed.
+    """Yield a temporary folder; its files move to `folder` when the block ends without an error, else are removed.
 
     Raises:
         InputError: the folder cannot be made or written.

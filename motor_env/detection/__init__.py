@@ -1,6 +1,7 @@
 """Detection: decision rules on residuals, and the run lengths they have.
 
-It never filters: a rule takes whitened residuals. Begin at `rules.cusum`, and `run_length` for its threshold.
+A rule never sees a measurement: it takes whitened residuals, which a filter makes (for a motor known up to its
+tolerances: `rules.tolerant`). Begin at `rules.cusum`, and `run_length` for its threshold.
 
 Example:
     How high must a CUSUM's threshold be for one false alarm in a thousand healthy starts of 1,000 samples, and how long

@@ -197,7 +197,7 @@ def _text(fields: Mapping[str, Any]) -> str:
 def _log_quantities(joint: OperationFit) -> dict[str, dict[str, Any]]:
     return {
         q.name: estimate_json(q.value, (q.high - q.low) / (2.0 * TWO_SIDED), (q.low, q.high), q.unit)
-        | {"determined": q.is_told}
+        | {"determined": q.is_determined}
         for q in joint.quantities
     }
 

@@ -1,4 +1,4 @@
-"""Gymnasium environments in which a motor may be failing, textbook policies for them, scores and bounds.
+"""Gymnasium environments in which a motor may be failing, textbook policies for them, and scores.
 
 `import motor_env` registers the ids. Everything is loaded when first used; `__init__.pyi` lists what is public.
 

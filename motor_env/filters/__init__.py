@@ -1,6 +1,7 @@
 """Kalman filters: batch, stream, smoother, adaptive noise, joint state and parameters, consistency tests.
 
-They never see the faulty motor: their model is that of the healthy one. Begin at `kalman.KalmanFilter`.
+They never see the truth: they take measurements, and the model of the motor that they assume. Begin at
+`kalman.KalmanFilter`.
 
 Example:
     The filter of a healthy motor on the start of a healthy one: the residual is white noise of standard deviation

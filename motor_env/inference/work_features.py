@@ -47,8 +47,8 @@ def _severities(recipe: Recipe) -> FloatArray:
     return table
 
 
-def any_fault(recipe: Recipe) -> FaultClass:
-    """All kinds at once, each of a severity to be found."""
+def all_faults(recipe: Recipe) -> FaultClass:
+    """Return one class with all kinds of faults at once, each of unknown severity."""
     largest = _RANGE * _severities(recipe).mean(axis=0).max(axis=0)
     parts = [
         FaultClass(kind, 0.0, severity_to=float(top))
@@ -59,7 +59,7 @@ def any_fault(recipe: Recipe) -> FaultClass:
 
 def class_positions(recipe: Recipe) -> tuple[FloatArray, FloatArray]:
     """Severities of each class as coordinates of a fit, and widths of their ranges, both (n_classes, n_kinds)."""
-    tops = np.array([part.largest_severity for part in any_fault(recipe).parts])
+    tops = np.array([part.largest_severity for part in all_faults(recipe).parts])
     # The severities stand last, the last part's first.
     low, high = (_severities(recipe) / tops)[..., ::-1]
     return 0.5 * (low + high), high - low
@@ -67,7 +67,7 @@ def class_positions(recipe: Recipe) -> tuple[FloatArray, FloatArray]:
 
 def work_feature_names(recipe: Recipe) -> tuple[str, ...]:
     """Names of the columns of `work_features`."""
-    names = ClassModel(recipe, any_fault(recipe)).names
+    names = ClassModel(recipe, all_faults(recipe)).names
     stds = (f"log_std_{name}" for name in names[len(names) - len(_kinds(recipe)) :])
     return (*names, *stds, *(f"log_probability_{name}" for name in recipe.class_names), "log1p_chi2")
 
@@ -117,14 +117,14 @@ class WorkFit(NamedTuple):
     log_probability: FloatArray
 
 
-def read_of(recipe: Recipe, cases: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-    """What the sensors told, shape (n_cases, n_values), and the voltage applied to motors at work."""
+def measured_and_voltage(recipe: Recipe, cases: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    """Split cases into measurements, shape (n_cases, n_values), and the voltage; None for starts."""
     measured = cases[:, : len(recipe.sensor.channels)].reshape(len(cases), -1)
     return measured, None if recipe.duty is None else cases[:, -1]
 
 
-def prior_of_any(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, FloatArray]:
-    """Means and precisions of the coordinates of `any_fault`, both of shape (size,)."""
+def prior_of_all_faults(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, FloatArray]:
+    """Return means and precisions of the coordinates of `all_faults`, both of shape (size,)."""
     kinds = slice(-len(_kinds(recipe)), None)
     centre = model.prior[0].copy()
     precision = np.where(np.arange(len(centre)) < len(FACTORS), 1.0, _UNIFORM)
@@ -143,10 +143,10 @@ def work_fit(
         begin: first coordinates, shape (n_cases, size); the middle of the prior by default.
         enough: see `most_probable`.
     """
-    fault = any_fault(recipe)
+    fault = all_faults(recipe)
     model = ClassModel(recipe, fault)
-    centre, precision = prior_of_any(recipe, model)
-    measured, voltage = read_of(recipe, cases)
+    centre, precision = prior_of_all_faults(recipe, model)
+    measured, voltage = measured_and_voltage(recipe, cases)
     at, information, pull, left = most_probable(
         model,
         measured,

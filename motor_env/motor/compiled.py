@@ -47,13 +47,13 @@ def on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
 
 @cache
 def _say_once() -> None:
-    """One line a process: `cache` swallows the repetitions."""
+    """Print a line once a process: `cache` swallows repetitions."""
     sys.stderr.write("numba's cache cannot be read or written: compiling without it\n")
 
 
-def _gather(module: ModuleType, found: dict[str, bytes]) -> None:
+def _gather(module: ModuleType, sources: dict[str, bytes]) -> None:
     """Write down what code compiled in a module depends on: its source, the constants and modules that it imports."""
-    found[module.__name__] = b""  # two modules may use each other
+    sources[module.__name__] = b""  # two modules may use each other
     own_package = module.__name__.partition(".")[0]
     text, others = [inspect.getsource(module)], []
     for name, value in sorted(vars(module).items()):
@@ -72,19 +72,19 @@ def _gather(module: ModuleType, found: dict[str, bytes]) -> None:
             value, bool | int | float | str | tuple | np.generic | np.dtype
         ) and not name.startswith("__"):
             text.append(f"{name} {value!r}")
-    found[module.__name__] = "\n".join(text).encode()
+    sources[module.__name__] = "\n".join(text).encode()
     for other in others:
-        if other.__name__ not in found:
-            _gather(other, found)
+        if other.__name__ not in sources:
+            _gather(other, sources)
 
 
 @cache
 def source_digest(module_name: str) -> str:
     """Digest of all that code compiled in a module depends on: sources and constants."""
-    found: dict[str, bytes] = {}
-    _gather(sys.modules[module_name], found)
+    sources: dict[str, bytes] = {}
+    _gather(sys.modules[module_name], sources)
     return hashlib.sha256(
-        b"\0".join(name.encode() + b"\0" + found[name] for name in sorted(found))
+        b"\0".join(name.encode() + b"\0" + sources[name] for name in sorted(sources))
     ).hexdigest()
 
 
@@ -132,7 +132,7 @@ class _Notice(event.Listener):
     said = False
 
     def on_start(self, event: event.Event) -> None:
-        """Something begins to be compiled."""
+        """Print the notice when numba begins to compile."""
         dispatcher = event.data["dispatcher"]
         if self.said or sys.stderr is None or not isinstance(dispatcher._cache, _KeptCache):  # noqa: SLF001
             return
@@ -147,7 +147,7 @@ class _Notice(event.Listener):
             sys.stderr.flush()
 
     def on_end(self, event: event.Event) -> None:
-        """Something has been compiled."""
+        """Do nothing; numba calls it when a compilation ends."""
 
 
 _NOTICE = _Notice()
@@ -155,8 +155,8 @@ event.register("numba:compile", _NOTICE)
 
 
 @contextmanager
-def in_silence() -> Iterator[None]:
-    """Without that notice: for what says itself what it compiles."""
+def without_notice() -> Iterator[None]:
+    """Switch the notice off, for programs that report themselves what they compile."""
     before, _NOTICE.said = _NOTICE.said, True
     try:
         yield

@@ -191,10 +191,10 @@ def load_motor(name_or_path: str | Path) -> Motor:
 def _to_motor(file: _File) -> Motor:
     si: dict[str, float] = {}
     for quantity, keys in _UNITS.items():
-        given = [key for key in keys if getattr(file.motor, key) is not None]
-        require(len(given) < 2, f"motor gives {' and '.join(given)}; give one of them")
-        if given:
-            si[quantity] = getattr(file.motor, given[0]) * keys[given[0]]
+        stated = [key for key in keys if getattr(file.motor, key) is not None]
+        require(len(stated) < 2, f"motor gives {' and '.join(stated)}; give one of them")
+        if stated:
+            si[quantity] = getattr(file.motor, stated[0]) * keys[stated[0]]
     constants = _constants(si)
     _time_constant_fits(si | constants)
     for quantity, usual_key in (
@@ -225,15 +225,15 @@ def _to_motor(file: _File) -> Motor:
 def _constants(si: Mapping[str, float]) -> dict[str, float]:
     """Torque and back-EMF constant; in SI units they are one number, so either stands for the other."""
     names = ("torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad")
-    given = {name: si[name] for name in names if name in si}
+    stated = {name: si[name] for name in names if name in si}
     if "speed_constant_rpm_per_v" in si:
         require(
             names[1] not in si,
             "motor gives speed_constant_rpm_per_v and a back-EMF constant; give one of them",
         )
-        given[names[1]] = 1.0 / (si["speed_constant_rpm_per_v"] * RAD_S_PER_RPM)
-    require(bool(given), "motor.torque_constant_mnm_per_a (or motor.speed_constant_rpm_per_v) is missing")
-    constants = dict.fromkeys(names, next(iter(given.values()))) | given
+        stated[names[1]] = 1.0 / (si["speed_constant_rpm_per_v"] * RAD_S_PER_RPM)
+    require(bool(stated), "motor.torque_constant_mnm_per_a (or motor.speed_constant_rpm_per_v) is missing")
+    constants = dict.fromkeys(names, next(iter(stated.values()))) | stated
     torque, back_emf = constants.values()
     require(
         _agree(torque, back_emf),
@@ -342,12 +342,12 @@ def usable_parameters(motor: Motor, *, needs_speed: bool) -> MotorParameters:
         " --voltage",
     )
     if _K[0] in motor.assumed:
-        told = (
+        message = (
             f"{motor.name}: torque constant, inertia and friction are assumed ({motor.assumed[_K[0]]}); commission or"
             " identify it with a speed, or with --torque-constant"
         )
-        require(not needs_speed, told)
-        warnings.warn(f"{told}. Currents are right, speeds and torques are not", stacklevel=3)
+        require(not needs_speed, message)
+        warnings.warn(f"{message}. Currents are right, speeds and torques are not", stacklevel=3)
     return motor.parameters
 
 

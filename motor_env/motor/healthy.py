@@ -1,4 +1,4 @@
-"""What healthy pieces of one motor's recordings have taught: the table `healthy` of a motor file."""
+"""Statistics of a motor's healthy recordings: the table `healthy` of a motor file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Starts:
 
 @dataclass(frozen=True, slots=True)
 class ScoreCalibration:
-    """What healthy windows have taught `watch`: of the logarithms of R, K, J and B over the healthy ones.
+    """Calibration of the scores of `watch` on healthy windows: of log R, K, J and B over the healthy values.
 
     Attributes:
         windows: number of healthy windows.
@@ -85,7 +85,7 @@ class ScoreCalibration:
 
 @dataclass(frozen=True, slots=True)
 class OperatingCondition:
-    """One way in which a healthy motor was driven, and what it tells of the next window.
+    """Operating condition of a healthy motor, and the distribution of the next window under it.
 
     Attributes:
         pieces: which of the healthy windows.
@@ -153,7 +153,7 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """From which sisters the healthy motor was learned.
+    """Fleet that the healthy motor was learned from.
 
     Attributes:
         motors: their number.
@@ -166,7 +166,7 @@ class Fleet:
 
 @dataclass(frozen=True, slots=True)
 class Healthy:
-    """Where the quantities of a healthy motor lie, and how far those of its next healthy piece may be off.
+    """Distribution of the quantities of a healthy motor's next start or window.
 
     Attributes:
         pieces: number of healthy starts, or of windows.
@@ -215,7 +215,7 @@ class Healthy:
         )
 
     def under(self, drive: OperatingCondition) -> Healthy:
-        """What windows of one of its drives have taught."""
+        """Return the statistics under one of its operating conditions."""
         return replace(
             self,
             pieces=len(drive.pieces),

@@ -1,4 +1,4 @@
-"""TOML files of strangers, checked against dataclasses: one sentence for whatever is wrong with them."""
+"""Untrusted TOML files, checked against dataclasses: one sentence for the first error."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def from_dict(cls: type[T], content: Mapping[str, Any], whole: str) -> T:
 
 
 def _sentence(cls: type[Any], error: ValidationError, whole: str) -> str:
-    """What is wrong first: where, what it must be, and what stands there."""
+    """Format the first error: its place, what is allowed there, and the value."""
     # A misspelt key first: it explains why another one is missing.
     first = min(error.errors(), key=lambda entry: entry["type"] != "unexpected_keyword_argument")
     *outer, last = first["loc"] or ("",)
@@ -112,10 +112,10 @@ def _sentence(cls: type[Any], error: ValidationError, whole: str) -> str:
     place = _place(first["loc"]) or whole
     if first["type"] == "missing":
         return f"{place} is missing"
-    told = first["msg"].removeprefix("Value error, ")
-    if told.startswith("Input should "):
-        return f"{place} must {told.removeprefix('Input should ')}, got {reprlib.repr(first['input'])}"
-    return f"{place}: {told}"
+    message = first["msg"].removeprefix("Value error, ")
+    if message.startswith("Input should "):
+        return f"{place} must {message.removeprefix('Input should ')}, got {reprlib.repr(first['input'])}"
+    return f"{place}: {message}"
 
 
 def _place(parts: Any) -> str:

@@ -114,7 +114,7 @@ N_UNIFORMS = _LEVELS + _OTHERS
 
 @dataclass(frozen=True, slots=True)
 class Duty:
-    """What a motor at work is asked for. Torques are relative to the viscous torque at no-load speed.
+    """Priors of speed and load of a motor at work. Torques are relative to the viscous torque at no-load speed.
 
     Attributes:
         profiles: of the voltage, each equally often. `steps`: random levels of one direction. `reversals`: one level,

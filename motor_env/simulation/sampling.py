@@ -174,7 +174,7 @@ def driven(
     is_loop: NDArray[np.bool_] | None = None,
     limit_v: FloatArray | None = None,
 ) -> Driving:
-    """What drives and loads motors at work.
+    """Return the voltage and load that drive motors at work.
 
     Args:
         recipe: one with a table `duty`.

@@ -1,4 +1,4 @@
-"""What failed sensors make of readings: the motor is as it was, and something else is recorded.
+"""Readings of failed sensors: the motor is healthy, and something else is recorded.
 
 Dead, scaled, offset and reversed sensors act before the noise; clipped and stuck readings after it.
 """

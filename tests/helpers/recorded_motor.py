@@ -70,7 +70,7 @@ class Line:
         n = len(target)
         self.record = plain(n).only(current=True, speed=False)
         self.count = n
-        self.every: dict[str, Term] = {}
+        self.available_terms: dict[str, Term] = {}
         self.free = [Term(name, place, 1.0, -5.0, 5.0, is_log=True) for place, name in enumerate(names)]
 
     def residuals(self, theta: FloatArray) -> FloatArray:

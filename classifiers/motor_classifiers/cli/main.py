@@ -32,7 +32,7 @@ def task(name: str, /, *, out: Path) -> int:
 
     chosen = load_task(name)
     test = chosen.test()
-    arrays: dict[str, dict[str, Any]] = {"train": chosen.learned(), "test": {"X": test.X}}
+    arrays: dict[str, dict[str, Any]] = {"train": chosen.training_arrays(), "test": {"X": test.X}}
     for part, content in arrays.items():
         with replacing(out / f"{part}.npz") as temporary:
             np.savez(temporary, allow_pickle=False, **content)
@@ -203,14 +203,15 @@ def predict(
     split: str | None = None,
     json_: bool = False,
 ) -> int:
-    """Opinion of a model on recordings, beside the verdict of motor-env diagnose; or on the cases of data sets.
+    """Predict recordings with a model, beside the verdict of motor-env diagnose; or the cases of data sets.
 
     Example: motor-classifiers predict examples/startup_capture.csv --motor examples/motor.toml
 
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
-    The status is the model's opinion. A model knows the motors of its recipe and no others (docs/classifiers.md); real
-    motors, whose supply ramps and whose brushes drop a voltage, are better judged by the diagnosis beside it.
+    The status is that of the model's prediction. A model knows the motors of its recipe and no others
+    (docs/classifiers.md); real motors, whose supply ramps and whose brushes drop a voltage, are better judged by the
+    diagnosis beside it.
 
     Args:
         files: Recordings with columns time_s, current_a and, where measured, voltage_v and speed_rad_s; or folders

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from motor_classifiers.cli.sweep import numbers
-from motor_classifiers.estimators.methods import fed, find_method
+from motor_classifiers.estimators.methods import find_method, model_input
 from motor_classifiers.estimators.networks.posterior_network import UNKNOWN_NOISE, PosteriorNetwork
 from motor_classifiers.model_files.persistence import check_saveable, save_model
 from motor_datasets.loaders import load
@@ -29,7 +29,7 @@ def train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[st
     model = chosen.make(cases.recipe, seed)
     check_saveable(model)
     with Console(stderr=True).status(f"training {method} on {len(cases)} starts"):
-        chosen.train(model, fed(model, cases.X), cases.class_name)
+        chosen.train(model, model_input(model, cases.X), cases.class_name)
         save_model(model, cases.recipe, method, out)
     return {"method": method, "n_train": len(cases), "out": str(out)}
 

@@ -72,7 +72,7 @@ def _chain(features: BaseEstimator, *steps: BaseEstimator) -> Pipeline:
 
 
 def _method(name: str, family: str, title: str, seconds: float, **options: bool) -> Callable[[Make], Make]:
-    """Puts a function that makes estimators into the table."""
+    """Put a function that makes estimators into the table."""
 
     def listed(make: Make) -> Make:
         METHODS[name] = Method(name, family, title, make, seconds, **options)
@@ -137,7 +137,7 @@ def _svm(recipe: Recipe, seed: int) -> BaseEstimator:
     15.0,
 )
 def _boosting(recipe: Recipe, seed: int) -> BaseEstimator:
-    """Shallow trees; alone they are far too sure of themselves (docs/classifiers.md)."""
+    """Return shallow boosted trees, with calibrated probabilities (docs/classifiers.md)."""
     trees = HistGradientBoostingClassifier(
         learning_rate=0.03, max_iter=150, max_leaf_nodes=7, min_samples_leaf=10, random_state=seed
     )
@@ -266,12 +266,12 @@ def _from_file(name: str) -> Make:
 
 
 def source_of(name: str) -> str:
-    """The text that a method of one's own file depends on; empty for all others."""
+    """Return the source text of a method `FILE.py:NAME`; empty for all others."""
     return Path(name.rpartition(":")[0]).read_text(encoding="utf-8") if _OF_FILE in name else ""
 
 
-def fed(model: BaseEstimator, X: Any) -> Any:
-    """Transients as a model takes them.
+def model_input(model: BaseEstimator, X: Any) -> Any:
+    """Return transients in the shape that a model takes.
 
     Flat, (n_cases, n_channels * n_timepoints); with channels apart where the tag `input_tags.three_d_array` of the
     model, or of a pipeline's first step, says so.
@@ -283,9 +283,9 @@ def fed(model: BaseEstimator, X: Any) -> Any:
     return X if tags is not None and tags.three_d_array else X.reshape(len(X), -1)
 
 
-def answered(model: BaseEstimator, X: Any) -> FloatArray:
-    """Probability of each of the model's classes, shape (n_cases, n_classes); 0 and 1 where it only decides."""
-    cases = fed(model, X)
+def model_probabilities(model: BaseEstimator, X: Any) -> FloatArray:
+    """Return the probability of each of the model's classes, shape (n_cases, n_classes); 0 or 1 if it only decides."""
+    cases = model_input(model, X)
     if hasattr(model, "predict_proba"):
         probabilities: FloatArray = np.asarray(model.predict_proba(cases), dtype=np.float64)
         return probabilities

@@ -30,7 +30,7 @@ from sklearn.preprocessing import MinMaxScaler, RobustScaler, StandardScaler
 from motor_classifiers.estimators.cases import State, values_of_start
 from motor_classifiers.estimators.confirmation import ThresholdConfirmationClassifier
 from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection, RuleStatistics
-from motor_classifiers.estimators.methods import answered
+from motor_classifiers.estimators.methods import model_probabilities
 from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier, ResNetClassifier
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.reference_starts import RecentredStarts
@@ -302,7 +302,7 @@ def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
     )
     require(model.n_features_in_ <= MOST_FEATURES, f"a case has more than {MOST_FEATURES} values")
     with np.errstate(all="ignore"):
-        probabilities = answered(model, np.zeros((1, model.n_features_in_)))
+        probabilities = model_probabilities(model, np.zeros((1, model.n_features_in_)))
     require(probabilities.shape == (1, len(model.classes_)), "it gives no probability for each class")
     require(bool(np.isfinite(probabilities).all()), "its probabilities are not finite")
 

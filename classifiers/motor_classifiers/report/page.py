@@ -110,7 +110,7 @@ def line_chart(
 
 
 def _spread_out(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Places near the wanted ones, `gap` apart, so that no label covers another."""
+    """Move places at least `gap` apart, so that no label covers another."""
     order = np.argsort(wanted, kind="stable")
     placed = np.asarray(wanted, dtype=np.float64)[order]
     for n in range(len(placed)):

@@ -19,7 +19,7 @@ from motor_classifiers.scoring.judging import (
     Answer,
     Cost,
     answer_key,
-    judge_apart,
+    judge_in_subprocess,
     load_answer,
     posterior,
     save_answer,
@@ -48,7 +48,7 @@ def _means(X: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def identity(train: Dataset, test: Dataset) -> dict[str, NDArray[Any]]:
-    """What tells these starts from all others: level and class of each."""
+    """Return a fingerprint of test starts: level and class of each."""
     return {
         "train_mean": _means(train.X),
         "train_class_index": train.class_index.astype(np.int8),
@@ -83,7 +83,7 @@ def read_peers(path: Path, task: ClassTask) -> dict[str, Answer]:
 
 
 def _same_starts(arrays: dict[str, NDArray[Any]], task: ClassTask) -> bool:
-    """Whether a file speaks of the starts of this setting; the file may hold more test starts."""
+    """Whether a file's answers are for the starts of this setting; it may hold more test starts."""
     if len(arrays["test_mean"]) < task.n_test or len(arrays["train_mean"]) != task.n_train:
         return False
     ours = identity(task.train(), task.starts())
@@ -117,7 +117,7 @@ REFERENCE: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is run: each method on each task.
+    """Plan of a benchmark: each method on each task.
 
     Attributes:
         tasks: one a setting.
@@ -180,7 +180,7 @@ def make_tasks(
 
 
 class Unit(NamedTuple):
-    """One answer to be had.
+    """Unit of work: the answer of a method in a setting.
 
     Attributes:
         task: setting.
@@ -196,7 +196,7 @@ class Unit(NamedTuple):
 
 
 def units(plan: Plan) -> tuple[Unit, ...]:
-    """All answers that a plan needs, each once: the limit does not depend on the training starts."""
+    """List the answers that a plan needs, each once: the limit does not depend on the training starts."""
     needed: dict[str, Unit] = {}
     for task in plan.tasks:
         for name in (limit_of(task), *plan.methods):
@@ -206,7 +206,7 @@ def units(plan: Plan) -> tuple[Unit, ...]:
 
 
 def limit_of(task: ClassTask) -> str:
-    """What stands for the limit: the exact posterior, its estimate at work, or the method that estimates it."""
+    """Return the limit of a setting: the exact posterior, an estimate at work, or the method that estimates it."""
     return LIMIT if task.recipe.field is None or task.recipe.duty is not None else ESTIMATE
 
 
@@ -268,7 +268,7 @@ def run_plan(
     store: AnswerStore | None = None,
     on_unit: Callable[[Unit, bool], object] = lambda unit, known: None,
 ) -> tuple[Results, ...]:
-    """Have all answers, then score them task by task.
+    """Compute all answers, then score them task by task.
 
     Args:
         plan: what to run.
@@ -307,7 +307,7 @@ def _peers(plan: Plan) -> list[dict[str, Answer]]:
 
 
 def _answer(unit: Unit) -> Answer:
-    return posterior(unit.task) if unit.name == LIMIT else judge_apart(unit.name, unit.task)
+    return posterior(unit.task) if unit.name == LIMIT else judge_in_subprocess(unit.name, unit.task)
 
 
 def _scored(plan: Plan, task: ClassTask, store: AnswerStore, peers: dict[str, Answer]) -> Results:

@@ -169,7 +169,7 @@ class NoveltyTask(DrawnTask):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """One score, the larger the stranger."""
+        """One novelty score, larger for novel starts."""
         return ("strangeness",)
 
     def test(self) -> Cases:
@@ -231,8 +231,8 @@ class StreamTask(DrawnTask):
         """Starts of other motors that go on, to choose thresholds on."""
         return self._drawn(self.seed, TRAIN_FIRST_CASE, self.n_train)
 
-    def learned(self) -> dict[str, NDArray[Any]]:
-        """Streams, and when their faults set in."""
+    def training_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the training streams, and when their faults set in."""
         X, onset_s = self.train_streams()
         return {"X": X, "onset_s": onset_s}
 
@@ -335,7 +335,10 @@ def task_facts(task: DrawnTask) -> dict[str, Any]:
 
 def task_digests(task: DrawnTask) -> dict[str, str]:
     """SHA-256 of the measurements and the truth of both splits."""
-    numbers, test = [values for values in task.learned().values() if values.dtype.kind != "U"], task.test()
+    numbers, test = (
+        [values for values in task.training_arrays().values() if values.dtype.kind != "U"],
+        task.test(),
+    )
     return {"train": _digest(numbers), "test": _digest((test.X, test.truth))}
 
 
@@ -350,7 +353,7 @@ def current_digests(*, whole: bool) -> dict[str, dict[str, str]]:
 
 
 def frozen_digests() -> dict[str, Any]:
-    """What they must be: of `small` counts and `whole`, written by `python benchmarks/leaderboard.py freeze`."""
+    """Read the digests that the tasks must have; `python benchmarks/leaderboard.py freeze` wrote them."""
     text = (files("motor_classifiers.scoring") / "motor_bench.json").read_text(encoding="utf-8")
     digests: dict[str, Any] = json.loads(text)
     return digests

@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]  # comes with scikit-learn, without types
 
-from motor_classifiers.estimators.methods import METHODS, answered, fed, find_method, source_of
+from motor_classifiers.estimators.methods import (
+    METHODS,
+    find_method,
+    model_input,
+    model_probabilities,
+    source_of,
+)
 from motor_classifiers.model_files.containers import read_arrays
 from motor_classifiers.scoring.task import ClassTask
 from motor_env import __version__
@@ -33,7 +39,7 @@ _PROCESS = Path("/proc/self")
 
 
 class Cost(NamedTuple):
-    """What a piece of work took.
+    """Time and memory that a piece of work took.
 
     Attributes:
         seconds: processor time.
@@ -76,7 +82,7 @@ _LONG_ENOUGH_S = 2.0  # of a timing: slower methods are timed once
 
 
 class Answer(NamedTuple):
-    """What a method says of the test starts, and what that took.
+    """Probabilities that a method gives for the test starts, and their cost.
 
     Attributes:
         probabilities: in the recipe's order of classes, shape (n_test, n_classes).
@@ -125,7 +131,7 @@ def expected_severity(recipe: Recipe, probabilities: FloatArray) -> FloatArray:
 
 def answer_of(model: BaseEstimator, recipe: Recipe, X: NDArray[np.float32]) -> FloatArray:
     """A fitted model's probabilities in the order of the recipe's classes, shape (n_cases, n_classes)."""
-    return in_recipe_order(model, answered(model, X), recipe)
+    return in_recipe_order(model, model_probabilities(model, X), recipe)
 
 
 def judge(name: str, task: ClassTask, random_state: int | None = None) -> Answer:
@@ -136,16 +142,20 @@ def judge(name: str, task: ClassTask, random_state: int | None = None) -> Answer
     if method.from_stream:
         unfitted.set_params(with_severity=False)  # only probabilities are asked for
     with threadpool_limits(1):
-        model, training = with_cost(lambda: method.train(unfitted, fed(unfitted, train.X), train.class_name))
+        model, training = with_cost(
+            lambda: method.train(unfitted, model_input(unfitted, train.X), train.class_name)
+        )
         probabilities, inference = with_cost(lambda: answer_of(model, task.recipe, X))
         if inference.seconds < _LONG_ENOUGH_S:
-            again = min(with_cost(lambda: answered(model, X))[1].seconds for _ in range(_ROUNDS - 1))
+            again = min(
+                with_cost(lambda: model_probabilities(model, X))[1].seconds for _ in range(_ROUNDS - 1)
+            )
             inference = inference._replace(seconds=min(inference.seconds, again))
     return Answer(probabilities, training, inference)
 
 
-def _judge_foreign(name: str, task: ClassTask) -> Answer:
-    """Judge by a method of somebody else's: whatever it raises becomes a sentence that says where."""
+def _judge_plugin(name: str, task: ClassTask) -> Answer:
+    """Judge a plugin method: whatever it raises becomes a sentence that names its file and line."""
     try:
         return judge(name, task)
     except InputError:
@@ -157,7 +167,7 @@ def _judge_foreign(name: str, task: ClassTask) -> Answer:
         ) from error
 
 
-def judge_apart(name: str, task: ClassTask) -> Answer:
+def judge_in_subprocess(name: str, task: ClassTask) -> Answer:
     """Train and judge in a fresh process.
 
     Raises:
@@ -171,7 +181,7 @@ def judge_apart(name: str, task: ClassTask) -> Answer:
         ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent) as pool,
         ThreadPoolExecutor(1) as thread,
     ):
-        begun = thread.submit(pool.submit, judge if name in METHODS else _judge_foreign, name, task)
+        begun = thread.submit(pool.submit, judge if name in METHODS else _judge_plugin, name, task)
         try:
             return begun.result().result()
         except KeyboardInterrupt:

@@ -24,7 +24,7 @@ SCORES = tuple(name for name in Scores._fields if name not in ("recall", "confus
 
 
 def _number(value: float) -> float | None:
-    """JSON knows no nan."""
+    """Return the number, None for nan: JSON has none."""
     return None if math.isnan(value) else value
 
 
@@ -48,7 +48,7 @@ def score_fields(recipe: Recipe, method: ClassResult) -> dict[str, Any]:
 
 
 def limit_fields(results: Results) -> dict[str, Any]:
-    """What stands in every row of a task: the best possible on the same cases."""
+    """Return the fields of the limit, which every row of a task has."""
     limit = results.limit
     return {
         "bayes_accuracy": limit.scores.accuracy.value,
@@ -157,7 +157,7 @@ def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: in
 
 
 def evaluation_lines(recipe: Recipe, scored: dict[str, Any]) -> list[str]:
-    """What `evaluate_model` found, for a terminal: scores, the check against the limit, the confusion matrix."""
+    """Format the result of `evaluate_model`: scores, the check against the limit, the confusion matrix."""
     lines = []
     for name in SCORES:
         if scored[name] is not None:

@@ -121,14 +121,14 @@ def score(
         weights: from `resampling_weights`, the same for all methods.
         limit: name of the best possible answers among them.
     """
-    costs = {name: task.costs(truth, own) for name, own in answers.items()}
+    costs = {name: task.costs(truth, answer) for name, answer in answers.items()}
     against = {
-        name: None if limit is None else compare(task, own, costs[limit], weights)
-        for name, own in costs.items()
+        name: None if limit is None else compare(task, method_costs, costs[limit], weights)
+        for name, method_costs in costs.items()
     }
     return {
-        name: Result(name, own, interval(task.figures(own, weights)), against[name])
-        for name, own in costs.items()
+        name: Result(name, method_costs, interval(task.figures(method_costs, weights)), against[name])
+        for name, method_costs in costs.items()
     }
 
 
@@ -145,15 +145,17 @@ def score_classes(
     """
     starts, recipe, every = task.starts(), task.recipe, {**answers, LIMIT: limit}
     weights = resampling_weights(len(starts), task.seed, groups=starts.motor_id)
-    said = {name: answer.probabilities for name, answer in every.items()}
+    probabilities = {name: answer.probabilities for name, answer in every.items()}
     made = {}
-    for name, result in score(task, starts.class_index, said, weights, LIMIT).items():
-        error = expected_severity(recipe, said[name]) - starts.severity
+    for name, result in score(task, starts.class_index, probabilities, weights, LIMIT).items():
+        error = expected_severity(recipe, probabilities[name]) - starts.severity
         made[name] = ClassResult(
             **vars(result),
             answer=every[name],
             scores=scores(recipe, starts.class_index, every[name].decided, weights),
-            calibration=calibration_scores(said[name], starts.class_index) if every[name].is_graded else None,
+            calibration=calibration_scores(probabilities[name], starts.class_index)
+            if every[name].is_graded
+            else None,
             severity_rmse=root_mean_square(error, weights),
         )
     best = made.pop(LIMIT)

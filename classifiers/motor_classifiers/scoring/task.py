@@ -1,4 +1,4 @@
-"""What is asked of methods: cases, what a wrong answer costs, the metric, and the best possible answers.
+"""Tasks for methods: cases, the cost of an answer, the metric, and the best possible answers.
 
 Every metric comes from costs of cases, so methods are compared in pairs.
 """
@@ -65,11 +65,11 @@ class DrawnTask(ABC):
     @property
     @abstractmethod
     def columns(self) -> tuple[str, ...]:
-        """What is answered for each case, by name."""
+        """Names of the numbers that an answer has for each case."""
 
     @abstractmethod
     def test(self) -> Cases:
-        """What is judged, with the truth."""
+        """Return the test cases with their truth."""
 
     @abstractmethod
     def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
@@ -100,8 +100,8 @@ class DrawnTask(ABC):
         """Labelled starts to learn from."""
         return judged_starts(self.recipe, self.seed, TRAIN_FIRST_CASE, self.n_train)
 
-    def learned(self) -> dict[str, NDArray[Any]]:
-        """What a stranger learns from, as arrays."""
+    def training_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the training cases as arrays, by name."""
         train = self.train()
         return {name: getattr(train, name) for name in ("X", "severity", "class_index", "class_name")}
 
@@ -128,12 +128,12 @@ class ClassTask(DrawnTask):
         return self.recipe.class_names
 
     def starts(self) -> Dataset:
-        """What is judged, with all labels: starts of other motors than those of the training."""
+        """Return the test starts with all labels; their motors are not those of the training."""
         cases = judged_cases(self.recipe, TEST_FIRST_CASE, self.n_test, self.judged_per_motor)
         return generate_arrays(self.recipe, self.seed, cases)
 
     def test(self) -> Cases:
-        """What is judged, with the index of the class."""
+        """Return the test starts with the index of their class."""
         starts = self.starts()
         return Cases(starts.X, starts.class_index)
 

@@ -66,7 +66,7 @@ class ConformalSets:
         return cls(tuple(np.sort(own[labels == n]) for n in range(n_classes)))
 
     def p_values(self, probabilities: FloatArray) -> FloatArray:
-        """Share of the calibration cases at least as strange as each class would be, shape (n_cases, n_classes).
+        """Return the conformal p-value of each class, shape (n_cases, n_classes).
 
         Of the true class it is at most alpha in a share alpha of the cases.
         """
@@ -78,7 +78,7 @@ class ConformalSets:
         return np.stack(shares, axis=1)
 
     def sets(self, probabilities: FloatArray, coverage: float = 0.90) -> BoolArray:
-        """Which classes are in the set of each case, shape (n_cases, n_classes); a set may be empty.
+        """Return which classes are in the set of each case, shape (n_cases, n_classes); a set may be empty.
 
         Args:
             probabilities: shape (n_cases, n_classes).
@@ -96,7 +96,7 @@ def _nonconformity(probabilities: FloatArray) -> FloatArray:
 
 
 class Coverage(NamedTuple):
-    """What sets do on test cases.
+    """Coverage and size of prediction sets on test cases.
 
     Attributes:
         overall: share of the sets that hold the true class.
@@ -175,7 +175,7 @@ class ConformalClassifier(ClassifierWrapper):
         return sets
 
     def to_state(self) -> State:
-        """What it adds to the model inside."""
+        """Return the state of the wrapper, without the model inside."""
         strangeness = [scores.tolist() for scores in self.sets_.nonconformity]
         return State({}, {"coverage": float(self.coverage), "strangeness": strangeness})
 

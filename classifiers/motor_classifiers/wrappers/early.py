@@ -54,7 +54,7 @@ def stop_when_sure(probabilities: FloatArray, error: float) -> Stopped:
 
 
 class StoppingScore(NamedTuple):
-    """What a stopping rule does on test cases.
+    """Error and time of a stopping rule on test cases.
 
     Attributes:
         error: share of wrong verdicts among the cases that stopped.
@@ -102,7 +102,7 @@ def limit_by_samples(recipe: Recipe, measurements: ArrayLike, samples: ArrayLike
 
 
 def shortened(estimator: BaseEstimator, n_samples: int) -> BaseEstimator:
-    """A fresh estimator whose recipes, wherever in it they are, end after so many samples."""
+    """Return a fresh estimator for starts cut after so many samples."""
     fresh: BaseEstimator = clone(estimator)
     recipes = {name: value for name, value in fresh.get_params().items() if isinstance(value, Recipe)}
     for name, recipe in recipes.items():

@@ -1,4 +1,4 @@
-"""What classifiers around another one share: its probabilities, and the fitted model inside."""
+"""Base of classifiers around another one: its probabilities, and the fitted model inside."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ClassifierWrapper(MetaEstimatorMixin, ProbabilityClassifier):
         return probabilities
 
     def _take_over(self, fitted: BaseEstimator) -> None:
-        """Be around a model that was fitted before."""
+        """Wrap a model that is fitted already."""
         self.estimator_, self.classes_, self.n_features_in_ = fitted, fitted.classes_, fitted.n_features_in_
 
 

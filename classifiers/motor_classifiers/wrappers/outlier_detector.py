@@ -154,7 +154,7 @@ class StartDensity:
         return len(self.noise) - len(self.directions)
 
     def distance(self, at: Coordinates, levels: Levels) -> FloatArray:
-        """Log likelihood ratio of anything to the recipe, shape (n,); `levels` are those that the recipe allows."""
+        """Return the log likelihood ratio of any start to the recipe's, shape (n,); `levels`: allowed noise."""
         alternative = self.alternative.log_density(at, self.freedom, (levels[0], np.inf))
         return alternative - self.own.log_density(at, self.freedom, levels)
 
@@ -200,17 +200,17 @@ def noise_variances(recipe: Recipe) -> FloatArray:
 def class_mixture(recipe: Recipe, at: FloatArray, class_index: NDArray[np.int64]) -> GaussianMixture:
     """Fit one normal distribution to each class that is drawn."""
     drawn = [n for n in range(len(recipe.classes)) if (class_index == n).sum() > 1]
-    own = [at[class_index == n] for n in drawn]
+    groups = [at[class_index == n] for n in drawn]
     return GaussianMixture(
-        np.log([len(each) / len(at) for each in own]),
-        np.array([each.mean(axis=0) for each in own]),
-        np.array([np.atleast_2d(np.cov(each.T)) for each in own]),
+        np.log([len(each) / len(at) for each in groups]),
+        np.array([each.mean(axis=0) for each in groups]),
+        np.array([np.atleast_2d(np.cov(each.T)) for each in groups]),
         noise_variances(recipe)[drawn],
     )
 
 
 def _signatures(recipe: Recipe) -> dict[str, FloatArray]:
-    """What departures add to the nominal start, each of shape (n, n_values)."""
+    """Compute what each departure adds to the nominal start, shape (n, n_values)."""
     field = Field() if recipe.field is None else recipe.field
     middle = {name: 0.5 * sum(getattr(field, name)) for name in PRIORS}
     calm = replace(field, adc_bits=0, sensor_range_a=0.0, missing_fraction=0.0)
@@ -303,12 +303,12 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         starts: list[Any] = [
             density.calibration_starts(level) if given is None else self._at(given) for level in levels
         ]
-        distances = [density.distance(own, (low, high)) for own in starts]
+        distances = [density.distance(group, (low, high)) for group in starts]
         self.offset_ = np.array([np.quantile(-distance, rate) for distance in distances])
         return self
 
     def score_samples(self, X: Any) -> FloatArray:
-        """The distance, negative: the lower, the more foreign, shape (n_cases,)."""
+        """Return the negative distance from the recipe's starts, shape (n_cases,)."""
         return -self._start_density.distance(self._at(X), self._variances)
 
     def decision_function(self, X: Any) -> FloatArray:
@@ -320,7 +320,7 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         return np.where(self.decision_function(X) < 0.0, -1, 1)
 
     def likely_shift(self, X: Any) -> NDArray[Any]:
-        """For foreign starts what explains them best, a key of `ADVICE`; empty for the others, shape (n_cases,)."""
+        """Name what explains a foreign start best, a key of `ADVICE`; empty for other starts, shape (n_cases,)."""
         at = self._at(X)
         foreign = self._over(at) < 0.0
         names = np.full(len(foreign), "", dtype=object)

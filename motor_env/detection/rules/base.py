@@ -1,4 +1,4 @@
-"""What every decision rule offers: statistic, alarm, stream, threshold."""
+"""Base of every decision rule: statistic, alarm, stream, threshold."""
 
 from __future__ import annotations
 

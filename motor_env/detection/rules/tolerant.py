@@ -56,7 +56,7 @@ class TolerantFilter:
         )
         bias, slopes = second_order(recipe, belief)
         voltage = recipe.nominal_voltage_v
-        return cls(belief, voltage, bias, MarginalWhitener.from_slopes(_seen(slopes)))
+        return cls(belief, voltage, bias, MarginalWhitener.from_slopes(_significant_directions(slopes)))
 
     def white(self, measurements: ArrayLike) -> FloatArray:
         """Residuals for the rules, white for healthy motors of the recipe, shape (..., n_samples, n_channels).
@@ -100,14 +100,14 @@ class TolerantStream:
         innovation = self._filter.update(measurement, self.tolerant.voltage_v[self._at]).whitened
         residual, white = innovation - self.tolerant.bias[self._at], np.full(innovation.shape, np.nan)
         for channel, slope in enumerate(self._slopes[self._at]):
-            seen = ~np.isnan(residual[:, channel])
+            is_measured = ~np.isnan(residual[:, channel])
             ahead = self._covariance @ slope
             variance = 1.0 + ahead @ slope
-            error = np.where(seen, residual[:, channel] - self._mean @ slope, 0.0)
-            ahead *= (seen / np.sqrt(variance))[:, None]
+            error = np.where(is_measured, residual[:, channel] - self._mean @ slope, 0.0)
+            ahead *= (is_measured / np.sqrt(variance))[:, None]
             self._mean += ahead * (error / np.sqrt(variance))[:, None]
             self._covariance -= ahead[:, :, None] * ahead[:, None, :]
-            white[seen, channel] = (error / np.sqrt(variance))[seen]
+            white[is_measured, channel] = (error / np.sqrt(variance))[is_measured]
         self._at += 1
         return white
 
@@ -146,11 +146,11 @@ def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, Floa
     return middle + 0.5 * bent.sum(axis=0), np.moveaxis(slopes, 0, -1)
 
 
-def _seen(slopes: FloatArray) -> FloatArray:
-    """A covariance from the directions that the noise does not hide: principal components (Hotelling 1933)."""
+def _significant_directions(slopes: FloatArray) -> FloatArray:
+    """Return the slopes along the principal components that noise does not hide (Hotelling 1933)."""
     if slopes.shape[-1] == 0:
         return slopes
     left, sizes, _ = np.linalg.svd(slopes.reshape(-1, slopes.shape[-1]), full_matrices=False)
     count = int((sizes > _UNSEEN).sum())
-    seen: FloatArray = (left[:, :count] * sizes[:count]).reshape(*slopes.shape[:-1], count)
-    return seen
+    directions: FloatArray = (left[:, :count] * sizes[:count]).reshape(*slopes.shape[:-1], count)
+    return directions

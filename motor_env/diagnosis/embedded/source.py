@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import dlsim
 
 from motor_env.common.errors import InputError
-from motor_env.common.files import filling, require_ours, write_text
+from motor_env.common.files import filling, require_own_output, write_text
 from motor_env.common.pages import render
 from motor_env.diagnosis.embedded.monitor import DEAD_AFTER, Monitor, Readings
 from motor_env.diagnosis.embedded.twin import (
@@ -81,7 +81,7 @@ def write_library(
         raise InputError(
             f"name must be a C name of lower-case letters such as motor_monitor, and no word of C, got {name!r}"
         )
-    require_ours(folder, "library.properties", _MARK, command="export-c")
+    require_own_output(folder, "library.properties", _MARK, command="export-c")
     numbers = floating(monitor) if steps is None else fixed_point(monitor, steps)
     values = _values(monitor, numbers, name, wanted)
     files = {

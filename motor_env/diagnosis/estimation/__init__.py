@@ -1,6 +1,7 @@
-"""A recorded motor's parameters: one physical model, fitted to a start and to a motor at work; windows of work judged.
+"""A recorded motor's parameters: one physical model, fitted to a start, to logs of a motor at work, and to a window.
 
-It never compares with a healthy motor. Begin at `operation_fit.identify_operation`, and `terms` for its terms.
+It never compares with a healthy motor. Begin at `operation_fit.identify_operation`, and `terms` for what can
+be fitted; fits of starts lie in `starts`.
 
 Example:
     >>> from motor_env import identify

@@ -55,9 +55,9 @@ def initial_values(record: Record) -> list[FloatArray]:
     for window in _WINDOWS:
         if len(record.voltage_v) < 12 * window:
             break
-        if record.seen.all():
+        if record.recorded.all():
             guesses += [_from_current_and_speed(record, window, loaded=loaded) for loaded in (False, True)]
-        elif record.seen[0]:
+        elif record.recorded[0]:
             guesses += [
                 _from_current(record, window, share, loaded=loaded)
                 for share in _RESISTANCES
@@ -113,8 +113,8 @@ def _values(record: Record, **given: float) -> FloatArray:
     for name, value in given.items():
         values[getattr(index, name)] = value
     values[index.L] = max(values[index.L], _LEAST_LAG * values[index.R] * record.dt_s)
-    values[index.NOISE_I] = median_noise(filled(record.readings[:, 0])) if record.seen[0] else 1.0
-    values[index.NOISE_W] = median_noise(filled(record.readings[:, 1])) if record.seen[1] else 1.0
+    values[index.NOISE_I] = median_noise(filled(record.readings[:, 0])) if record.recorded[0] else 1.0
+    values[index.NOISE_W] = median_noise(filled(record.readings[:, 1])) if record.recorded[1] else 1.0
     return values
 
 
@@ -211,8 +211,8 @@ def _with_timing_alternatives(best: Solution) -> Solution:
     if np.nansum(np.abs(np.diff(slopes))) > np.nansum(np.abs(slopes)):
         return best
     rivals = []
-    for begun in _fits_of_other_voltages(best, best.problem.record):
-        other = _refit(begun, [])
+    for initial in _fits_of_other_voltages(best, best.problem.record):
+        other = _refit(initial, [])
         if other.misfit < best.misfit + _ALTERNATIVE * best.problem.count:
             rivals.append(other)
     return _with_alternatives(best, rivals)
@@ -271,7 +271,7 @@ def _with_shape_parameters(best: Solution) -> Solution:
 
     Noise and a walking load may have carried a fit away; dry friction and a constant load may stand for each other.
     """
-    added = [best.problem.every[shape] for shape, of in SHAPES.items() if of in best.names]
+    added = [best.problem.available_terms[shape] for shape, of in SHAPES.items() if of in best.names]
     problem = best.problem.with_terms(added)
     begin = np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added])
     calm = np.array(
@@ -303,7 +303,9 @@ def _select_terms(first: Solution) -> Solution:
     best = _forward_selection(best)
     for name in _TORQUE_DISTURBANCES:
         if name not in best.names:
-            disturbed = _refit(_remove_terms(best, _TORQUE_DISTURBANCES), [best.problem.every[name]])
+            disturbed = _refit(
+                _remove_terms(best, _TORQUE_DISTURBANCES), [best.problem.available_terms[name]]
+            )
             if disturbed.bic() < best.bic() - STRONG_EVIDENCE:
                 best = _forward_selection(disturbed)
     # It may have stood for a term that came later.
@@ -313,8 +315,8 @@ def _select_terms(first: Solution) -> Solution:
 
 def _output_error_fits(solutions: Sequence[Solution]) -> list[Solution]:
     """Fit the same terms without process noise, to output errors."""
-    begun = [_remove_terms(solution, ("noise_voltage", *_TORQUE_DISTURBANCES)) for solution in solutions]
-    return [less.problem.solve(less.theta, most=60) for less in begun]
+    reduced = [_remove_terms(solution, ("noise_voltage", *_TORQUE_DISTURBANCES)) for solution in solutions]
+    return [less.problem.solve(less.theta, most=60) for less in reduced]
 
 
 def _free_run_misfit(solution: Solution) -> float:
@@ -350,9 +352,9 @@ def _remove_terms(best: Solution, names: Collection[str]) -> Solution:
 def _base_terms(record: Record) -> list[str]:
     """Name the terms to begin with: what every motor has, as far as the channels can tell, and any load."""
     names = ["J", "coulomb", "load_constant", "noise_voltage", "load_walk"]
-    if record.seen[0]:
+    if record.recorded[0]:
         names += ["R", "L", "B", "brush_drop", "offset_current", "noise_current"]
-    if record.seen[1]:
+    if record.recorded[1]:
         names += ["K", "offset_speed", "noise_speed"]
     return names
 
@@ -361,8 +363,8 @@ def _initial_fits(record: Record) -> list[Solution]:
     """Fit the first terms, once for each variant of the voltage that may be true."""
     few = []
     for behaved in _voltage_variants(record):
-        begun = initial_problems(behaved)[:_MOST_TRIED]
-        tried = [problem.solve(theta, most=_FEW_EVALUATIONS) for problem, theta in begun]
+        initial = initial_problems(behaved)[:_MOST_TRIED]
+        tried = [problem.solve(theta, most=_FEW_EVALUATIONS) for problem, theta in initial]
         few += sorted(tried, key=lambda solution: solution.misfit)[:1]
     if not few:
         raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
@@ -375,8 +377,8 @@ def _initial_fits(record: Record) -> list[Solution]:
 
 def initial_problems(record: Record) -> list[tuple[Problem, FloatArray]]:
     """Return problems and initial unknowns out of regressions, smallest prediction errors first."""
-    begun = [_initial_problem(record, values) for values in initial_values(record)]
-    return sorted(begun, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
+    problems = [_initial_problem(record, values) for values in initial_values(record)]
+    return sorted(problems, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
 
 
 def _initial_problem(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
@@ -401,7 +403,7 @@ def _refit(before: Solution, added: list[Term]) -> Solution:
 
 def _add_best_term(best: Solution) -> Solution | None:
     """Fit with the one more term that the evidence wants most; None unless it is strong."""
-    every = best.problem.every
+    every = best.problem.available_terms
     tested = [(test.chi_square, name) for name, test in score_tests(best, every, candidates(best)).items()]
     for chi_square, name in sorted(tested, reverse=True):
         if chi_square < math.log(best.problem.count) + STRONG_EVIDENCE:

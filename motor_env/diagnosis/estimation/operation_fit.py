@@ -66,7 +66,7 @@ class Quantity:
         value: SI.
         low, high: interval, 95 %.
         unit: of these.
-        is_told: whether the record determines it to better than half of its value.
+        is_determined: whether the record determines it to better than half of its value.
         log_sd: standard deviation of its logarithm, or relative standard deviation.
     """
 
@@ -75,7 +75,7 @@ class Quantity:
     low: float
     high: float
     unit: str
-    is_told: bool
+    is_determined: bool
     log_sd: float
 
 
@@ -139,7 +139,7 @@ def without_lines(solution: Solution, record: Record) -> tuple[Record, tuple[Per
         solution: its fit.
         record: what was fitted.
     """
-    if record.seen[0] == 0.0:
+    if record.recorded[0] == 0.0:
         return record, ()
     free = solution.free[1]
     residual, readings = np.nan_to_num(record.readings[:, 0] - free[:, 2]), record.readings.copy()
@@ -166,7 +166,7 @@ def identify_record(record: Record) -> OperationFit:
     record, lines = without_lines(solution, record)
     # Its terms may have stood for the lines.
     operation = _operation_fit(fit(record) if lines else solution, lines)
-    if operation.r2_current is not None and operation.r2_current < _CURRENT_TELLS and record.seen[1]:
+    if operation.r2_current is not None and operation.r2_current < _CURRENT_TELLS and record.recorded[1]:
         operation = _operation_fit(fit(record.only(current=False, speed=True)))
     _refuse_poor_fit(operation)
     return operation
@@ -176,17 +176,19 @@ def _refuse_poor_fit(operation: OperationFit) -> None:
     for n, (name, r2) in enumerate((("current", operation.r2_current), ("speed", operation.r2_speed))):
         if r2 is None:
             continue
-        least = _POOR * explainable(operation.record.readings[operation.record.told[:, n], n])
+        least = _POOR * explainable(operation.record.readings[operation.record.informative[:, n], n])
         if not r2 >= least:
             raise UnusableError(
                 f"no motor model explains the {name} (R2 {r2:.2f}; at least {least:.2g} is needed)"
             )
-    determined = {quantity.name: quantity.value for quantity in operation.quantities if quantity.is_told}
+    determined = {
+        quantity.name: quantity.value for quantity in operation.quantities if quantity.is_determined
+    }
     names = [quantity.name for quantity in operation.quantities]
     needed = [name for name in names if name.split("/")[0] in ("R", "K", "J", "R J")]
     untold = ", ".join(name for name in needed if name not in determined)
     # Without a recorded speed, which is what R leaves of the voltage, all else rests on R and J/K^2.
-    if not (any if operation.record.seen[1] else all)(name in determined for name in needed):
+    if not (any if operation.record.recorded[1] else all)(name in determined for name in needed):
         raise UnusableError(f"the record does not determine {untold}: {_UNFIT}")
     if determined.get("L", 0.0) > _LONGEST_LAG_S * determined.get("R", math.inf):
         raise UnusableError(f"L/R of {determined['L'] / determined['R']:.3g} s is that of no motor: {_UNFIT}")
@@ -227,11 +229,13 @@ def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
             low, high = value - half * term.unit, value + half * term.unit
             low = max(low, 0.0) if term.low >= 0.0 else low
             relative = sd * term.unit / max(abs(value), 1e-300)
-        is_told = bool(relative < _UNTOLD)
+        is_determined = bool(relative < _UNTOLD)
         name = term.name
-        if name in SHAPES and not is_told:
+        if name in SHAPES and not is_determined:
             continue
-        quantities.append(Quantity(names.get(name, name), value, low, high, units[name], is_told, relative))
+        quantities.append(
+            Quantity(names.get(name, name), value, low, high, units[name], is_determined, relative)
+        )
     drag = _drag(solution, spread, names.get("drag", "drag"), units["drag"])
     return [*quantities, drag] if drag else quantities
 
@@ -256,9 +260,9 @@ def _drag(solution: Solution, spread: FloatArray, name: str, unit: str) -> Quant
 
 
 def _names_and_units(record: Record) -> tuple[dict[str, str], dict[str, str]]:
-    if record.seen.all():
+    if record.recorded.all():
         return {}, _UNITS_FULL
-    if record.seen[0]:
+    if record.recorded[0]:
         return _NAMES_CURRENT, _UNITS_CURRENT
     return {"J": "R J", "coulomb": "R coulomb"}, _UNITS_SPEED
 
@@ -270,9 +274,9 @@ def _notes(
     lines: tuple[PeriodicLine, ...],
 ) -> list[str]:
     values, sentences = solution.values, []
-    if record.seen[0] and not record.seen[1]:
+    if record.recorded[0] and not record.recorded[1]:
         sentences.append("the current alone tells J/K^2 and B/K^2, not K, J and B")
-    if not record.seen[0]:
+    if not record.recorded[0]:
         gain, lag = 1.0 / values[index.K], values[index.J] / values[index.K] ** 2
         dead = values[index.COULOMB] / values[index.K]
         sentences.append(
@@ -282,11 +286,11 @@ def _notes(
     untold = [
         quantity.name
         for quantity in quantities
-        if not quantity.is_told and quantity.name.split("/")[0] in ("R", "L", "K", "J", "B")
+        if not quantity.is_determined and quantity.name.split("/")[0] in ("R", "L", "K", "J", "B")
     ]
     if untold:
         sentences.append(f"not determined by this record: {', '.join(untold)}")
-    if record.steps_seen < FEWEST_STEPS:
+    if record.visible_step_share < FEWEST_STEPS:
         sentences.append(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
     if lines:
         loudest = max(lines, key=lambda line: line.amplitude_a)
@@ -350,7 +354,7 @@ def fit_window(
     logs = np.log([values[index.R], values[index.K], values[index.J], factor])
     covariance = slope @ spread[at] @ slope.T
     covariance[-1, -1] += noise**2
-    whitened = np.where(record.told, record.predict(values)[0][:, :2], np.nan)[1:]
+    whitened = np.where(record.informative, record.predict(values)[0][:, :2], np.nan)[1:]
     return WindowFit(logs, capped(covariance), values, whitened, best.misfit)
 
 

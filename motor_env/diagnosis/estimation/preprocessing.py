@@ -40,7 +40,7 @@ def from_recordings(recordings: Sequence[Recording], *, most: int = MOST) -> Rec
     steps = np.array([recording.dt_s for recording in recordings])
     if np.ptp(steps) > _SAME_DT * steps.mean():
         raise UnusableError("the recordings differ in their sampling interval: identify them one by one")
-    if len({_seen(recording) for recording in recordings}) > 1:
+    if len({_recorded_channels(recording) for recording in recordings}) > 1:
         raise UnusableError("the recordings hold different columns: identify them one by one")
     total = sum(len(recording.time_s) for recording in recordings)
     wanted = max(math.ceil(total / most), 1)
@@ -53,26 +53,26 @@ def from_recordings(recordings: Sequence[Recording], *, most: int = MOST) -> Rec
     columns = [_columns(part, factor) for part in parts]
     volts, current, speed, begins = (np.concatenate(each) for each in zip(*columns, strict=True))
     missing = np.concatenate([missing_blocks(part, factor) for part in parts])
-    seen = np.array(_seen(parts[0]), dtype=np.float64)
+    recorded = np.array(_recorded_channels(parts[0]), dtype=np.float64)
     if len(volts) < FEWEST:
         raise UnusableError(f"only {len(volts)} samples; at least {FEWEST} are needed")
     readings = np.stack([current, speed], axis=1)
-    if seen[0]:
+    if recorded[0]:
         begins = np.where(open_circuit(volts, readings, begins) & (begins == 0.0), OPEN, begins)
     if missing.any():
-        readings[missing[:, 1:] & (seen > 0.0)] = np.nan
-        begins = with_begins(with_holes(begins, missing[:, 0], readings, seen), readings, seen)
+        readings[missing[:, 1:] & (recorded > 0.0)] = np.nan
+        begins = with_begins(with_holes(begins, missing[:, 0], readings, recorded), readings, recorded)
     record = Record(
         dt_s=float(steps.mean()) * factor,
         voltage_v=volts,
         readings=readings,
-        seen=seen,
+        recorded=recorded,
         marks=begins,
         hold="held" if factor * recordings[0].averaged == 1 else "straight",
         averaged=factor * recordings[0].averaged,
         share=share,
     )
-    n_counted = int(record.told[begins != BEGIN][:, seen > 0.0].sum(axis=0).min())
+    n_counted = int(record.informative[begins != BEGIN][:, recorded > 0.0].sum(axis=0).min())
     if missing.any() and n_counted < FEWEST:
         raise UnusableError(
             f"only {n_counted} of {len(volts)} samples are there, and follow others {record.dt_s:.4g} s apart without a"
@@ -158,7 +158,9 @@ def missing_blocks(recording: Recording, factor: int) -> NDArray[np.bool_]:
 def _averageable(recording: Recording, wanted: int) -> int:
     """Return how many neighbours can be averaged and keep nearly all that current or speed tell."""
     column = (
-        recording.current_a if _seen(recording)[0] or recording.speed_rad_s is None else recording.speed_rad_s
+        recording.current_a
+        if _recorded_channels(recording)[0] or recording.speed_rad_s is None
+        else recording.speed_rad_s
     )
     column, factor = column[:_LOOKED_AT], 1
     noise, variance = (median_noise(column) ** 2, float(np.var(column))) if wanted > 1 else (0.0, 0.0)
@@ -183,7 +185,7 @@ def liveliest_stretches(recording: Recording, share: float, count: int = STRETCH
     return chosen
 
 
-def _seen(recording: Recording) -> tuple[bool, bool]:
+def _recorded_channels(recording: Recording) -> tuple[bool, bool]:
     """Return whether current and speed were recorded: a channel that never moves was not."""
     speed = recording.speed_rad_s
     return float(np.ptp(recording.current_a)) > 0.0, speed is not None and float(np.ptp(speed)) > 0.0
@@ -205,7 +207,7 @@ def at_terminals(
 
 def _columns(recording: Recording, factor: int) -> list[FloatArray]:
     """Return means of voltage, current, speed (zeros where not recorded), and 1 where the recording begins."""
-    voltage, (has_current, has_speed) = recording.voltage_v, _seen(recording)
+    voltage, (has_current, has_speed) = recording.voltage_v, _recorded_channels(recording)
     if voltage is None:
         raise UnusableError("a motor at work can be identified only where the voltage was recorded")
     if float(np.ptp(voltage)) == 0.0 and not has_current:

@@ -71,7 +71,7 @@ class Problem:
     def residuals_each(self, thetas: FloatArray) -> FloatArray:
         """Return residuals for several vectors of unknowns, shape (m, n_unknowns)."""
         out, logs = self.record.predict_each(self.values_each(thetas))
-        first, last = np.flatnonzero(self.record.seen > 0.0)[[0, -1]]
+        first, last = np.flatnonzero(self.record.recorded > 0.0)[[0, -1]]
         white = out[:, :, first : last + 1].reshape(len(thetas), -1)
         if not -_LARGEST < white.min() <= white.max() < _LARGEST:
             white[~(np.abs(white) < _LARGEST)] = 1e6
@@ -84,8 +84,8 @@ class Problem:
         return residuals
 
     @cached_property
-    def every(self) -> dict[str, Term]:
-        """All terms that the record may have, in units of what is known."""
+    def available_terms(self) -> dict[str, Term]:
+        """All terms that a model of the record can have, by name."""
         return terms(self.record, self.known)
 
     @cached_property
@@ -206,7 +206,7 @@ class Solution:
         """Physical values and noises, the noises scaled to what is left."""
         values = self.problem.values(self.theta)
         out, _ = self.problem.record.predict(values)
-        left = float(np.mean(out[:, :2][self.problem.record.told] ** 2))
+        left = float(np.mean(out[:, :2][self.problem.record.informative] ** 2))
         values[index.NOISE_I : index.WALK + 1] *= math.sqrt(left)
         return values
 
@@ -236,9 +236,9 @@ class Solution:
         """Return the problem with each channel's noise as large as what is left of it."""
         problem, known = self.problem, self.problem.known.copy()
         left = problem.record.readings - problem.record.predict(problem.values(self.theta))[0][:, 2:4]
-        left[~problem.record.told] = np.nan
+        left[~problem.record.informative] = np.nan
         for n, place in enumerate((index.NOISE_I, index.NOISE_W)):
-            if problem.record.seen[n] > 0.0:
+            if problem.record.recorded[n] > 0.0:
                 known[place] = max(float(np.nanstd(left[:, n])), _LEAST_NOISE * known[place])
         return replace(problem, known=known)
 
@@ -254,8 +254,8 @@ class Solution:
         record = self.problem.record
         left = record.readings - self.free[1][:, 2:4]
         r2 = [
-            r_squared(record.readings[counted, n], left[counted, n]) if record.seen[n] else None
-            for n, counted in enumerate(record.told.T)
+            r_squared(record.readings[counted, n], left[counted, n]) if record.recorded[n] else None
+            for n, counted in enumerate(record.informative.T)
         ]
         return r2[0], r2[1]
 

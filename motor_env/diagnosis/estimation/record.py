@@ -56,7 +56,7 @@ class Record:
         dt_s: sampling interval.
         voltage_v: shape (n,); a guess where it is not known.
         readings: current and speed, shape (n, 2); zero where not recorded, NaN where a sample does not count.
-        seen: 1 where current, speed were recorded, shape (2,).
+        recorded: 1 where current, speed were recorded, shape (2,).
         marks: see `ekf.BEGIN`, shape (n,); a recording that begins is marked until all channels are read.
         hold: what the voltage does between two samples; in a start it changes once between them.
         averaged: number of samples whose mean is one sample here.
@@ -69,7 +69,7 @@ class Record:
     dt_s: float
     voltage_v: FloatArray
     readings: FloatArray
-    seen: FloatArray
+    recorded: FloatArray
     marks: FloatArray
     hold: Hold = "held"
     averaged: int = 1
@@ -89,16 +89,16 @@ class Record:
         return np.where(self.marks == BEGIN, 1.0, 0.0)
 
     @property
-    def told(self) -> NDArray[np.bool_]:
-        """Readings that tell the motor's quantities, shape (n, 2): all but those behind a hole."""
-        told: NDArray[np.bool_] = np.isfinite(self.readings) & np.outer(
-            (self.marks != LOST) & (self.marks != FOUND), self.seen > 0.0
+    def informative(self) -> NDArray[np.bool_]:
+        """Whether a reading informs the fit, shape (n, 2): recorded, and not behind a hole of the voltage."""
+        informative: NDArray[np.bool_] = np.isfinite(self.readings) & np.outer(
+            (self.marks != LOST) & (self.marks != FOUND), self.recorded > 0.0
         )
-        return told
+        return informative
 
     @property
-    def steps_seen(self) -> float:
-        """Share of the voltage's squared changes that no hole hides: they tell L and the hold."""
+    def visible_step_share(self) -> float:
+        """Share of the voltage's squared changes that no hole hides: these determine L and the hold."""
         if LOST not in self.marks:
             return 1.0
         changes = np.square(np.diff(self.voltage_v)) * (self.marks[1:] != BEGIN)
@@ -106,8 +106,8 @@ class Record:
 
     @property
     def count(self) -> int:
-        """Number of `told` readings, without those that a recording begins with."""
-        return int(self.told[self.marks != BEGIN].sum())
+        """Number of `informative` readings, without those that a recording begins with."""
+        return int(self.informative[self.marks != BEGIN].sum())
 
     @property
     def duration_s(self) -> float:
@@ -185,7 +185,7 @@ class Record:
             row[AFTER] = supplies[key][2]
         voltage, marks = (np.stack([each[n] for each in supplies.values()]) for n in (0, 1))
         which = np.array([list(supplies).index(key) for key in keys])
-        logs, read = np.zeros(len(p)), (self.readings, self.seen)
+        logs, read = np.zeros(len(p)), (self.readings, self.recorded)
         if are_simple(p, marks):
             predict_simple_each(p, self.dt_s, voltage, marks, which, *read, out, logs, room_of_simple())
         else:
@@ -217,18 +217,18 @@ class Record:
         some = (firsts[:, None] + np.arange(count // STRETCHES)).ravel()
         marks, readings = self.marks[some], self.readings[some]
         marks[:: count // STRETCHES] = BEGIN
-        marks = with_begins(marks, readings, self.seen)
+        marks = with_begins(marks, readings, self.recorded)
         return replace(self, voltage_v=self.voltage_v[some], readings=readings, marks=marks)
 
     def only(self, *, current: bool, speed: bool) -> Record:
         """Return the record with some of its channels."""
-        return replace(self, seen=self.seen * np.array([current, speed], dtype=np.float64))
+        return replace(self, recorded=self.recorded * np.array([current, speed], dtype=np.float64))
 
 
-def with_begins(marks: FloatArray, readings: FloatArray, seen: FloatArray) -> FloatArray:
+def with_begins(marks: FloatArray, readings: FloatArray, recorded: FloatArray) -> FloatArray:
     """Mark recordings as begun until the voltage is known and each channel is read twice."""
     marks = marks.copy()
-    is_read: NDArray[np.bool_] = np.all(np.isfinite(readings[:, seen > 0.0]), axis=1)
+    is_read: NDArray[np.bool_] = np.all(np.isfinite(readings[:, recorded > 0.0]), axis=1)
     known = is_read[:-1] & is_read[1:] & (marks[1:] != LOST)
     for begin in np.flatnonzero(marks == BEGIN).tolist():
         while begin < len(known) and not known[begin]:
@@ -238,7 +238,7 @@ def with_begins(marks: FloatArray, readings: FloatArray, seen: FloatArray) -> Fl
 
 
 def with_holes(
-    marks: FloatArray, missing: NDArray[np.bool_], readings: FloatArray, seen: FloatArray
+    marks: FloatArray, missing: NDArray[np.bool_], readings: FloatArray, recorded: FloatArray
 ) -> FloatArray:
     """Mark a record whose voltage has missing samples.
 
@@ -247,7 +247,7 @@ def with_holes(
     """
     unknown = np.pad(missing, 2)
     lost: NDArray[np.bool_] = unknown[:-4] | unknown[1:-3] | unknown[2:-2] | unknown[3:-1]
-    marks, is_read = np.where(lost & (marks != BEGIN), LOST, marks), np.isfinite(readings) | (seen == 0.0)
+    marks, is_read = np.where(lost & (marks != BEGIN), LOST, marks), np.isfinite(readings) | (recorded == 0.0)
     for last in np.flatnonzero(lost & ~np.append(lost[1:], False)).tolist():
         k, waiting, mark = last, ~is_read[last], LOST
         while k + 1 < len(lost) and not lost[k + 1] and (waiting.any() or mark == LOST):

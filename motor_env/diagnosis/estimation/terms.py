@@ -66,8 +66,8 @@ def terms(
     """
     volts, amps, speed = record.peaks if peaks is None else peaks
     ohm, constant, dt = start[index.R], start[index.K], record.dt_s
-    amps = max(amps, 1e-3 * volts / ohm) if record.seen[0] else volts / ohm
-    speed = max(speed, 1e-3 * volts / constant) if record.seen[1] else volts / constant
+    amps = max(amps, 1e-3 * volts / ohm) if record.recorded[0] else volts / ohm
+    speed = max(speed, 1e-3 * volts / constant) if record.recorded[1] else volts / constant
     torque, power = constant * amps, ohm * float(np.nanmean(record.readings[:, 0] ** 2)) + 1e-300
     reach, hot = 0.5 * record.duration_s / dt, 10.0 / (power * record.duration_s)
     every = [

@@ -54,15 +54,15 @@ class ScoreTest:
 
 def candidates(best: Solution) -> list[str]:
     """Name the terms that a record may tell and the model lacks."""
-    seen, names = best.problem.record.seen, best.problem.names
+    recorded, names = best.problem.record.recorded, best.problem.names
     left = [name for name in _CANDIDATES if name not in names]
     if "heating" in names and "cooling" not in names:
         left.append("cooling")
-    if not seen[0]:
+    if not recorded[0]:
         left = [name for name in left if name not in {"sensor_lag", "heating", "cooling", "load_square"}]
-    if not seen[1]:
+    if not recorded[1]:
         left = [name for name in left if name != "speed_lag"]
-    if not seen.all():  # one of them alone cannot tell it from other friction
+    if not recorded.all():  # one of them alone cannot tell it from other friction
         left = [name for name in left if name != "gear_loss"]
     return left
 
@@ -125,7 +125,7 @@ def unmodelled_effects(best: Solution) -> list[ScoreTest]:
     Brushes whose resistance falls with the current (Holm 1967), at small and at larger currents, and a gear's loss.
     """
     problem, record = best.problem, best.problem.record
-    if not record.seen[0]:
+    if not record.recorded[0]:
         return []
     lacked = [_with_brush_resistance(best, *usual) for usual in _KNEES.items()]
     if "gear_loss" not in best.names:
@@ -138,7 +138,7 @@ def unmodelled_effects(best: Solution) -> list[ScoreTest]:
 def quantisation_effects(best: Solution) -> list[ScoreTest]:
     """Test half a converter's step, by a standard deviation, where all readings of one sign err alike."""
     record, erred = best.problem.record, []
-    for channel in np.flatnonzero(record.seen):
+    for channel in np.flatnonzero(record.recorded):
         readings = record.readings.copy()
         readings[:, channel] += _CONVERTED * record.steps[channel] * np.sign(readings[:, channel])
         erred.append(replace(best.problem, record=replace(record, readings=readings)))
@@ -206,8 +206,8 @@ def covariance(best: Solution) -> FloatArray:
     total += model_error(white, rows, total, states=free_run_states(best)) + _systematic_covariance(
         best, chosen
     )
-    for name, test in score_tests(best, problem.every, candidates(best)).items():
-        occam = test.sd / math.hypot(test.sd, problem.every[name].usual)
+    for name, test in score_tests(best, problem.available_terms, candidates(best)).items():
+        occam = test.sd / math.hypot(test.sd, problem.available_terms[name].usual)
         odds = occam * math.exp(min(0.5 * test.chi_square, 50.0))
         weight, moves = odds / (1.0 + odds), test.moves[chosen]
         total += weight * (test.value**2 + test.sd**2) * np.outer(moves, moves)
@@ -236,8 +236,8 @@ def _systematic_covariance(best: Solution, chosen: Sequence[int]) -> FloatArray:
     values = problem.values_each(np.vstack([best.theta, moved]))
     shown, *others = record.predict_each(values, learn=False, load=best.free[0][:, 4])[0][:, :, 2:4]
     information = np.diag([1.0 / min(problem.free[n].prior_sd, _WIDEST) ** 2 for n in chosen])
-    for channel, counted in enumerate(record.told.T):
-        if record.seen[channel] > 0.0:
+    for channel, counted in enumerate(record.informative.T):
+        if record.recorded[channel] > 0.0:
             left = (record.readings - shown)[counted, channel]
             slopes = (np.array(others) - shown)[:, counted, channel] / steps[:, None]
             whole = float(np.mean(left**2)) + (_DUST * record.peaks[1 + channel]) ** 2
@@ -262,7 +262,7 @@ def normalised(
         Residuals of the samples, shape (n, channels); derivatives of all residuals, and rows of a weak prior: standard
         deviations of 3 for a logarithm, for the onset of half an interval and half the current's rise.
     """
-    base, channels = problem.residuals(theta), int(problem.record.seen.sum())
+    base, channels = problem.residuals(theta), int(problem.record.recorded.sum())
     size, n = math.sqrt(float(base @ base) / problem.count), len(problem.record.voltage_v)
     rows = np.concatenate([jacobian / size, np.diag(1.0 / _weak_prior_sd(problem, theta)[chosen])])
     return (base / size)[: n * channels].reshape(n, channels), rows

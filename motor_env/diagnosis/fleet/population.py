@@ -59,16 +59,16 @@ class Motors:
         along = [size * np.outer(axis, axis) for size, axis in zip(sizes.tolist(), axes, strict=True)]
         return [*along, _SICK_SPREAD**2 * np.diag(self.between.diagonal())]
 
-    def subset(self, kept: NDArray[np.bool_]) -> Motors:
-        """Select motors by `kept`, shape (n_motors,)."""
-        records = kept[self.motor]
-        number = np.cumsum(kept) - 1
+    def subset(self, mask: NDArray[np.bool_]) -> Motors:
+        """Select motors by `mask`, shape (n_motors,)."""
+        records = mask[self.motor]
+        number = np.cumsum(mask) - 1
         return replace(
             self,
             logs=self.logs[records],
             errors=self.errors[records],
             motor=number[self.motor[records]],
-            position=self.position[kept],
+            position=self.position[mask],
         )
 
     def within_covariance(self) -> FloatArray:
@@ -78,9 +78,9 @@ class Motors:
         """
         residual, freedom = [], 0
         for motor in np.flatnonzero(np.bincount(self.motor) > 1):
-            own = self.logs[self.motor == motor]
-            residual.append((own - own.mean(axis=0)) * math.sqrt(len(own) / (len(own) - 1.0)))
-            freedom += len(own) - 1
+            logs = self.logs[self.motor == motor]
+            residual.append((logs - logs.mean(axis=0)) * math.sqrt(len(logs) / (len(logs) - 1.0)))
+            freedom += len(logs) - 1
         if not residual:
             return self.within
         error = np.median(self.errors.diagonal(axis1=1, axis2=2), axis=0)
@@ -101,8 +101,8 @@ class Motors:
         np.add.at(information, self.motor, weights)
         np.add.at(pulled, self.motor, np.einsum("npq,nq->np", weights, self.logs))
         covariance: FloatArray = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        own: FloatArray = np.einsum("npq,nq->np", covariance, pulled)
-        return own, covariance
+        means: FloatArray = np.einsum("npq,nq->np", covariance, pulled)
+        return means, covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,9 +191,9 @@ def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> Healthy
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
     (count, p), places = logs.shape, int(position.max()) + 1
-    kept = max(math.ceil(part * count), min(p + 1, count))
-    far = float(chi2.ppf(kept / count, p)) if kept < count else math.inf
-    factor = kept / count / float(chi2.cdf(far, p + 2))
+    n_core = max(math.ceil(part * count), min(p + 1, count))
+    far = float(chi2.ppf(n_core / count, p)) if n_core < count else math.inf
+    factor = n_core / count / float(chi2.cdf(far, p + 2))
     error = np.median(errors.diagonal(axis1=1, axis2=2), axis=0)
     healthy = np.ones(count)
     centres = np.stack([np.median(logs[position == n], axis=0) for n in range(places)])
@@ -203,7 +203,7 @@ def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> Healthy
     for _ in range(_STEPS):
         distance = np.einsum("np,npq,nq->n", residual, np.linalg.inv(between + errors), residual)
         before, healthy = healthy, np.zeros(count)
-        healthy[np.argsort(distance, kind="stable")[:kept]] = 1.0
+        healthy[np.argsort(distance, kind="stable")[:n_core]] = 1.0
         if np.array_equal(before, healthy):
             break
         some = [(position == n) & (healthy > 0.0) for n in range(places)]
@@ -212,9 +212,9 @@ def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> Healthy
         )
         residual = logs - centres[position]
         inside = residual[healthy > 0.0]
-        scatter = factor * (inside.T @ inside) - kept * np.diag(error)
+        scatter = factor * (inside.T @ inside) - n_core * np.diag(error)
         between = floor_covariance(
-            (scatter + PRIOR_WEIGHT * motors.between) / (kept + PRIOR_WEIGHT), motors.between / count
+            (scatter + PRIOR_WEIGHT * motors.between) / (n_core + PRIOR_WEIGHT), motors.between / count
         )
     zeros = np.zeros((places, p, p))
     return HealthyPopulation(centres, zeros, between, motors.within, PRIOR_WEIGHT, healthy)
@@ -263,9 +263,9 @@ def _em_round(
         covariances.append(covariance)
     residual = logs - np.stack(centres)[position]
     gain = population.between @ np.linalg.inv(spread)
-    own = np.einsum("npq,nq->np", gain, residual)
+    deviation = np.einsum("npq,nq->np", gain, residual)
     posterior = population.between - gain @ population.between
-    scatter = np.einsum("n,npq->pq", counts, own[:, :, None] * own[:, None, :] + posterior)
+    scatter = np.einsum("n,npq->pq", counts, deviation[:, :, None] * deviation[:, None, :] + posterior)
     freedom = max(float(counts.sum()) - len(centres), 0.0) + PRIOR_WEIGHT
     between = (scatter + PRIOR_WEIGHT * motors.between) / freedom
     after = replace(

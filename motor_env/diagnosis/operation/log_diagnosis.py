@@ -131,7 +131,7 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
     needed_columns(recording)  # refuse before the slow fit of the whole log
     settles_s = float(np.mean(motor.parameters.mechanical_time_constant_s))
     joint = identify_record(_enough(from_recordings([recording]), settles_s))
-    if not joint.record.seen.all():
+    if not joint.record.recorded.all():
         raise UnusableError(NEEDED)
     window_s, speed = window_length_s([recording], _WINDOWS, _SHORTEST * settles_s), effective_speed(joint)
     physical, terms = values_without_warming(joint.solution), joint.solution.names

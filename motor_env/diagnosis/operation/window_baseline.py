@@ -80,9 +80,9 @@ def learn_windows(
         every = math.ceil(sum(len(part.time_s) for part in parts) / MOST)
         chosen = parts[:: min(every, len(parts) // FEWEST_WINDOWS)]
     joint = identify_operation(chosen, most=max(MOST, sum(len(part.time_s) for part in chosen)))
-    if not joint.record.seen.all():
+    if not joint.record.recorded.all():
         raise UnusableError(NEEDED)
-    if joint.record.steps_seen < FEWEST_STEPS:
+    if joint.record.visible_step_share < FEWEST_STEPS:
         raise UnusableError(f"samples are missing at the voltage's steps: {UNSEEN_STEPS}")
     hold, speed, times = (
         joint.record.hold,

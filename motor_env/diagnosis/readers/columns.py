@@ -95,19 +95,19 @@ class Suggestions:
 
     def ambiguous(self, quantity: str, columns: Sequence[int]) -> str:
         """Return the sentence for columns that look alike."""
-        fitting = self._beside([k for k in columns if self.can_be(quantity, k)])
+        fitting = self._nearest_in_name([k for k in columns if self.can_be(quantity, k)])
         options = [f"--column {_quoted(f'{quantity}={self.name(k)}')}" for k in fitting[:_MOST_NAMED]]
         if quantity not in ("time", "current"):
             options.append(f"--column {quantity}=none")
         names = [self.name(k) for k in columns]
-        alike = f"{', '.join(names[:-1])} and {names[-1]}"
+        listed = f"{', '.join(names[:-1])} and {names[-1]}"
         which = f"say which: {' or '.join(options)}" if options else f"none of them can be a {quantity}"
         both = "both" if len(names) == 2 else "all"
-        return f"{self.path}: the columns {alike} {both} look like the {quantity}; {which}"
+        return f"{self.path}: the columns {listed} {both} look like the {quantity}; {which}"
 
     def missing_current(self, free: Collection[int]) -> str:
         """Return the sentence for a file without a current."""
-        fitting = self._beside([k for k in free if self.can_be("current", k)])
+        fitting = self._nearest_in_name([k for k in free if self.can_be("current", k)])
         said = [k for k in fitting if "current" in kinds_named(self.meanings[k].name)]
         if not fitting:
             hint = "none of the others can be a current, by name, unit and range"
@@ -182,8 +182,8 @@ class Suggestions:
             if other != k and meaning.quantity in ("time", "voltage", "speed", "duty") and meaning.quantity
         ]
 
-    def _beside(self, columns: list[int]) -> list[int]:
-        """Return the columns of the motor of which one is chosen already."""
+    def _nearest_in_name(self, columns: list[int]) -> list[int]:
+        """Return the columns whose names share the most words with those of the columns already chosen."""
         parts = [set(name_parts(self.meanings[k].name)) for k in self.chosen.values()]
         shared = [sum(len(own & set(name_parts(self.meanings[k].name))) for own in parts) for k in columns]
         return [k for k, count in zip(columns, shared, strict=True) if count == max(shared)]
@@ -232,14 +232,14 @@ def recognise(
     places = dict(chosen)
     for quantity in dict.fromkeys(meanings[k].quantity for k in free):
         if quantity is not None and quantity in named:
-            alike = [k for k in free if meanings[k].quantity == quantity]
-            if quantity == "time" and len(alike) > 1:  # what does not rise is no time axis
-                rising = [k for k in alike if suggested.can_be(quantity, k)]
-                alike = rising if len(rising) == 1 else alike
-            if len(alike) > 1:
-                raise InputError(suggested.ambiguous(quantity, alike))
-            columns[quantity] = _column(suggested, meanings[alike[0]], alike[0], quantity)
-            places[quantity] = alike[0]
+            candidates = [k for k in free if meanings[k].quantity == quantity]
+            if quantity == "time" and len(candidates) > 1:  # what does not rise is no time axis
+                rising = [k for k in candidates if suggested.can_be(quantity, k)]
+                candidates = rising if len(rising) == 1 else candidates
+            if len(candidates) > 1:
+                raise InputError(suggested.ambiguous(quantity, candidates))
+            columns[quantity] = _column(suggested, meanings[candidates[0]], candidates[0], quantity)
+            places[quantity] = candidates[0]
     counter = next((k for k, meaning in enumerate(meanings) if meaning.unit == NUMBERED), None)
     if "time" not in columns:
         columns["time"] = _counted(suggested, counter)

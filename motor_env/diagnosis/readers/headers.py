@@ -228,18 +228,18 @@ def kinds_named(name: str) -> frozenset[str]:
     return _words_of(name) | {_WORDS[part] for part in (*parts, _word(name)) if part in _WORDS}
 
 
-def is_other(name: str, quantity: str, said: frozenset[str] | None = None) -> bool:
+def is_other(name: str, quantity: str, words: frozenset[str] | None = None) -> bool:
     """Return whether a name's words rule a quantity out: `Gyro x`, `Current setpoint`.
 
     Args:
         name: of the column.
         quantity: in doubt.
-        said: what the name says, by default its words: a letter counts less than a unit.
+        words: what the name says, by default its words: a letter counts less than a unit.
     """
-    said = _words_of(name) if said is None else said
-    if "reference" in said and quantity in ("current", "speed"):
+    words = _words_of(name) if words is None else words
+    if "reference" in words and quantity in ("current", "speed"):
         return True
-    return bool(said - {"reference"}) and quantity not in said
+    return bool(words - {"reference"}) and quantity not in words
 
 
 def _words_of(name: str) -> frozenset[str]:

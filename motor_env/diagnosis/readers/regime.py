@@ -32,7 +32,7 @@ _LEVEL, _OFF_LEVEL = 0.05, 0.02  # of the way between two levels; share of the s
 
 
 class RegimeDecision(NamedTuple):
-    """Decision what a recording is taken for.
+    """Decision whether a recording is a start or a motor at work.
 
     Attributes:
         regime: start (one or several), or a motor at work.

@@ -57,17 +57,17 @@ def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
     match path.suffix.lower():
         case ".parquet" | ".pq" if size:  # of any length, for it is read in pieces
             require_extra("pyarrow", "datasets")
-            arrays, averaged = _arrays(_parsed_elsewhere(path, b"", "Parquet", str(path)))
+            arrays, averaged = _arrays(_parse_in_subprocess(path, b"", "Parquet", str(path)))
         case ".mat" | ".h5" | ".hdf5":
             content, kind = _content(path), "MATLAB"
             if content.startswith((b"\x89HDF", b"MATLAB 7.3 MAT-file")):
                 require_extra("h5py", "files")
                 kind = "HDF5"
-            arrays, averaged = _arrays(_parsed_elsewhere(path, content, kind))
+            arrays, averaged = _arrays(_parse_in_subprocess(path, content, kind))
         case ".xlsx" | ".xlsm":
             content = _content(path)
             require_extra("openpyxl", "files")
-            return whole_block(path, _parsed_elsewhere(path, content, "workbook").decode())
+            return whole_block(path, _parse_in_subprocess(path, content, "workbook").decode())
         case ".npy" | ".npz":
             arrays = _numpy(path, _content(path))
         case _ if size > LARGEST_WHOLE_BYTES:
@@ -113,8 +113,8 @@ def _refuse_foreign(path: Path, content: bytes) -> None:
             raise InputError(f"{path}: is {words}")
 
 
-def _parsed_elsewhere(path: Path, content: bytes, kind: str, *more: str) -> bytes:
-    """Return what the parser says of a file."""
+def _parse_in_subprocess(path: Path, content: bytes, kind: str, *more: str) -> bytes:
+    """Parse a file in a subprocess, with limits of memory and time; return what it prints."""
     if kind != "HDF5" and content[:2] != b"PK":
         _refuse_foreign(path, content)
     # -P: modules of this folder must not hide others of the same name.

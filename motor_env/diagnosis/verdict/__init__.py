@@ -1,4 +1,4 @@
 """The verdict on a recording: what a healthy motor is like, what is off, which fault that is, and the report.
 
-It never reads a file and fits nothing: that is done in `readers` and `estimation`. Begin at `decision.decide`.
+It never reads a file, and fits by `estimation` alone. Begin at `decision.decide`.
 """

@@ -300,7 +300,7 @@ def motor_of_log(fit: OperationFit, name: str) -> Motor:
     Raises:
         InputError: current or speed was not recorded.
     """
-    if not fit.record.seen.all():
+    if not fit.record.recorded.all():
         raise InputError("a motor file needs current and speed: the parameters are not known one by one")
     values = fit.solution.values
     return replace(

@@ -247,7 +247,7 @@ def _fit_charts(fit: StartFit | OperationFit) -> Iterator[str]:
         counted = [fit.start.counted, np.full(len(time), fill_value=True)]
     else:
         time, unit = fit.record.dt_s * np.arange(len(fit.expected), dtype=np.float64), "s"
-        measured = [fit.record.readings[:, n] if fit.record.seen[n] else None for n in range(2)]
+        measured = [fit.record.readings[:, n] if fit.record.recorded[n] else None for n in range(2)]
         counted = [np.isfinite(fit.record.readings[:, n]) for n in range(2)]
         yield _chart(time, {"measured": fit.record.voltage_v}, "V", "Voltage", time_unit=unit)
     channels = (("Current", "A"), ("Speed", "rad/s"))

@@ -72,26 +72,26 @@ def commands(control: Control, actions: Any, count: int) -> FloatArray:
     return _from_numbers(finite_action(actions, (count, _width(control))))
 
 
-def as_actions(control: Control, given: FloatArray) -> NDArray[Any]:
+def as_actions(control: Control, command_rows: FloatArray) -> NDArray[Any]:
     """Actions that give these commands, whose decisions are RUN, LIMP or STOP."""
-    volts, decision = given.T
+    volts, decision = command_rows.T
     if control is Control.DECISION:
         return np.array(np.searchsorted(DECISIONS, decision))
     if control is Control.VOLTAGE_LIMP_STOP:
         return np.stack([volts, np.sign(decision), np.where(decision == STOP, 1.0, -1.0)], axis=1)
-    return given
+    return command_rows
 
 
 def _decided(which: NDArray[np.int64]) -> FloatArray:
     return np.stack([np.zeros(len(which)), DECISIONS[which]], axis=1)
 
 
-def _from_numbers(given: FloatArray) -> FloatArray:
+def _from_numbers(command_rows: FloatArray) -> FloatArray:
     """Voltage and decision; of three numbers the third stops, the second limps."""
-    if given.shape[1] == 2:
-        return given
-    decision = np.where(given[:, 2] > 0.5, STOP, np.where(given[:, 1] > 0.0, LIMP, RUN))
-    return np.stack([given[:, 0], decision], axis=1)
+    if command_rows.shape[1] == 2:
+        return command_rows
+    decision = np.where(command_rows[:, 2] > 0.5, STOP, np.where(command_rows[:, 1] > 0.0, LIMP, RUN))
+    return np.stack([command_rows[:, 0], decision], axis=1)
 
 
 _TRUTH = ("kind", "onset", "severity", "temperature")
@@ -182,10 +182,12 @@ class DriveEnv(StreamEnv[DriveOptions]):
         """
         if self._over:
             raise gym.error.ResetNeeded("call reset() before step(): the episode is over")
-        given = command(self.options.control, action)
+        command_rows = command(self.options.control, action)
         observation = np.empty((len(self.setup.observed), 1), dtype=np.float32)
         self._over = bool(
-            kernel.step(given, False, self.setup.view, observation, self._reward, self._parts, *self._arrays)
+            kernel.step(
+                command_rows, False, self.setup.view, observation, self._reward, self._parts, *self._arrays
+            )
         )
         info = self._info()
         info.update(zip(REWARDS, self._part_values.tolist(), strict=True))
@@ -247,11 +249,11 @@ class DriveVectorEnv(StreamVectorEnv[DriveOptions]):
         }
 
     def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
-        given = commands(self.options.control, actions, self.num_envs)
+        command_rows = commands(self.options.control, actions, self.num_envs)
         observation, reward = self._empty(), np.empty(self.num_envs)
         parts = np.empty((len(PARTS), self.num_envs))
         n_over = kernel.step(
-            given, self._next_step, self.setup.view, observation, reward, parts, *self._arrays
+            command_rows, self._next_step, self.setup.view, observation, reward, parts, *self._arrays
         )
         return observation.T, reward, parts, n_over
 

@@ -25,7 +25,7 @@ from motor_classifiers.estimators.confirmation import class_filter
 from motor_classifiers.estimators.features import affine_map, signal_family, whitened_residual
 from motor_classifiers.estimators.networks import severity_density
 from motor_classifiers.estimators.networks.epoch_classifier import perceptron
-from motor_classifiers.estimators.networks.posterior import Posterior, growing, total_cases
+from motor_classifiers.estimators.networks.posterior import Posterior, batch_schedule, total_cases
 from motor_classifiers.estimators.networks.severity_density import severity_priors, severity_recipe
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases, with_more_noise
 from motor_classifiers.estimators.reference_starts import referenced_starts, split_starts
@@ -367,7 +367,7 @@ def test_the_last_batches_of_a_training_are_larger() -> None:
         begun.append((part, size))
         return iter([(part, n) for n in range(100)])
 
-    batches: list[Any] = list(growing(make, 8, 10))
+    batches: list[Any] = list(batch_schedule(make, 8, 10))
     assert begun == [(0, 8), (1, 32)]
     assert batches == [(0, n) for n in range(7)] + [(1, n) for n in range(3)]
     assert total_cases(8, 10) == 8 * 7 + 32 * 3

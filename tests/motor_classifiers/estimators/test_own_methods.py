@@ -20,11 +20,11 @@ from torch import nn
 from motor_classifiers import ResidualProjection, TorchClassifier, load_model, save_model
 from motor_classifiers.cli.main import main
 from motor_classifiers.estimators import methods
-from motor_classifiers.estimators.methods import answered, fed, find_method
+from motor_classifiers.estimators.methods import find_method, model_input, model_probabilities
 
 # Reaches in: no public name shows under which key answers are kept, or how a process is judged that breaks.
 from motor_classifiers.model_files.persistence import check_saveable
-from motor_classifiers.scoring.judging import answer_key, judge, judge_apart
+from motor_classifiers.scoring.judging import answer_key, judge, judge_in_subprocess
 from motor_classifiers.scoring.task import class_task
 from motor_datasets import generate_arrays
 from motor_env import InputError, Timing, load_recipe
@@ -130,15 +130,15 @@ def test_what_is_no_method_is_a_sentence(own: Path, name: str, sentence: str) ->
 
 def test_a_method_that_fails_is_named_with_its_line(own: Path) -> None:
     with pytest.raises(InputError, match=r"ZeroDivisionError: division by zero \(.*own.py, line 17\)"):
-        judge_apart(f"{own}:broken", class_task(RECIPE, 150, 100))
+        judge_in_subprocess(f"{own}:broken", class_task(RECIPE, 150, 100))
 
 
 def test_flat_unless_the_estimator_says_otherwise() -> None:
     X = TRAIN.X
-    assert fed(make_pipeline(StandardScaler(), RidgeClassifier()), X).shape == (150, 100)
-    assert fed(make_pipeline(ThreeAxes()), X).shape == X.shape
+    assert model_input(make_pipeline(StandardScaler(), RidgeClassifier()), X).shape == (150, 100)
+    assert model_input(make_pipeline(ThreeAxes()), X).shape == X.shape
     model = ThreeAxes().fit(X, TRAIN.class_name)
-    shares = answered(model, X)
+    shares = model_probabilities(model, X)
     assert shares.shape == (150, 5)
     assert (shares[:, 1] == 1.0).all()
     assert shares.sum() == 150.0
@@ -155,7 +155,7 @@ def test_a_torch_module_learns_the_same_from_the_same_seed() -> None:
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 1e-3
     assert models[0].score(TRAIN.X, TRAIN.class_name) > 0.5
-    assert fed(models[0], TRAIN.X).ndim == 3
+    assert model_input(models[0], TRAIN.X).ndim == 3
 
 
 @pytest.mark.parametrize(
@@ -172,11 +172,11 @@ def test_a_torch_module_learns_the_same_from_the_same_seed() -> None:
 )
 @pytest.mark.filterwarnings("ignore:Stochastic Optimizer")
 def test_trusted_steps_are_saved_and_loaded(model: BaseEstimator, tmp_path: Path) -> None:
-    model.fit(fed(model, TRAIN.X), TRAIN.class_name)
+    model.fit(model_input(model, TRAIN.X), TRAIN.class_name)
     save_model(model, RECIPE, "own", tmp_path / "own.model")
     loaded, recipe, method = load_model(tmp_path / "own.model")
     assert (recipe, method) == (RECIPE, "own")
-    np.testing.assert_array_equal(answered(loaded, TRAIN.X), answered(model, TRAIN.X))
+    np.testing.assert_array_equal(model_probabilities(loaded, TRAIN.X), model_probabilities(model, TRAIN.X))
 
 
 def test_an_untrusted_step_is_refused_before_the_training(

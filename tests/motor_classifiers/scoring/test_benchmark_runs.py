@@ -26,7 +26,7 @@ from motor_classifiers.scoring.judging import (
     Answer,
     answer_key,
     judge,
-    judge_apart,
+    judge_in_subprocess,
     load_answer,
     posterior,
     save_answer,
@@ -43,7 +43,7 @@ FAST = ["benchmark", "--sampling-rate-hz", "1000", "--n-train", "300", "--n-test
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Judge in this process: what is tested is not the isolation."""
-    monkeypatch.setattr(benchmark_module, "judge_apart", judge)
+    monkeypatch.setattr(benchmark_module, "judge_in_subprocess", judge)
 
 
 @pytest.mark.usefixtures("at_once")
@@ -91,7 +91,7 @@ def test_a_method_above_the_limit_fails_the_run(
 
 
 def test_a_process_of_its_own_gives_the_same_answer() -> None:
-    here, apart = judge("residual-qda", TASK), judge_apart("residual-qda", TASK)
+    here, apart = judge("residual-qda", TASK), judge_in_subprocess("residual-qda", TASK)
     np.testing.assert_array_equal(here.probabilities, apart.probabilities)
     assert apart.train.seconds > 0.0
     if sys.platform == "linux":
@@ -102,7 +102,7 @@ def test_a_process_of_its_own_gives_the_same_answer() -> None:
 
 def test_a_process_that_dies_is_one_sentence() -> None:
     with pytest.raises(InputError, match=r"residual-qda on deadly: its process ended without an answer"):
-        judge_apart("residual-qda", _Deadly("", "deadly", 200, recipe=SLOW))
+        judge_in_subprocess("residual-qda", _Deadly("", "deadly", 200, recipe=SLOW))
 
 
 class _Monotonous(ClassTask):
@@ -125,12 +125,12 @@ def test_a_method_that_fails_is_named_and_costs_no_other_answer(
 ) -> None:
     def judged(name: str, cell: ClassTask) -> Answer:
         return (
-            judge_apart(name, _Monotonous("", "bench, healthy", 50, recipe=SLOW, n_train=50))
+            judge_in_subprocess(name, _Monotonous("", "bench, healthy", 50, recipe=SLOW, n_train=50))
             if name == "residual-qda"
             else judge(name, cell)
         )
 
-    monkeypatch.setattr(benchmark_module, "judge_apart", judged)
+    monkeypatch.setattr(benchmark_module, "judge_in_subprocess", judged)
     store = AnswerStore(tmp_path)
     plan = Plan((class_task(SLOW, 50, 50),), ("residual-qda", "raw-logistic"))
     with pytest.raises(InputError, match=r"1 of 3 answers failed, the first: residual-qda on bench.*class"):
@@ -287,7 +287,9 @@ def test_the_limit_of_the_field_is_called_an_estimate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The estimate itself is made elsewhere; here a quick method stands for it."""
-    monkeypatch.setattr(benchmark_module, "judge_apart", lambda name, cell: judge("residual-qda", cell))
+    monkeypatch.setattr(
+        benchmark_module, "judge_in_subprocess", lambda name, cell: judge("residual-qda", cell)
+    )
     field = class_task(load_recipe("field", timing=Timing(1_000.0, 0.1, 0.02)), 200, 100)
     plan = Plan((field,), ("residual-qda",))
     results = run_plan(plan)

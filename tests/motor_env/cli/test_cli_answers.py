@@ -29,10 +29,10 @@ from motor_env.cli import main, motors, options, verdicts as of_streams, verdict
 
 # Reaches in: stand-ins are patched in where commands look their work up, and answer in its types.
 from motor_env.diagnosis import identification as identifying
-from motor_env.diagnosis.batch import Outcome
 from motor_env.diagnosis.embedded import monitor as monitors, source
 from motor_env.diagnosis.embedded.monitor import CusumBank
-from motor_env.diagnosis.prognosis import files as trends
+from motor_env.diagnosis.file_verdicts import Outcome
+from motor_env.diagnosis.prognosis import trend_report as trends
 from motor_env.diagnosis.readers.profiles import Profile, load_profile
 from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.readers.start import Circuit
@@ -78,7 +78,7 @@ def test_diagnose_ends_with_the_status_of_its_verdicts(
         given.update(more, files=files)
         return [outcome(verdict) for verdict in verdicts]
 
-    monkeypatch.setattr("motor_env.diagnosis.batch.diagnose_files", diagnosed)
+    monkeypatch.setattr("motor_env.diagnosis.file_verdicts.diagnose_files", diagnosed)
     command = ["diagnose", "a.csv", "b.csv", "--false-alarm-rate", "0.05", "--shunt-ohm", "0.3"]
     more = ["--temperature-c", "31", "--start", "2", "--regime", "operation"]
     assert main([*command, *more, "--healthy", "h.csv", "i.csv"]) == status
@@ -95,7 +95,7 @@ def test_diagnose_ends_with_the_status_of_its_verdicts(
         v or "unusable" for v in verdicts
     ]
     monkeypatch.setattr(
-        "motor_env.diagnosis.batch.diagnose_files", lambda *_, **__: [outcome(None, is_bug=True)]
+        "motor_env.diagnosis.file_verdicts.diagnose_files", lambda *_, **__: [outcome(None, is_bug=True)]
     )
     assert main(command) == 70
 
@@ -116,7 +116,7 @@ def test_identify_ends_with_3_where_no_motor_explains_a_start_or_the_logs(
     start = Recording(Path("a"), np.arange(2.0), np.zeros(2))
     trouble = "no motor" if works else ""
     logs = () if works is None else (replace(start, path=Path("b")),)
-    fits = cast("Any", tuple((start, is_told) for is_told in explained))
+    fits = cast("Any", tuple((start, is_determined) for is_determined in explained))
     found = identifying.Identification(fits, logs, {}, None, trouble)
 
     def fitted(files: list[Path], **more: Any) -> identifying.Identification:

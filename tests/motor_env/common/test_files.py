@@ -8,7 +8,7 @@ import pytest
 from hostile import deep, odd_places, refused
 
 from motor_env import InputError, load_motor, load_recipe
-from motor_env.common.files import filling, read_file, read_json, require_ours
+from motor_env.common.files import filling, read_file, read_json, require_own_output
 
 
 @pytest.mark.timeout(20)
@@ -79,7 +79,7 @@ def test_json_is_refused_in_a_sentence(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_others_is_refused(tmp_path: Path) -> None:
-    ours = partial(require_ours, command="make-it")
+    ours = partial(require_own_output, command="make-it")
     ours(tmp_path / "new", "a.json", "mark")
     ours(tmp_path, "a.json", "mark")
     path = tmp_path / "a.json"

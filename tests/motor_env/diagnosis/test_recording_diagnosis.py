@@ -28,7 +28,7 @@ from motor_env import (
     read_recording,
     simulate,
 )
-from motor_env.diagnosis.batch import diagnose_files
+from motor_env.diagnosis.file_verdicts import diagnose_files
 from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.diagnosis.readers.start import prepare
 

@@ -159,7 +159,7 @@ class EpochClassifier(LogitClassifier):
                 yield inputs[rows], labels[rows]
 
     def _inputs(self, features: FloatArray) -> FloatArray:
-        """What the network sees of features."""
+        """Return the network's inputs from features."""
         standard: FloatArray = (features - self.center_) / self.scale_
         return standard
 

@@ -80,7 +80,7 @@ class Posterior(nn.Module):
             average.update_parameters(network)
             on_step()
 
-        many = growing(batches, batch_size, steps)
+        many = batch_schedule(batches, batch_size, steps)
         train(network, many, loss, LambdaLR(optimiser, rate), on_step=after)
         network.load_state_dict(average.module.state_dict())
 
@@ -114,14 +114,16 @@ class Posterior(nn.Module):
         return posterior
 
 
-def growing(make: Callable[[int, int], Iterator[Batch]], batch_size: int, steps: int) -> Iterable[Batch]:
-    """The batches of a training: `make(part, batch_size)` begins a stream, and another one for the last steps."""
+def batch_schedule(
+    make: Callable[[int, int], Iterator[Batch]], batch_size: int, steps: int
+) -> Iterable[Batch]:
+    """Yield the batches of a training: of one stream `make(0, size)`, then larger ones of `make(1, size)`."""
     last = round(_LAST_SHARE * steps)
     return chain(islice(make(0, batch_size), steps - last), islice(make(1, _LARGER * batch_size), last))
 
 
 def total_cases(batch_size: int, steps: int) -> int:
-    """Cases of the batches of a training."""
+    """Count the cases of the batches of `batch_schedule`."""
     last = round(_LAST_SHARE * steps)
     return batch_size * (steps - last + _LARGER * last)
 
@@ -129,6 +131,6 @@ def total_cases(batch_size: int, steps: int) -> int:
 def _moving_average(
     average: torch.Tensor, weight: torch.Tensor, n_averaged: torch.Tensor | int
 ) -> torch.Tensor:
-    """A share of the average stays that grows with the steps done."""
+    """Update the moving average of a weight; its memory grows with the number of steps."""
     done = int(n_averaged)
     return average.lerp(weight, 1.0 - min(_AVERAGED, done / (done + _AVERAGE_BEGINS)))

@@ -201,19 +201,19 @@ class PosteriorNetwork(LogitClassifier):
             on_step(next(done), n_networks * self.steps)
 
         with one_thread():
-            self.posterior_ = self._learned(
+            self.posterior_ = self._train_posterior(
                 recipe, classes, nn.functional.cross_entropy, n_out=len(ranks), seed=seed, on_step=after_step
             )
             self.severity_ = None
             if self.with_severity:
                 ranges = severity_recipe(recipe, with_healthy=self.n_references > 0)
                 n_out = PARAMETERS * len(tops)
-                self.severity_ = self._learned(
+                self.severity_ = self._train_posterior(
                     ranges, severities, severity_loss, n_out=n_out, seed=seed + 2, on_step=after_step
                 )
         return self
 
-    def _learned(
+    def _train_posterior(
         self,
         recipe: Recipe,
         target: Callable[[Dataset], torch.Tensor],
@@ -223,7 +223,7 @@ class PosteriorNetwork(LogitClassifier):
         seed: int,
         on_step: OnStep,
     ) -> Posterior:
-        """A network that has seen the recipe's stream, in double precision."""
+        """Train a network on the recipe's stream; return it in double precision."""
         low, high = self._checked_noise()
         space = self._space(recipe)
         posterior = Posterior(space, n_hidden=self.n_hidden, n_layers=self.n_layers, n_out=n_out).float()
@@ -245,7 +245,7 @@ class PosteriorNetwork(LogitClassifier):
         return posterior.double()
 
     def _stream_recipe(self) -> Recipe:
-        """What is drawn from: each judged start of another motor, at the least noise."""
+        """Return the recipe to train on: each start of another motor, at the least noise."""
         if self.recipe is None:
             raise ValueError("fit_stream needs a recipe, got None")
         # Commissioning starts are known to be healthy and never judged; a motor of its own for each start teaches more.

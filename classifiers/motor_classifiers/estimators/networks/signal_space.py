@@ -1,4 +1,4 @@
-"""What a start can show: its deviation from the nominal motor along the few directions in which starts differ.
+"""Coordinates of a start: its deviation from the nominal motor along the few directions in which starts differ.
 
 In white noise nothing else enters the likelihood (docs/classifiers.md); outside the directions stands the level of the
 noise.

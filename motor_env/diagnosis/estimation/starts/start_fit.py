@@ -70,7 +70,7 @@ class StartFit:
     expected: FloatArray
     independent: tuple[float, ...]
     fitted_extension: dict[str, tuple[float, float]]
-    inductance_off: float = 0.0
+    inductance_deviation: float = 0.0
 
     @property
     def physical(self) -> FloatArray:
@@ -224,7 +224,7 @@ def record_of(start: Start) -> Record:
         dt_s=start.dt_s,
         voltage_v=np.full(n, start.level_v) if start.voltage_v is None else start.voltage_v,
         readings=np.stack([current, speed], axis=1),
-        seen=np.array([1.0, float(start.speed_rad_s is not None)]),
+        recorded=np.array([1.0, float(start.speed_rad_s is not None)]),
         marks=marks,
         onset_s=alignment.onset_s - float(start.time_s[0]) if is_step else None,
         shunt_ohm=start.circuit.shunt_ohm,

@@ -152,7 +152,7 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
         expected=expected,
         independent=independent,
         fitted_extension=extras,
-        inductance_off=belief.inductance_off(theta),
+        inductance_deviation=belief.inductance_deviation(theta),
     )
 
 
@@ -189,7 +189,7 @@ def evidence(simple: StartFit, rich: StartFit) -> float:
         n * math.log(max(before, 1e-300) / max(after, 1e-300))
         for n, before, after in zip(rich.independent, simple.misfit, rich.misfit, strict=True)
     )
-    gain += simple.inductance_off**2 - rich.inductance_off**2
+    gain += simple.inductance_deviation**2 - rich.inductance_deviation**2
     added = len(rich.solution.theta) - len(simple.solution.theta)
     return gain - added * math.log(max(sum(rich.independent), 2.0))
 
@@ -217,9 +217,9 @@ def identify_best(
             if name not in best.model
             and _is_applicable(name, start, best.model, knows_inductance=knows_inductance)
         ]
-        every = start_prior(start, constant, typical).every
+        every = start_prior(start, constant, typical).available_terms
         scored = [name for name in applicable if name not in _UNSCORED]
-        if best.inductance_off**2 <= _PROMISING:  # a score test, far cheaper than a fit
+        if best.inductance_deviation**2 <= _PROMISING:  # a score test, far cheaper than a fit
             tests = score_tests(best.solution, every, scored, SCORED_SIZES)
             scored = [name for name, test in tests.items() if test.chi_square > _PROMISING]
         trials = [

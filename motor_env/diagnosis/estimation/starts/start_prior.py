@@ -63,10 +63,10 @@ def _current(start: Start) -> FloatArray:
     return out
 
 
-def absolute_parameters(told: Mapping[str, float], constant: float) -> dict[str, float]:
+def absolute_parameters(quantities: Mapping[str, float], constant: float) -> dict[str, float]:
     """Return R, L, K, J and B as far as quantities tell them: the current alone needs an assumed K."""
     values = {"K": constant} | {
-        name.replace("(J V)", "J").replace("/V", ""): value for name, value in told.items()
+        name.replace("(J V)", "J").replace("/V", ""): value for name, value in quantities.items()
     }
     if "K^2/J" in values and "B/J" in values:
         values["J"] = constant**2 / values["K^2/J"]
@@ -82,22 +82,22 @@ class StartPrior:
         start: what is fitted.
         known: rough values.
         typical: logarithms of typical parameters over rough ones; empty where not known.
-        every: all terms.
+        available_terms: all terms.
     """
 
     start: Start
     known: FloatArray
     typical: dict[str, float]
-    every: dict[str, Term]
+    available_terms: dict[str, Term]
 
     @property
     def core(self) -> tuple[str, ...]:
-        """The textbook's free parameters."""
+        """Free parameters of the textbook model."""
         return tuple(name for name in "RLKJB" if name != "K" or self.start.speed_rad_s is not None)
 
     @property
-    def ends(self) -> tuple[str, ...]:
-        """What every start has beside them."""
+    def start_terms(self) -> tuple[str, ...]:
+        """Terms of every start beside the parameters: the onset or delay, and the sensor's offset."""
         late = "onset" if self.start.voltage_v is None else "delay"
         return (late,) if self.start.alignment.rectified else (late, "offset_current")
 
@@ -107,11 +107,11 @@ class StartPrior:
 
     def problem(self, model: Sequence[str]) -> Problem:
         """Return the problem with the terms of a model."""
-        every = self.every
+        every = self.available_terms
         if self.has_inductance_prior(model):
             mean = self.typical["L"]
             every = every | {"L": replace(every["L"], prior_sd=INDUCTANCE_PRIOR_SD, prior_mean=mean)}
-        names = (*self.core, *expanded_terms(model), *self.ends)
+        names = (*self.core, *expanded_terms(model), *self.start_terms)
         return Problem(
             record_of(self.start.shortened(FIT_SAMPLES)), self.known, tuple(every[n] for n in names)
         )
@@ -119,7 +119,7 @@ class StartPrior:
     def initial_guesses(self, problem: Problem) -> list[FloatArray]:
         """Return initial guesses: the typical motor, and for each of three inductances the best of a small grid."""
         begin = np.array([0.0 if term.is_log else _FIRST_SIZES[1] * term.usual for term in problem.free])
-        begin[len(begin) - len(self.ends) :] = 0.0
+        begin[len(begin) - len(self.start_terms) :] = 0.0
         fits = []
         if len(self.typical) == len(self.core):
             fits.append(np.append([self.typical[name] for name in self.core], begin[len(self.core) :]))
@@ -150,7 +150,7 @@ class StartPrior:
             abs(value - self.typical[name]) < 1.0 for value, name in zip(theta, self.core, strict=False)
         )
 
-    def inductance_off(self, theta: FloatArray) -> float:
+    def inductance_deviation(self, theta: FloatArray) -> float:
         """Return L's distance from the typical one, in standard deviations of its prior; 0 where none is known."""
         return (float(theta[1]) - self.typical["L"]) / INDUCTANCE_PRIOR_SD if "L" in self.typical else 0.0
 

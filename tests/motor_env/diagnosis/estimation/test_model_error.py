@@ -154,7 +154,7 @@ def test_a_share_of_what_no_term_says_never_averages_away() -> None:
         once.dt_s,
         np.tile(once.voltage_v, 2),
         np.tile(once.readings, (2, 1)),
-        once.seen,
+        once.recorded,
         np.tile(once.marks, 2),
         once.hold,
     )

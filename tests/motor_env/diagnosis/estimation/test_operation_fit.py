@@ -35,7 +35,7 @@ def test_motor_is_found_in_any_regime(profile: str, load: str) -> None:
     true = {"R": motor.ohm, "K": motor.constant, "J": motor.inertia}
     for name, value in true.items():
         quantity = found.quantity(name)
-        assert quantity.is_told
+        assert quantity.is_determined
         assert quantity.value == pytest.approx(value, rel=0.03)
         assert abs(np.log(quantity.value / value)) < 3.5 * quantity.log_sd
 
@@ -67,7 +67,7 @@ def test_current_alone_tells_ratios() -> None:
     assert found.quantity("R").value == pytest.approx(motor.ohm, rel=0.03)
     assert found.quantity("J/K^2").value == pytest.approx(motor.inertia / motor.constant**2, rel=0.03)
     assert any("K, J and B" in note for note in found.notes)
-    blind = tuple(replace(one, is_told=one.name != "J/K^2") for one in found.quantities)
+    blind = tuple(replace(one, is_determined=one.name != "J/K^2") for one in found.quantities)
     with pytest.raises(UnusableError, match="not determine J/K"):
         _refuse_poor_fit(replace(found, quantities=blind))
 
@@ -142,7 +142,7 @@ def test_a_growing_square_wave() -> None:
     assert found.r2_current is not None
     assert found.r2_current >= 0.98
     assert found.quantity("brush_drop").value == pytest.approx(1.6, abs=0.6)
-    assert found.quantity("brush_knee").is_told
+    assert found.quantity("brush_knee").is_determined
 
 
 def test_a_controller_of_a_coarse_current_makes_no_certain_resistance() -> None:

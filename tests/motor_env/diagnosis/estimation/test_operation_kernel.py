@@ -418,7 +418,7 @@ def test_what_is_not_recorded_begins_at_the_balance_of_the_voltages() -> None:
     assert out[1, 0] == pytest.approx((0.6 - m[0] @ [0.4, speed, 5.0, 0.0, 0.0]) / math.sqrt(variance))
     far = replace(current, voltage_v=np.full(3, 5.0), readings=readings * [[60.0, 0.0]])
     assert far.predict(p)[0][0, 3] == pytest.approx(-5.0 / 0.03)  # no more than the voltage turns it
-    speeds = replace(current, seen=array(0.0, 1.0), readings=np.tile([0.0, 20.0], (3, 1)))
+    speeds = replace(current, recorded=array(0.0, 1.0), readings=np.tile([0.0, 20.0], (3, 1)))
     out, logs = speeds.predict(p)
     i = (5.0 - 0.03 * 20.0) / 2.0
     assert out[0, 2:4] == pytest.approx([i + 0.1, 20.0])

@@ -96,7 +96,7 @@ def test_parts_of_a_record_by_hand() -> None:
     assert some.readings.tolist() == [[volts + 0.5, -volts] for volts in some.voltage_v]
     assert record.duration_s == pytest.approx(100 * DT_S)
     assert record.peaks == pytest.approx([98.901, 99.401, 98.901])
-    assert record.only(current=False, speed=True).seen.tolist() == [0.0, 1.0]
+    assert record.only(current=False, speed=True).recorded.tolist() == [0.0, 1.0]
     assert record.marks[30] == ekf.OPEN  # the record itself stays
 
 
@@ -171,7 +171,7 @@ def test_what_stands_still_counts_as_not_recorded() -> None:
         "speed": (replace(one, current_a=np.zeros(50)), [0.0, 1.0]),
     }
     for recording, expected in seen.values():
-        assert from_recordings([recording]).seen.tolist() == expected
+        assert from_recordings([recording]).recorded.tolist() == expected
     with pytest.raises(UnusableError, match="neither the current nor the speed ever changes"):
         from_recordings([replace(one, current_a=np.zeros(50), speed_rad_s=None)])
     with pytest.raises(UnusableError, match="only where the voltage was recorded"):
@@ -504,7 +504,7 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     line = walked(0.0)
     theta = least_squares(line)
     tests = {"delay": ScoreTest(4.0, 0.5, 0.2, np.array([0.1, -0.3, 9.0]))}
-    line.every["delay"] = cast("Any", SimpleNamespace(usual=0.6))
+    line.available_terms["delay"] = cast("Any", SimpleNamespace(usual=0.6))
     best = SimpleNamespace(
         problem=line, theta=theta, alternative_optima=(), misfit=10.0, free=(None, np.zeros((600, 4)))
     )
@@ -778,7 +778,7 @@ def test_intervals_are_those_of_the_covariance(identified: OperationFit) -> None
             (value, low, high), rel=1e-4, abs=1e-4 * half * term.unit
         )
         assert found_one.log_sd == pytest.approx(relative)
-        assert found_one.is_told is bool(relative < 0.5)
+        assert found_one.is_determined is bool(relative < 0.5)
     p, speed = found.solution.values, found.record.predict(found.solution.values)[0][:, 3]
     w = math.sqrt(np.mean(speed**2))
     drag = next(shown)
@@ -821,7 +821,7 @@ def test_one_channel_alone_tells_ratios_in_their_units(identified: OperationFit)
         found = identify_record(alone)
         assert {one.name: one.unit for one in found.quantities if one.name in expected} == expected
         for one in found.quantities:
-            if one.name in true and one.is_told:
+            if one.name in true and one.is_determined:
                 assert one.value == pytest.approx(true[one.name], rel=0.08)
         with pytest.raises(InputError, match="needs current and speed"):
             motor_of_log(found, "mine")
@@ -850,11 +850,11 @@ def test_text_json_and_motor_file_say_the_same(identified: OperationFit) -> None
             "standard_error": pytest.approx((one.high - one.low) / 3.92),
             "interval": [one.low, one.high],
             "unit": one.unit,
-            "determined": one.is_told,
+            "determined": one.is_determined,
         }
         words = f"{one.name} {one.value:.4g} +- {said['standard_error']:.2g} {one.unit} "
         assert " ".join(line.split()).startswith(words)
-        assert (f"{one.low:.4g} to {one.high:.4g}" if one.is_told else "not determined") in line
+        assert (f"{one.low:.4g} to {one.high:.4g}" if one.is_determined else "not determined") in line
     assert told["model"] == list(identified.model)
     assert (told["r2_current"], told["r2_speed"]) == identified.solution.explained()
     assert told["warmth_k"] == identified.warmth_k.max()
@@ -908,7 +908,7 @@ def test_only_what_a_motor_can_be_is_told(identified: OperationFit) -> None:
     ohm = identified.quantity("R").value
     for lag, is_refused in ((0.201, True), (0.199, False)):
         slow = tuple(
-            replace(one, value=lag * ohm, is_told=True) if one.name == "L" else one
+            replace(one, value=lag * ohm, is_determined=True) if one.name == "L" else one
             for one in identified.quantities
         )
         refusal = pytest.raises(UnusableError, match="is that of no motor")

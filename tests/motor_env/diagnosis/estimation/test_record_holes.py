@@ -70,8 +70,8 @@ def test_an_open_circuit_needs_no_voltage_but_a_hole_does_not_know_of_it() -> No
 
 def test_what_counts() -> None:
     record = from_recordings([holed(60, [20], current=[40], speed=[41])])
-    assert (~record.told[:, 0]).nonzero()[0].tolist() == [19, 20, 21, 22, 23, 40]
-    assert (~record.told[:, 1]).nonzero()[0].tolist() == [19, 20, 21, 22, 23, 41]
+    assert (~record.informative[:, 0]).nonzero()[0].tolist() == [19, 20, 21, 22, 23, 40]
+    assert (~record.informative[:, 1]).nonzero()[0].tolist() == [19, 20, 21, 22, 23, 41]
     assert record.count == 2 * 60 - 12 - 2
     with pytest.raises(
         UnusableError, match=r"only 34 of 60 samples are there, and follow others 0\.001 s apart"
@@ -102,10 +102,10 @@ def test_behind_an_unknown_voltage_the_model_is_as_sure_as_before(lag: float) ->
     first, second, white = (one.predict(lagging)[0][:, :2] for one in (known, lied, marked))
     assert first.std() == pytest.approx(1.0, abs=0.1)
     assert second.std() > 5.0
-    told = white[marked.told & (marked.marks != BEGIN)[:, None]]
+    told = white[marked.informative & (marked.marks != BEGIN)[:, None]]
     assert told.std() == pytest.approx(1.0, abs=0.1)
     assert np.abs(told).max() < 4.5
-    assert not white[~marked.told].any()
+    assert not white[~marked.informative].any()
 
 
 def test_the_free_model_begins_again_behind_a_hole() -> None:
@@ -120,14 +120,14 @@ def test_the_free_model_begins_again_behind_a_hole() -> None:
     table, logs = marked.predict(VALUES, learn=False)
     free = table[:, 2:4]
     # What is lost tells nothing of the noise: of the others each variance counts, with that of the first reading.
-    counted = (marked.told & (marked.marks != BEGIN)[:, None]).sum(axis=0)
+    counted = (marked.informative & (marked.marks != BEGIN)[:, None]).sum(axis=0)
     assert logs == pytest.approx(counted @ np.log(2.0 * np.square([0.02, 0.5])))
     assert np.nanmax(np.abs((free - record.readings)[262:] / [0.02, 0.5])) < 5.0
     changes = np.square(np.diff(guessed))
     seen = changes[marked.marks[1:] != LOST].sum() / changes.sum()
-    assert marked.steps_seen == pytest.approx(seen)
+    assert marked.visible_step_share == pytest.approx(seen)
     assert 0.5 < seen < 0.95
-    assert record.steps_seen == 1.0
+    assert record.visible_step_share == 1.0
 
 
 def test_a_mean_is_missing_where_more_than_a_tenth_of_it_is() -> None:

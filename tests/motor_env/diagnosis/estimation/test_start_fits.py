@@ -118,7 +118,7 @@ def left_of(problem: Problem, theta: FloatArray) -> tuple[FloatArray, FloatArray
     """Residuals of the samples, shape (n_samples, n_channels), and of the beliefs, shape (n_unknowns,)."""
     residuals = problem.residuals(theta)
     n = len(problem.free)
-    return residuals[:-n].reshape(-1, int(problem.record.seen.sum())), residuals[-n:]
+    return residuals[:-n].reshape(-1, int(problem.record.recorded.sum())), residuals[-n:]
 
 
 @pytest.mark.parametrize("speed", [False, True])
@@ -205,7 +205,7 @@ def test_a_typical_inductance_is_believed_to_thirty_per_cent() -> None:
         assert belief.problem((name,)).free[1].prior_sd == 0.3
     assert belief.problem(("coulomb",)).free[1].prior_sd == np.inf
     unknowns = truth(ramp, measured, supply_ramp=1e-3)
-    assert belief.inductance_off(unknowns) == pytest.approx(off)
+    assert belief.inductance_deviation(unknowns) == pytest.approx(off)
     assert left_of(ramp, unknowns)[1][1] / ramp.known[index.NOISE_I] == pytest.approx(off)
     assert belief.typical["J"] == pytest.approx(np.log(0.02352**2 / 500.0 / ramp.known[index.J]))
     assert belief.typical["B"] == pytest.approx(np.log(1.2 * 0.02352**2 / 500.0 / ramp.known[index.B]))
@@ -215,7 +215,7 @@ def test_a_typical_inductance_is_believed_to_thirty_per_cent() -> None:
     assert not belief.is_typical(far)
     unknown = start_prior(measured, 0.02352, None)
     assert unknown.problem(("supply_ramp",)).free[1].prior_sd == np.inf
-    assert unknown.inductance_off(unknowns) == 0.0
+    assert unknown.inductance_deviation(unknowns) == 0.0
     driven = replace(measured, voltage_v=np.full(500, 12.0))  # the two lags change places there, too
     assert start_prior(driven, 0.02352, typical).problem(("sensor_lag",)).free[1].prior_sd == 0.3
 
@@ -298,8 +298,8 @@ def test_the_record_of_a_start_is_what_counts_of_it() -> None:
     holed = record_of(replace(wild, missing=missing)).readings
     assert [np.flatnonzero(np.isnan(one)).tolist() for one in holed.T] == [[3, 60, 70], [80, 90]]
     assert record.is_start
-    assert record.seen.tolist() == [1.0, 1.0]
-    assert record_of(replace(measured, speed_rad_s=None)).seen.tolist() == [1.0, 0.0]
+    assert record.recorded.tolist() == [1.0, 1.0]
+    assert record_of(replace(measured, speed_rad_s=None)).recorded.tolist() == [1.0, 0.0]
     assert record.onset_s == pytest.approx((QUIET + 1) * DT_S)  # from the first sample to where it was found
     problem = problem_of(wild)
     assert problem.count == 998
@@ -337,7 +337,7 @@ def test_a_score_foretells_what_an_extension_gains(lag_s: float, least: float, m
     simple = identify(measured, constant=0.02352)
     rich = identify(measured, ("sensor_lag",), simpler=simple, constant=0.02352)
     gain = 500.0 * np.log(simple.misfit[0] / rich.misfit[0])
-    every = start_prior(measured, 0.02352, None).every
+    every = start_prior(measured, 0.02352, None).available_terms
     tests = score_tests(simple.solution, every, ("sensor_lag",), np.exp([-2.0, 0.0, 2.0, 4.0]).tolist())
     score = tests["sensor_lag"].chi_square
     assert least <= score < most
@@ -353,7 +353,7 @@ def central_jacobian(problem: Problem, unknowns: FloatArray) -> FloatArray:
 def dense_covariance(problem: Problem, theta: FloatArray, measured: Start) -> tuple[FloatArray, list[float]]:
     """The sandwich of dense matrices: residuals correlated over many samples (Newey & West 1987)."""
     n, p, begin = len(measured.time_s), len(theta), measured.alignment.onset_index
-    channels, values = int(problem.record.seen.sum()), problem.values(theta)
+    channels, values = int(problem.record.recorded.sum()), problem.values(theta)
     noises = values[[index.NOISE_I, index.NOISE_W][:channels]]
     left = problem.residuals(theta)
     scale = np.sqrt(left @ left / problem.count)
@@ -554,8 +554,8 @@ def test_what_looks_like_an_inductance_is_told_to_a_factor_of_e() -> None:
     row = typical.quantity_names.index("L")
     assert 1.0 < typical.log_covariance[row, row] < 1.1
     assert plain.log_covariance[row, row] < 0.7
-    assert abs(typical.inductance_off) < 2.0
-    assert plain.inductance_off == 0.0
+    assert abs(typical.inductance_deviation) < 2.0
+    assert plain.inductance_deviation == 0.0
 
 
 def test_wild_samples_stand_out_of_a_fit_that_goes_through_their_neighbours() -> None:
@@ -585,8 +585,8 @@ def test_evidence_counts_independent_samples() -> None:
     def with_unknowns(count: int) -> StartFit:
         return replace(plain, solution=replace(plain.solution, theta=np.zeros(count)))
 
-    simple = replace(with_unknowns(7), inductance_off=3.0)
-    rich = replace(with_unknowns(9), inductance_off=1.0, independent=(120.0, 80.0))
+    simple = replace(with_unknowns(7), inductance_deviation=3.0)
+    rich = replace(with_unknowns(9), inductance_deviation=1.0, independent=(120.0, 80.0))
     assert evidence(simple, rich) == pytest.approx(9.0 - 1.0 - 2.0 * np.log(200.0))
     worse = replace(simple, expected=simple.expected + np.array([0.01, 5.0]))
     gain = 120.0 * np.log(worse.misfit[0] / rich.misfit[0]) + 80.0 * np.log(worse.misfit[1] / rich.misfit[1])

@@ -329,7 +329,7 @@ def test_a_simple_start_is_run_as_any_other(
             record,
             replace(step_record(TIME_S, ONSET_S, 12.0), readings=readings[: len(TIME_S)]),
         ):
-            one = replace(switched, seen=np.array(seen))
+            one = replace(switched, recorded=np.array(seen))
             simple = one.predict(values_of(PAPER_MOTOR, **sensors, **beyond))
             any_other = one.predict(values_of(PAPER_MOTOR, STRIBECK=1e-200, **sensors, **beyond))
             np.testing.assert_allclose(simple[0], any_other[0], rtol=1e-9, atol=1e-12)

@@ -14,7 +14,7 @@ from scipy import stats
 from motor_env import InputError, Motor, Recording, Verdict, commission, diagnose, load_motor
 from motor_env.cli import main
 from motor_env.common.console import worst
-from motor_env.diagnosis import batch
+from motor_env.diagnosis import file_verdicts
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.operation import windows
 from motor_env.diagnosis.operation.windows import WindowJudge
@@ -138,11 +138,11 @@ def test_one_bad_log_costs_no_other_its_verdict(
     def known(_: str) -> Motor:
         return MOTOR
 
-    monkeypatch.setattr(batch, "read_recording", reading)
-    monkeypatch.setattr(batch, "load_motor", known)
+    monkeypatch.setattr(file_verdicts, "read_recording", reading)
+    monkeypatch.setattr(file_verdicts, "load_motor", known)
     judging(monkeypatch, *[Judgement(Verdict.HEALTHY, ())] * 2, of=3)
     paths = [tmp_path / f"{n}.csv" for n in range(4)]
-    outcomes = batch.diagnose_files(paths, motor="m.toml", regime="operation")
+    outcomes = file_verdicts.diagnose_files(paths, motor="m.toml", regime="operation")
     assert [one.diagnosis is None for one in outcomes] == [True, True, False, True]
     assert [one.as_json()["verdict"] for one in outcomes] == ["unusable", "unusable", "healthy", "unusable"]
     assert outcomes[2].diagnosis is not None
@@ -170,7 +170,7 @@ def test_a_log_without_a_usable_window_says_why(
     assert reason in found.reasons[0]
     (whole, *_) = found.pieces
     assert whole.duration_s == (pytest.approx(0.4) if has_levels else 0.0)
-    assert batch.Outcome(record.path, found).status == 3
+    assert file_verdicts.Outcome(record.path, found).status == 3
 
 
 @pytest.mark.parametrize("rate", [0.15, 0.02])

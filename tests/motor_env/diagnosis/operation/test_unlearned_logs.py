@@ -64,7 +64,7 @@ def true_fit(record: Record) -> Any:
     values[[index.NOISE_I, index.NOISE_W, index.NOISE_V]] = 0.02, 1.0, 0.005
     values[[index.HEATING, index.COOLING]] = 3.0, 0.1
     return SimpleNamespace(
-        record=SimpleNamespace(seen=np.ones(2), hold="late"),
+        record=SimpleNamespace(recorded=np.ones(2), hold="late"),
         solution=SimpleNamespace(values=values, names=TERMS),
         expected=record.readings,
     )
@@ -224,7 +224,7 @@ def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPat
 
     def unseen(record: Record) -> Any:
         fit = true_fit(record)
-        fit.record.seen[1] = 0.0
+        fit.record.recorded[1] = 0.0
         return fit
 
     monkeypatch.setattr(log_diagnosis, "identify_record", unseen)

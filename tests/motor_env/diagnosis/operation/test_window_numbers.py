@@ -15,7 +15,7 @@ from scipy import integrate, optimize, stats
 
 from motor_env import Diagnosis, FaultKind, InputError, Motor, Recording, Verdict, diagnose
 from motor_env.cli import main
-from motor_env.diagnosis import batch
+from motor_env.diagnosis import file_verdicts
 from motor_env.diagnosis.commission import Commissioned, commission
 from motor_env.diagnosis.estimation import parameter_index as index
 
@@ -438,9 +438,9 @@ class Lesson:
         *,
         load_sd: float = 0.2,
         scatter: float = 1.0,
-        steps_seen: float = 1.0,
+        visible_step_share: float = 1.0,
     ) -> None:
-        self.steps_seen = steps_seen
+        self.visible_step_share = visible_step_share
         self.logs = scatter * LOGS
         self.names: tuple[str, ...] = ("R", "K", "offset_speed")
         self.speeds = (140.0, -20.0)  # 100 effective
@@ -457,7 +457,7 @@ class Lesson:
     def identify(self, recordings: Sequence[Recording], *, most: int) -> Any:
         self.joint.append(sum(len(one.time_s) for one in recordings))
         assert most == max(10_000, self.joint[-1])
-        record = SimpleNamespace(seen=np.ones(2), hold="late", steps_seen=self.steps_seen)
+        record = SimpleNamespace(recorded=np.ones(2), hold="late", visible_step_share=self.visible_step_share)
         solution = SimpleNamespace(values=self.values, names=self.names)
         speeds = np.column_stack([[9.0, 9.0], self.speeds])
         return SimpleNamespace(record=record, solution=solution, expected=speeds)
@@ -607,7 +607,7 @@ def taught(recordings: Sequence[Recording], window_s: float | None = None) -> Wi
 
 
 def test_a_load_is_unknown_in_windows_that_tell_it_from_friction(monkeypatch: pytest.MonkeyPatch) -> None:
-    for sd, scatter, is_told in (
+    for sd, scatter, is_determined in (
         (0.0999, 0.0, True),
         (0.1001, 0.0, False),
         (0.05, 0.0999, True),
@@ -617,8 +617,10 @@ def test_a_load_is_unknown_in_windows_that_tell_it_from_friction(monkeypatch: py
         drag = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
         lesson.logs = np.column_stack([lesson.logs[:, :3], lesson.logs[:, 3].mean() + scatter * drag])
         found = taught([recording(3000)], 0.5)
-        assert ("load_walk" in found.terms) is is_told
-        assert bool(found.physical[index.WALK] > 0.0) is is_told  # none, or a constant load would be unknown
+        assert ("load_walk" in found.terms) is is_determined
+        assert (
+            bool(found.physical[index.WALK] > 0.0) is is_determined
+        )  # none, or a constant load would be unknown
         assert lesson.wanted[0] == ("R", "K", "offset_speed", "load_constant", "load_walk")
 
 
@@ -678,9 +680,9 @@ def test_a_lesson_needs_four_windows_and_chooses_some_of_many(monkeypatch: pytes
 def test_logs_whose_holes_hide_the_steps_of_the_voltage_teach_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    Lesson(monkeypatch, steps_seen=0.21)
+    Lesson(monkeypatch, visible_step_share=0.21)
     assert learn_windows([recording(3100)], 0.5)[0].pieces == 6
-    Lesson(monkeypatch, steps_seen=0.19)
+    Lesson(monkeypatch, visible_step_share=0.19)
     with pytest.raises(
         UnusableError, match="samples are missing at the voltage's steps: how the current follows"
     ):
@@ -806,7 +808,7 @@ def test_the_command_counts_all_windows_of_a_log(
         return motor_of_windows(HEALTHY, "m")
 
     monkeypatch.setattr(WindowJudge, "judge", judge)
-    monkeypatch.setattr(batch, "load_motor", known)
+    monkeypatch.setattr(file_verdicts, "load_motor", known)
     log = str(log_file(tmp_path))
     assert main(["diagnose", log, "--motor", "m.toml", "--json", "--false-alarm-rate", "0.2"]) == 1
     (told,) = json.loads(capsys.readouterr().out)

@@ -15,8 +15,8 @@ from trend_laws import verdicts
 from motor_env import InputError
 from motor_env.cli import main
 from motor_env.diagnosis.prognosis.degradation import first_passage_cdf, fit_degradation
-from motor_env.diagnosis.prognosis.files import Trends, date_of, read_estimates
 from motor_env.diagnosis.prognosis.trend import Series, judge, parse_limits
+from motor_env.diagnosis.prognosis.trend_report import Trends, date_of, read_estimates
 
 
 def array(*values: float) -> np.ndarray:

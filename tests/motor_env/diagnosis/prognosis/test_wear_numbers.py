@@ -15,9 +15,8 @@ from scipy.stats import invgauss, norm
 
 from motor_env import InputError
 from motor_env.cli import main
-from motor_env.diagnosis.prognosis import files
+from motor_env.diagnosis.prognosis import trend_report
 from motor_env.diagnosis.prognosis.degradation import Degradation, RemainingLife, fit_degradation, time_scale
-from motor_env.diagnosis.prognosis.files import Trends, build_series, read_estimates
 from motor_env.diagnosis.prognosis.trend import (
     Forecast,
     Series,
@@ -27,6 +26,7 @@ from motor_env.diagnosis.prognosis.trend import (
     last_jump,
     reason_withheld,
 )
+from motor_env.diagnosis.prognosis.trend_report import Trends, build_series, read_estimates
 from motor_env.diagnosis.readers.start import Start
 from motor_env.motor.parameters import FloatArray
 
@@ -457,7 +457,7 @@ def test_json_says_what_was_judged(tmp_path: Path, capsys: pytest.CaptureFixture
     assert leading is not None
     assert leading.factor == 1.6
     for count, reference in ((1, 3.0), (5, 3.06)):
-        (one,) = files.trend(table, reference_count=count).trends
+        (one,) = trend_report.trend(table, reference_count=count).trends
         assert one.reference == pytest.approx(reference)
     assert 0.5 < life.median / ((1.6 * 3.03 - 3.87) / 0.03) < 1.02
 
@@ -497,9 +497,9 @@ def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given
         errors = {"log_covariance": np.array([[1.0]]), "white_covariance": np.array([[0.01]])}
         return SimpleNamespace(quantity_names=("R",), values=np.array([2.0]), **errors)
 
-    monkeypatch.setattr(files, "fit_healthy", choose)
-    monkeypatch.setattr(files, "identify", fit)
-    found = files.trend(sorted(tmp_path.iterdir(), reverse=True), voltage_v=24.0)
+    monkeypatch.setattr(trend_report, "fit_healthy", choose)
+    monkeypatch.setattr(trend_report, "identify", fit)
+    found = trend_report.trend(sorted(tmp_path.iterdir(), reverse=True), voltage_v=24.0)
     np.testing.assert_allclose(chosen, [[(2.0, 24.0), (3.0, 24.0), (4.0, 24.0)]])
     assert fitted == [(("sensor_lag",), 24.0, True)] * 5
     assert found.trends[0].series.time.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]

@@ -112,7 +112,7 @@ def test_a_bug_on_one_file_costs_no_verdict(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # Reaches in: a bug is patched in for the reader that the command calls for each file.
-    from motor_env.diagnosis import batch
+    from motor_env.diagnosis import file_verdicts
 
     calls = iter([TypeError("a bug"), None])
 
@@ -121,7 +121,7 @@ def test_a_bug_on_one_file_costs_no_verdict(
             raise error
         return read_recording(path, columns)
 
-    monkeypatch.setattr(batch, "read_recording", sometimes)
+    monkeypatch.setattr(file_verdicts, "read_recording", sometimes)
     capture, motor = str(EXAMPLES / "startup_capture.csv"), str(EXAMPLES / "motor.toml")
     assert cli.main(["diagnose", capture, capture, "--motor", motor]) == 70
     printed = capsys.readouterr()

@@ -145,13 +145,13 @@ def test_the_ripple_is_compared_beside_the_verdict(monkeypatch: pytest.MonkeyPat
     half = stats.norm.isf(0.025) * 0.01
     for is_known, name in ((True, "K"), (False, "K/V")):
         one = replace(fit, start=replace(fit.start, voltage_known=is_known))
-        for hz, is_told in ((1.49e3, True), (1.51e3, False), (0.66e3, False)):
+        for hz, is_determined in ((1.49e3, True), (1.51e3, False), (0.66e3, False)):
             monkeypatch.setattr(judging, "ripple_quantities", lambda _, hz=hz: (hz, 0.018))
             told = judging._add_ripple(found, one, starts, RATE)
             assert (told.verdict, told.reasons) == (found.verdict, found.reasons)
             added = told.changes[len(found.changes) :]
-            assert [each.name for each in added] == (["speed", name] if is_told else [])
-            for each, log in zip(added, np.log([1e-3 * hz, 0.9]), strict=is_told):
+            assert [each.name for each in added] == (["speed", name] if is_determined else [])
+            for each, log in zip(added, np.log([1e-3 * hz, 0.9]), strict=is_determined):
                 expected = np.exp([log, log - half, log + half])
                 assert (each.ratio, each.low, each.high) == pytest.approx(tuple(expected), rel=1e-5)
                 assert each.significant
@@ -281,11 +281,11 @@ def test_another_temperature_is_told_beyond_two_of_its_deviations() -> None:
         covariance = np.diag([middle, 1.0, middle, 1.0]) ** 2
         pull = warmth @ np.linalg.inv(covariance + excess_covariance(covariance, error)) @ warmth
         low, high = (middle, high) if (pull + 15.0**-2) ** -0.5 < 6.0 else (low, middle)
-    for kelvin, is_told in ((11.9, False), (12.1, True)):
+    for kelvin, is_determined in ((11.9, False), (12.1, True)):
         shrunk = pull / (pull + 15.0**-2)
         off = kelvin / shrunk * warmth - bent(kelvin * warmth)
         found = moved(*off, log_covariance=covariance, temperature_k=15.0)
-        assert ("12 K warmer" in " ".join(found.reasons)) is is_told
+        assert ("12 K warmer" in " ".join(found.reasons)) is is_determined
 
 
 def test_units_of_the_extensions() -> None:

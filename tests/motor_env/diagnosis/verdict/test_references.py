@@ -15,7 +15,7 @@ from motor_env import (
     InputError,
     Motor,
 )
-from motor_env.diagnosis import batch, commission
+from motor_env.diagnosis import commission, file_verdicts
 from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.diagnosis.readers.start import Circuit, prepare
@@ -195,11 +195,11 @@ def test_healthy_recordings_are_learned_with_what_is_known_of_those_that_are_jud
         given.update(options)
         return SimpleNamespace(motor=SHEET)
 
-    monkeypatch.setattr(batch, "commission", learn)
-    monkeypatch.setattr(batch, "read_recording", lambda *_: judged().recording)
-    monkeypatch.setattr(batch, "diagnose", lambda *_, **__: judged())
+    monkeypatch.setattr(file_verdicts, "commission", learn)
+    monkeypatch.setattr(file_verdicts, "read_recording", lambda *_: judged().recording)
+    monkeypatch.setattr(file_verdicts, "diagnose", lambda *_, **__: judged())
     known: dict[str, Any] = {"voltage_v": 24.0, "circuit": Circuit(shunt_ohm=0.5), "regime": "start"}
-    (outcome,) = batch.diagnose_files([Path("start.csv")], healthy=[Path("healthy.csv")], **known)
+    (outcome,) = file_verdicts.diagnose_files([Path("start.csv")], healthy=[Path("healthy.csv")], **known)
     assert outcome.diagnosis is judged()
     assert known.items() <= given.items()
 

@@ -21,10 +21,10 @@ from motor_env import (
     read_recording,
 )
 from motor_env.cli import main
-from motor_env.diagnosis.batch import page_path
 
 # Reaches in: fits are altered by hand.
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
+from motor_env.diagnosis.file_verdicts import page_path
 from motor_env.diagnosis.readers.noise import PeriodicLine
 from motor_env.diagnosis.verdict import report_page, report_text
 from motor_env.diagnosis.verdict.hypotheses import (

@@ -18,8 +18,8 @@ from motor_env.common.console import printable
 from motor_env.common.errors import InputError, require_several
 from motor_env.common.files import LARGEST_TABLE_BYTES, read_json
 from motor_env.common.pages import Axis, Chart, render, round_ticks
-from motor_env.diagnosis.batch import explain_failure
 from motor_env.diagnosis.estimation.starts.start_identification import identify
+from motor_env.diagnosis.file_verdicts import explain_failure
 from motor_env.diagnosis.prognosis.trend import Forecast, Series, Trend, describe, judge
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import Recording, read_recording
