@@ -205,14 +205,14 @@ def verdict_of(label_kind: str) -> str:
 
 
 def predictions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Prediction]:
-    """Prediction on each case, X of shape (n_cases, n_channels, n_timepoints)."""
+    """Prediction on each case, X of shape (n_cases, n_channels, n_timepoints), or flattened."""
     instance("model", model, BaseEstimator)
     instance("recipe", recipe, Recipe)
     if isinstance(model, ConformalClassifier):
         sets = (tuple(model.classes_[chosen].tolist()) for chosen in model.predict_set(X))
         inside = predictions(model.wrapped_model, recipe, X)
         return [prediction._replace(candidates=names) for prediction, names in zip(inside, sets, strict=True)]
-    X = cases_by_axis(X, recipe)
+    X = X if isinstance(X, np.ndarray) and X.ndim == 2 else cases_by_axis(X, recipe)
     probabilities = in_recipe_order(model, answered(model, X), recipe)
     verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
     best = probabilities.argmax(axis=1)

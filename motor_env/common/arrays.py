@@ -192,13 +192,14 @@ def _unmasked(values: Any) -> Any:
     """NaN in place of masked values, in lists too; whole numbers without a mask stay such."""
     if isinstance(values, np.ma.MaskedArray):
         if np.ma.is_masked(values) and values.dtype.kind == "O":
-            return np.where(np.ma.getmaskarray(values), None, values.data)
+            return np.where(np.ma.getmaskarray(values), np.array(None), values.data)
         is_missing = np.ma.is_masked(values) and values.dtype.kind in "fiu"
         return np.ma.filled(values.astype(np.float64), np.nan) if is_missing else values.data
     if isinstance(values, list | tuple) and set(map(type, values)) != {float}:
         found = [_unmasked(entry) for entry in values]
         bools = [
-            isinstance(entry, bool | np.bool_) or getattr(entry, "dtype", None) == bool for entry in found
+            isinstance(entry, bool | np.bool_) or (isinstance(entry, np.ndarray) and entry.dtype.kind == "b")
+            for entry in found
         ]
         # NumPy makes 1.0 of a bool beside a number.
         return np.array(found, dtype=None if all(bools) else object) if any(bools) else found

@@ -44,7 +44,7 @@ BOTH = SensorParameters(channels=(Channel.CURRENT, Channel.SPEED))
 RECIPE = replace(load_recipe("bench"), sensor=BOTH, timing=Timing(2000.0, 0.02))
 TRAIN, TEST = generate_arrays(RECIPE, 1, 100), generate_arrays(RECIPE, 2, 3)
 X = TEST.X.astype(np.float64)
-NETWORKS = {"random_state": 0, "n_hidden": 4, "n_layers": 1, "batch_size": 50}
+NETWORKS: dict[str, Any] = {"random_state": 0, "n_hidden": 4, "n_layers": 1, "batch_size": 50}
 SHARES, TRUTH = np.array([[0.5, 0.3, 0.2], [0.1, 0.6, 0.3], [0.2, 0.1, 0.7]]), np.array([0, 1, 2])
 SETS = ConformalSets.calibrate(SHARES, TRUTH, label_conditional=True)
 

@@ -118,7 +118,7 @@ class EpochClassifier(LogitClassifier):
             schedule = torch.optim.lr_scheduler.OneCycleLR(
                 optimiser,
                 max_lr=self.learning_rate,
-                total_steps=int(self.epochs * -(-len(flat) // self.batch_size)),
+                total_steps=int(self.epochs) * -(-len(flat) // int(self.batch_size)),
                 cycle_momentum=False,
             )
             inputs = torch.from_numpy(self._inputs(features)).to(next(network.parameters()).dtype)
@@ -311,7 +311,7 @@ class ResNetClassifier(WaveformClassifier):
         """Batches of nearly equal size: a batch of one has no variance to normalise by."""
         for _ in range(self.epochs):
             order = torch.randperm(len(inputs), generator=generator)
-            for rows in torch.tensor_split(order, -(-len(inputs) // self.batch_size)):
+            for rows in torch.tensor_split(order, -(-len(inputs) // int(self.batch_size))):
                 noise = torch.randn(inputs[rows].shape, generator=generator)
                 yield inputs[rows] + self.noise * noise, labels[rows]
 
