@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
-from motor_classifiers.estimators.cases import values_of_start
+from motor_classifiers.estimators.cases import cases_by_axis, values_of_start
 from motor_classifiers.estimators.methods import model_probabilities
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.model_files.persistence import PRETRAINED, load_model
@@ -22,6 +22,7 @@ from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
 from motor_classifiers.wrappers.outlier_detector import ADVICE, OUTSIDE, OutsideDetector
 from motor_datasets.loaders import load
+from motor_env.common.arrays import instance
 from motor_env.common.console import ExitStatus
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.diagnose import diagnose
@@ -204,11 +205,14 @@ def verdict_of(label_kind: str) -> str:
 
 
 def predictions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Prediction]:
-    """Prediction on each case, X of shape (n_cases, n_channels, n_timepoints)."""
+    """Prediction on each case, X of shape (n_cases, n_channels, n_timepoints), or flattened."""
+    instance("model", model, BaseEstimator)
+    instance("recipe", recipe, Recipe)
     if isinstance(model, ConformalClassifier):
         sets = (tuple(model.classes_[chosen].tolist()) for chosen in model.predict_set(X))
         inside = predictions(model.wrapped_model, recipe, X)
         return [prediction._replace(candidates=names) for prediction, names in zip(inside, sets, strict=True)]
+    X = X if isinstance(X, np.ndarray) and X.ndim == 2 else cases_by_axis(X, recipe)
     probabilities = in_recipe_order(model, model_probabilities(model, X), recipe)
     verdicts = np.array([verdict_of(c.label_kind) for c in recipe.classes])
     best = probabilities.argmax(axis=1)
@@ -257,7 +261,7 @@ def predict(recording: Recording | Path | str, model: Path | str | None = None) 
     Raises:
         InputError: a file cannot be read.
     """
-    fitted, recipe, _ = load_model(PRETRAINED if model is None else Path(model))
+    fitted, recipe, _ = load_model(PRETRAINED if model is None else model)
     return predict_recording(fitted, recipe, recording)
 
 
@@ -267,6 +271,9 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
     Raises:
         InputError: the file cannot be read.
     """
+    instance("model", model, BaseEstimator)
+    instance("recipe", recipe, Recipe)
+    instance("recording", recording, (Recording, Path, str))
     if not isinstance(recording, Recording):
         recording = read_recording(Path(recording))
     references = model.n_features_in_ // values_of_start(recipe) - 1

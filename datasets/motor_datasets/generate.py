@@ -146,6 +146,7 @@ def _splits_of_range(recipe: Recipe, seed: int, begin: int, end: int) -> list[st
     return [str(split) for split in Split if str(split) in present]
 
 
+_LARGEST_ARRAY_BYTES = 2**40  # no machine of a user has it: refused before hours of drawing
 _CASES_AT_ONCE = 4096  # bounds the memory of what only some recipes need; more gains nothing
 
 
@@ -163,7 +164,10 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
     instance("recipe", recipe, Recipe)
     whole("seed", seed, most=2**64 - 1)
     if isinstance(cases, int | float | str | np.generic) or getattr(cases, "ndim", 1) == 0:
-        numbers = np.arange(at_least_one("cases", cases), dtype=np.int64)
+        count = at_least_one("cases", cases)
+        most = _LARGEST_ARRAY_BYTES // (4 * len(recipe.channels) * recipe.timing.n_samples)
+        require(count <= most, f"cases must be at most {most} in memory, got {count}")
+        numbers = np.arange(count, dtype=np.int64)
     else:
         numbers = wholes("cases", cases)
         require(numbers.ndim == 1, f"cases must be one list of numbers, got shape {numbers.shape}")

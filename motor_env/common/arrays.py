@@ -26,6 +26,17 @@ Shape = tuple[int | str, ...]
 """Lengths of axes; a word stands for any length, "..." at the front for any axes."""
 
 _KINDS = {"b": "bools", "c": "complex numbers", "m": "durations", "M": "dates", "U": "text", "S": "text"}
+_NO_REALS = (
+    str,
+    bytes,
+    bytearray,
+    bool,
+    complex,
+    np.bool_,
+    np.complexfloating,
+    np.datetime64,
+    np.timedelta64,
+)
 _WHOLE = 2**63 - 1
 _DOUBLE, _SINGLE = np.dtype(np.float64), np.dtype(np.float32)
 
@@ -126,7 +137,7 @@ def whole(name: str, value: Any, least: int = 0, most: int = _WHOLE) -> int:
         found = value.tolist()
     if not isinstance(found, int) or isinstance(found, bool) or not least <= found <= most:
         raise ValueError(f"{name} must be a whole number in {least} .. {most}, got {shown(value)}")
-    return found
+    return int(found)  # not a word of an enumeration
 
 
 def wholes(name: str, values: Any, least: int = 0, most: int = _WHOLE) -> NDArray[np.int64]:
@@ -153,14 +164,17 @@ def is_one_of(value: Any, words: Iterable[str]) -> bool:
     return isinstance(value, str) and value in set(words)
 
 
-def shown(value: Any) -> str:
+def shown(value: Any, depth: int = 3) -> str:
     """Describe a caller's value in a few words, on one line."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, np.ndarray):
         return shown(value.tolist()) if value.size < 4 else f"an array of shape {value.shape}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(shown, value[:4]))}{', ...' * (len(value) > 4)}]"
+        entries = [shown(entry, depth - 1) for entry in value[: 4 if depth else 0]]
+        return f"[{', '.join(entries)}{', ...' * (len(value) > len(entries))}]"
+    if isinstance(value, int) and value.bit_length() > 1000:
+        return f"a whole number of {value.bit_length()} bits"  # Python refuses to write it
     if isinstance(value, str | bytes | int | float | complex | None):
         return reprlib.repr(value)
     kind = value if isinstance(value, type) else type(value)
@@ -177,10 +191,18 @@ def _array(name: str, values: Any) -> NDArray[Any]:
 def _unmasked(values: Any) -> Any:
     """Replace masked values by NaN, in lists too; integers without a mask stay integers."""
     if isinstance(values, np.ma.MaskedArray):
+        if np.ma.is_masked(values) and values.dtype.kind == "O":
+            return np.where(np.ma.getmaskarray(values), np.array(None), values.data)
         is_missing = np.ma.is_masked(values) and values.dtype.kind in "fiu"
         return np.ma.filled(values.astype(np.float64), np.nan) if is_missing else values.data
     if isinstance(values, list | tuple) and set(map(type, values)) != {float}:
-        return [_unmasked(entry) for entry in values]
+        found = [_unmasked(entry) for entry in values]
+        bools = [
+            isinstance(entry, bool | np.bool_) or (isinstance(entry, np.ndarray) and entry.dtype.kind == "b")
+            for entry in found
+        ]
+        # NumPy makes 1.0 of a bool beside a number.
+        return np.array(found, dtype=None if all(bools) else object) if any(bools) else found
     return values
 
 
@@ -188,7 +210,7 @@ def _doubles(name: str, array: NDArray[Any]) -> NDArray[np.float64]:
     """Convert real numbers to float64, also Python integers beyond 64 bits; None becomes NaN."""
     is_object = array.dtype.kind == "O"
     if array.dtype.kind in "fiu" or (
-        is_object and not any(isinstance(entry, str | bytes | bool) for entry in array.flat)
+        is_object and not any(isinstance(entry, _NO_REALS) for entry in array.flat)
     ):
         try:
             with np.errstate(over="ignore"):

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from motor_env.common.arrays import shown
+from motor_env.common.arrays import instance, shown
 from motor_env.common.errors import require_extra
 from motor_env.envs.policies.posterior_policies import PosteriorView
 from motor_env.envs.vector import MotorVectorEnv
@@ -34,6 +34,7 @@ class StableBaselinesVecEnv(VecEnv):
     """
 
     def __init__(self, envs: MotorVectorEnv | PosteriorView) -> None:
+        instance("envs", envs, (MotorVectorEnv, PosteriorView))
         require(
             envs.autoreset_mode is AutoresetMode.SAME_STEP,
             f"autoreset_mode of the vector must be SameStep, got {envs.autoreset_mode.value}",
@@ -108,5 +109,6 @@ class StableBaselinesVecEnv(VecEnv):
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
         """Refuse options of a reset."""
-        if options and (isinstance(options, dict) or any(options)):
+        given = options if isinstance(options, list | tuple) else [options]
+        if not all(each is None or (isinstance(each, dict) and not each) for each in given):
             raise NotImplementedError(f"a compiled vector has no options of a reset, got {shown(options)}")

@@ -264,7 +264,7 @@ def joint_filter(
         len(names) > 0 and not unknown and len(set(names)) == len(names),
         f"names must be of {', '.join(FREE)}, each once, got {', '.join(unknown or names) or 'none'}",
     )
-    require(str(kind) in list(JointKind), f"kind must be one of {', '.join(JointKind)}, got {shown(kind)}")
+    require(is_one_of(kind, JointKind), f"kind must be one of {', '.join(JointKind)}, got {shown(kind)}")
     prior_std = number("prior_std", prior_std, above=0.0)
     process_std = numbers("process_noise_std", process_noise_std, (N_STATES,), least=0.0)
     memory = None if memory is None else number("memory", memory, least=1.0)

@@ -144,7 +144,11 @@ def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
     result = _checked(result, len(kalman.observation), kalman.model.transition.shape[:-2])
     n_samples, n_channels = result.innovation.shape[-2:]
     known = np.nan_to_num(result.innovation)
-    weighted = np.linalg.solve(result.innovation_covariance, known[..., None])[..., 0]
+    with np.errstate(over="ignore", invalid="ignore"):
+        try:
+            weighted = np.linalg.solve(result.innovation_covariance, known[..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            raise ValueError("result.innovation_covariance must be positive definite") from None
     weighted = np.ascontiguousarray(weighted).reshape(-1, n_samples, n_channels)
     state = result.state.reshape(-1, n_samples, N_STATES)
     covariance = result.covariance.reshape(-1, n_samples, N_STATES, N_STATES)

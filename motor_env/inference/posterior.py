@@ -193,7 +193,7 @@ class SeverityPrior:
         object.__setattr__(self, "kind", FaultKind(self.kind))
         require(self.kind not in SENSOR_KINDS, f"kind must be a fault of the motor or noise, got {self.kind}")
         for name in ("smallest", "largest"):
-            number(name, getattr(self, name))
+            object.__setattr__(self, name, number(name, getattr(self, name)))
         require(
             0.0 <= self.smallest < self.largest <= LARGEST_SEVERITY,
             f"severity of {self.kind} must range from >= 0 to more, got {self.smallest:g} to {self.largest:g}",

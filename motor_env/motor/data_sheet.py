@@ -29,7 +29,7 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from motor_env.common.arrays import instance, shown
+from motor_env.common.arrays import instance, is_one_of, shown
 from motor_env.common.errors import InputError
 from motor_env.common.files import write_text
 from motor_env.motor.healthy import Healthy
@@ -138,7 +138,9 @@ class Motor:
     def __post_init__(self) -> None:
         instance("name", self.name, str)
         kinds = get_args(Kind)
-        require(str(self.kind) in kinds, f"kind must be one of {', '.join(kinds)}, got {shown(self.kind)}")
+        require(
+            is_one_of(self.kind, kinds), f"kind must be one of {', '.join(kinds)}, got {shown(self.kind)}"
+        )
         instance("parameters", self.parameters, MotorParameters)
         instance("healthy", self.healthy, (Healthy, NoneType))
         for name in ("nominal_voltage_v", "current_noise_a", "speed_noise_rad_s"):
@@ -177,9 +179,9 @@ def load_motor(name_or_path: str | Path) -> Motor:
         InputError: no such file or preset, not TOML, an unknown key, a value out of range, a quantity given twice or
             not.
     """
+    instance("name_or_path", name_or_path, (str, Path))
     if str(name_or_path) in CATALOGUE:
         return Motor(str(name_or_path), "data_sheet", CATALOGUE[str(name_or_path)])
-    instance("name_or_path", name_or_path, (str, Path))
     path = Path(name_or_path)
     content = read_toml(path, f"no such motor file; presets are {', '.join(sorted(CATALOGUE))}")
     try:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from motor_env.common.arrays import instance, number, real, shown
+from motor_env.common.arrays import instance, is_one_of, number, real, shown
 from motor_env.motor.parameters import (
     QUANTITY_FIELDS,
     FloatArray,
@@ -333,7 +333,7 @@ class Fault:
         if type(kind) is not FaultKind:
             kind = FaultKind(kind)
         if type(source) is not NoiseSource:
-            if str(source) not in list(NoiseSource):
+            if not is_one_of(source, NoiseSource):
                 raise ValueError(f"noise_source must be one of {', '.join(NoiseSource)}, got {shown(source)}")
             source = NoiseSource(str(source))
         kind.require_severity(severity)

@@ -18,6 +18,7 @@ import signal
 import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, Self
 
@@ -234,6 +235,7 @@ def _arrays(good: np.ndarray[Any, Any]) -> Iterator[Cell]:
     yield "masked", masked, MISSING
     yield "masked rows", [masked[n] for n in range(len(masked))], MISSING
     yield "None inside", _at(good, None, object), MISSING
+    yield "masked objects", np.ma.array(wild.astype(object), mask=wild != good), MISSING
     yield "inf", _at(good, np.inf), REFUSED
     yield "-inf", _at(good, -np.inf), REFUSED
     yield "huge", _at(good, 1e300), REFUSED
@@ -255,6 +257,18 @@ def _arrays(good: np.ndarray[Any, Any]) -> Iterator[Cell]:
     yield "strings", good.astype(str), REFUSED
     yield "objects that are none", np.full(good.shape, object()), REFUSED
     yield "beyond floats", _at(good, 10**400, object), REFUSED
+    for entry in (
+        np.True_,
+        np.complex128(1 + 2j),
+        np.timedelta64(1, "s"),
+        np.datetime64(1, "s"),
+        bytearray(b"1"),
+    ):
+        yield f"objects with a {type(entry).__name__}", _at(good, entry, object), REFUSED
+    yield "list with a bool", _at(good, True, object).tolist(), REFUSED
+    endless: list[Any] = []
+    endless.append(endless)
+    yield "endless", endless, REFUSED
     yield "text", "abc", REFUSED
     yield "dictionary", {"a": 1}, REFUSED
     yield "set", {1.0}, REFUSED
@@ -279,6 +293,7 @@ def _no_numbers() -> Iterator[Cell]:
     yield "several", np.ones(3), REFUSED
     yield "beyond floats", 10**400, REFUSED
     yield "-beyond floats", -(10**400), REFUSED
+    yield "of too many digits to write", 10**5000, REFUSED
     yield "dictionary", {"a": 1}, REFUSED
     yield "object", object(), REFUSED
     yield "function", len, REFUSED
@@ -301,6 +316,7 @@ def _wholes(good: int) -> Iterator[Cell]:
     yield "unsigned", np.uint32(good), SAME
     yield "0-d", np.array(good), SAME
     yield "big-endian", np.array(good, dtype=">i8"), SAME
+    yield "of an enumeration", IntEnum("Some", {"GOOD": good}).GOOD, SAME  # type: ignore[attr-defined]
     yield from _no_numbers()
     yield "bool", True, REFUSED
     yield "half", good + 0.5, REFUSED

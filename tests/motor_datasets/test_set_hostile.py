@@ -44,7 +44,13 @@ CASES = np.array([3, 1, 4])
 ROWS = [
     Row.of("generate_arrays", "recipe", lambda value: generate_arrays(value, 1, 2).X, SHORT),
     Row.of("generate_arrays", "seed", lambda value: generate_arrays(SHORT, value, 2).X, 7),
-    Row.of("generate_arrays", "cases", lambda value: generate_arrays(SHORT, 1, value).X, 3, also=(0, -1)),
+    Row.of(
+        "generate_arrays",
+        "cases",
+        lambda value: generate_arrays(SHORT, 1, value).X,
+        3,
+        also=(0, -1, 2**40, 2**62),
+    ),
     Row.of("generate_arrays", "cases", lambda value: generate_arrays(SHORT, 1, value).X, CASES, "one short"),
     Row.of("split_of", "seed", lambda value: split_of(value, [1, 2]), 7),
     Row.of(

@@ -10,10 +10,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.pipeline import FeatureUnion, Pipeline
 from sklearn.utils import validation
 from sklearn.utils.multiclass import check_classification_targets
 from torch import nn
 
+from motor_env.common.arrays import instance, numbers
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.named_recipes import named_recipe
 from motor_env.simulation.recipes import Recipe
@@ -96,16 +98,64 @@ def flat_cases(estimator: BaseEstimator, X: Any, *, reset: bool, min_features: i
         ValueError: no cases, a value that is not finite, or another number of values than at the fit.
     """
     checked: FloatArray = validation.validate_data(
-        estimator, _flattened(X), reset=reset, dtype=np.float64, ensure_min_features=min_features
+        estimator,
+        _flattened(estimator, X, reset=reset),
+        reset=reset,
+        dtype=np.float64,
+        ensure_min_features=min_features,
     )
     return checked
 
 
-def _flattened(X: Any) -> Any:
-    """Checked and flattened where there are channels; everything else as it is."""
-    if hasattr(X, "columns") or getattr(X, "ndim", 2) != 3:
+def cases_by_axis(X: Any, recipe: Recipe | None = None) -> FloatArray:
+    """Real finite cases, shape (n_cases, n_channels, n_timepoints), with the recipe's channels and time axis.
+
+    Raises:
+        ValueError: they are not; each with several starts has so many times the channels.
+    """
+    cases = numbers("X", X, ("n_cases", "n_channels", "n_timepoints"), single=True)
+    if recipe is not None:
+        instance("recipe", recipe, Recipe)
+        channels, samples = len(recipe.channels), recipe.timing.n_samples
+        require(
+            cases.shape[2] == samples and cases.shape[1] % channels == 0,
+            f"X must have {channels} x {samples} values a case as recipe {recipe.name} says, "
+            f"got {cases.shape[1]} x {cases.shape[2]}",
+        )
+    return cases
+
+
+def _flattened(estimator: Any, X: Any, *, reset: bool) -> Any:
+    """Checked and flattened where there are channels; two axes are scikit-learn's to check."""
+    recipe = _recipe_of(estimator)
+    instance("recipe", recipe, (Recipe, type(None)))
+    if hasattr(X, "columns") or hasattr(X, "toarray"):
         return X
-    return validation.check_array(X, allow_nd=True, dtype=[np.float64, np.float32]).reshape(len(X), -1)
+    is_array = isinstance(X, np.ndarray) and X.dtype.kind not in "mM" and not np.ma.is_masked(X)
+    if not is_array:
+        X = numbers("X", X)
+    seen: tuple[int, ...] | None = None
+    if X.ndim > 2:
+        X = cases_by_axis(X, recipe)
+        seen = X.shape[1:]
+        before = None if reset else getattr(estimator, "case_shape_", None)
+        require(before in (None, seen), f"X must have {before} values a case as at the fit, got {seen}")
+        X = X.reshape(len(X), -1)
+    if reset and recipe is None:
+        estimator.case_shape_ = seen
+    return X
+
+
+def _recipe_of(estimator: Any) -> Any:
+    """The recipe of an estimator, or of the one inside it that sees the cases."""
+    while estimator is not None and getattr(estimator, "recipe", None) is None:
+        if isinstance(estimator, Pipeline):
+            estimator = estimator.steps[0][1]
+        elif isinstance(estimator, FeatureUnion):
+            estimator = estimator.transformer_list[0][1]
+        else:
+            estimator = getattr(estimator, "estimator", None)
+    return None if estimator is None else estimator.recipe
 
 
 def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
@@ -162,7 +212,9 @@ def labelled_cases(estimator: BaseEstimator, X: Any, y: Any) -> tuple[FloatArray
     Raises:
         ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
     """
-    flat, checked = validation.validate_data(estimator, _flattened(X), y, dtype=np.float64)
+    flat, checked = validation.validate_data(
+        estimator, _flattened(estimator, X, reset=True), y, dtype=np.float64
+    )
     check_classification_targets(checked)
     estimator.classes_, labels = np.unique(checked, return_inverse=True)
     if len(estimator.classes_) < 2:

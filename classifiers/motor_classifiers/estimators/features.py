@@ -15,6 +15,7 @@ from sklearn.base import BaseEstimator, ClassNamePrefixFeaturesOutMixin, Transfo
 from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.estimators.cases import fitting_recipe, flat_cases, measured_cases
+from motor_env.common.arrays import whole
 from motor_env.detection.rules import Cusum, Rule, nis_rule
 from motor_env.detection.rules.tolerant import TolerantFilter
 from motor_env.filters.batch import run_filter
@@ -103,6 +104,8 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
 
     def fit(self, X: Any, y: Any = None) -> Self:
         """Find the directions; the labels are not looked at."""
+        whole("n_components", self.n_components, 1)
+        whole("n_draws", self.n_draws, 1)
         flat = flat_cases(self, X, reset=True)
         if self.recipe is None:
             mean = flat.mean(axis=0)

@@ -25,6 +25,7 @@ from motor_classifiers.estimators.confirmation import ThresholdConfirmationClass
 from motor_classifiers.estimators.features import PhysicalFeatures, ResidualProjection, RuleStatistics
 from motor_classifiers.estimators.networks.epoch_classifier import PerceptronClassifier, ResNetClassifier
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
+from motor_env.common.arrays import instance, is_one_of, shown, whole
 from motor_env.common.errors import InputError
 from motor_env.common.files import LARGEST_NOTE_BYTES, read_file
 from motor_env.motor.parameters import FloatArray
@@ -213,9 +214,10 @@ def make_method(name: str, recipe: Recipe, random_state: int) -> BaseEstimator:
     Raises:
         ValueError: no such method; the sentence lists those that exist.
     """
-    if name not in METHODS:
-        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {name!r}")
-    return METHODS[name].make(recipe, random_state)
+    if not is_one_of(name, METHODS):
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, got {shown(name)}")
+    instance("recipe", recipe, Recipe)
+    return METHODS[name].make(recipe, whole("random_state", random_state))
 
 
 GROUP = "motor_classifiers.methods"

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, softmax
 from sklearn.linear_model import LogisticRegression
 
+from motor_env.common.arrays import number
 from motor_env.motor.parameters import FloatArray, require
 
 IntArray = NDArray[np.int64]
@@ -313,7 +314,7 @@ def _check_rate(rate: float | None, n_healthy: int) -> None:
     require(n_healthy > 0, "training cases must hold healthy ones, got none")
     if rate is None:
         return
-    require(0.0 < rate < 1.0, f"false_alarm_rate must lie between 0 and 1, got {rate:g}")
+    number("false_alarm_rate", rate, least=1e-12, below=1.0)
     least = 2 * int(np.ceil(1.0 / rate - 1.0 - 1e-9))
     require(
         n_healthy >= least,

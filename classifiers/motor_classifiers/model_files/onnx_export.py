@@ -18,6 +18,7 @@ from motor_classifiers.estimators.networks import severity_density
 from motor_classifiers.estimators.networks.posterior import Posterior
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
 from motor_classifiers.estimators.networks.training import one_thread
+from motor_env.common.arrays import instance
 from motor_env.common.files import replacing
 from motor_env.simulation.named_recipes import recipe_to_dict
 from motor_env.simulation.recipes import Recipe
@@ -59,6 +60,9 @@ class Deployed(nn.Module):
 
 def export_onnx(model: PosteriorNetwork, recipe: Recipe, path: Path) -> None:
     """Write a fitted network as an ONNX file, with classes, kinds and recipe in its metadata; whole or not at all."""
+    instance("model", model, PosteriorNetwork)
+    instance("recipe", recipe, Recipe)
+    instance("path", path, Path)
     deployed = Deployed(model).eval()
     channels = (1 + model.n_references) * len(recipe.sensor.channels)
     example = torch.zeros(_EXAMPLES, channels, recipe.timing.n_samples)

@@ -38,6 +38,7 @@ from motor_classifiers.model_files import containers
 from motor_classifiers.model_files.containers import packed, parsed, unpacked
 from motor_classifiers.wrappers.conformal import ConformalClassifier
 from motor_classifiers.wrappers.fitted import innermost
+from motor_env.common.arrays import instance
 from motor_env.common.errors import InputError
 from motor_env.common.files import LARGEST_DATA_BYTES, read_file, replacing
 from motor_env.motor.parameters import require
@@ -190,6 +191,10 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path | s
     Raises:
         InputError: a model of another kind, or the file cannot be written.
     """
+    instance("model", model, BaseEstimator)
+    instance("recipe", recipe, Recipe)
+    instance("method", method, str)
+    instance("path", path, (Path, str))
     content = _content(model, recipe, method)
     with replacing(Path(path)) as temporary:
         temporary.write_bytes(content)
@@ -211,6 +216,7 @@ def load_model(path: Path | str) -> Loaded:
     Raises:
         InputError: no such file, not one of ours, damaged, or with content that is not allowed.
     """
+    instance("path", path, (Path, str))
     content = read_file(Path(path), LARGEST_DATA_BYTES)
     try:
         return _loaded(content, _MOST_WRAPPERS)

@@ -31,6 +31,7 @@ from motor_classifiers.scoring.task import (
     mean_figures,
 )
 from motor_datasets.arrays import Dataset
+from motor_env.common.arrays import instance, is_one_of, real, shown
 from motor_env.common.errors import InputError
 from motor_env.common.files import LARGEST_TABLE_BYTES, read_file
 from motor_env.inference.posterior import SeverityPrior, severity_posterior
@@ -314,8 +315,8 @@ def load_task(name: str) -> DrawnTask:
     Raises:
         InputError: there is none of this name.
     """
-    if name not in TASKS:
-        raise InputError(f"task must be one of {', '.join(TASKS)}, got {name!r}")
+    if not is_one_of(name, TASKS):
+        raise InputError(f"task must be one of {', '.join(TASKS)}, got {shown(name)}")
     return TASKS[name]
 
 
@@ -426,6 +427,8 @@ def score_answers(task: DrawnTask, answers: FloatArray) -> dict[str, Any]:
     Raises:
         InputError: a value that cannot be an answer.
     """
+    instance("task", task, DrawnTask)
+    answers = real("answers", answers, (task.n_test, len(task.columns)))
     task.check(answers)
     cases = task.test()
     best = task.limit(cases.X)

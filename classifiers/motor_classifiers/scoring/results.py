@@ -16,6 +16,7 @@ from motor_classifiers.scoring.metrics import Score, Scores
 from motor_classifiers.scoring.score import ClassResult, Results, score_classes
 from motor_classifiers.scoring.task import GivenTask
 from motor_datasets.arrays import Dataset
+from motor_env.common.arrays import instance, whole
 from motor_env.common.errors import InputError
 from motor_env.simulation.recipes import Recipe
 
@@ -134,6 +135,10 @@ def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: in
         InputError: the data set has other channels or another time axis than the model's recipe, or a class that it
             does not know.
     """
+    instance("model", model, BaseEstimator)
+    instance("recipe", recipe, Recipe)
+    instance("test", test, Dataset)
+    whole("seed", seed)
     of_data = test.recipe
     if (of_data.timing, of_data.channels) != (recipe.timing, recipe.channels):
         raise InputError("the data set has another time axis or other channels than the model was trained on")

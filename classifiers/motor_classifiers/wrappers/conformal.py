@@ -17,6 +17,7 @@ from sklearn.utils import check_random_state
 
 from motor_classifiers.estimators.cases import State, labelled_cases
 from motor_classifiers.wrappers.fitted import ClassifierWrapper, check_share, unfitted
+from motor_env.common.arrays import instance, number, numbers, wholes
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
 
@@ -37,6 +38,14 @@ class ConformalSets:
 
     nonconformity: tuple[FloatArray, ...]
 
+    def __post_init__(self) -> None:
+        instance("nonconformity", self.nonconformity, tuple)
+        require(len(self.nonconformity) > 0, "nonconformity must have one array or more, got none")
+        checked = tuple(numbers("nonconformity", scores, ("n_cases",)) for scores in self.nonconformity)
+        rises = all((np.diff(scores) >= 0.0).all() for scores in checked)
+        require(rises, "nonconformity must rise in each array")
+        object.__setattr__(self, "nonconformity", checked)
+
     @classmethod
     def calibrate(
         cls, probabilities: FloatArray, truth: ArrayLike, *, label_conditional: bool = False
@@ -51,12 +60,13 @@ class ConformalSets:
         Raises:
             ValueError: shapes that do not fit, or, label-conditional, a class without a case.
         """
-        labels = np.asarray(truth)
+        probabilities, labels = _probabilities(probabilities), wholes("truth", truth)
         require(
             probabilities.ndim == 2 and labels.shape == (len(probabilities),) and len(labels) > 0,
             f"probabilities (n_cases, n_classes) and truth (n_cases,) must fit, "
             f"got {np.shape(probabilities)} and {labels.shape}",
         )
+        wholes("truth", labels, most=probabilities.shape[1] - 1)
         own = _nonconformity(probabilities)[np.arange(len(labels)), labels]
         if not label_conditional:
             return cls((np.sort(own),))
@@ -70,6 +80,12 @@ class ConformalSets:
 
         Of the true class it is at most alpha in a share alpha of the cases.
         """
+        probabilities = _probabilities(probabilities)
+        n_arrays, n_classes = len(self.nonconformity), probabilities.shape[1]
+        require(
+            n_arrays in (1, n_classes),
+            f"probabilities must be of {n_arrays} classes as at the calibration, got {n_classes}",
+        )
         # One array stands for all classes.
         pairs = zip(_nonconformity(probabilities).T, cycle(self.nonconformity), strict=False)
         shares = [
@@ -84,8 +100,12 @@ class ConformalSets:
             probabilities: shape (n_cases, n_classes).
             coverage: share of the cases whose set is to hold the true class.
         """
-        require(0.0 < coverage < 1.0, f"coverage must lie between 0 and 1, got {coverage:g}")
+        number("coverage", coverage, above=0.0, below=1.0)
         return self.p_values(probabilities) > 1.0 - coverage
+
+
+def _probabilities(given: ArrayLike) -> FloatArray:
+    return numbers("probabilities", given, ("n_cases", "n_classes"), least=0.0)
 
 
 def _nonconformity(probabilities: FloatArray) -> FloatArray:
@@ -150,6 +170,8 @@ class ConformalClassifier(ClassifierWrapper):
         Transients of one motor in both parts make the coverage look better than it is: freeze an estimator that was
         trained on other motors instead.
         """
+        number("coverage", self.coverage, above=0.0, below=1.0)
+        number("calibration_share", self.calibration_share, above=0.0, below=1.0)
         flat, labels = labelled_cases(self, X, y)
         names = self.classes_[labels]
         if isinstance(self.estimator, FrozenEstimator):

@@ -17,6 +17,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from motor_classifiers.estimators.cases import ProbabilityClassifier, flat_cases, labelled_cases
 from motor_classifiers.wrappers.fitted import unfitted
+from motor_env.common.arrays import number, shown, wholes
 from motor_env.inference.posterior import class_probabilities
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
@@ -137,16 +138,18 @@ class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
         Raises:
             ValueError: lengths that do not rise or are longer than the cases, or what the classifier refuses.
         """
+        number("error", self.error, above=0.0, below=1.0)
         flat, labels = labelled_cases(self, X, y)
         base = unfitted(self.estimator)
         recipe = next((v for v in base.get_params().values() if isinstance(v, Recipe)), None)
         self.n_channels_ = 1 if recipe is None else len(recipe.channels)
         n_samples = flat.shape[1] // self.n_channels_
-        chosen = self.samples or tuple(max(1, round(share * n_samples)) for share in _SHARES)
-        self.samples_ = np.unique(chosen)
+        usual = tuple(max(1, round(share * n_samples)) for share in _SHARES)
+        chosen = usual if self.samples is None else self.samples
+        self.samples_ = np.unique(wholes("samples", chosen))
         require(
-            self.samples_[0] >= 1 and self.samples_[-1] <= n_samples,
-            f"samples must be from 1 to {n_samples}, got {chosen}",
+            len(self.samples_) > 0 and self.samples_[0] >= 1 and self.samples_[-1] <= n_samples,
+            f"samples must be from 1 to {n_samples}, got {shown(chosen)}",
         )
         names = self.classes_[labels]
         self.estimators_ = [

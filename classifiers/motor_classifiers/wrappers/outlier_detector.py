@@ -21,6 +21,7 @@ from sklearn.base import BaseEstimator, OutlierMixin
 from motor_classifiers.estimators.cases import fitting_recipe, flat_cases, measured_cases, values_of_start
 from motor_classifiers.estimators.networks.signal_space import SignalSpace
 from motor_datasets.generate import generate_arrays
+from motor_env.common.arrays import number, numbers
 from motor_env.inference.class_model import ClassModel
 from motor_env.inference.posterior import variance_factor
 from motor_env.motor.parameters import FloatArray, require
@@ -290,8 +291,7 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         Raises:
             ValueError: a rate outside (0, 1), or starts of another length.
         """
-        rate = self.false_alarm_rate
-        require(0.0 < rate < 1.0, f"false_alarm_rate must lie between 0 and 1, got {rate:g}")
+        rate = number("false_alarm_rate", self.false_alarm_rate, above=0.0, below=1.0)
         given = None if X is None else flat_cases(self, X, reset=True, min_features=2)
         if given is None:
             require(self.recipe is not None, "fit needs starts or a recipe, got neither")
@@ -338,7 +338,10 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
 
     @property
     def _variances(self) -> Levels:
-        low, high = (1.0, 1.0) if self.noise_range is None else self.noise_range
+        if self.noise_range is None:
+            return 1.0, 1.0
+        low, high = numbers("noise_range", self.noise_range, (2,)).tolist()
+        require(0.0 < low <= high, f"noise_range must be 0 < low <= high, got {low:g} to {high:g}")
         return low**2, high**2
 
     @property

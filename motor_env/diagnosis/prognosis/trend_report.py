@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -350,8 +351,8 @@ def trend(
     given = [paths] if isinstance(paths, str | Path) else paths
     require_several("paths", given, (str, Path))
     several = [Path(path) for path in given]
-    if missing := [path for path in several if not path.exists()]:
-        raise InputError(f"{missing[0]}: no such file or folder")
+    if missing := [path for path in several if not os.path.exists(path)]:  # noqa: PTH110  # too long a name is none
+        raise InputError(f"{str(missing[0])[:200]}: no such file or folder")
     notes: list[str] = []
     if len(several) == 1 and _is_table(several[0]):
         series = read_estimates(several[0])

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.common.arrays import shown
+from motor_env.common.arrays import is_one_of, shown
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
@@ -53,7 +53,7 @@ def taken_for(recording: Recording, regime: str = "auto", start: int | None = No
     Raises:
         InputError: an unknown regime.
     """
-    if str(regime) not in REGIMES:
+    if not is_one_of(regime, REGIMES):
         raise InputError(f"regime must be one of {', '.join(REGIMES)}, got {shown(regime)}")
     if regime != "auto" or start is not None:
         return RegimeDecision("operation" if regime == "operation" else "start", "as asked")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import softmax
 
+from motor_env.common.arrays import instance
 from motor_env.envs.drive.drive_env import LIMP, RUN, STOP, as_actions
 from motor_env.envs.drive.drive_setup import DriveSetup, drive_filter, faulty, speed_feedback
 from motor_env.envs.drive.options import LABELS, DriveOptions
@@ -112,6 +113,7 @@ class Lqg:
         limp_above: float = 0.5,
         stop_above: tuple[float, float] = (2.0, 0.75),
     ) -> None:
+        instance("setup", setup, DriveSetup)
         self.setup, self.bank = setup, make_bank(setup.options, levels)
         self.reconfigures, self.decides = reconfigures, decides and levels > 0
         self.limp_above, self.stop_above = limp_above, stop_above

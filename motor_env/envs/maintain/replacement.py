@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.common.arrays import instance, real
 from motor_env.envs.maintain.kernel import FEATURES, INSPECT, REPLACE, RUN
 from motor_env.envs.maintain.options import LEVELS, MaintainOptions, Tables, make_tables
 from motor_env.envs.policies.rule_policies import Actions, Observations, Policy
@@ -33,6 +34,11 @@ class ThresholdReplacement(Policy):
     feature: str
     threshold: float
 
+    def __post_init__(self) -> None:
+        instance("feature", self.feature, str)
+        if np.isnan(real("threshold", self.threshold, ())):
+            raise ValueError("threshold must be a number or infinity, got nan")
+
     def act(self, observations: Observations) -> Actions:
         """Replace, or run."""
         return np.where(_feature(observations, self.feature) >= self.threshold, REPLACE, RUN)
@@ -45,6 +51,7 @@ class PlannedUpkeep(Policy):
     """
 
     def __init__(self, options: MaintainOptions) -> None:
+        instance("options", options, MaintainOptions)
         self.options = options
         tables = make_tables(options)
         self._pace = tables.rates / options.drift_per_day

@@ -7,8 +7,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from motor_env.common.arrays import instance
 from motor_env.envs.layout import BoolArray
 from motor_env.envs.policies.rule_policies import Actions, Player, Policy, ThresholdPolicy
 from motor_env.envs.single import Info
@@ -83,6 +85,7 @@ def _steps(
 
 def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
     """Return of one episode in each sub-environment, of any family, shape (num_envs,)."""
+    instance("envs", envs, VectorEnv)
     returns = np.zeros(envs.num_envs)
     for alive, _, rewards, _ in _steps(envs, policy, seed):
         returns += rewards * alive
@@ -91,6 +94,7 @@ def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatAr
 
 def parts_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
     """Parts of the same returns, in the order of the info's `reward_*`, shape (parts, num_envs)."""
+    instance("envs", envs, VectorEnv)
     parts = np.zeros((len(envs.part_names), envs.num_envs))
     for alive, _, _, info in _steps(envs, policy, seed):
         parts += np.stack([info[name] for name in envs.part_names]) * alive
@@ -99,6 +103,7 @@ def parts_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArra
 
 def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
     """Play one episode in each sub-environment of Monitor or Probe."""
+    instance("envs", envs, VectorEnv)
     count, info = envs.num_envs, envs.reset(seed=seed)[1]
     right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
     returns, probing = np.zeros((2, count))
@@ -116,6 +121,7 @@ def sweep(
     envs: MotorVectorEnv, policy: ThresholdPolicy, thresholds: Sequence[float], seed: int
 ) -> list[Runs]:
     """Play every threshold of a policy at once: until it declares, nothing depends on its threshold."""
+    instance("envs", envs, VectorEnv)
     count, limits = envs.num_envs, np.asarray(thresholds, dtype=np.float64)[:, None]
     observations, info = envs.reset(seed=seed)
     right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
@@ -174,6 +180,8 @@ def interval(values: FloatArray) -> tuple[float, float]:
 
 def score(envs: MotorVectorEnv, runs: Runs) -> Score:
     """Mean return, false alarms, detections and delays of a policy's episodes."""
+    instance("envs", envs, VectorEnv)
+    instance("runs", runs, Runs)
     options = envs.options
     onset, said = runs.onset, runs.declared > 0
     at = runs.steps * options.samples_per_step

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from motor_env.common.arrays import instance
 from motor_env.envs import layout
 from motor_env.envs.options import Drive, MonitorOptions, Start
 from motor_env.envs.policies.rule_policies import Actions, Observations, column
@@ -249,6 +250,7 @@ class ProbeBelief:
     """
 
     def __init__(self, setup: Setup) -> None:
+        instance("setup", setup, Setup)
         faults = known_faults(setup)
         options, recipe = setup.options, setup.options.task
         self.setup = setup

@@ -15,6 +15,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorWrapper
 from numpy.typing import NDArray
 
+from motor_env.common.arrays import instance
 from motor_env.envs.policies.fault_posterior import (
     ProbeBelief,
     final_worth,
@@ -179,6 +180,7 @@ class PosteriorView(VectorWrapper[Any, Any, Any]):
     """
 
     def __init__(self, envs: MotorVectorEnv) -> None:
+        instance("envs", envs, MotorVectorEnv)
         require(
             envs.autoreset_mode is AutoresetMode.SAME_STEP,
             f"autoreset_mode of the vector must be SameStep, got {envs.autoreset_mode.value}",

@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from motor_env.common.arrays import instance, whole
 from motor_env.detection.rules import Rule, RuleStream
 from motor_env.envs.options import task_recipe
 from motor_env.envs.setup import EVIDENCE_SCALE, Setup, bank_kinds
@@ -113,6 +114,7 @@ class Random:
     """
 
     def __init__(self, space: Any, seed: int) -> None:
+        whole("seed", seed)
         self._rng, self._space = np.random.default_rng(seed), space
 
     def start(self, count: int) -> None:
@@ -130,6 +132,7 @@ class _Isolating(ThresholdPolicy):
     """Names the kind with the largest evidence."""
 
     def __init__(self, setup: Setup) -> None:
+        instance("setup", setup, Setup)
         names = list(setup.observed)
         self._columns = [m for m, name in enumerate(names) if name.startswith("evidence_")]
         require(bool(self._columns), "this policy needs an environment that observes evidence")

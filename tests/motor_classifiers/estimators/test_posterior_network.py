@@ -158,7 +158,7 @@ def test_severity_of_the_most_probable_kind(trained: PosteriorNetwork) -> None:
     assert (narrow.high - narrow.low < wide.high - wide.low).all()
     with pytest.raises(ValueError, match="kind must be one of bearing"):
         trained.predict_severity(data.X, "noise")
-    with pytest.raises(ValueError, match="coverage must be in"):
+    with pytest.raises(ValueError, match="coverage must be > 0"):
         trained.predict_severity(data.X, coverage=1.0)
 
 

@@ -102,7 +102,7 @@ def test_a_noise_that_is_read_off_is_not_refused_within_its_range() -> None:
     assert OutsideDetector(BENCH, false_alarm_rate=0.2).fit().offset_ > few.fit().offset_
     X = generate_arrays(BENCH, 8, 500).X
     assert few.fit(X).offset_ == pytest.approx(np.quantile(few.score_samples(X), 0.01))
-    with pytest.raises(ValueError, match="false_alarm_rate must lie between 0 and 1, got 1"):
+    with pytest.raises(ValueError, match="false_alarm_rate must be > 0 and < 1, got 1"):
         OutsideDetector(BENCH, 1.0).fit()
     with pytest.raises(ValueError, match="fit needs starts or a recipe"):
         OutsideDetector().fit()

@@ -42,7 +42,7 @@ def test_p_values_of_three_calibration_cases() -> None:
         each.p_values(new), [[1.0, 0.5], [1.0, 0.5], [2 / 3, 0.5], [1 / 3, 0.5], [1 / 3, 1.0]]
     )
     for coverage in (0.0, 1.0):
-        with pytest.raises(ValueError, match="coverage must lie between 0 and 1"):
+        with pytest.raises(ValueError, match="coverage must be > 0 and < 1"):
             sets.sets(new, coverage)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hostile_arguments import Row
 
+from motor_env import Cusum
 from motor_env.envs import (
     DriveEnv,
     DriveVectorEnv,
@@ -14,11 +15,23 @@ from motor_env.envs import (
     MaintainVectorEnv,
     MonitorEnv,
     MonitorVectorEnv,
+    Never,
+    PlannedUpkeep,
+    PosteriorView,
+    ProbeBelief,
     ProbeContinuousEnv,
     ProbeContinuousVectorEnv,
     ProbeEnv,
     ProbeVectorEnv,
+    Random,
+    RulePolicy,
+    StableBaselinesVecEnv,
+    ThresholdReplacement,
     baseline_features,
+    parts_of,
+    returns_of,
+    run_episodes,
+    score,
 )
 
 SINGLE: tuple[Any, ...] = (MonitorEnv, ProbeEnv, ProbeContinuousEnv, DriveEnv, MaintainEnv)
@@ -63,6 +76,12 @@ def an_action(make: Any) -> Any:
     )
 
 
+def drawn(policy: Random) -> Any:
+    policy.start(4)
+    return policy.act(np.zeros((4, 1), dtype=np.float32))
+
+
+VECTORS = MonitorVectorEnv(2)
 HAS_ROOM = ("huge", "-huge", "large", "tiny")  # numbers that are clipped
 
 ROWS = [
@@ -105,6 +124,27 @@ ROWS = [
     Row.of("DriveEnv", "period_s", partial(made, DriveEnv, "period_s"), 0.01, "0-d", "big-endian", "long"),
     Row.of("MaintainEnv", "limit", partial(made, MaintainEnv, "limit"), 0.5, "0-d", "big-endian", "long"),
     Row.of("baseline_features", "recipe", baseline_features, "easy"),
+    Row.of("Random", "seed", lambda v: drawn(Random(VECTORS.single_action_space, v)), 3, also=(-1,)),
+    Row.of("returns_of", "envs", lambda v: returns_of(v, Never(), 1), VECTORS),
+    Row.of("parts_of", "envs", lambda v: parts_of(v, Never(), 1), VECTORS),
+    Row.of("run_episodes", "envs", lambda v: run_episodes(v, Never(), 1), VECTORS),
+    Row.of("score", "runs", lambda v: score(VECTORS, v), run_episodes(VECTORS, Never(), 1)),
+    Row.of("ProbeBelief", "setup", lambda v: str(ProbeBelief(v)), VECTORS.setup),
+    Row.of("RulePolicy", "setup", lambda v: str(RulePolicy(v, Cusum(0.5), threshold=3.0)), VECTORS.setup),
+    Row.of("PosteriorView", "envs", PosteriorView, MonitorVectorEnv(2, autoreset_mode="SameStep")),
+    Row.of(
+        "StableBaselinesVecEnv", "envs", StableBaselinesVecEnv, MonitorVectorEnv(2, autoreset_mode="SameStep")
+    ),
+    Row.of("PlannedUpkeep", "options", lambda v: str(PlannedUpkeep(v)), MaintainVectorEnv(2).options),
+    Row.of(
+        "ThresholdReplacement",
+        "threshold",
+        lambda v: ThresholdReplacement("risk", v),
+        0.5,
+        "inf",
+        "-inf",
+        "huge",
+    ),
 ]
 
 

@@ -25,6 +25,7 @@ from motor_classifiers.estimators.cases import (
 )
 from motor_classifiers.estimators.features import ResidualProjection
 from motor_classifiers.estimators.networks.training import Batch, initialise, one_thread, seed_of, train
+from motor_env.common.arrays import number, whole
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
 
@@ -56,7 +57,8 @@ def logits_in_parts(network: nn.Module, flat: FloatArray, at_once: int) -> Float
 def perceptron(n_in: int, n_hidden: int, n_layers: int, n_out: int) -> nn.Sequential:
     """Fully connected layers with SiLU between, float64, without memory for their weights."""
     require(0 <= n_layers <= MOST_LAYERS, f"n_layers must be from 0 to {MOST_LAYERS}, got {n_layers!r}")
-    require(n_hidden >= 1, f"n_hidden must be >= 1, got {n_hidden!r}")
+    whole("n_hidden", n_hidden, 1)
+    whole("n_layers", n_layers)
     sizes = [n_in, *[n_hidden] * n_layers, n_out]
     with torch.device("meta"):
         layers = [[nn.SiLU(), nn.Linear(*pair, dtype=torch.float64)] for pair in pairwise(sizes)]
@@ -96,6 +98,10 @@ class EpochClassifier(LogitClassifier):
         Raises:
             ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
         """
+        for name in ("epochs", "batch_size"):
+            whole(name, getattr(self, name), 1)
+        number("learning_rate", self.learning_rate, above=0.0)
+        number("weight_decay", self.weight_decay, least=0.0)
         flat, labels = cases.labelled_cases(self, X, y)
         generator = torch.Generator().manual_seed(seed_of(self.random_state))
         self.projection_ = self._projection()
@@ -112,7 +118,7 @@ class EpochClassifier(LogitClassifier):
             schedule = torch.optim.lr_scheduler.OneCycleLR(
                 optimiser,
                 max_lr=self.learning_rate,
-                total_steps=self.epochs * -(-len(flat) // self.batch_size),
+                total_steps=int(self.epochs) * -(-len(flat) // int(self.batch_size)),
                 cycle_momentum=False,
             )
             inputs = torch.from_numpy(self._inputs(features)).to(next(network.parameters()).dtype)
@@ -155,7 +161,7 @@ class EpochClassifier(LogitClassifier):
     ) -> Iterator[Batch]:
         for _ in range(self.epochs):
             order = torch.randperm(len(inputs), generator=generator)
-            for rows in torch.split(order, self.batch_size):
+            for rows in torch.split(order, int(self.batch_size)):
                 yield inputs[rows], labels[rows]
 
     def _inputs(self, features: FloatArray) -> FloatArray:
@@ -305,7 +311,7 @@ class ResNetClassifier(WaveformClassifier):
         """Batches of nearly equal size: a batch of one has no variance to normalise by."""
         for _ in range(self.epochs):
             order = torch.randperm(len(inputs), generator=generator)
-            for rows in torch.tensor_split(order, -(-len(inputs) // self.batch_size)):
+            for rows in torch.tensor_split(order, -(-len(inputs) // int(self.batch_size))):
                 noise = torch.randn(inputs[rows].shape, generator=generator)
                 yield inputs[rows] + self.noise * noise, labels[rows]
 

@@ -41,6 +41,7 @@ from motor_classifiers.estimators.networks.signal_space import SignalSpace, fres
 from motor_classifiers.estimators.networks.training import Batch, Loss, OnStep, one_thread, seed_of
 from motor_classifiers.estimators.reference_starts import split_starts
 from motor_datasets.arrays import Dataset
+from motor_env.common.arrays import number, numbers, whole
 from motor_env.inference.posterior import SeverityPrior
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
@@ -136,6 +137,7 @@ class PosteriorNetwork(LogitClassifier):
         Raises:
             ValueError: fewer than two classes, labels that the recipe does not know, or shapes that do not fit.
         """
+        self._check_training()
         flat, labels = labelled_cases(self, X, y)
         if self.recipe is None:
             space = SignalSpace.from_cases(flat, self.n_components)
@@ -179,6 +181,7 @@ class PosteriorNetwork(LogitClassifier):
         Raises:
             ValueError: no recipe, a recipe with fewer than two classes, or a noise range that does not fit.
         """
+        self._check_training()
         recipe = self._stream_recipe()
         self.n_features_in_ = (1 + self.n_references) * values_of_start(recipe)
         self.classes_ = np.array(sorted(recipe.class_names))
@@ -283,7 +286,7 @@ class PosteriorNetwork(LogitClassifier):
                 (0, 1).
         """
         check_is_fitted(self)
-        require(0.0 < coverage < 1.0, f"coverage must be in (0, 1), got {coverage:g}")
+        number("coverage", coverage, above=0.0, below=1.0)
         flat = flat_cases(self, X, reset=False)
         if self.severity_ is None:
             raise ValueError(
@@ -364,11 +367,16 @@ class PosteriorNetwork(LogitClassifier):
         model.posterior_, model.severity_ = modules["classes"], modules.get("severity")
         return model
 
+    def _check_training(self) -> None:
+        whole("steps", self.steps, 1)
+        whole("batch_size", self.batch_size, 1)
+        number("learning_rate", self.learning_rate, above=0.0)
+
     def _checked_noise(self) -> tuple[float, float]:
         """The noise range as factors on the recipe's noise."""
         if self.noise_range is None:
             return 1.0, 1.0
-        low, high = self.noise_range
+        low, high = numbers("noise_range", self.noise_range, (2,)).tolist()
         require(0.0 < low < high < np.inf, f"noise_range must be 0 < low < high, got {low:g} to {high:g}")
         tells = self.recipe is not None and _tells_noise(self.recipe)
         require(not tells, "noise_range must be None for a recipe with a noise fault: they look the same")
