@@ -109,6 +109,6 @@ class StableBaselinesVecEnv(VecEnv):
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
         """Refuse options of a reset."""
-        given = options if isinstance(options, list | tuple) else [options]
+        given: Sequence[Any] = options if isinstance(options, list | tuple) else [options]
         if not all(each is None or (isinstance(each, dict) and not each) for each in given):
             raise NotImplementedError(f"a compiled vector has no options of a reset, got {shown(options)}")

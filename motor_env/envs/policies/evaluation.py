@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from motor_env.common.arrays import instance
+from motor_env.common.arrays import instance, shown
 from motor_env.envs.layout import BoolArray
 from motor_env.envs.policies.rule_policies import Actions, Player, Policy, ThresholdPolicy
 from motor_env.envs.single import Info
@@ -83,9 +83,15 @@ def _steps(
         alive = alive & ~(terminated | truncated)
 
 
+def _require_vector(envs: Any) -> None:
+    """Raise `TypeError` for what has no sub-environments; wrappers of one's own are no class of Gymnasium's."""
+    if not hasattr(envs, "num_envs"):
+        raise TypeError(f"envs must be a vector of environments, got {shown(envs)}")
+
+
 def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
     """Return of one episode in each sub-environment, of any family, shape (num_envs,)."""
-    instance("envs", envs, VectorEnv)
+    _require_vector(envs)
     returns = np.zeros(envs.num_envs)
     for alive, _, rewards, _ in _steps(envs, policy, seed):
         returns += rewards * alive
@@ -94,7 +100,7 @@ def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatAr
 
 def parts_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
     """Parts of the same returns, in the order of the info's `reward_*`, shape (parts, num_envs)."""
-    instance("envs", envs, VectorEnv)
+    _require_vector(envs)
     parts = np.zeros((len(envs.part_names), envs.num_envs))
     for alive, _, _, info in _steps(envs, policy, seed):
         parts += np.stack([info[name] for name in envs.part_names]) * alive

@@ -114,8 +114,7 @@ class Random:
     """
 
     def __init__(self, space: Any, seed: int) -> None:
-        whole("seed", seed)
-        self._rng, self._space = np.random.default_rng(seed), space
+        self._rng, self._space = np.random.default_rng(whole("seed", seed)), space
 
     def start(self, count: int) -> None:
         """Begin anew with `count` sub-environments."""
