@@ -26,6 +26,7 @@ from motor_env.motor.parameters import FloatArray
 FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's
 UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the inductance"
 _UNTOLD = 0.5
+_AT_BOUND = 0.99
 _LONGEST_LAG_S = 0.2  # L/R of brushed motors, with a margin
 _UNFIT = "its voltage hardly moves, or is a raw pulse-width modulation that was sampled more slowly than it switches"
 _POOR = 0.5
@@ -228,6 +229,8 @@ def _quantities(solution: Solution, spread: FloatArray) -> list[Quantity]:
         else:
             low, high = value - half * term.unit, value + half * term.unit
             low = max(low, 0.0) if term.low >= 0.0 else low
+            if term.bound is not None:
+                high = min(high, term.value(term.high))
             relative = sd * term.unit / max(abs(value), 1e-300)
         is_determined = bool(relative < _UNTOLD)
         name = term.name
@@ -283,6 +286,12 @@ def _notes(
             f"the current tells nothing: R, L and the friction are not determined; the speed alone gives"
             f" {gain:.4g} rad/s a volt, a dead voltage of {dead:.3g} V and a time constant of {lag:.3g} s"
         )
+    sentences += [
+        f"{term.name} is the largest that physics allows ({term.bound.most:g} {term.bound.unit}: {term.bound.source}):"
+        " what no term says may stand behind it"
+        for term, theta in zip(solution.problem.free, solution.theta, strict=True)
+        if term.bound is not None and theta > _AT_BOUND * term.high
+    ]
     untold = [
         quantity.name
         for quantity in quantities

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import COPPER_PER_KELVIN, FloatArray
 
 LONGEST_CURRENT_LAG_S = 0.01
 LONGEST_SPEED_LAG_S = 0.1
@@ -20,6 +21,29 @@ _SEEN_LAG = 0.5  # of an interval
 _FASTEST_K_PER_S = 10.0  # at the stall power: 20 W in 8 g of copper are 7 K/s
 _LARGEST_DEAD_ZONE = 0.35  # of the current's span: what hides more is no sensor
 _KNEE_PRIOR, _STRIBECK_PRIOR = 0.01, 0.2  # of the largest current or speed; of the dry friction
+_LARGEST_DROP = 0.4  # of the largest voltage: under few volts brushes take less
+
+
+class PhysicalBound(NamedTuple):
+    """Largest size that physics allows a term, and where that is known from."""
+
+    most: float
+    unit: str
+    source: str
+
+
+_BRUSHES = "IEC 60034-2-1 counts 0.3 V for a brush of metal graphite, 1 V for one of carbon"
+PHYSICAL_BOUNDS = {
+    "brush_drop": PhysicalBound(1.5, "V in all", _BRUSHES),
+    "brush_drop_high": PhysicalBound(2.5, "V in all", _BRUSHES),
+    "brush_knee": PhysicalBound(
+        0.5, "of the largest current", "a contact's resistance falls with it (Holm 1967)"
+    ),
+    "heating": PhysicalBound(150.0, "K in the record", "insulation of class H bears 180 degrees (IEC 60085)"),
+    "gear_loss": PhysicalBound(0.5, "of the torque", "a gear that loses half holds itself"),
+}
+"""By term; of the brush drop above HIGH_SUPPLY_V, too. Frictions and a fan take power, and are never below 0."""
+HIGH_SUPPLY_V = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +60,7 @@ class Term:
         usual: usual size where a motor has the term, in the unit.
         prior_mean: in the unit.
         slope_at: size over which the slope at 0 is taken, in the unit: a lag far below an interval does not show in it.
+        bound: what `high` stands for, where physics sets it.
     """
 
     name: str
@@ -48,6 +73,7 @@ class Term:
     usual: float = 1.0
     prior_mean: float = 0.0
     slope_at: float = 1e-4
+    bound: PhysicalBound | None = None
 
     def value(self, theta: float) -> float:
         """Return the SI value of the unknown."""
@@ -70,6 +96,18 @@ def terms(
     speed = max(speed, 1e-3 * volts / constant) if record.recorded[1] else volts / constant
     torque, power = constant * amps, ohm * float(np.nanmean(record.readings[:, 0] ** 2)) + 1e-300
     reach, hot = 0.5 * record.duration_s / dt, 10.0 / (power * record.duration_s)
+    drop, knee, warming, gear = (
+        PHYSICAL_BOUNDS[name]
+        for name in (
+            "brush_drop_high" if volts > HIGH_SUPPLY_V else "brush_drop",
+            "brush_knee",
+            "heating",
+            "gear_loss",
+        )
+    )
+    largest = min(drop.most / volts, _LARGEST_DROP)
+    # A constant resistance warms so much where copper's, which grows, warms to the bound.
+    hottest = 0.1 * math.log1p(COPPER_PER_KELVIN * warming.most) / COPPER_PER_KELVIN
     every = [
         Term("R", index.R, ohm, -5.0, 5.0, is_log=True),
         Term("L", index.L, ohm * dt, 0.0, reach),
@@ -77,16 +115,32 @@ def terms(
         Term("J", index.J, start[index.J], -7.0, 7.0, is_log=True),
         Term("B", index.B, torque / speed, 0.0, 20.0),
         Term("coulomb", index.COULOMB, torque, 0.0, 0.9),
-        Term("brush_drop", index.DROP, volts, 0.0, 0.4, prior_sd=0.1),
-        Term("brush_knee", index.KNEE, amps, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
+        Term(
+            "brush_drop",
+            index.DROP,
+            volts,
+            0.0,
+            largest,
+            prior_sd=0.1,
+            bound=drop if largest < _LARGEST_DROP else None,
+        ),
+        Term("brush_knee", index.KNEE, amps, 0.0, knee.most, prior_sd=_KNEE_PRIOR, bound=knee),
         Term("stribeck", index.STRIBECK, 1.0, 0.0, 2.0, prior_sd=_STRIBECK_PRIOR),
         Term("coulomb_knee", index.SLIDING, speed, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
-        Term("gear_loss", index.GEAR, 1.0, 0.0, 0.9, usual=0.1),
+        Term("gear_loss", index.GEAR, 1.0, 0.0, gear.most, usual=0.1, bound=gear),
         Term("load_constant", index.LOAD, torque, -2.0, 2.0, prior_sd=0.3, usual=0.3),
         Term("load_square", index.SQUARE, torque / speed**2, 0.0, 20.0, usual=0.3),
         Term("offset_current", index.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),
         Term("offset_speed", index.OFFSET_W, speed, -0.1, 0.1, prior_sd=_OFFSET_PRIOR),
-        Term("heating", index.HEATING, hot, 0.0, 20.0, prior_sd=_FASTEST_K_PER_S * ohm / (volts**2 * hot)),
+        Term(
+            "heating",
+            index.HEATING,
+            hot,
+            0.0,
+            hottest,
+            prior_sd=_FASTEST_K_PER_S * ohm / (volts**2 * hot),
+            bound=warming,
+        ),
         Term("cooling", index.COOLING, 1.0 / record.duration_s, 0.0, 300.0),
         Term("sensor_lag", index.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach), slope_at=_SEEN_LAG),
         Term("speed_lag", index.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
@@ -107,7 +161,7 @@ def terms(
             Term("J", index.J, start[index.J], -_WIDEST, _WIDEST, is_log=True),
             Term("B", index.B, start[index.B], -_WIDEST, _WIDEST, is_log=True),
             Term("coulomb", index.COULOMB, torque, 0.0, 100.0),
-            Term("brush_drop", index.DROP, volts, 0.0, 0.9, usual=0.05),
+            Term("brush_drop", index.DROP, volts, 0.0, min(drop.most / volts, 0.9), usual=0.05, bound=drop),
             Term("sensor_lag", index.LAG_I, dt, 0.0, reach, usual=2.0),
             Term("speed_lag", index.LAG_W, dt, 0.0, reach, usual=2.0),
             Term("onset", index.ONSET, dt, -1.0, 1.0),

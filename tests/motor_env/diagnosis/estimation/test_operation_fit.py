@@ -10,6 +10,7 @@ import pytest
 from operation_simulator import SWITCHES, Motor, draw_motor, simulate
 
 from motor_env import Recording, read_recording
+from motor_env.diagnosis.estimation import model_selection
 from motor_env.diagnosis.estimation.operation_fit import OperationFit, _refuse_poor_fit, identify_operation
 from motor_env.diagnosis.readers.recording import UnusableError
 
@@ -59,6 +60,43 @@ def test_a_torque_that_is_another_one_in_each_interval_hides_no_friction() -> No
     drag = found.quantity("drag")
     assert drag.value == pytest.approx(dry, rel=0.25)
     assert drag.low < dry < drag.high
+
+
+def behind_brushes(drop_v: float, knee_a: float) -> Recording:
+    """A log of 8 V in both directions of a motor of 0.69 ohm and 0.029 V s/rad behind brushes, at 100 Hz."""
+    rng, n, parts, dt_s = np.random.default_rng(7), 1200, 40, 0.01
+    ohm, henry, constant, inertia, dry, viscous = 0.69, 1e-3, 0.029, 7e-5, 0.03, 2e-5
+    volts = np.repeat(rng.choice([-8.0, -5.0, -3.0, 3.0, 5.0, 8.0], n // 40), 40)
+    i, w, shown = 0.0, 0.0, np.zeros((n, 2))
+    for k in range(n):
+        shown[k] = i, w
+        for _ in range(parts):
+            lost = ohm * i + constant * w + drop_v * i / math.hypot(i, knee_a)
+            i += dt_s / parts * (volts[k] - lost) / henry
+            w += dt_s / parts * (constant * i - dry * math.tanh(w / 0.5) - viscous * w) / inertia
+    current, speed = (shown + rng.standard_normal((n, 2)) * [0.02, 0.3]).T
+    return Recording(Path("x"), dt_s * np.arange(float(n)), current, volts, speed)
+
+
+def test_brushes_whose_voltage_sets_in_late_hide_no_resistance() -> None:
+    found = identify_operation([behind_brushes(drop_v=1.1, knee_a=2.0)])
+    for name, true in {"R": 0.69, "K": 0.029, "J": 7e-5, "brush_drop": 1.1}.items():
+        assert found.quantity(name).value == pytest.approx(true, rel=0.1), name
+    assert found.quantity("brush_knee").value == pytest.approx(2.0, rel=0.3)
+    assert not any("physics" in note for note in found.notes)
+
+
+def test_more_than_brushes_can_take_is_said_and_makes_the_resistance_less_certain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recording = behind_brushes(drop_v=2.5, knee_a=2.0)
+    found = identify_operation([recording])
+    drop = found.quantity("brush_drop")
+    assert drop.value == pytest.approx(1.5, rel=0.01)
+    assert drop.high == pytest.approx(1.5)
+    assert any("brush_drop is the largest that physics allows (1.5 V in all" in note for note in found.notes)
+    monkeypatch.setattr(model_selection, "_with_less_brush_drop", lambda best: best)
+    assert found.quantity("R").log_sd > 1.2 * identify_operation([recording]).quantity("R").log_sd
 
 
 def test_current_alone_tells_ratios() -> None:

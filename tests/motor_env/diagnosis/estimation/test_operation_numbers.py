@@ -59,7 +59,7 @@ from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.readers.start import Circuit
 from motor_env.diagnosis.verdict.healthy_motor import motor_of_log
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import COPPER_PER_KELVIN, FloatArray
 
 
 @pytest.fixture(scope="module")
@@ -254,15 +254,20 @@ def test_units_of_the_unknowns() -> None:
     reach = 0.5 * second / DT_S
     bounds = {
         "R": (-5.0, 5.0), "L": (0.0, reach), "K": (-5.0, 5.0), "J": (-7.0, 7.0), "B": (0.0, 20.0),
-        "coulomb": (0.0, 0.9), "gear_loss": (0.0, 0.9), "brush_drop": (0.0, 0.4),
-        "brush_knee": (0.0, 0.05), "stribeck": (0.0, 2.0),
+        "coulomb": (0.0, 0.9), "gear_loss": (0.0, 0.5), "brush_drop": (0.0, 1.5 / 12.0),
+        "brush_knee": (0.0, 0.5), "stribeck": (0.0, 2.0),
         "coulomb_knee": (0.0, 0.05), "load_constant": (-2.0, 2.0), "load_square": (0.0, 20.0),
-        "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1), "heating": (0.0, 20.0), "cooling": (0.0, 300.0),
+        "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1),
+        "heating": (0.0, every["heating"].high), "cooling": (0.0, 300.0),
         "sensor_lag": (0.0, 5.0), "speed_lag": (0.0, 50.0),  # 10 ms and 0.1 s
         "delay": (-1.0, 1.0), "noise_current": (-5.0, 5.0), "noise_speed": (-5.0, 5.0),
         "noise_voltage": (-6.0, 4.0), "noise_torque": (-6.0, 4.0), "load_walk": (-6.0, 6.0),
     }  # fmt: skip
     assert {name: (term.low, term.high) for name, term in every.items()} == bounds
+    # 10 K times this, of a constant resistance, are 150 K where it grows with them.
+    assert math.expm1(COPPER_PER_KELVIN * 10.0 * every["heating"].high) == pytest.approx(
+        COPPER_PER_KELVIN * 150.0
+    )
     assert every["R"].value(0.3) == pytest.approx(2.0 * math.exp(0.3))
     assert every["L"].value(0.3) == pytest.approx(0.3 * 2.0 * DT_S)
     alone = terms(record.only(current=False, speed=True), values(), (12.0, 3.0, 200.0))
@@ -273,6 +278,13 @@ def test_units_of_the_unknowns() -> None:
     )
     weak = terms(record, values(), (12.0, 1e-9, 1e-9))
     assert (weak["offset_current"].unit, weak["coulomb_knee"].unit) == pytest.approx((0.006, 0.4))
+
+
+@pytest.mark.parametrize(("volts", "most_v"), [(2.0, 0.8), (12.0, 1.5), (60.0, 1.5), (61.0, 2.5)])
+def test_brushes_take_no_more_than_physics_allows(volts: float, most_v: float) -> None:
+    term = terms(plain(500), values(), (volts, 3.0, 200.0))["brush_drop"]
+    assert term.value(term.high) == pytest.approx(most_v)
+    assert (None if term.bound is None else term.bound.most) == (None if volts == 2.0 else most_v)
 
 
 @pytest.mark.parametrize(
