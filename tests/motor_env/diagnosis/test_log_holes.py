@@ -142,7 +142,7 @@ def test_no_pattern_of_holes_is_a_fault_or_hides_one(tmp_path: Path, how: str, k
         assert set(verdicts(tmp_path / "log.csv", holed(log(kind), f"{how} {which}"))) == {kind}
 
 
-@pytest.mark.parametrize("available_terms", [5, 28])
+@pytest.mark.parametrize("every", [5, 28])
 def test_a_log_that_changes_its_rate_is_judged_where_it_has_its_own(tmp_path: Path, every: int) -> None:
     """To 400 and 71 Hz and back, after which the samples fall between the places of the first ones."""
     found = diagnose(write_csv(tmp_path / "log.csv", log("healthy", every)), MOTOR).pieces
