@@ -26,7 +26,7 @@ from motor_env.motor.parameters import FloatArray
 FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's
 UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the inductance"
 _UNTOLD = 0.5
-_AT_BOUND = 0.99
+_AT_BOUND, _LARGEST = 0.99, "is the largest that physics allows"
 _LONGEST_LAG_S = 0.2  # L/R of brushed motors, with a margin
 _UNFIT = "its voltage hardly moves, or is a raw pulse-width modulation that was sampled more slowly than it switches"
 _POOR = 0.5
@@ -190,7 +190,9 @@ def _refuse_poor_fit(operation: OperationFit) -> None:
     untold = ", ".join(name for name in needed if name not in determined)
     # Without a recorded speed, which is what R leaves of the voltage, all else rests on R and J/K^2.
     if not (any if operation.record.recorded[1] else all)(name in determined for name in needed):
-        raise UnusableError(f"the record does not determine {untold}: {_UNFIT}")
+        # A term at its bound says more than a guess at the voltage.
+        reason = next((note for note in operation.notes if _LARGEST in note), _UNFIT)
+        raise UnusableError(f"the record does not determine {untold}: {reason}")
     if determined.get("L", 0.0) > _LONGEST_LAG_S * determined.get("R", math.inf):
         raise UnusableError(f"L/R of {determined['L'] / determined['R']:.3g} s is that of no motor: {_UNFIT}")
 
@@ -287,7 +289,7 @@ def _notes(
             f" {gain:.4g} rad/s a volt, a dead voltage of {dead:.3g} V and a time constant of {lag:.3g} s"
         )
     sentences += [
-        f"{term.name} is the largest that physics allows ({term.bound.most:g} {term.bound.unit}: {term.bound.source}):"
+        f"{term.name} {_LARGEST} ({term.bound.most:g} {term.bound.unit}: {term.bound.source}):"
         " what no term says may stand behind it"
         for term, theta in zip(solution.problem.free, solution.theta, strict=True)
         if term.bound is not None and theta > _AT_BOUND * term.high

@@ -4,6 +4,8 @@ import math
 import os
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -188,3 +190,23 @@ def test_a_controller_of_a_coarse_current_makes_no_certain_resistance() -> None:
     log = simulate(motor, "current loop", np.random.default_rng([0, 10, 6]), samples=2000)
     found = identify_operation([log]).quantity("R")
     assert abs(math.log(found.value / motor.ohm)) < 3.0 * found.log_sd
+
+
+@pytest.mark.parametrize(
+    ("notes", "reason"),
+    [
+        ((), "its voltage hardly moves"),
+        (("heating is the largest that physics allows (150 K)", "other"), "heating is the largest"),
+    ],
+)
+def test_what_is_not_determined_says_which_term_is_at_its_bound(notes: tuple[str, ...], reason: str) -> None:
+    untold = SimpleNamespace(name="R", value=1.0, is_determined=False)
+    fitted = SimpleNamespace(
+        r2_current=None,
+        r2_speed=None,
+        quantities=[untold],
+        notes=notes,
+        record=SimpleNamespace(recorded=(True, True)),
+    )
+    with pytest.raises(UnusableError, match=f"does not determine R: {reason}"):
+        _refuse_poor_fit(cast("Any", fitted))
