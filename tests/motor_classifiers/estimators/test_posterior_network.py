@@ -13,7 +13,7 @@ from trust_figures import severity_figures
 
 from motor_classifiers import PosteriorNetwork, evaluate_model
 from motor_classifiers.estimators.networks import severity_density
-from motor_classifiers.estimators.networks.signal_space import SignalSpace, with_more_noise
+from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases, with_more_noise
 from motor_datasets import generate_arrays
 from motor_env import Channel, FaultKind, Recipe, SensorParameters, Timing, load_recipe, severity_posterior
 from motor_env.simulation.recipes import FaultClass
@@ -116,6 +116,20 @@ def test_commissioning_starts_are_not_learned_as_healthy_motors() -> None:
         for recipe in (RECIPE, several)
     )
     np.testing.assert_array_equal(first.predict_proba(X), second.predict_proba(X))
+
+
+def test_the_stream_draws_classes_by_their_weights() -> None:
+    often, *rest = RECIPE.classes
+    recipe = replace(
+        RECIPE, classes=(replace(often, weight=6.0), *(replace(one, weight=1.0) for one in rest))
+    )
+    streamed = PosteriorNetwork(recipe=recipe)._stream_recipe()
+    space = SignalSpace.from_recipe(streamed, 8, sees_noise=False).float()
+    _, batch = next(fresh_cases(space, streamed, 3, 3000))
+    share = 6.0 / (6.0 + len(rest))
+    assert np.mean(batch.class_index == 0) == pytest.approx(
+        share, abs=4.0 * (share * (1.0 - share) / 3000) ** 0.5
+    )
 
 
 def test_fit_learns_from_the_cases_it_is_given() -> None:

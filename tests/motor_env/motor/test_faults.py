@@ -1,5 +1,6 @@
 """Faults: their exact effect on the parameters, when they switch, how they grow."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -85,6 +86,8 @@ def test_noise_leaves_the_motor_and_raises_one_source() -> None:
     assert apply_fault(PAPER_MOTOR, fault) == PAPER_MOTOR
     assert noise_variance_factor([fault], NoiseSource.PROCESS, GRID_S[:2]).tolist() == [[4.0, 4.0]]
     assert noise_variance_factor([fault], NoiseSource.MEASUREMENT, GRID_S[:2]).tolist() == [[1.0, 1.0]]
+    both = [fault, replace(fault, severity=4.0)]
+    assert noise_variance_factor(both, NoiseSource.PROCESS, GRID_S[:2]).tolist() == [[20.0, 20.0]]
 
 
 def test_faults_combine() -> None:
