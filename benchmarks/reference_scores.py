@@ -33,7 +33,7 @@ from motor_env.motor.parameters import FloatArray
 
 RESULTS = Path(__file__).resolve().parent / "results" / "reference"
 SEEDS, TUNING_SEED, AGENT_SEED = tuple(range(1, 11)), 100, 77
-STEPS, POINTS, N_ENVS, AGENT_EPISODES = 300_000, 5, 8, 500
+STEPS, POINTS, N_ENVS, AGENT_EPISODES = 300_000, 10, 8, 500
 TRIVIAL_EPISODES = 250
 FEWEST = 3  # trainings of which an interval says anything
 LEARNERS = ("ppo", "dqn", "sac", "long")
