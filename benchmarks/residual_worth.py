@@ -83,13 +83,11 @@ class StepMeans(MotorVectorEnv):
 
 
 def environments(name: str, variant: str, count: int, *, held_out: bool = False) -> VecEnv:
-    """What an agent learns in, or is judged in.
+    """What agents of raw measurements learn in, or are judged in.
 
-    A declaration is confirmed in the first sample of a step. Where agents learn from raw measurements, it is in the
-    last one, so that the next episode begins with a step of its own.
+    A declaration is confirmed in the first sample of a step. Where agents learn, it is in the last one, so that the
+    next episode begins with a step of its own.
     """
-    if variant == "ppo":
-        return StableBaselinesVecEnv(reference.vector(IDS[name], count, autoreset_mode="SameStep"))
     task = reference.vector(IDS[name], 1).options
     samples = task.samples_per_step
     confirm = (task.confirm_steps - 1) * samples + (1 if held_out else samples)
@@ -115,6 +113,8 @@ def judged(model: Any, envs: VecEnv) -> FloatArray:
 
 def trained(name: str, variant: str, seed: int) -> reference.Result:
     """An agent with the defaults of its algorithm, and its learning curve."""
+    if variant == "ppo":
+        return reference.trained(IDS[name], "ppo", seed)
     import torch
 
     torch.set_num_threads(1)
@@ -130,8 +130,7 @@ def trained(name: str, variant: str, seed: int) -> reference.Result:
     rollouts = -(-reference.STEPS // rollout)
     for part in np.diff(np.linspace(0, rollouts, reference.POINTS + 1).astype(int)):
         model.learn(int(part) * rollout, reset_num_timesteps=False)
-        if variant != "ppo":
-            sync_envs_normalization(envs, test)
+        sync_envs_normalization(envs, test)
         mean, half = interval(judged(model, test))
         curve.append({"steps": model.num_timesteps, "return": mean, "half_width": half})
     return {"seed": seed, **curve[-1], "cpu_s": round(time.process_time() - begun), "curve": curve}
