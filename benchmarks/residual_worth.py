@@ -26,18 +26,14 @@ import reference_scores as reference
 import tables
 from cyclopts import run
 from matplotlib.figure import Figure
-from quick_ppo import QuickPPO, QuickRecurrentPolicy
-from sb3_contrib import RecurrentPPO
 from scipy.stats import trim_mean
-from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, VecNormalize, sync_envs_normalization
 
 from motor_env.common.plotting import COLOUR, QUIET, drawing, save
-from motor_env.envs import StableBaselinesVecEnv
 from motor_env.envs.layout import TERMINATED
 from motor_env.envs.options import MonitorOptions
 from motor_env.envs.policies.evaluation import interval
 from motor_env.envs.single import Observation
-from motor_env.envs.vector import MotorVectorEnv
+from motor_env.envs.vector import BoolArray, MotorVectorEnv
 from motor_env.motor.parameters import FloatArray
 
 IDS = {"Monitor-v0": "MonitorConfirm-v0", "Probe-v0": "ProbeConfirm-v0"}
@@ -65,6 +61,15 @@ class StepMeans(MotorVectorEnv):
     def __init__(self, num_envs: int, options: MonitorOptions, samples: int) -> None:
         super().__init__(num_envs, options, autoreset_mode="SameStep")
         self.samples = samples
+        self._shown = np.zeros((num_envs, self._n_observed), dtype=np.float32)
+
+    def _begin(self, mask: BoolArray) -> None:
+        super()._begin(mask)
+        self._begun = mask[:, None]
+
+    def _observe(self) -> Observation:
+        """The first sample of an episode that has just begun; of the others the means."""
+        return np.where(self._begun, super()._observe(), self._shown)
 
     def _step(self, actions: Any) -> tuple[Observation, FloatArray, FloatArray, int]:
         """What follows the end of an episode within a step does not count."""
@@ -79,15 +84,20 @@ class StepMeans(MotorVectorEnv):
             rewards += reward * ~over
             over |= self._flags[TERMINATED, : self.num_envs]
         self._flags[TERMINATED, : self.num_envs] = over
-        return shown / self.samples, rewards, parts, int(over.sum())
+        self._shown = shown / self.samples
+        return self._shown, rewards, parts, int(over.sum())
 
 
-def environments(name: str, variant: str, count: int, *, held_out: bool = False) -> VecEnv:
+def environments(name: str, variant: str, count: int, *, held_out: bool = False) -> Any:
     """What agents of raw measurements learn in, or are judged in.
 
     A declaration is confirmed in the first sample of a step. Where agents learn, it is in the last one, so that the
     next episode begins with a step of its own.
     """
+    from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
+
+    from motor_env.envs import StableBaselinesVecEnv
+
     task = reference.vector(IDS[name], 1).options
     samples = task.samples_per_step
     confirm = (task.confirm_steps - 1) * samples + (1 if held_out else samples)
@@ -97,7 +107,7 @@ def environments(name: str, variant: str, count: int, *, held_out: bool = False)
     return VecFrameStack(envs, STACKED) if variant == "stacked" else envs
 
 
-def judged(model: Any, envs: VecEnv) -> FloatArray:
+def judged(model: Any, envs: Any) -> FloatArray:
     """Return of one episode in each sub-environment, by the likeliest actions."""
     envs.unwrapped.seed(reference.AGENT_SEED)
     observations, state = envs.reset(), None
@@ -116,6 +126,9 @@ def trained(name: str, variant: str, seed: int) -> reference.Result:
     if variant == "ppo":
         return reference.trained(IDS[name], "ppo", seed)
     import torch
+    from quick_ppo import QuickPPO, QuickRecurrentPolicy
+    from sb3_contrib import RecurrentPPO
+    from stable_baselines3.common.vec_env import sync_envs_normalization
 
     torch.set_num_threads(1)
     envs = environments(name, variant, reference.N_ENVS)

@@ -48,19 +48,21 @@ def test_held_out_episodes_of_raw_measurements_are_those_of_the_id(
     assert expected.std() > 0.1
 
 
-def test_a_raw_measurement_is_the_mean_of_a_step_and_the_next_episode_begins_with_a_step() -> None:
+def test_a_raw_measurement_is_the_mean_of_a_step_and_an_episode_begins_with_a_step() -> None:
+    """Of two monitors the second declares: what the first sees does not depend on that."""
     raw: Any = residual_worth.environments("Monitor-v0", "raw", 2).unwrapped.envs
-    samples, options = raw.samples, raw.options
-    each = reference_scores.vector(residual_worth.IDS["Monitor-v0"], 2, observe=residual_worth.RAW, samples_per_step=1)
-    raw.reset(seed=3)
+    options = {"observe": residual_worth.RAW, "samples_per_step": 1}
+    each = reference_scores.vector(residual_worth.IDS["Monitor-v0"], 2, **options)
+    seen, waits = [raw.reset(seed=3)[0]], np.zeros(2, dtype=np.int64)
     each.reset(seed=3)
-    seen, _, _, _, _ = raw.step(np.zeros(2, dtype=np.int64))
-    shown = [each.step(np.zeros(2, dtype=np.int64))[0] for _ in range(samples)]
-    np.testing.assert_allclose(seen, np.mean(shown, axis=0), rtol=1e-5)
-    ends = [raw.step(np.ones(2, dtype=np.int64))[2].tolist() for _ in range(3)]
-    assert ends == [[False, False], [False, False], [True, True]]
-    seen, _, _, _, _ = raw.step(np.zeros(2, dtype=np.int64))
-    np.testing.assert_allclose(seen[:, 2], (samples + 1) / 2 / options.n_samples, rtol=1e-5)
+    for over in (False, False, True, False):
+        seen.append((step := raw.step([0, 1]))[0])
+        assert step[2].tolist() == [False, over]
+    means = [np.mean([each.step(waits)[0] for _ in range(raw.samples)], axis=0) for _ in range(4)]
+    np.testing.assert_allclose([each[0] for each in seen[1:]], [mean[0] for mean in means], rtol=1e-5)
+    np.testing.assert_allclose([each[1] for each in seen[1:3]], [mean[1] for mean in means[:2]], rtol=1e-5)
+    assert seen[3][1, 2] == 0.0
+    np.testing.assert_allclose(seen[4][1, 2], means[0][1, 2], rtol=1e-5)
 
 
 def test_the_quick_update_is_that_of_stable_baselines() -> None:
