@@ -36,7 +36,7 @@ from motor_env.envs.single import Observation
 from motor_env.envs.vector import BoolArray, MotorVectorEnv
 from motor_env.motor.parameters import FloatArray
 
-IDS = {"Monitor-v0": "MonitorConfirm-v0", "Probe-v0": "ProbeConfirm-v0"}
+IDS = ("Monitor-v0", "Probe-v0")
 SEEDS = {"ppo": 5, "raw": 5, "stacked": 5, "recurrent": 3}
 """What an agent sees, and how many are trained."""
 RECURRENT_STEPS = 50_000  # a step of theirs takes twenty times as long
@@ -99,7 +99,7 @@ def environments(name: str, variant: str, count: int, *, held_out: bool = False)
 
     from motor_env.envs import StableBaselinesVecEnv
 
-    task = reference.vector(IDS[name], 1).options
+    task = reference.vector(name, 1).options
     samples = task.samples_per_step
     confirm = (task.confirm_steps - 1) * samples + (1 if held_out else samples)
     every = replace(task, samples_per_step=1, confirm_steps=confirm, observe=RAW)
@@ -125,7 +125,7 @@ def judged(model: Any, envs: Any) -> FloatArray:
 def trained(name: str, variant: str, seed: int) -> reference.Result:
     """An agent with the defaults of its algorithm, and its learning curve."""
     if variant == "ppo":
-        return reference.trained(IDS[name], "ppo", seed)
+        return reference.trained(name, "ppo", seed)
     import torch
     from quick_ppo import QuickPPO, QuickRecurrentPolicy
     from sb3_contrib import RecurrentPPO

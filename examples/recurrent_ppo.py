@@ -7,7 +7,6 @@ A monitor shows running means of the residual by default. Here they are hidden: 
 """
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -48,13 +47,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Train an agent with a memory.")
     parser.add_argument("--steps", type=int, default=50_000, help="of training, over all sub-environments")
     parser.add_argument("--seed", type=int, default=0, help="of the training")
-    parser.add_argument("--tensorboard", type=Path, metavar="FOLDER", help="where logs for TensorBoard go")
+    parser.add_argument("--tensorboard", metavar="FOLDER", help="where logs for TensorBoard go")
     given = parser.parse_args()
     torch.set_num_threads(1)
-    log = None if given.tensorboard is None else str(given.tensorboard)
     model = RecurrentPPO(
-        "MlpLstmPolicy", environments(8), seed=given.seed, device="cpu", tensorboard_log=log
-    ).learn(given.steps)
+        "MlpLstmPolicy", environments(8), seed=given.seed, device="cpu", tensorboard_log=given.tensorboard
+    )
+    model.learn(given.steps)
     found = returns(model, environments(EPISODES))
     error = 1.96 * found.std() / EPISODES**0.5
     print(f"mean return {found.mean():+.3f} ± {error:.3f} of {EPISODES} episodes")  # noqa: T201

@@ -42,7 +42,7 @@ def test_held_out_episodes_of_raw_measurements_are_those_of_the_id(
 ) -> None:
     envs = residual_worth.environments(name, "stacked", N, held_out=True)
     found = residual_worth.judged(Late(action, begin), envs)
-    own = reference_scores.vector(residual_worth.IDS[name], N)
+    own = reference_scores.vector(name, N)
     expected = returns_of(own, Late(action, begin), reference_scores.AGENT_SEED)
     np.testing.assert_allclose(found, expected, atol=1e-6)
     assert expected.std() > 0.1
@@ -52,7 +52,7 @@ def test_a_raw_measurement_is_the_mean_of_a_step_and_an_episode_begins_with_a_st
     """Of two monitors the second declares: what the first sees does not depend on that."""
     raw: Any = residual_worth.environments("Monitor-v0", "raw", 2).unwrapped.envs
     options = {"observe": residual_worth.RAW, "samples_per_step": 1}
-    each = reference_scores.vector(residual_worth.IDS["Monitor-v0"], 2, **options)
+    each = reference_scores.vector("Monitor-v0", 2, **options)
     seen, waits = [raw.reset(seed=3)[0]], np.zeros(2, dtype=np.int64)
     each.reset(seed=3)
     for over in (False, False, True, False):
