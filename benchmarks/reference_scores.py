@@ -33,7 +33,7 @@ from motor_env.motor.parameters import FloatArray
 
 RESULTS = Path(__file__).resolve().parent / "results" / "reference"
 SEEDS, TUNING_SEED, AGENT_SEED = tuple(range(1, 11)), 100, 77
-STEPS, POINTS, N_ENVS, AGENT_EPISODES = 300_000, 5, 8, 500
+STEPS, POINTS, N_ENVS, AGENT_EPISODES = 300_000, 10, 8, 500
 TRIVIAL_EPISODES = 250
 FEWEST = 3  # trainings of which an interval says anything
 LEARNERS = ("ppo", "dqn", "sac", "long")
@@ -137,6 +137,7 @@ def trained(name: str, learner: str, seed: int) -> Result:
     """An agent of Stable-Baselines3 with its defaults, and its learning curve."""
     import stable_baselines3
     import torch
+    from quick_ppo import QuickPPO
 
     from motor_env.envs import StableBaselinesVecEnv
 
@@ -144,7 +145,9 @@ def trained(name: str, learner: str, seed: int) -> Result:
     envs = StableBaselinesVecEnv(vector(name, N_ENVS, autoreset_mode="SameStep"))
     envs.seed(1000 + seed)
     algorithm, steps = ("PPO", LONG) if learner == "long" else (learner.upper(), STEPS)
-    model = getattr(stable_baselines3, algorithm)("MlpPolicy", envs, seed=seed, device="cpu")
+    quick = algorithm == "PPO" and isinstance(envs.action_space, gym.spaces.Discrete)
+    learner_type = QuickPPO if quick else getattr(stable_baselines3, algorithm)
+    model = learner_type("MlpPolicy", envs, seed=seed, device="cpu")
     test, curve = vector(name, AGENT_EPISODES), []
     begun, rollout = time.process_time(), getattr(model, "n_steps", 1) * N_ENVS
     rollouts = -(-steps // rollout)

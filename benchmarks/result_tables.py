@@ -13,6 +13,8 @@ from typing import Any
 
 import pandas as pd
 import reference_scores
+import residual_worth
+import run as speed
 from tables import KEPT, kept_tables, marked, table
 from trust import trust_tables
 
@@ -169,6 +171,17 @@ def task_digests() -> str:
     return table(["task", "training starts", "test cases"], rows)
 
 
+def speed_tables() -> dict[str, str]:
+    """Rates beside the peers', and the time that classifiers take."""
+    parts = {name: speed.page_table(name) for name in speed.discover()}
+    rows = [
+        [_IN_README[row["method"]], _quantity(row["microseconds_per_transient"]), f"{row['train_s']:.1f}"]
+        for row in sorted(_ranked(), key=lambda row: float(row["microseconds_per_transient"]))
+        if row["method"] in _IN_README and row["method"] not in _LIMIT
+    ]
+    return parts | {"classifiers": table(["method", "µs a start", "training s"], rows)}
+
+
 def pages() -> dict[Path, str]:
     """The pages with their tables made anew."""
     parts = {
@@ -192,6 +205,8 @@ def pages() -> dict[Path, str]:
         {"field": field_table(), "operation": field_table("operation")}
     )
     parts[DOCS / "reference-scores.md"] = {"reference": reference_scores.table()}
+    parts[DOCS / "results" / "residual.md"] = {"residual": residual_worth.table()}
+    parts[DOCS / "results" / "speed.md"] = speed_tables()
     parts[DOCS / "citing.md"] = {"ids": id_digests(), "tasks": task_digests()}
     return {path: marked(path.read_text(encoding="utf-8"), tables) for path, tables in parts.items()}
 

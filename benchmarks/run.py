@@ -1,5 +1,8 @@
 """Measure motor-env against its peers: `make bench`, or `python benchmarks/run.py --only filter`.
 
+`make bench BENCH_ARGS=--keep` on a machine that does nothing else, then `python benchmarks/result_tables.py`, make
+docs/results/speed.md anew.
+
 Every module ``bench_*.py`` beside this file offers ``run() -> list[Result]``. Each runs in a process of its
 own with all thread pools at 1, and both sides of a ratio are measured in that one process.
 """
@@ -31,6 +34,7 @@ ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
+KEPT = FOLDER / "results" / "speed.json"
 Row = dict[str, Any]
 AT_LEAST_S = 0.2
 
@@ -109,6 +113,13 @@ def cells(row: Row) -> list[str]:
     return [row["name"], *rates, *ratio]
 
 
+def page_table(name: str) -> str:
+    """What is kept of a benchmark."""
+    kept = json.loads(KEPT.read_bytes()) if KEPT.is_file() else []
+    shown = ([*cells(row)[:4], f"{row['ratio']:.2g}"] for row in kept if row["bench"] == name)
+    return table(("what", "ours a second", "peer a second", "peer", "ratio"), shown)
+
+
 def main() -> int:
     """Measure, print the table, write the file. Exit status 1 if a benchmark failed to run."""
     parser = argparse.ArgumentParser(description="Measure motor-env against its peers.")
@@ -116,6 +127,7 @@ def main() -> int:
         "--only", metavar="NAME", action="append", choices=discover(), help="one of: %(choices)s"
     )
     parser.add_argument("--out", metavar="FILE", type=Path, default=Path("out/bench.json"))
+    parser.add_argument("--keep", action="store_true", help="keep the rows for the page on speed, too")
     parser.add_argument("--measure-here", metavar="NAME", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.measure_here:
@@ -130,10 +142,15 @@ def main() -> int:
         if measured is None:
             failed.append(name)
         else:
-            rows += measured
+            rows += [{"bench": name, **row} for row in measured]
 
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(rows, indent=2) + "\n")
+    if options.keep:
+        new = {row["bench"] for row in rows}
+        old = json.loads(KEPT.read_bytes()) if KEPT.is_file() else []
+        kept = [row for row in old if row["bench"] not in new] + rows
+        KEPT.write_text(json.dumps(kept, indent=1) + "\n")
     print(table(("what", "ours /s", "peer /s", "peer", "ratio", "bar", ""), map(cells, rows)))
     print(f"\nwritten: {options.out}")
     for name in failed:

@@ -2,6 +2,7 @@
 
 python examples/ppo.py --play Monitor-v0     # 500 episodes, and the screen at the end of one
 python examples/ppo.py --train Monitor-v0    # 300,000 steps on eight sub-environments; two minutes of one core
+python examples/ppo.py --train Monitor-v0 --tensorboard out/logs    # then: tensorboard --logdir out/logs
 
 `examples/agents` keeps one agent of each of the ids to begin with: the weights of its policy alone, as plain arrays, so
 that nothing is unpickled, and NumPy plays it.
@@ -43,15 +44,15 @@ class Agent:
         return actions
 
 
-def train(name: str, steps: int, seed: int) -> dict[str, NDArray[np.float32]]:
-    """Weights of the policy after so many steps."""
+def train(name: str, steps: int, seed: int, logs: str | None) -> dict[str, NDArray[np.float32]]:
+    """Weights of the policy after so many steps; its returns, losses and entropy go to a folder of logs."""
     import torch
     from stable_baselines3 import PPO
 
     torch.set_num_threads(1)  # small networks: one core is as quick, and the figures repeat
     envs = StableBaselinesVecEnv(gym.make_vec(f"motor_env/{name}", num_envs=8, autoreset_mode="SameStep"))
     envs.seed(1000 + seed)
-    model = PPO("MlpPolicy", envs, seed=seed, device="cpu").learn(steps)
+    model = PPO("MlpPolicy", envs, seed=seed, device="cpu", tensorboard_log=logs).learn(steps)
     weights = {key: value.numpy() for key, value in model.policy.state_dict().items()}
     return {key: value for key, value in weights.items() if "policy_net" in key or "action_net" in key}
 
@@ -80,13 +81,16 @@ def main() -> None:
     what.add_argument("--train", metavar="ID", help="any id whose actions are numbered")
     parser.add_argument("--steps", type=int, default=300_000, help="of training, over all sub-environments")
     parser.add_argument("--seed", type=int, default=0, help="of the training")
+    parser.add_argument(
+        "--tensorboard", metavar="FOLDER", help="where a training leaves logs for TensorBoard"
+    )
     parser.add_argument("--agents", type=Path, help="folder of weights (kept ones; of a training out/agents)")
     given = parser.parse_args()
     name, out = given.play or given.train, Path("out/agents")
     weights = (given.agents or (AGENTS if given.play else out)) / f"{name}.npz"
     if given.train:
         weights.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(weights, **train(name, given.steps, given.seed))
+        np.savez(weights, **train(name, given.steps, given.seed, given.tensorboard))
     print(play(name, Agent(dict(np.load(weights))), out / f"{name}.png"))  # noqa: T201
 
 

@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -114,8 +115,20 @@ def test_the_agent_that_is_kept_is_better_than_one_action_always(name: str, tmp_
 
 
 @pytest.mark.long
-def test_ppo_with_its_defaults_learns() -> None:
+def test_ppo_with_its_defaults_learns_and_leaves_a_log(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     ppo = example("ppo")
-    agent = ppo.Agent(ppo.train("Monitor-v0", 50_000, 0))
+    agent = ppo.Agent(ppo.train("Monitor-v0", 50_000, 0, str(tmp_path)))
+    assert len(list(tmp_path.rglob("events.out.tfevents.*"))) == 1
     assert returns_of(MonitorVectorEnv(300), agent, 1).mean() > 0.5
+
+
+@pytest.mark.long
+def test_an_agent_with_a_memory_is_trained_scored_and_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("sb3_contrib")
+    monkeypatch.setattr(sys, "argv", ["recurrent_ppo.py", "--steps", "1", "--tensorboard", str(tmp_path)])
+    example("recurrent_ppo").main()
+    assert re.fullmatch(r"mean return [+-]\d\.\d{3} ± 0\.\d{3} of 500 episodes\n", capsys.readouterr().out)
+    assert len(list(tmp_path.rglob("events.out.tfevents.*"))) == 1
