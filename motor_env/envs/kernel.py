@@ -1,4 +1,4 @@
-"""Equations of a sample of Monitor and Probe, compiled: plant, filter, statistics, cost, verdict.
+"""Equations of a sample of Monitor and Probe, compiled: plant, filter, statistics, energy, verdict.
 
 `advance` takes one lane (one sub-environment) from sample k to k + 1; `stepping` runs it over one lane or many blocks.
 The matrices come from `motor_env.motor.model.discretize`, the gain from `motor_env.filters.kalman`. The same source
@@ -13,7 +13,7 @@ from motor_env.motor.compiled import inlined
 
 @inlined
 def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full: bool) -> None:
-    """One sample of lane j of the block s: plant, measurement, filter, statistics, cost of waiting.
+    """One sample of lane j of the block s: plant, measurement, filter, statistics, price of the energy.
 
     States, measurements and the voltage u are deviations from the rest point of the healthy model (F, G). The error of
     the estimate, e = x - xhat, is a state in its own right, and the motor is its difference M, B, D to (F, G): as the
@@ -69,14 +69,12 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
     s.fast_current[j] = fast * s.fast_current[j] + p.into_fast * r0
     s.slow_current[j] = slow * s.slow_current[j] + p.into_slow * r0
     s.excess[j] = slow * s.excess[j] + p.into_excess * (power - p.n_channels)
-    cost = kept * s.cost[j] + s.delay[j]
     if full:
         taken = (u + d + p.rest_voltage) * s.supply[j] * (y0 + p.rest_current)
-        cost += p.probe_cost * u * u + p.energy_cost * abs(taken)
+        s.energy[j] = kept * s.energy[j] + p.energy_cost * abs(taken)
         s.old_current[j], s.old_speed[j] = x0, x1
         s.mismatch_0[j], s.mismatch_1[j] = m0, m1
         s.noise_current[j], s.power[j] = v0, power
-    s.cost[j] = cost
     s.time[j] += p.one
 
 

@@ -75,13 +75,25 @@ ROW_LENGTH = len(_MOTOR)
 _STATE = ("current", "speed", "error_current", "error_speed", "carry")
 """True state, error of the filter's estimate, and what rounding took from the error of the speed."""
 _STATISTICS = ("fast_current", "slow_current", "fast_speed", "slow_speed", "excess")  # running
-_TIMES = ("time", "next_change", "delay", "cost")  # in samples, and what a sample costs
+_TIMES = ("time", "next_change")  # in samples
 _MEASURED = ("measured_current", "measured_speed", "estimated_current", "estimated_speed")  # the last sample
 _STEP = ("innovation_current", "innovation_speed", "voltage")  # the last step; the innovation is white
 _EPISODE = ("onset", "level", "kind", "supply")
 _FOR_BANK = ("old_current", "old_speed", "mismatch_0", "mismatch_1", "noise_current", "noise_speed", "power")
 _LOOP = ("drive", "held")  # what a speed loop adds to the voltage, and the speed that it holds
-_FIELDS = (*_MOTOR, *_STATE, *_STATISTICS, *_TIMES, *_MEASURED, *_STEP, *_EPISODE, *_FOR_BANK, *_LOOP)
+_PRICE = ("energy", "energy_due")  # of the energy of the last step, and of those before it
+_FIELDS = (
+    *_MOTOR,
+    *_STATE,
+    *_STATISTICS,
+    *_TIMES,
+    *_MEASURED,
+    *_STEP,
+    *_EPISODE,
+    *_FOR_BANK,
+    *_LOOP,
+    *_PRICE,
+)
 _BANK = ("evidence", "bank_current", "bank_speed")
 EVIDENCE = len(_FIELDS)  # its first row
 N_FIELDS = EVIDENCE + len(_BANK) * MAX_BANK

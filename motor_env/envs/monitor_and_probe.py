@@ -26,7 +26,7 @@ class ProbeOptions(MonitorOptions):
         offsets_v: voltage offsets of the actions of Probe-v0; the first is that of waiting.
         max_offset_v: largest offset, up or down, of ProbeContinuous-v0.
         probe_cost_per_v2_s: price of the squared offset for a second.
-        energy_cost_per_j: price of the electrical energy that the motor takes or gives.
+        energy_cost_per_j: price of the electrical energy that the motor takes or gives; charged where the episode ends.
         observe: names of the observed features, in this order; empty: all that the recipe's sensor gives, and the
             evidence for each kind.
     """
@@ -82,7 +82,8 @@ class ProbeEnv(MotorEnv):
     over the root of its number of samples.
 
     ## Reward
-    As in `MonitorEnv` with a delay cost of 2 a second; an offset of 1 V costs 2 a second, growing with its square.
+    As in `MonitorEnv` with a delay cost of 2 a second; an offset of 1 V costs 2 a second, growing with its
+    square, in the step that it lasts.
 
     ## End of an episode
     A declaration, or the horizon (200 steps of 2 ms), both as `terminated`.
@@ -165,8 +166,8 @@ class MonitorEnv(MotorEnv):
     no-load speed, voltage of the supply's.
 
     ## Reward
-    See `MonitorOptions`: delay costs 5 a second; right kind +1, silence to the end without a fault +1, false alarm -1,
-    wrong kind -0.5, miss -1.
+    0 until the episode ends. See `MonitorOptions`: right kind +1, silence to the end without a fault +1, false alarm
+    -1, wrong kind -0.5, miss -1; delay costs 5 a second. Charged step by step, the delay would tell the onset.
 
     ## End of an episode
     A declaration, or the horizon (2000 samples of 0.1 ms), both as `terminated`: a miss has to be charged. `truncated`

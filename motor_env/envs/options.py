@@ -234,7 +234,7 @@ class MonitorOptions:
         false_alarm_cost: for a declaration when no fault had acted yet.
         wrong_kind_cost: for declaring another kind than the fault's.
         miss_cost: for reaching the horizon in silence when there was a fault.
-        delay_cost_per_s: for every second that passes between onset and declaration.
+        delay_cost_per_s: for every second that passes between onset and declaration; charged where the episode ends.
         confirm_steps: a kind is declared once it has been chosen in so many steps in a row, or in the last step; the
             choices before count as waiting.
         precision: `float32` or `float64` inside the step; observations are float32. float32 is quicker in a vector, and

@@ -42,7 +42,7 @@ def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, firs
         while s.next_change[j] <= s.time[j]:
             level = int(s.level[j]) + 1
             set_motor(s, j, task, lanes, first + j, level)
-            s.level[j], s.delay[j] = level, p.delay_cost
+            s.level[j] = level
             due = s.onset[j] + np.floor(p.growth * level / p.n_levels)
             s.next_change[j] = due if level < p.n_levels else layout.NEVER
             lanes.flags[layout.FAULT_ACTIVE, first + j] = True
@@ -94,6 +94,8 @@ def _step_block(
 ) -> int:
     """Advance the first `width` lanes of a block by the samples of a step; return the next row of noise."""
     channels, kept = int(p.n_channels), p.zero
+    for j in range(width):
+        s.energy_due[j] += s.energy[j]
     for _ in range(samples):
         if lanes.marks[layout.QUIET, first] <= 0:
             _change_levels(s, p, task, lanes, first, width)
@@ -174,33 +176,35 @@ def observe(observation: Float32Array, numbers: FloatArray, prior: FloatArray, *
 
 
 @inlined
-def _split_cost(s: Block, p: Constants, samples: int, parts: FloatArray, first: int, width: int) -> None:
-    """Split the cost of a step into verdict (0), delay, probe, energy; without voltage moves into the first two."""
-    verdict, delay = parts[0, first : first + width], parts[1, first : first + width]
-    for j in range(width):
-        verdict[j] = 0.0
-        delay[j] = -s.cost[j]
-    if parts.shape[0] > 2:
-        probe, energy = parts[2, first : first + width], parts[3, first : first + width]
+def _pay_step(s: Block, p: Constants, samples: int, parts: FloatArray, first: int, width: int) -> None:
+    """Pay what the agent itself has spent in a step: its probe. The rest is due where the episode ends.
+
+    What depends on the fault would tell the onset at once to whoever sees the last reward.
+    """
+    for m in range(parts.shape[0]):
+        row = parts[m, first : first + width]
         for j in range(width):
-            u = s.voltage[j]
-            acting = s.time[j] - s.onset[j]
-            cost = delay[j]
-            delay[j] = -p.delay_cost * min(max(acting, p.zero), samples)
-            probe[j] = -p.probe_cost * u * u * samples
-            rest = min(cost - delay[j] - probe[j], 0.0)
-            energy[j] = rest if p.energy_cost > 0.0 else 0.0
+            row[j] = 0.0
+    if parts.shape[0] > 2:
+        probe = parts[2, first : first + width]
+        for j in range(width):
+            probe[j] = -p.probe_cost * s.voltage[j] * s.voltage[j] * samples
 
 
 @inlined
 def _settle(s: Block, j: int, p: Constants, samples: int, declared: int, parts: FloatArray, n: int) -> float:
-    """Last reward of lane j of a block, lane n of all; a declaration costs nothing beside its verdict."""
-    verdict = kernel.settle(s, j, p, samples, declared)
-    if declared > 0:
-        for m in range(parts.shape[0]):
-            parts[m, n] = 0.0
-    parts[0, n] = verdict
-    return verdict if declared > 0 else float(verdict - s.cost[j])
+    """Pay the end of the episode of lane j of a block, lane n of all: verdict, delay and energy.
+
+    The step that declares counts neither as a delay nor as energy.
+    """
+    acting = s.time[j] - s.onset[j] - (samples if declared > 0 else 0)
+    parts[0, n] = kernel.settle(s, j, p, samples, declared)
+    parts[1, n] = -p.delay_cost * max(acting, p.zero)
+    total = parts[0, n] + parts[1, n]
+    if parts.shape[0] > 2:
+        parts[3, n] = -s.energy_due[j] - (p.zero if declared > 0 else s.energy[j])
+        total += parts[2, n] + parts[3, n]
+    return float(total)
 
 
 @inlined
@@ -306,9 +310,9 @@ def _step_lanes(
             lanes.flags[layout.TERMINATED, first : first + LANES],
             lanes.marks[layout.DECLARED, first : first + LANES],
         )
+        _pay_step(s, p, samples, parts, first, LANES)
         for j in range(LANES):
-            rewards[j] = -s.cost[j]
-        _split_cost(s, p, samples, parts, first, LANES)
+            rewards[j] = parts[2, first + j] if parts.shape[0] > 2 else 0.0
         for j in range(LANES):
             something |= declared[j] | np.int32(over[j])
         if something != 0 or lanes.marks[layout.QUIET, first] <= 0:
@@ -374,9 +378,9 @@ def step_single(
         _confirm(p, lanes, samples, 1)
         declared = lanes.marks[layout.DECLARED, 0]
     lanes.marks[layout.ROW, 0] = _step_block(s, p, task, lanes, 0, lanes.marks[layout.ROW, 0], samples, 1)
-    _split_cost(s, p, samples, parts, 0, 1)
+    _pay_step(s, p, samples, parts, 0, 1)
     over = declared > 0 or s.time[0] >= p.horizon
-    reward = _settle(s, 0, p, samples, declared, parts, 0) if over else float(-s.cost[0])
+    reward = _settle(s, 0, p, samples, declared, parts, 0) if over else parts[2, 0]
     _observe_block(s, task.features, observation.reshape((-1, 1)), 0, 1)
     return (
         reward,

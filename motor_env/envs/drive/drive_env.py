@@ -131,7 +131,8 @@ class DriveEnv(StreamEnv[DriveOptions]):
     ## Reward
     See `DriveOptions`. The squared error of the speed, in units of the top speed, costs 300 a second; a kelvin beyond
     70 K 0.05 a second; a bearing worn from new to failure 1; limping 0.2 a second; a stopped motor 1 for each second
-    left, a failed one 6 more. In DriveBounded-v0 and DriveDecide-v0 a second of tracking error costs at most 3.
+    left, a failed one 6 more. In DriveBounded-v0 and DriveDecide-v0 a second of tracking error costs at most 3. Heat
+    and wear are charged where the episode ends: step by step they would tell of the fault.
 
     ## End of an episode
     Stopping, a failure, or the horizon (800 steps of 10 ms), all as `terminated`. `truncated` is always False.

@@ -27,6 +27,7 @@ PARTS = ("tracking", "heat", "wear", "limp", "stop", "failure")
 """Parts of a reward."""
 TRUTH = ("current", "speed", "load", "temperature", "severity", "kind", "onset", "growth")
 _BELIEF = ("estimated_current", "estimated_speed", "step", "integral")
+_DUE = ("heat_due", "wear_due")  # what heat and wear have cost: paid where the episode ends
 _MOTOR = ("a00", "a01", "a10", "a11", "b0", "b1", "e0", "e1")
 _MEASURED = ("measured_current", "measured_speed", "estimated_load", "innovation_current", "innovation_speed")
 _OBSERVED = (*_MEASURED, "slow_current", "slow_speed", "voltage", "estimated_temperature", "scale", "time")
@@ -130,7 +131,7 @@ def block_type(n_ahead: int) -> np.dtype[np.void]:
 
     `asked` is the observed profile, `profile` its first row, `observed` all observed rows, `everything` all rows.
     """
-    rows = (*TRUTH, *_BELIEF, *_MOTOR, *_OBSERVED)
+    rows = (*TRUTH, *_BELIEF, *_DUE, *_MOTOR, *_OBSERVED)
     row, n_rows, first = 8 * LANES, len(rows) + n_ahead, len(rows) - len(_OBSERVED)
     wide = {"asked": (len(rows), n_ahead), "observed": (first, n_rows - first), "everything": (0, n_rows)}
     return np.dtype(

@@ -238,8 +238,8 @@ def _price(s: Block, w: Block, p: Task, lanes: Lanes, first: int, width: int) ->
             error /= 1.0 + error / p.tracking_limit
         heat = p.heat_cost * max(s.temperature[j] - p.warm_k, 0.0)
         w.parts[TRACKING, j] += -0.0 if stands else -error
-        w.parts[HEAT, j] += -0.0 if stands else -heat
-        w.parts[WEAR, j] += -0.0 if stands else -p.wear_cost * w.worn[j]
+        s.heat_due[j] += heat
+        s.wear_due[j] += p.wear_cost * w.worn[j]
         w.parts[LIMPING, j] += -0.0 if stands else -p.limp_cost * (1.0 - s.scale[j])
         failure = p.bearing_failure if s.kind[j] == BEARING else p.winding_failure
         broken = s.kind[j] != HEALTHY and s.severity[j] >= failure
@@ -290,7 +290,7 @@ def _begin_step(
         if begins and lanes.flags[layout.TERMINATED, first + j]:
             begin_lane(s, j, p, lanes, first + j)
             w.parts[STOPPING, j], w.over[j], w.stands[j] = 0.0, 0, 1
-    for m in range(LIMPING + 1):
+    for m in (TRACKING, LIMPING):
         for j in range(width):
             w.parts[m, j] = 0.0 if w.stands[j] != 0 else -0.0
 
@@ -322,6 +322,9 @@ def _step_block(
             for j in range(width):
                 if w.stands[j] != 0:
                     _copy_lane(w.kept, s.everything, j)
+    for j in range(width):  # in each step they would tell of the fault to whoever sees the last reward
+        w.parts[HEAT, j] = -s.heat_due[j] if w.over[j] != 0 else 0.0
+        w.parts[WEAR, j] = -s.wear_due[j] if w.over[j] != 0 else 0.0
     for j in range(width):
         lanes.flags[layout.TERMINATED, first + j] = w.over[j] != 0
         lanes.flags[layout.FAULT_ACTIVE, first + j] = s.severity[j] > 0.0

@@ -15,7 +15,7 @@ from motor_env.envs.layout import BoolArray
 from motor_env.envs.policies.rule_policies import Actions, Player, Policy, ThresholdPolicy
 from motor_env.envs.single import Info
 from motor_env.envs.vector import MotorVectorEnv, StreamVectorEnv
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, require
 
 
 class Runs(NamedTuple):
@@ -126,8 +126,15 @@ def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
 def sweep(
     envs: MotorVectorEnv, policy: ThresholdPolicy, thresholds: Sequence[float], seed: int
 ) -> list[Runs]:
-    """Play every threshold of a policy at once: until it declares, nothing depends on its threshold."""
+    """Play every threshold of a policy at once: until it declares, nothing depends on its threshold.
+
+    Raises:
+        ValueError: a declaration has to be confirmed, or energy has a price, which is known at the end alone.
+    """
     instance("envs", envs, VectorEnv)
+    for name, wanted in (("confirm_steps", 1), ("energy_cost_per_j", 0)):
+        found = getattr(envs.options, name)
+        require(found == wanted, f"{name} of the environments must be {wanted} for a sweep, got {found:g}")
     count, limits = envs.num_envs, np.asarray(thresholds, dtype=np.float64)[:, None]
     observations, info = envs.reset(seed=seed)
     right, onset = envs.setup.right_declarations[info["class_index"]], info["onset_sample"]
@@ -162,16 +169,17 @@ def sweep(
 def _verdict(
     envs: MotorVectorEnv, actions: Actions, step: int, right: NDArray[np.int64], onset: NDArray[np.int64]
 ) -> FloatArray:
-    """Reward of declaring now, see `motor_env.envs.kernel.settle`."""
+    """Reward of declaring now, verdict and delay, see `motor_env.envs.kernel.settle`."""
     options = envs.options
-    happened = (onset >= 0) & (step * options.samples_per_step > onset)
+    acting = np.where(onset >= 0, step * options.samples_per_step - onset, 0)
+    happened = acting > 0
     correct = envs.setup.declarations[actions] == right
     worth: FloatArray = np.where(
         happened,
         np.where(correct, options.correct_reward, -options.wrong_kind_cost),
         -options.false_alarm_cost,
     )
-    return worth
+    return worth - options.delay_cost_per_s * options.dt_s * np.maximum(acting, 0)
 
 
 def joined(runs: Sequence[Runs]) -> Runs:

@@ -276,20 +276,21 @@ def test_rewards_say_what_the_options_say() -> None:
     seed = faulty_episode(env, FaultKind.BEARING)
     onset = env.reset(seed=seed)[1]["onset_sample"]
     assert outcome(env, seed, onset, 1) == -3.0  # nothing of the fault has been observed yet
-    assert outcome(env, seed, onset + 1, 1) == 2.0
-    assert outcome(env, seed, onset + 1, 2) == -4.0
-    assert outcome(env, seed, 1999, WAIT) == pytest.approx(-5.0 - 5.0 * 1e-4, rel=1e-6)
+    assert outcome(env, seed, onset + 1, 1) == pytest.approx(2.0 - 5.0 * 1e-4, rel=1e-6)
+    assert outcome(env, seed, onset + 3, 2) == pytest.approx(-4.0 - 3.0 * 5.0 * 1e-4, rel=1e-6)
+    assert outcome(env, seed, 1999, WAIT) == pytest.approx(-5.0 - 5.0 * 1e-4 * (2000 - onset), rel=1e-6)
     healthy = next(s for s in range(100) if env.reset(seed=s)[1]["label"] == "healthy")
     assert outcome(env, healthy, 1999, WAIT) == 1.0
 
 
-def test_delay_is_charged_from_the_onset() -> None:
+def test_delay_from_the_onset_on_is_charged_at_the_end() -> None:
     env = MonitorEnv(delay_cost_per_s=7.0, miss_cost=0.0)
     seed = faulty_episode(env, FaultKind.BEARING)
     onset = env.reset(seed=seed)[1]["onset_sample"]
-    rewards = [env.step(WAIT)[1] for _ in range(env.options.n_steps)]
-    assert rewards[:onset] == [0.0] * onset
-    np.testing.assert_allclose(rewards[onset:], -7.0e-4, rtol=1e-6)
+    n_steps = env.options.n_steps
+    rewards = [env.step(WAIT)[1] for _ in range(n_steps)]
+    assert rewards[:-1] == [0.0] * (n_steps - 1)
+    assert rewards[-1] == pytest.approx(-7.0e-4 * (n_steps - onset), rel=1e-6)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -192,6 +192,38 @@ def test_what_a_step_returns_is_never_written_to_again() -> None:
         assert not np.shares_memory(mine, next_one)
 
 
+REWARDED: dict[str, tuple[str, dict[str, Any]]] = {
+    **{name: (name, {"tracking_cost_per_s": 0.0} if "Drive" in name else {}) for name in IDS},
+    "energy": ("motor_env/Probe-v0", {"energy_cost_per_j": 0.5}),
+}
+
+
+@pytest.mark.parametrize("name", REWARDED)
+def test_a_policy_that_reads_its_last_reward_does_no_better_than_one_that_does_not(name: str) -> None:
+    """The oracle alarms (declares, stops, replaces) once a reward is not 0, which costs nothing but a fault."""
+    identity, options = REWARDED[name]
+    envs: Any = gym.make_vec(identity, num_envs=200, **options).unwrapped
+    space, found = envs.single_action_space, []
+    many = isinstance(space, gym.spaces.Box)
+    calm = np.zeros((200, *space.shape), dtype=space.dtype)
+    alarm = np.broadcast_to(np.eye(space.shape[0])[-1] if many else space.n - 1, calm.shape)
+    for reads in (False, True):
+        envs.reset(seed=3)
+        returns, alarmed, alive = np.zeros(200), np.zeros(200, dtype=np.bool_), np.ones(200, dtype=np.bool_)
+        while alive.any():
+            chosen = alarmed[:, None] if many else alarmed
+            _, rewards, over, _, _ = envs.step(np.where(chosen, alarm, calm).astype(space.dtype))
+            returns += rewards * alive
+            alive &= ~over
+            alarmed |= reads & (rewards != 0.0)
+        found.append(returns)
+    silent, oracle = found
+    if "Maintain" in name:  # a failure costs, but the agent has seen it
+        assert oracle.mean() < silent.mean()
+    else:
+        np.testing.assert_array_equal(oracle, silent)
+
+
 @pytest.mark.parametrize("name", IDS)
 def test_make_and_make_vec(name: str) -> None:
     with warnings.catch_warnings():
