@@ -1,7 +1,6 @@
 """Failed sensors in simulation: the readings change as the kind says, and the motor stays as it is."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -146,12 +145,18 @@ def test_what_is_not_recorded_cannot_fail(name: str, sentence: str) -> None:
 
 
 def test_what_knows_motors_alone_refuses_failed_sensors() -> None:
-    recipe = load_recipe("bench", classes=(FaultClass(), FaultClass(FaultKind("current_dead"), 1.0)))
-    sentence = "recipe bench must have faults of motors alone for this, got current_dead"
-    calls: list[Any] = [
-        lambda: class_probabilities(recipe, np.zeros((1, 1, 1000))),
-        lambda: make_setup(MonitorOptions(recipe=recipe)),
-    ]
-    for call in calls:
-        with pytest.raises(ValueError, match=sentence):
-            call()
+    classes = (FaultClass(), FaultClass(FaultKind("current_clipped"), 0.5))
+    recipe = load_recipe("bench", classes=classes)
+    with pytest.raises(
+        ValueError, match="recipe bench must have faults of motors alone for this, got current_clipped"
+    ):
+        class_probabilities(recipe, np.zeros((1, 1, 1000)))
+    with pytest.raises(
+        ValueError, match="recipe bench has current_clipped, which an environment does not simulate"
+    ):
+        make_setup(MonitorOptions(recipe=recipe))
+    away = load_recipe("bench", classes=(FaultClass(), FaultClass(FaultKind("speed_dead"), 1.0)))
+    with pytest.raises(
+        ValueError, match="recipe bench has speed_dead, which an environment does not simulate"
+    ):
+        make_setup(MonitorOptions(recipe=away))
