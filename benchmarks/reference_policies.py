@@ -28,6 +28,7 @@ from motor_env.envs import (
     ThresholdReplacement,
     baseline_features,
 )
+from motor_env.envs.policies.residual_posterior import ResidualPosterior
 from motor_env.envs.policies.rule_policies import Player
 
 Make = Callable[[Any], Player]
@@ -138,6 +139,12 @@ REFERENCES = {
         ("bank of filters", lambda envs: BankPolicy(envs.setup, 8.775)),
         None,
         {"observe": baseline_features("medium")},
+    ),
+    "MonitorSensor-v0": Reference(
+        ("bank of hypotheses", lambda envs: ResidualPosterior(envs.setup, 0.9)),
+        ("bank of hypotheses", lambda envs: ResidualPosterior(envs.setup, 0.9)),
+        upper_bound,
+        {"observe": ("innovation_current", "innovation_speed")},
     ),
     "Probe-v0": _SMALL_PROBE,
     "ProbeConfirm-v0": Reference(

@@ -28,6 +28,7 @@ for _id, _class, _options, _best in (
     ("MonitorHard", "Monitor", {"recipe": "hard"}, 0.716),
     ("MonitorSmall", "Monitor", {"recipe": "small"}, 0.501),
     ("MonitorSpeedLoop", "Monitor", {"drive": "speed_loop"}, 0.721),
+    ("MonitorSensor", "Monitor", {**_CONFIRM, "recipe": "sensor", "growth_s": 0.1}, 0.8),
     ("ProbeMedium", "Probe", {"recipe": "medium"}, 0.92),
     ("Probe", "Probe", {}, 0.887),
     ("ProbeContinuous", "ProbeContinuous", {}, 0.887),

@@ -7,6 +7,8 @@ Willsky 1984): a worse winding moves current and speed together, as the equation
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +23,7 @@ from motor_env.envs.policies.rule_policies import (
 )
 from motor_env.envs.setup import INNOVATION_BOUND, Setup, converged_gain
 from motor_env.motor.compiled import njit
-from motor_env.motor.faults import Fault
+from motor_env.motor.faults import Fault, apply_faults
 from motor_env.motor.model import Input
 from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.sensor_faults import fail_before_noise
@@ -38,25 +40,32 @@ def innovation_signatures(setup: Setup, classes: list[int], n_samples: int, onse
         ValueError: a sensor that repeats its last reading, or a fault that recovers.
     """
     options, recipe, dt_s = setup.options, setup.options.task, setup.options.dt_s
-    sensor, begins = recipe.sensor, np.arange(n_samples) * options.dt_s
+    sensor, begins = recipe.sensor, np.arange(n_samples) * dt_s
     volts = np.full(n_samples, float(recipe.supply.voltage_v))
     scale = Scenario(recipe.motor, supply=recipe.supply).full_scale
+    levels = np.arange(options.n_levels) / options.n_levels
+    edges = [*(onset + np.floor(round(options.growth_s / dt_s) * levels).astype(int)), n_samples]
     readings = np.empty((len(classes), len(sensor.channels), n_samples))
     for row, which in zip(readings, classes, strict=True):
-        one = recipe.classes[which]
-        known = one.kind is not None and not one.kind.endswith("stuck") and one.recovery is None
-        require(known, f"the posterior of residuals knows no class {one.name}")
-        fault = Fault(one.faults[0].kind, one.severity, onset_s=onset * dt_s, growth_s=options.growth_s)
-        states = simulate_states(
-            recipe.motor,
-            volts,
-            dt_s,
-            faults=() if fault.kind.is_sensor else (fault,),
-            load_torque_n_m=options.load_n_m,
-            initial_state=setup.rest,
+        one, states = recipe.classes[which], np.tile(setup.rest, (n_samples, 1))
+        require(
+            one.kind is not None and not one.kind.endswith("stuck") and one.recovery is None,
+            f"the posterior of residuals knows no class {one.name}",
         )
         row[:] = sensor.observation @ states.T
-        fail_before_noise(row[None], sensor.channels, [fault], begins, scale)
+        for level, (first, end) in enumerate(pairwise(np.minimum(edges, n_samples).tolist()), 1):
+            fault = Fault(one.faults[0].kind, one.severity * level / options.n_levels, onset_s=onset * dt_s)
+            if first < end:
+                states[first:end] = simulate_states(
+                    apply_faults(recipe.motor, [fault]),
+                    volts[first:end],
+                    dt_s,
+                    load_torque_n_m=options.load_n_m,
+                    initial_state=states[max(first - 1, 0)],
+                )
+            shown = (sensor.observation @ states.T)[None]
+            fail_before_noise(shown, sensor.channels, [fault], begins, scale)
+            row[:, first:end] = shown[0, :, first:end]
     gain, covariance = converged_gain(setup.belief)
     whitening, model = np.linalg.inv(np.linalg.cholesky(covariance)), setup.belief.model
     pushed = model.gain[:, Input.VOLTAGE] * volts[0] + model.gain[:, Input.LOAD_TORQUE] * options.load_n_m
