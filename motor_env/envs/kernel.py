@@ -59,18 +59,18 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
     a0 = p.f00 * e0 + p.f01 * e1 + m0
     rise = p.f10 * e0 + p.f11 * e1 + m1
     v0 = s.sigma_current[j] * s.normal_current[j]
-    v0, z0 = _read(s, j, p, 0, y0, v0, p.rest_current, s.measured_current[j]) if failing else (v0, y0 + v0)
+    v0, z0 = _read(s, j, p, 0, y0, v0, p.rest_current, s.measured_current[j]) if failing else (v0, v0)
     d0 = p.c0 * (a0 + v0)
     r0 = p.w00 * d0
     e0, correction, power = a0 - p.k00 * d0, p.k10 * d0, r0 * r0
     fast, slow = p.memory_fast, p.memory_slow
     if with_speed:
         v1 = s.sigma_speed[j] * s.normal_speed[j]
-        v1, z1 = _read(s, j, p, 1, y1, v1, p.rest_speed, s.measured_speed[j]) if failing else (v1, y1 + v1)
+        v1, z1 = _read(s, j, p, 1, y1, v1, p.rest_speed, s.measured_speed[j]) if failing else (v1, v1)
         d1 = e1 + rise + v1
         r1 = p.w10 * d0 + p.w11 * d1
         e0, correction, power = e0 - p.k01 * d1, correction + p.k11 * d1, power + r1 * r1
-        s.measured_speed[j] = z1
+        s.measured_speed[j] = z1 if failing else y1 + v1
         s.noise_speed[j] = v1
         s.innovation_speed[j] = kept * s.innovation_speed[j] + r1
         s.fast_speed[j] = fast * s.fast_speed[j] + p.into_fast * r1
@@ -79,7 +79,7 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
     before, e1 = e1, e1 + rise
     s.carry[j] = (e1 - before) - rise
     s.error_current[j], s.error_speed[j] = e0, e1
-    s.measured_current[j] = z0
+    s.measured_current[j] = z0 if failing else y0 + v0
     s.estimated_current[j], s.estimated_speed[j] = y0 - e0, y1 - e1
     s.innovation_current[j] = kept * s.innovation_current[j] + r0
     s.fast_current[j] = fast * s.fast_current[j] + p.into_fast * r0

@@ -67,9 +67,16 @@ def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, firs
 T11 = Model._fields.index("t11")
 
 
+@compiled
+def _advance_failing(s: Block, p: Constants, kept: float, width: int) -> None:
+    """Advance a block whose sensors may fail: a function of its own, for beside it the other loops would be slower."""
+    for j in range(width):  # without a speed sensor its gains are 0
+        kernel.advance(s, j, p, kept, True, True, True)
+
+
 @inlined
 def _advance_all(s: Block, p: Constants, row: int, kept: float, width: int) -> None:
-    """Advance a block by a sample.
+    """Advance a block by a sample; four loops, each without what it does not need.
 
     The normals are copied to a fixed row, so that the compiler knows that nothing written overlaps them.
     """
@@ -79,17 +86,9 @@ def _advance_all(s: Block, p: Constants, row: int, kept: float, width: int) -> N
     if p.c1 > 0.0:
         for j in range(width):
             s.normal_speed[j] = s.noise[speed_row, j]
-    if p.failing > 0.0:  # without a speed sensor its gains are 0
-        for j in range(width):
-            kernel.advance(s, j, p, kept, True, True, True)
-    else:
-        _advance_sound(s, p, kept, width)
-
-
-@inlined
-def _advance_sound(s: Block, p: Constants, kept: float, width: int) -> None:
-    """Advance a block whose sensors cannot fail; four loops, each without what it does not need."""
-    if p.full > 0.0:
+    if p.failing > 0.0:
+        _advance_failing(s, p, kept, width)
+    elif p.full > 0.0:
         if p.c1 > 0.0:
             for j in range(width):
                 kernel.advance(s, j, p, kept, True, True, False)
