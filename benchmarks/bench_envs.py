@@ -24,8 +24,10 @@ ROUNDS = 5
 ROWS = 500
 DECLARES = {"waits": 0.001, "6 % ends": 0.064, "random": None}
 """Probability that an agent declares something; None: every action is as likely as any other."""
-BASE, HARD = "motor_env/Monitor-v0", "motor_env/MonitorHard-v0"
-PROBE, DRIVE, MAINTAIN = "motor_env/Probe-v0", "motor_env/Drive-v0", "motor_env/Maintain-v0"
+BASE, HARD = "motor_env/MonitorInstant-v0", "hard"
+PROBE, DRIVE, MAINTAIN = "motor_env/ProbeInstant-v0", "motor_env/DriveControl-v0", "motor_env/Maintain-v0"
+MADE: dict[str, tuple[str, dict[str, Any]]] = {HARD: (BASE, {"recipe": "hard"})}
+"""What is no id of its own."""
 CARTPOLE = "CartPole-v1"
 
 
@@ -37,24 +39,24 @@ class Row(NamedTuple):
     number: int
     bar: float
     peer: str = CARTPOLE
-    title: str = "Monitor-v0"
+    title: str = "MonitorInstant-v0"
 
 
 TABLE = (
     Row(BASE, "waits", 4096, 4.0),
     Row(BASE, "6 % ends", 4096, 1.5),
     Row(BASE, "random", 4096, 0.38),  # 6 M steps a second beside 15.5 M of CartPole
-    Row(HARD, "6 % ends", 4096, 0.9, title="Monitor-v0 on hard"),
+    Row(HARD, "6 % ends", 4096, 0.9, title="MonitorInstant-v0 on hard"),
     Row(BASE, "waits", 256, 3.0),
     Row(BASE, "6 % ends", 256, 2.5),
     Row(BASE, "waits", 1, 2.0),
     Row(BASE, "6 % ends", 1, 1.7),
     Row(BASE, "random", 1, 0.7),
     Row(BASE, "waits", 1, 15.0, peer="gem"),
-    Row(PROBE, "waits", 1, 0.5, title="Probe-v0 (20 samples a step)"),
-    Row(DRIVE, "waits", 4096, 0.5, title="Drive-v0"),
-    Row(DRIVE, "6 % ends", 4096, 0.2, title="Drive-v0"),
-    Row(DRIVE, "waits", 1, 1.2, title="Drive-v0"),
+    Row(PROBE, "waits", 1, 0.5, title="ProbeInstant-v0 (20 samples a step)"),
+    Row(DRIVE, "waits", 4096, 0.5, title="DriveControl-v0"),
+    Row(DRIVE, "6 % ends", 4096, 0.2, title="DriveControl-v0"),
+    Row(DRIVE, "waits", 1, 1.2, title="DriveControl-v0"),
     Row(MAINTAIN, "waits", 4096, 0.25, title="Maintain-v0"),
     Row(MAINTAIN, "random", 4096, 0.24, title="Maintain-v0"),
     Row(MAINTAIN, "waits", 1, 1.0, title="Maintain-v0"),
@@ -83,8 +85,8 @@ def actions_of(env: Any, policy: str, shape: tuple[int, ...]) -> NDArray[Any]:
     space = getattr(env, "single_action_space", env.action_space)
     probability, setup = DECLARES.get(policy), getattr(env.unwrapped, "setup", None)
     if isinstance(space, gym.spaces.Box):
-        drives = rng.uniform(0.3, 0.7, (*shape, 2))
-        drives[..., 1] = np.where(rng.random(shape) < (probability or 0.0), 1.0, -1.0)
+        drives = rng.uniform(0.3, 0.7, (*shape, 3))
+        drives[..., 1], drives[..., 2] = -1.0, np.where(rng.random(shape) < (probability or 0.0), 1.0, -1.0)
         return drives
     if probability is not None and getattr(env.spec, "id", "") == MAINTAIN:
         return np.where(rng.random(shape) < probability, 2, 0)
@@ -96,7 +98,8 @@ def actions_of(env: Any, policy: str, shape: tuple[int, ...]) -> NDArray[Any]:
 
 def vector_rate(name: str, policy: str, count: int) -> float:
     """Of a vector environment."""
-    envs = gym.make_vec(name, num_envs=count)
+    identity, options = MADE.get(name, (name, {}))
+    envs = gym.make_vec(identity, num_envs=count, **options)
     actions = actions_of(envs, policy, (ROWS, count))
     envs.reset(seed=0)
     return rate_of(lambda k: envs.step(actions[k % ROWS]), count, 2_000_000 // count)

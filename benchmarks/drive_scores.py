@@ -1,6 +1,6 @@
 """What detection is worth to a controller: scores of the baselines of a drive for docs/drive-and-maintain.md.
 
-python benchmarks/drive_scores.py --task Drive-v0       # some two minutes of one core
+python benchmarks/drive_scores.py --task DriveControl-v0       # some two minutes of one core
 
 Thresholds are tuned on 200 episodes of one seed, all policies are scored on 200 of each of five others.
 """
@@ -62,7 +62,7 @@ def row(name: str, parts: FloatArray, class_index: NDArray[np.int64]) -> list[st
     return [name, f"{mean:+.3f} ± {half:.3f}", *by_class(returns, class_index), *means, failed]
 
 
-def main(*, task: str = "Drive-v0") -> None:
+def main(*, task: str = "DriveControl-v0") -> None:
     """Tune, score, print."""
     envs, tuning = make(task, EPISODES), make(task, 200)
     bank = partial(Lqg, levels=LEVELS)

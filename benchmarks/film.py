@@ -1,6 +1,6 @@
 """Film an agent that probes a motor: `python benchmarks/film.py` draws docs/images/probe-agent.gif.
 
-The agent is one of those that `examples/ppo.py` trained, from the weights that are kept beside it.
+The agent is that of Probe-v0 that `examples/ppo.py` plays.
 """
 
 from __future__ import annotations
@@ -11,18 +11,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image
 
 from motor_env.envs import ProbeEnv
 
 FILM = Path(__file__).resolve().parents[1] / "docs" / "images" / "probe-agent.gif"
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-FIRST_FRAME = 15  # before, the screen is nearly empty
+FIRST_FRAME = 10  # before, the screen is nearly empty
 
 
-def probe(observe: tuple[str, ...] = ()) -> ProbeEnv:
+def probe() -> ProbeEnv:
     """Probe-v0 with a screen."""
-    return ProbeEnv(render_mode="rgb_array", observe=observe)
+    return ProbeEnv(render_mode="rgb_array")
 
 
 def last_screen() -> Any:
@@ -35,28 +36,36 @@ def last_screen() -> Any:
     return env.render()
 
 
+def played(env: ProbeEnv, agent: Any, seed: int) -> tuple[list[int], float]:
+    """Actions of the agent in an episode, and the reward of its verdict."""
+    observation, _ = env.reset(seed=seed)
+    actions: list[int] = []
+    while True:
+        actions.append(int(agent.act(observation[None])[0]))
+        observation, _, over, _, info = env.step(actions[-1])
+        if over:
+            return actions, info["reward_verdict"]
+
+
 def main() -> None:
-    """Film an episode in which a winding grows worse by 1 %, and keep its seed and actions beside the film.
+    """Film an episode in which a winding that is worse by 1 % is told, and keep its seed and actions beside the film.
 
     It begins with its end, so that a still shows what it is about.
     """
     sys.path.insert(0, str(EXAMPLES))
     ppo: Any = importlib.import_module("ppo")
-    learner, env = ppo.Learner("probe", 0), probe(ppo.OBSERVED)
-    learner.actor.load_state_dict(ppo.load_file(EXAMPLES / "ppo" / "probe-0.safetensors"))
-    learned = learner.policy(env)
+    agent, env = ppo.Agent(dict(np.load(ppo.AGENTS / "Probe-v0.npz"))), probe()
     for seed in range(10_000):
-        observation, info = env.reset(seed=seed)
+        info = env.reset(seed=seed)[1]
         if info["severity"] == 0.01 and 1000 < info["onset_sample"] < 2000:
-            break
-    learned.start(1)
+            actions, verdict = played(env, agent, seed)
+            if verdict > 0.0:
+                break
+    env.reset(seed=seed)
     frames: list[Any] = []
-    actions: list[int] = []
-    over = False
-    while not over:
-        actions.append(int(learned.act(observation[None])[0]))
-        observation, _, over, _, _ = env.step(actions[-1])
-        if len(actions) % 2 == 1 or over:
+    for step, action in enumerate(actions, start=1):
+        env.step(action)
+        if step % 2 == 0 or step == len(actions):
             frames.append(Image.fromarray(env.render()).quantize(32))
     end = [frames[-1]] * 20
     first, *others = [*end, *frames[FIRST_FRAME:], *end]

@@ -7,11 +7,11 @@ use.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from best_policies import LookAhead, PlannedDecisions, PlannedDrive, ShownFaults, TolerancePolicy
+from best_policies import LookAhead, PlannedDecisions, PlannedDrive, ShownFaults
 from bounds import drive_bound, maintenance_bound, upper_bound
 from numpy.typing import NDArray
 
@@ -78,16 +78,38 @@ class Continuous:
         return actions
 
 
+class Steadfast:
+    """A policy that keeps to the kind that it has named: it has to be named several times in a row.
+
+    Args:
+        policy: of a monitor.
+    """
+
+    def __init__(self, policy: Player) -> None:
+        self._policy = policy
+
+    def start(self, count: int) -> None:
+        """Forget everything; so many sub-environments begin."""
+        self._policy.start(count)
+        self._said = np.zeros(count, dtype=np.int64)
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[Any]:
+        """The kind that was named first, 0 before."""
+        self._said = np.where(self._said > 0, self._said, self._policy.act(observations))
+        return self._said
+
+
 def _rule(rule: Any, threshold: float) -> Make:
     return lambda envs: RulePolicy(envs.setup, rule, threshold=threshold)
 
 
-def _monitor(recipe: str, rule: tuple[str, Make], best: tuple[str, Make], **more: Any) -> Reference:
-    return Reference(rule, best, upper_bound, {"observe": baseline_features(recipe)}, **more)
+def _kept(rule: Any, threshold: float) -> Make:
+    return lambda envs: Steadfast(RulePolicy(envs.setup, rule, threshold=threshold))
 
 
-def _bayes(threshold: float) -> tuple[str, Make]:
-    return "Bayes posterior", lambda envs: BayesPolicy(envs.setup, threshold)
+def _at_every_sample(options: MonitorOptions) -> float:
+    """The bound of an agent that may declare after every sample: it can do all that others can."""
+    return upper_bound(replace(options, samples_per_step=1, confirm_steps=1))
 
 
 def _look(bonus: float, threshold: float) -> Make:
@@ -98,12 +120,6 @@ def _ask(above: float, threshold: float) -> Make:
     return lambda envs: EventTriggeredProbing(ExpectedRewardTest(envs.setup, threshold), above)
 
 
-_DRIVE = Reference(
-    ("LQG by a bank of filters", lambda envs: Lqg(envs.setup, levels=8)),
-    ("plan", lambda envs: PlannedDrive(envs.setup)),
-    drive_bound,
-    episodes=500,
-)
 _UPKEEP = Reference(
     ("threshold on the remaining life", lambda envs: ThresholdReplacement("risk", 0.01)),
     ("plan", lambda envs: PlannedUpkeep(envs.options)),
@@ -113,60 +129,54 @@ _UPKEEP = Reference(
 _SMALL_PROBE = Reference(("on demand", _ask(0.08, 0.9867)), ("look ahead", _look(0.0006, 0.961)), upper_bound)
 
 REFERENCES = {
-    "Monitor-v0": _monitor("medium", ("CUSUM", _rule(Cusum(0.12, two_sided=True), 63.07)), _bayes(0.9609)),
-    "MonitorConfirm-v0": Reference(
+    "Monitor-v0": Reference(
         ("CUSUM", _rule(Cusum(0.3, two_sided=True), 16.0)),
         ("Bayes posterior", lambda envs: ExpectedRewardTest(envs.setup, 0.8)),
-        lambda _: upper_bound(MonitorOptions()),  # all that it lets an agent do, Monitor-v0 does, too
+        _at_every_sample,
         {"observe": baseline_features("medium")},
     ),
-    "MonitorEasy-v0": _monitor(
-        "easy",
-        ("CUSUM", _rule(Cusum(0.48, two_sided=True), 24.57)),
-        ("bank of filters", lambda envs: BankPolicy(envs.setup, 11.8)),
-    ),
-    "MonitorHard-v0": _monitor(
-        "hard",
-        ("GLR of a step", _rule(Glr(5, 400, two_sided=True), 38.5)),
-        ("Bayes posterior, tolerances integrated out", lambda envs: TolerancePolicy(envs.setup, 0.9974)),
-        episodes=60,
-    ),
-    "MonitorSmall-v0": _monitor(
-        "small", ("GLR of a step", _rule(Glr(40, 1600, two_sided=True), 24.71)), _bayes(0.9772)
+    "MonitorHard-v0": Reference(
+        ("CUSUM", _kept(Cusum(1.5, two_sided=True), 8.0)),
+        ("bank of filters", lambda envs: BankPolicy(envs.setup, 7.5)),
+        _at_every_sample,
+        {"observe": baseline_features("hard")},
     ),
     "MonitorSpeedLoop-v0": Reference(
-        ("CUSUM", _rule(Cusum(0.24, two_sided=True), 30.0)),
-        ("bank of filters", lambda envs: BankPolicy(envs.setup, 8.775)),
+        ("CUSUM", _kept(Cusum(1.2, two_sided=True), 5.0)),
+        ("GLR of a step", _kept(Glr(1, 60, two_sided=True), 18.0)),
         None,
         {"observe": baseline_features("medium")},
     ),
     "MonitorSensor-v0": Reference(
         ("bank of hypotheses", lambda envs: ResidualPosterior(envs.setup, 0.9)),
         ("bank of hypotheses", lambda envs: ResidualPosterior(envs.setup, 0.9)),
-        upper_bound,
+        _at_every_sample,
         {"observe": ("innovation_current", "innovation_speed")},
     ),
-    "Probe-v0": _SMALL_PROBE,
-    "ProbeConfirm-v0": Reference(
-        ("on demand", _ask(0.08, 0.93)), ("look ahead", _look(0.0006, 0.95)), upper_bound
+    "MonitorInstant-v0": Reference(
+        ("CUSUM", _rule(Cusum(0.12, two_sided=True), 63.07)),
+        ("Bayes posterior", lambda envs: BayesPolicy(envs.setup, 0.9609)),
+        upper_bound,
+        {"observe": baseline_features("medium")},
     ),
-    "ProbeMedium-v0": Reference(
-        ("on demand", _ask(0.03, 0.9609)), ("look ahead", _look(0.0015, 0.9329)), upper_bound
-    ),
+    "Probe-v0": Reference(("on demand", _ask(0.08, 0.93)), ("look ahead", _look(0.0006, 0.95)), upper_bound),
     "ProbeContinuous-v0": Reference(
         ("on demand", lambda envs: Continuous(envs, _SMALL_PROBE.textbook[1])),
         ("look ahead", lambda envs: Continuous(envs, _SMALL_PROBE.best[1])),
     ),
-    "Drive-v0": _DRIVE,
-    "DriveBounded-v0": _DRIVE,
-    "DriveDecide-v0": Reference(
+    "ProbeInstant-v0": _SMALL_PROBE,
+    "Drive-v0": Reference(
         ("two thresholds on what is seen", lambda envs: ShownFaults(envs.setup)),
         ("plan", lambda envs: PlannedDecisions(envs.setup)),
         drive_bound,
         episodes=200,
     ),
-    "DriveHeavy-v0": _DRIVE,
-    "DriveBearing-v0": _DRIVE,
+    "DriveControl-v0": Reference(
+        ("LQG by a bank of filters", lambda envs: Lqg(envs.setup, levels=8)),
+        ("plan", lambda envs: PlannedDrive(envs.setup)),
+        drive_bound,
+        episodes=500,
+    ),
     "Maintain-v0": _UPKEEP,
     "MaintainUnknownRate-v0": _UPKEEP,
 }

@@ -39,12 +39,11 @@ FEWEST = 3  # trainings of which an interval says anything
 LEARNERS = ("ppo", "dqn", "sac", "long")
 POLICIES = ("random", "trivial", "textbook", "best", "bound")
 METHODS = (*POLICIES, *LEARNERS)
-LEARNABLE, LONG, LONG_SEEDS = ("MonitorConfirm-v0", "DriveDecide-v0", "ProbeConfirm-v0"), 1_000_000, 3
+LEARNABLE, LONG, LONG_SEEDS = ("Monitor-v0", "Probe-v0", "Drive-v0"), 1_000_000, 3
 """Ids where PPO is also trained for longer (`long`), how long, and how often."""
-OFF_POLICY = {"ProbeConfirm-v0": "dqn", "DriveDecide-v0": "dqn", "DriveBounded-v0": "sac"}
+OFF_POLICY = {"Probe-v0": "dqn", "Drive-v0": "dqn", "DriveControl-v0": "sac"}
 """Where another algorithm than PPO is tried, too, and which."""
 OTHERS = {"long": "PPO, a million steps:", "dqn": "DQN", "sac": "SAC"}
-TUNED = Path(__file__).resolve().parents[1] / "examples" / "ppo"
 Result = dict[str, Any]
 
 
@@ -219,18 +218,10 @@ def runs(returns: list[float]) -> str:
     return f"{middle:+.3f} ({low:+.3f} to {high:+.3f}; {len(returns)})"
 
 
-def tuned(name: str) -> list[float]:
-    """Returns of the tuned agents that are kept in examples/ppo."""
-    path = TUNED / f"{name.removesuffix('-v0').lower()}.json"
-    if not path.exists():
-        return []
-    return [agent["return"][0] for agent in json.loads(path.read_text(encoding="utf-8"))["agents"].values()]
-
-
 def page_of(name: str) -> str:
     """The place in the documentation that describes an id: variants share the page of their family."""
     family = next(
-        each for each in ("Maintain-v0", "Monitor-v0", "Probe-v0", "Drive-v0") if name.startswith(each[:-3])
+        each for each in ("Monitor-v0", "Probe-v0", "Drive-v0", "Maintain-v0") if name.startswith(each[:-3])
     )
     return f"{family}.md" if name == family else f"{family}.md#{name.lower()}"
 
@@ -241,7 +232,7 @@ def cells_of(name: str) -> tuple[list[str], list[str]]:
     policies = [cell(found.get(method)) for method in POLICIES]
     learned = {method: runs([each["return"] for each in found.get(method, [])]) for method in LEARNERS}
     other = " ".join(f"{label} {learned[method]}" for method, label in OTHERS.items() if learned[method])
-    return policies, [cell(found.get("best")), learned["ppo"], other, runs(tuned(name))]
+    return policies, [cell(found.get("best")), learned["ppo"], other]
 
 
 def table() -> str:
@@ -249,7 +240,7 @@ def table() -> str:
     names = [spec.removeprefix("motor_env/") for spec in gym.registry if spec.startswith("motor_env/")]
     heads = (
         ["id", "random", "always", "textbook", "best known", "no policy exceeds"],
-        ["id", "best known", "PPO, defaults", "more trainings, defaults", "tuned agents"],
+        ["id", "best known", "PPO, defaults", "more trainings, defaults"],
     )
     cells = {f"[{name}](environments/{page_of(name)})": cells_of(name) for name in names}
     return "\n\n".join(

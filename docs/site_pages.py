@@ -26,7 +26,7 @@ from motor_env.envs.stepping import DECLARE_ABOVE
 
 DOCS = Path(__file__).parent
 RESULTS = DOCS.parent / "benchmarks" / "results" / "reference"
-FAMILIES = ("Maintain-v0", "Monitor-v0", "Probe-v0", "Drive-v0")
+FAMILIES = ("Monitor-v0", "Probe-v0", "Drive-v0", "Maintain-v0")
 PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
 FEATURES = {
     "measured": "what the sensor reads",
@@ -126,7 +126,11 @@ def action_table(env: Any) -> str:
     rows = []
     for n, (offset, declared) in enumerate(zip(env.setup.offsets_v, env.setup.declarations, strict=True)):
         if declared:
-            meaning = f"declare {env.setup.kinds[int(declared) - 1]}; the episode ends"
+            times = env.options.confirm_steps
+            ends = (
+                f"declared once it is chosen in {times} steps in a row" if times > 1 else "the episode ends"
+            )
+            meaning = f"{env.setup.kinds[int(declared) - 1]}; {ends}"
         else:
             meaning = f"apply {offset:+g} V for a step" if offset else "wait"
         rows.append([n, meaning])

@@ -1,7 +1,7 @@
 """Learn from recorded episodes alone: behaviour cloning, weighted by a critic (needs torch and the extra minari).
 
-motor-env offline Maintain-v0 --behaviour mixed --out out/minari
-python examples/offline.py motor_env/Maintain/mixed-v0 --folder out/minari
+motor-env offline Monitor-v0 --behaviour mixed --out out/minari
+python examples/offline.py motor_env/Monitor/mixed-v0 --folder out/minari
 
 The critic learns what an observation is worth under whoever acted (the mean return from there on). An action counts by
 exp(advantage / scale), as in advantage-weighted regression (Peng et al. 2019), so that what turned out well is

@@ -88,7 +88,7 @@ def offline(
 ) -> int:
     """Write what a known policy does in an environment, as a Minari data set for learning offline.
 
-    Example: motor-env offline Maintain-v0 --behaviour mixed --out out/minari
+    Example: motor-env offline Monitor-v0 --behaviour mixed --out out/minari
 
     Args:
         task: Environment, such as Monitor-v0, Probe-v0 or Maintain-v0.

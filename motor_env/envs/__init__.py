@@ -9,11 +9,11 @@ families of their own; `policies` decide, and `offline_data` records them. No po
 Example:
     A textbook policy plays 100 episodes of the easy task.
 
-    >>> from motor_env.envs import BayesPolicy, MonitorVectorEnv, baseline_features, run_episodes, score
+    >>> from motor_env.envs import BankPolicy, MonitorVectorEnv, baseline_features, run_episodes, score
     >>> envs = MonitorVectorEnv(100, recipe="easy", observe=baseline_features("easy"))
-    >>> result = score(envs, run_episodes(envs, BayesPolicy(envs.setup, threshold=0.99), seed=1))
+    >>> result = score(envs, run_episodes(envs, BankPolicy(envs.setup, threshold=10.0), seed=1))
     >>> print(f"mean return {result.mean_return:.2f}")
-    mean return 0.99
+    mean return 0.98
 """
 
 import lazy_loader

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from motor_env.common.arrays import instance, shown
 from motor_env.common.errors import require_extra
-from motor_env.envs.policies.posterior_policies import PosteriorView
-from motor_env.envs.vector import MotorVectorEnv
 from motor_env.motor.parameters import require
 
 require_extra("stable_baselines3", "rl")
@@ -33,8 +31,8 @@ class StableBaselinesVecEnv(VecEnv):
         ValueError: the vector has another autoreset mode.
     """
 
-    def __init__(self, envs: MotorVectorEnv | PosteriorView) -> None:
-        instance("envs", envs, (MotorVectorEnv, PosteriorView))
+    def __init__(self, envs: Any) -> None:
+        instance("envs", envs, VectorEnv)
         require(
             envs.autoreset_mode is AutoresetMode.SAME_STEP,
             f"autoreset_mode of the vector must be SameStep, got {envs.autoreset_mode.value}",

@@ -23,7 +23,8 @@ class ProbeOptions(MonitorOptions):
     """`MonitorOptions` with other defaults, and options of a voltage that the agent moves.
 
     Attributes:
-        offsets_v: voltage offsets of the actions of Probe-v0; the first is that of waiting.
+        offsets_v: voltage offsets of the actions of Probe-v0; the first is that of waiting. At 1 V a random move tells
+            so much that an agent need not learn to move on purpose.
         max_offset_v: largest offset, up or down, of ProbeContinuous-v0.
         probe_cost_per_v2_s: price of the squared offset for a second.
         energy_cost_per_j: price of the electrical energy that the motor takes or gives; charged where the episode ends.
@@ -33,12 +34,12 @@ class ProbeOptions(MonitorOptions):
 
     recipe: Recipe | str | Path = "small"  # windings worse by 0.5 to 3 %
     horizon_s: float = 0.4
-    samples_per_step: int = 20  # a decision every 2 ms
+    samples_per_step: int = 40  # a decision every 4 ms
     load_torque_n_m: float | None = 0.0  # so that a motor left alone shows nothing of a winding
     earliest_onset_s: float = 0.02
     mean_onset_s: float = 0.1
     delay_cost_per_s: float = 2.0
-    offsets_v: tuple[float, ...] = (0.0, -1.0, 1.0)
+    offsets_v: tuple[float, ...] = (0.0, -0.7, 0.7)
     max_offset_v: float = 2.0
     probe_cost_per_v2_s: float = 2.0
     energy_cost_per_j: float = 0.0
@@ -68,13 +69,13 @@ class ProbeEnv(MotorEnv):
     """A DC motor runs without load, where a winding fault does not show. Move the voltage to see it, at a price.
 
     ## Description
-    As in `MonitorEnv`, but faults are small (0.5 to 3 %), and the agent chooses the voltage every 2 ms. A moving
+    As in `MonitorEnv`, but faults are small (0.5 to 3 %), and the agent chooses the voltage every 4 ms. A moving
     voltage makes the current flow that a changed resistance changes.
 
     ## Action space
     `Discrete(number of offsets + number of kinds)`: the first actions add an offset to the supply's 12 V for a step (0,
-    -1 and +1 V), the others declare a kind, in the order bearing, winding, noise. By default 0 waits, 1 and 2 probe, 3
-    declares a bearing, 4 a winding.
+    -0.7 and +0.7 V), the others choose a kind, in the order bearing, winding, noise. By default 0 waits, 1 and 2 probe,
+    3 chooses a bearing, 4 a winding.
 
     ## Observation space
     As in `MonitorEnv`, and for each kind of fault the evidence: a CUSUM of the log-likelihood ratio of its smallest
@@ -86,7 +87,7 @@ class ProbeEnv(MotorEnv):
     square, in the step that it lasts.
 
     ## End of an episode
-    A declaration, or the horizon (200 steps of 2 ms), both as `terminated`.
+    A declaration, or the horizon (100 steps of 4 ms), both as `terminated`.
 
     ## Info
     As in `MonitorEnv`, with `reward_probe` and `reward_energy`.
@@ -110,7 +111,9 @@ class ProbeContinuousEnv(MotorEnv):
 
     ## Action space
     `Box(-1, 1, (1 + number of kinds,))`: the first entry is the offset in units of the largest (2 V); if the largest of
-    the others is above 0.5, its kind is declared. Values outside are clipped.
+    the others is above 0.5, its kind is chosen. Values outside are clipped.
+
+    ProbeContinuous-v0 decides every 2 ms, and the first declaration counts.
 
     Everything else is as in `ProbeEnv`.
     """
@@ -154,10 +157,11 @@ class MonitorEnv(MotorEnv):
 
     ## Description
     The motor begins at its operating point. At an unknown time a fault of an unknown kind sets in, or none does. Until
-    then the filter's whitened innovation is standard normal white noise. The agent waits, or declares a kind.
+    then the filter's whitened innovation is standard normal white noise. The agent waits, or chooses a kind; one that
+    is chosen in three steps in a row is declared.
 
     ## Action space
-    `Discrete(1 + number of kinds)`: 0 waits, the others declare one of the recipe's kinds, in the order bearing,
+    `Discrete(1 + number of kinds)`: 0 waits, the others choose one of the recipe's kinds, in the order bearing,
     winding, noise. With the default recipe: 1 bearing, 2 winding.
 
     ## Observation space
@@ -170,7 +174,7 @@ class MonitorEnv(MotorEnv):
     -1, wrong kind -0.5, miss -1; delay costs 5 a second. Charged step by step, the delay would tell the onset.
 
     ## End of an episode
-    A declaration, or the horizon (2000 samples of 0.1 ms), both as `terminated`: a miss has to be charged. `truncated`
+    A declaration, or the horizon (100 steps of 2 ms), both as `terminated`: a miss has to be charged. `truncated`
     is always False.
 
     ## Info

@@ -21,7 +21,6 @@ from motor_env.detection.rules import Cusum
 from motor_env.envs.drive.lqg import Lqg
 from motor_env.envs.maintain.replacement import PlannedUpkeep, ThresholdReplacement
 from motor_env.envs.policies.posterior_policies import (
-    BayesPolicy,
     Bursts,
     EventTriggeredProbing,
     ExpectedRewardTest,
@@ -50,23 +49,23 @@ class Task:
 
 
 def _bursts(envs: Any) -> Player:
-    return OpenLoop(ExpectedRewardTest(envs.setup, 0.93), Bursts(20, 10, 2).actions(envs.options.n_steps))
+    return OpenLoop(ExpectedRewardTest(envs.setup, 0.93), Bursts(10, 5, 2).actions(envs.options.n_steps))
+
+
+def _upkeep(envs: Any) -> Player:
+    return ThresholdReplacement("mean", 0.84)
 
 
 TASKS = {
     "Monitor-v0": Task(
-        lambda envs: RulePolicy(envs.setup, Cusum(0.25, two_sided=True), threshold=30.0),
-        lambda envs: BayesPolicy(envs.setup, 0.9609),
+        lambda envs: RulePolicy(envs.setup, Cusum(0.3, two_sided=True), threshold=16.0),
+        lambda envs: ExpectedRewardTest(envs.setup, 0.8),
         {"observe": baseline_features("medium")},
     ),
-    "Probe-v0": Task(_bursts, lambda envs: EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.97), 0.08)),
-    "Maintain-v0": Task(
-        lambda envs: ThresholdReplacement("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)
-    ),
-    "MaintainUnknownRate-v0": Task(
-        lambda envs: ThresholdReplacement("mean", 0.84), lambda envs: PlannedUpkeep(envs.options)
-    ),
-    "Drive-v0": Task(lambda envs: Lqg(envs.setup), lambda envs: Lqg(envs.setup, levels=4)),
+    "Probe-v0": Task(_bursts, lambda envs: EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.93), 0.08)),
+    "DriveControl-v0": Task(lambda envs: Lqg(envs.setup), lambda envs: Lqg(envs.setup, levels=4)),
+    "Maintain-v0": Task(_upkeep, lambda envs: PlannedUpkeep(envs.options)),
+    "MaintainUnknownRate-v0": Task(_upkeep, lambda envs: PlannedUpkeep(envs.options)),
 }
 """Thresholds with the best mean return on episodes of other seeds."""
 

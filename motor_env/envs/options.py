@@ -225,7 +225,7 @@ def settle_choice(options: Any, name: str, choices: type[StrEnum]) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MonitorOptions:
-    """Options of a monitor; times in seconds, rewards in the reward's own unit.
+    """Options of a monitor; the defaults are those of Monitor-v0. Times in seconds, rewards in the reward's own unit.
 
     Attributes:
         recipe: nominal motor, tolerances, faults and their weights, sensor, sampling rate: a `Recipe`, its TOML file,
@@ -264,7 +264,9 @@ class MonitorOptions:
     recipe: Recipe | str | Path = "medium"
     motor: MotorParameters | str | Path | None = None
     horizon_s: float = 0.2
-    samples_per_step: int = 1
+    samples_per_step: int = (
+        20  # a discount of 0.99 a step leaves something of the end after 100 steps, not 2,000
+    )
     start: Start = Start.RUNNING
     load_torque_n_m: float | None = None
     drive: Drive = Drive.OPEN_LOOP
@@ -279,7 +281,9 @@ class MonitorOptions:
     wrong_kind_cost: float = 0.5
     miss_cost: float = 1.0
     delay_cost_per_s: float = 5.0
-    confirm_steps: int = 1
+    confirm_steps: int = (
+        3  # random actions seldom choose a kind so often, so that episodes last to their fault
+    )
     precision: Precision = Precision.FLOAT32
     observe: tuple[str, ...] = ()
     moves_voltage: ClassVar[bool] = False

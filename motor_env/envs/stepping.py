@@ -75,17 +75,19 @@ def _advance_failing(s: Block, p: Constants, kept: float, width: int) -> None:
 
 
 @inlined
-def _advance_all(s: Block, p: Constants, row: int, kept: float, width: int) -> None:
-    """Advance a block by a sample; four loops, each without what it does not need.
-
-    The normals are copied to a fixed row, so that the compiler knows that nothing written overlaps them.
-    """
+def _lay_normals(s: Block, p: Constants, row: int, width: int) -> None:
+    """Copy the normals to a fixed row, so that the compiler knows that nothing written overlaps them."""
     speed_row = row + int(p.n_channels) - 1
     for j in range(width):
         s.normal_current[j] = s.noise[row, j]
     if p.c1 > 0.0:
         for j in range(width):
             s.normal_speed[j] = s.noise[speed_row, j]
+
+
+@inlined
+def _advance_all(s: Block, p: Constants, kept: float, width: int) -> None:
+    """Advance a block by a sample; four loops, each without what it does not need."""
     if p.failing > 0.0:
         _advance_failing(s, p, kept, width)
     elif p.full > 0.0:
@@ -125,7 +127,8 @@ def _step_block(
         if row >= ROWS:
             refill(s, lanes.words, first, channels, width)
             row = 0
-        _advance_all(s, p, row, kept, width)
+        _lay_normals(s, p, row, width)
+        _advance_all(s, p, kept, width)
         if p.loop_i > 0.0:
             for j in range(width):
                 kernel.hold_speed(s, j, p)

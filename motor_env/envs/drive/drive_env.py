@@ -1,4 +1,4 @@
-"""`motor_env/Drive-v0`: follow a speed with a motor that may be failing; limp or stop in time."""
+"""Drive: follow a speed with a motor that may be failing; limp or stop in time."""
 
 from __future__ import annotations
 
@@ -114,13 +114,12 @@ class DriveEnv(StreamEnv[DriveOptions]):
     A motor whose severity or temperature is too large fails.
 
     ## Action space
-    `Box(-1, 1, (2,))`. The first entry is the voltage in units of the supply's limit. The second is a decision: at most
-    0 runs the motor, up to 0.5 limps (within 0.3 s the profile shrinks to half), above 0.5 stops the motor for good.
-    Values outside are clipped.
+    `Discrete(3)`: 0 runs the motor, 1 limps (within 0.3 s the profile shrinks to half), 2 stops the motor for good. The
+    drive's own speed controller sets the voltage, and a decision holds for 0.1 s.
 
-    With `control="voltage_limp_stop"` (DriveBounded-v0) `Box(-1, 1, (3,))`: the voltage; above 0 limps; above 0.5
-    stops. With `control="decision"` (DriveDecide-v0) `Discrete(3)`: run, limp, stop. The drive's own speed controller
-    sets the voltage, and a decision holds for 0.1 s.
+    With `control="voltage_limp_stop"` (DriveControl-v0) `Box(-1, 1, (3,))`: the voltage in units of the supply's limit;
+    above 0 limps; above 0.5 stops. With `control="voltage_and_decision"` `Box(-1, 1, (2,))`: the voltage, and a
+    decision: at most 0 runs, up to 0.5 limps, above 0.5 stops. Values outside are clipped.
 
     ## Observation space
     `Box`, float32, finite, clipped at the space's bounds: measured current and speed; the load that the filter of the
@@ -129,13 +128,13 @@ class DriveEnv(StreamEnv[DriveOptions]):
     now, at the end of the next step, and 0.05, 0.1 and 0.2 s ahead.
 
     ## Reward
-    See `DriveOptions`. The squared error of the speed, in units of the top speed, costs 300 a second; a kelvin beyond
-    70 K 0.05 a second; a bearing worn from new to failure 1; limping 0.2 a second; a stopped motor 1 for each second
-    left, a failed one 6 more. In DriveBounded-v0 and DriveDecide-v0 a second of tracking error costs at most 3. Heat
-    and wear are charged where the episode ends: step by step they would tell of the fault.
+    See `DriveOptions`. The squared error of the speed, in units of the top speed, costs 300 a second, but a second at
+    most 3; a kelvin beyond 70 K 0.05 a second; a bearing worn from new to failure 1; limping 0.2 a second; a stopped
+    motor 1 for each second left, a failed one 6 more. Heat and wear are charged where the episode ends: step by step
+    they would tell of the fault.
 
     ## End of an episode
-    Stopping, a failure, or the horizon (800 steps of 10 ms), all as `terminated`. `truncated` is always False.
+    Stopping, a failure, or the horizon (80 decisions of 0.1 s), all as `terminated`. `truncated` is always False.
 
     ## Info
     The truth, for scoring: `label`, `class_index`, `onset_step` (-1: no fault), `fault_active`, `severity`,

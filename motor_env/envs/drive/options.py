@@ -35,7 +35,7 @@ class Control(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveOptions:
-    """Options of a drive in SI units; costs in the reward's own unit.
+    """Options of a drive in SI units; the defaults are those of Drive-v0. Costs in the reward's own unit.
 
     Attributes:
         motor: nominal motor; the paper's.
@@ -77,9 +77,9 @@ class DriveOptions:
         limp_cost_per_s: price of a second with the whole reduction of the profile.
         tracking_limit_per_s: largest cost of a second of tracking error: a cost x becomes x / (1 + x / limit); 0: no
             limit.
-        control: `voltage_and_decision`: two numbers, the voltage, and a decision that runs, limps or stops;
-            `voltage_limp_stop`: three numbers, one each; `decision`: run, limp or stop, while the drive's speed
-            controller (LQG with integral action on the healthy motor) sets the voltage.
+        control: `decision`: run, limp or stop, while the drive's speed controller (LQG with integral action on the
+            healthy motor) sets the voltage; `voltage_limp_stop`: three numbers, one each; `voltage_and_decision`: two
+            numbers, the voltage, and a decision that runs, limps or stops.
         steps_per_decision: periods for which an action holds.
 
     Raises:
@@ -122,9 +122,9 @@ class DriveOptions:
     failure_cost: float = 6.0
     stop_cost_per_s: float = 1.0
     limp_cost_per_s: float = 0.2
-    tracking_limit_per_s: float = 0.0
-    control: Control = Control.VOLTAGE_AND_DECISION
-    steps_per_decision: int = 1
+    tracking_limit_per_s: float = 3.0
+    control: Control = Control.DECISION
+    steps_per_decision: int = 10
 
     def __post_init__(self) -> None:
         settle_numbers(self)

@@ -350,7 +350,8 @@ class BayesPolicy(PosteriorPolicy):
     threshold is fixed; `benchmarks/bounds.py` has an upper bound.
 
     Args:
-        setup: of a Monitor-v0 that starts running, with an abrupt fault and a recipe without spread or noise faults.
+        setup: of a MonitorInstant-v0 that starts running, with an abrupt fault and a recipe without spread or noise
+            faults.
         threshold: of the expected reward.
 
     Raises:

@@ -1,22 +1,31 @@
 """What makes a beginning possible for agents: confirmed declarations, a view of the posterior, the examples."""
 
 import importlib.util
+import re
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
+import reference_scores
 from gymnasium.spaces import Box
 
 from motor_env.envs import (
     BeliefPolicy,
+    MonitorVectorEnv,
     PosteriorView,
     ProbeBelief,
     ProbeVectorEnv,
+    returns_of,
     run_episodes,
 )
 
-OPTIONS: dict[str, Any] = {"observe": ("innovation_current", "voltage"), "horizon_s": 0.1}
+OPTIONS: dict[str, Any] = {
+    "observe": ("innovation_current", "voltage"),
+    "horizon_s": 0.1,
+    **gym.spec("motor_env/ProbeInstant-v0").kwargs,
+}
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
@@ -33,7 +42,7 @@ def example(name: str) -> Any:
 @pytest.mark.parametrize("confirm", [1, 2])
 def test_a_posterior_view_pays_the_true_reward_on_average(confirm: int) -> None:
     count = 2000
-    envs = ProbeVectorEnv(count, autoreset_mode="SameStep", confirm_steps=confirm, **OPTIONS)
+    envs = ProbeVectorEnv(count, autoreset_mode="SameStep", **{**OPTIONS, "confirm_steps": confirm})
     view, rng = PosteriorView(envs), np.random.default_rng(0)
     seen, _ = view.reset(seed=5)
     assert view.single_observation_space.contains(seen[0])
@@ -94,39 +103,19 @@ def test_a_policy_of_summaries_sees_what_the_view_shows() -> None:
         np.testing.assert_array_equal(shown, view.step(np.zeros(8, dtype=np.int64))[0])
 
 
-@pytest.mark.parametrize("task", ["monitor", "probe"])
-def test_the_weights_that_are_kept_are_as_good_as_was_written_down(task: str) -> None:
-    ppo = pytest.importorskip("torch") and example("ppo")
-    envs = ppo.make(task, 300)
-    learner = ppo.Learner(task, 0)
-    learner.actor.load_state_dict(ppo.load_file(EXAMPLES / "ppo" / f"{task}-0.safetensors"))
-    returns = run_episodes(envs, learner.policy(envs), 1).returns
-    written = ppo.json.loads((EXAMPLES / "ppo" / f"{task}.json").read_text())["agents"]["0"]["return"][0]
-    assert abs(returns.mean() - written) < 4.0 * returns.std() / 300**0.5
-
-
-@pytest.mark.parametrize("task", ["drive", "maintain"])
-def test_decisions_that_were_learned_are_as_good_as_was_written_down(
-    task: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("torch")
-    monkeypatch.syspath_prepend(str(EXAMPLES))
-    ppo = example("decisions_ppo")
-    chosen = ppo.TASKS[task]._replace(episodes=50)
-    monkeypatch.setitem(ppo.TASKS, task, chosen)
-    weights = ppo.load_file(EXAMPLES / "ppo" / f"{task}.safetensors")
-    own = {name.partition(".")[2]: each for name, each in weights.items() if name.startswith("0.")}
-    learner = ppo.Decider(chosen, 0)
-    learner.actor.load_state_dict(own)
-    written = ppo.json.loads((EXAMPLES / "ppo" / f"{task}.json").read_text())["agents"]["0"]["return"][0]
-    returns = chosen.returns(learner.choose, 21)
-    assert abs(returns.mean() - written) < 4.0 * returns.std() / 50**0.5
+@pytest.mark.parametrize("name", [path.stem for path in (EXAMPLES / "agents").glob("*.npz")])
+def test_the_agent_that_is_kept_is_better_than_one_action_always(name: str, tmp_path: Path) -> None:
+    ppo = example("ppo")
+    agent = ppo.Agent(dict(np.load(EXAMPLES / "agents" / f"{name}.npz")))
+    told = ppo.play(name, agent, tmp_path / "screen.png")
+    assert (tmp_path / "screen.png").stat().st_size > 1000
+    found = float(re.findall(r"mean return (\S+)", told)[0])
+    assert found > reference_scores.kept(name)["trivial"]["return"] + 0.5
 
 
 @pytest.mark.long
-def test_ppo_learns_in_one_file() -> None:
-    pytest.importorskip("torch")
+def test_ppo_with_its_defaults_learns() -> None:
+    pytest.importorskip("stable_baselines3")
     ppo = example("ppo")
-    learner = ppo.Learner("monitor", 0)
-    curve = ppo.train(learner, 150_000, points=3)
-    assert curve[-1]["mean_return"] > 0.5
+    agent = ppo.Agent(ppo.train("Monitor-v0", 50_000, 0))
+    assert returns_of(MonitorVectorEnv(300), agent, 1).mean() > 0.5

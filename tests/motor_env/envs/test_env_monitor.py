@@ -1,4 +1,4 @@
-"""Monitor-v0: the contract of gymnasium, and the same physics and filter as everywhere else."""
+"""MonitorInstant-v0: the contract of gymnasium, and the same physics and filter as everywhere else."""
 
 from dataclasses import replace
 from typing import Any
@@ -37,18 +37,26 @@ from motor_env.simulation.recipes import FaultClass, Recovery, Spread
 from motor_env.simulation.sampling import measure_draw
 
 WAIT = 0
-
+INSTANT: dict[str, Any] = {"samples_per_step": 1, "confirm_steps": 1}
 
 # To compile the steps of a vector in double precision, which nobody gets unasked, takes fifteen seconds.
 PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.long)]
 NEAR = {"float32": 5e-6, "float64": 1e-9}
 
 
+def monitor(**options: Any) -> MonitorEnv:
+    return MonitorEnv(**{**INSTANT, **options})
+
+
+def monitors(count: int, **options: Any) -> MonitorVectorEnv:
+    return MonitorVectorEnv(count, **{**INSTANT, **options})
+
+
 class Last:
     """The last lane of a vector, used like an environment alone: `test_env_vector.py` shows that the two are equal."""
 
     def __init__(self, lanes: int = 1, **options: Any) -> None:
-        self.envs = MonitorVectorEnv(lanes, **options)
+        self.envs = monitors(lanes, **options)
         self.options, self.setup, self.observed = self.envs.options, self.envs.setup, self.envs.setup.observed
 
     def _now(self, field: str) -> float:
@@ -143,7 +151,7 @@ def test_a_speed_loop_is_a_pi_controller_that_the_filter_is_not_told_of(precisio
 
 
 def test_a_declaration_can_be_asked_to_be_confirmed() -> None:
-    env = MonitorEnv(confirm_steps=3, horizon_s=0.02, earliest_onset_s=0.0, mean_onset_s=0.0)
+    env = monitor(confirm_steps=3, horizon_s=0.02, earliest_onset_s=0.0, mean_onset_s=0.0)
 
     def ended(*actions: int) -> bool:
         env.reset(seed=1)
@@ -188,7 +196,7 @@ FAILING = replace(
 )
 def test_observations_are_those_of_the_filter_in_their_units(recipe: Recipe, label: str) -> None:
     """Innovations and estimates of `run_filter`; their weighted means, scaled to a standard deviation of 1, by hand."""
-    env = MonitorEnv(recipe=recipe)
+    env = monitor(recipe=recipe)
     channels, options = recipe.sensor.channels, env.options
     observations, _, _ = rollout(env, faulty_episode(env, label))
     seen = dict(zip(env.observed, observations.T.astype(np.float64), strict=True))
@@ -261,16 +269,16 @@ def test_evidence_is_a_cumulative_sum_of_log_likelihood_ratios(precision: str) -
 
 def test_an_onset_is_the_draw_of_its_stream() -> None:
     """Geometric from the earliest sample on; the first sample that differs is the one after it."""
-    envs = MonitorVectorEnv(60, mean_onset_s=0.004)
+    envs = monitors(60, mean_onset_s=0.004)
     _, info = envs.reset(seed=9)
     u = uniforms(9, Stream.ONSET, np.arange(60) << 32, 1)[:, 0]
     wanted = 100 + np.floor(np.log(u) / np.log(40.0 / 41.0)).astype(int)
     faulty = info["class_index"] > 0
     np.testing.assert_array_equal(info["onset_sample"], np.where(faulty, wanted, -1))
     assert 20.0 < wanted.mean() - 100.0 < 60.0
-    at_once = MonitorVectorEnv(60, mean_onset_s=0.0)
+    at_once = monitors(60, mean_onset_s=0.0)
     np.testing.assert_array_equal(at_once.reset(seed=9)[1]["onset_sample"], np.where(faulty, 100, -1))
-    far = MonitorVectorEnv(60, mean_onset_s=1e9).reset(seed=9)[1]["onset_sample"]
+    far = monitors(60, mean_onset_s=1e9).reset(seed=9)[1]["onset_sample"]
     np.testing.assert_array_equal(far, np.where(faulty, 2**31 - 1, -1))
     active = [at_once.step(np.zeros(60, dtype=np.int64))[4]["fault_active"] for _ in range(102)]
     np.testing.assert_array_equal(active[99], np.zeros(60, dtype=bool))
@@ -278,7 +286,7 @@ def test_an_onset_is_the_draw_of_its_stream() -> None:
 
 
 def test_a_fault_shows_only_after_its_onset() -> None:
-    env = MonitorEnv(observe=("innovation_current",))
+    env = monitor(observe=("innovation_current",))
     seed = faulty_episode(env, FaultKind.WINDING_CONTACT)
     observations, infos, _ = rollout(env, seed)
     onset = infos[0]["onset_sample"]
@@ -299,7 +307,7 @@ def outcome(env: MonitorEnv, seed: int, wait: int, action: int) -> float:
 
 
 def test_rewards_say_what_the_options_say() -> None:
-    env = MonitorEnv(correct_reward=2.0, false_alarm_cost=3.0, wrong_kind_cost=4.0, miss_cost=5.0)
+    env = monitor(correct_reward=2.0, false_alarm_cost=3.0, wrong_kind_cost=4.0, miss_cost=5.0)
     seed = faulty_episode(env, FaultKind.BEARING)
     onset = env.reset(seed=seed)[1]["onset_sample"]
     assert outcome(env, seed, onset, 1) == -3.0  # nothing of the fault has been observed yet
@@ -311,7 +319,7 @@ def test_rewards_say_what_the_options_say() -> None:
 
 
 def test_delay_from_the_onset_on_is_charged_at_the_end() -> None:
-    env = MonitorEnv(delay_cost_per_s=7.0, miss_cost=0.0)
+    env = monitor(delay_cost_per_s=7.0, miss_cost=0.0)
     seed = faulty_episode(env, FaultKind.BEARING)
     onset = env.reset(seed=seed)[1]["onset_sample"]
     n_steps = env.options.n_steps
@@ -355,7 +363,7 @@ def test_sensors_fail_and_faults_recover_as_in_a_data_set(known: bool) -> None:
         classes = [replace(c, severity_to=None) for c in FAILING.classes if not c.name.startswith("speed_")]
         recipe = replace(recipe, classes=tuple(classes), sensor=replace(recipe.sensor, channels=("current",)))
     channels = recipe.sensor.channels
-    envs = MonitorVectorEnv(
+    envs = monitors(
         60,
         recipe=recipe,
         start="standstill",
@@ -383,7 +391,7 @@ def test_sensors_fail_and_faults_recover_as_in_a_data_set(known: bool) -> None:
 
 
 def test_a_fault_that_has_acted_is_the_right_answer_in_its_pauses_too_and_they_count_as_delay() -> None:
-    env = MonitorEnv(recipe=FAILING, mean_onset_s=0.01)
+    env = monitor(recipe=FAILING, mean_onset_s=0.01)
     right = 1 + env.setup.kinds.index("winding")
     assert env.setup.kinds == ("bearing", "winding", "current_sensor", "speed_sensor")
     onset = env.reset(seed=(seed := faulty_episode(env, "winding_contact")))[1]["onset_sample"]

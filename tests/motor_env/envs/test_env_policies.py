@@ -5,11 +5,12 @@ from dataclasses import replace
 from typing import Any
 
 import bounds
+import gymnasium as gym
 import numpy as np
 import pytest
-from best_policies import LookAhead, RatioTest, TolerancePolicy, level_std
+from best_policies import LookAhead, RatioTest
 from bounds import LOG_ODDS, PROBABILITY, declared_worth, look_matrix, silent_worth
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import norm
 
 from motor_env import Cusum, FaultKind, Recipe, discretize
 from motor_env.envs import (
@@ -32,7 +33,7 @@ from motor_env.envs import (
     score,
     sweep,
 )
-from motor_env.envs.options import EASY, HARD, MEDIUM, SMALL
+from motor_env.envs.options import EASY, MEDIUM, SMALL
 from motor_env.envs.policies.evaluation import Runs, interval, joined
 from motor_env.envs.policies.fault_posterior import final_worth, worth
 from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop, signatures
@@ -42,8 +43,9 @@ from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass
 
-MONITOR: dict[str, Any] = {"recipe": "easy", "horizon_s": 0.05, "observe": baseline_features(EASY)}
-PROBE: dict[str, Any] = {"recipe": "small", "horizon_s": 0.1}
+INSTANT, PROBED = (gym.spec(f"motor_env/{name}Instant-v0").kwargs for name in ("Monitor", "Probe"))
+MONITOR: dict[str, Any] = {"recipe": "easy", "horizon_s": 0.05, "observe": baseline_features(EASY), **INSTANT}
+PROBE: dict[str, Any] = {"recipe": "small", "horizon_s": 0.1, **PROBED}
 
 
 def monitor(count: int = 200) -> MonitorVectorEnv:
@@ -187,17 +189,8 @@ def test_restart_forgets_where_an_episode_is_over() -> None:
     np.testing.assert_array_equal(belief.summary()[~over], kept)
 
 
-def test_the_level_of_a_tolerant_motor_is_as_it_is_drawn() -> None:
-    recipe = replace(HARD, spread=replace(HARD.spread, constants=0.02), classes=HARD.classes[:2])
-    envs = MonitorVectorEnv(1500, recipe=recipe, observe=("measured_current",), earliest_onset_s=0.1)
-    envs.reset(seed=1)
-    samples = [envs.step(np.zeros(1500, dtype=np.int64))[0][:, 0] for _ in range(400)]
-    level = np.mean(samples, axis=0) / envs.setup.view[0, 0] / recipe.sensor.current_noise_a
-    assert level.std() == pytest.approx(np.hypot(level_std(envs.options), 1.0 / 20.0), rel=0.06)
-
-
 def test_no_policy_is_above_the_bound() -> None:
-    envs = MonitorVectorEnv(400, recipe="medium", horizon_s=0.05, observe=baseline_features(MEDIUM))
+    envs = MonitorVectorEnv(400, horizon_s=0.05, observe=baseline_features(MEDIUM), **INSTANT)
     thresholds = (0.5, 0.8, 0.9, 0.95, 0.98)
     best = max(
         sweep(envs, BayesPolicy(envs.setup, 0.0), thresholds, 42), key=lambda runs: runs.returns.mean()
@@ -311,6 +304,7 @@ def first_samples(recipe: Recipe, count: int) -> tuple[MonitorVectorEnv, FloatAr
         earliest_onset_s=2e-4,
         mean_onset_s=2e-3,
         observe=("measured_current",),
+        **INSTANT,
     )
     off = np.random.default_rng(8).normal(size=count)
     off[count // 2 :] += signatures(envs.setup, count)[1][: count - count // 2]
@@ -329,7 +323,7 @@ def test_the_posterior_is_bayes_rule_over_all_classes_and_onsets() -> None:
     chance = envs.options.task.class_probabilities
     assert chance == pytest.approx([0.5, 0.125, 0.125, 0.125, 0.125])
     stay = 20.0 / 21.0
-    fine = make_setup(ProbeOptions(samples_per_step=1))
+    fine = make_setup(ProbeOptions(**{**PROBED, "samples_per_step": 1}))
     assert (policy._signature.shape, ProbeBelief(fine)._n_ages) == ((4, 200), 400)  # 20 ms and 40 ms
     for seen in range(1, n + 1):
         value, action = policy.judge(observed[seen - 1])
@@ -348,46 +342,6 @@ def test_the_posterior_is_bayes_rule_over_all_classes_and_onsets() -> None:
         )
         assert value == pytest.approx(worth(envs.options, policy.quiet, policy.kinds)[0])
         assert action == 1 + policy.kinds[0].argmax()
-
-
-def test_the_posterior_of_tolerances_is_a_joint_gaussian() -> None:
-    """All samples share a level with a normal prior; a fault in the middle of each block of five, a noise anywhere."""
-    n, first = 41, 2
-    loose = replace(HARD, spread=replace(HARD.spread, constants=0.1))
-    envs, off, observed = first_samples(loose, n)
-    policy, recipe = TolerancePolicy(envs.setup, 0.9), envs.options.task
-    policy.start(1)
-    shown, chance, stay = signatures(envs.setup, n), recipe.class_probabilities, 20.0 / 21.0
-    level = level_std(envs.options)
-    assert level > 0.5  # else it would not matter
-    louder = [c.kind is FaultKind.NOISE for c in recipe.classes]
-    weight_of_noise = 0.0
-    for seen in range(1, n + 1):
-        policy.judge(observed[seen - 1])
-        y, joint = off[:seen], np.eye(seen) + level**2
-        since = seen - 2 - first
-        if since >= 0:
-            # what the last sample is off by from what those before make of it, once without a fault and once louder
-            told = np.zeros(1) if seen == 1 else joint[-1, :-1] @ np.linalg.inv(joint[:-1, :-1])
-            std = np.sqrt(joint[-1, -1] - told @ joint[:-1, -1])
-            surprise = (y[-1] - told @ y[:-1]) / std
-            ratio = norm.pdf(surprise, scale=1.5**0.5) / norm.pdf(surprise)
-            weight_of_noise = (weight_of_noise + stay**since * (1.0 - stay)) * ratio
-        blocks = max((since - 2) // 5 + 1, 0) if since >= 2 else 0
-        classes = np.where(louder, chance * weight_of_noise, 0.0)
-        for c in range(1, len(chance)):
-            for block in range(0 if louder[c] else blocks):
-                onset, mean = first + 5 * block + 2, np.zeros(seen)
-                mean[onset + 1 :] = shown[c][: seen - onset - 1]
-                born = stay ** (5 * block) * (1.0 - stay**5)
-                apart = multivariate_normal.logpdf(y, mean, joint) - multivariate_normal.logpdf(
-                    y, 0 * y, joint
-                )
-                classes[c] += chance[c] * born * np.exp(apart)
-        quiet = chance[0] + (1.0 - chance[0]) * stay ** (5 * blocks)
-        total = quiet + classes.sum()
-        assert policy.quiet[0] == pytest.approx(quiet / total, rel=1e-5)
-        np.testing.assert_allclose(policy.classes[0], classes[1:] / total, rtol=1e-5, atol=1e-9)
 
 
 def test_a_look_against_its_integral() -> None:
@@ -433,4 +387,4 @@ def test_the_bound_of_a_probe_takes_the_worst_shares(monkeypatch: pytest.MonkeyP
     healthy = float(recipe.class_probabilities[0])
     share = np.linspace(0.0, 1.0, 100_001)
     wanted = np.interp(share, tried, np.square(tried)) + np.interp(1.0 - share, tried, 2.0 * np.square(tried))
-    assert bounds.upper_bound(ProbeOptions(recipe=recipe)) == pytest.approx(wanted.min(), abs=1e-3)
+    assert bounds.upper_bound(ProbeOptions(recipe=recipe, **PROBED)) == pytest.approx(wanted.min(), abs=1e-3)

@@ -18,7 +18,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from best_policies import RatioTest, TolerancePolicy
+from best_policies import RatioTest
 from bounds import maintenance_bound
 
 import motor_env  # noqa: F401  # registers the environments
@@ -43,17 +43,18 @@ from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop
 KEPT = Path(__file__).with_name("env_streams.json")
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
 BOTH = replace(load_recipe("bench"), sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5))
+VOLTAGES: dict[str, Any] = {"control": "voltage_and_decision", "tracking_limit_per_s": 0.0}
 VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "two sensors, from standstill": (
-        "motor_env/Monitor-v0",
+        "motor_env/MonitorInstant-v0",
         {"recipe": BOTH, "start": "standstill", "horizon_s": 0.06, "samples_per_step": 3},
     ),
     "slow growth": (
-        "motor_env/Monitor-v0",
+        "motor_env/MonitorInstant-v0",
         {"recipe": "hard", "growth_s": 0.02, "growth_levels": 5, "mean_onset_s": 0.01, "horizon_s": 0.06},
     ),
     "speed loop, confirmed, other prices": (
-        "motor_env/Probe-v0",
+        "motor_env/ProbeInstant-v0",
         {
             "recipe": "hard",  # a supply that is not the nominal one: energy counts it
             "drive": "speed_loop",
@@ -63,12 +64,12 @@ VARIANTS: dict[str, tuple[str, dict[str, Any]]] = {
         },
     ),
     "fast failures": (
-        "motor_env/Drive-v0",
-        {"growth_per_s": (2.0, 3.0), "mean_onset_s": 0.3, "horizon_s": 5.0, "load_time_s": 0.3},
+        "motor_env/DriveControl-v0",
+        {**VOLTAGES, "growth_per_s": (2.0, 3.0), "mean_onset_s": 0.3, "horizon_s": 5.0, "load_time_s": 0.3},
     ),
     "a winding that burns": (
-        "motor_env/Drive-v0",
-        {"weights": (0.0, 0.0, 1.0), "thermal_time_s": 0.4, "warm_k": 20.0, "burn_k": 45.0},
+        "motor_env/DriveControl-v0",
+        {**VOLTAGES, "weights": (0.0, 0.0, 1.0), "thermal_time_s": 0.4, "warm_k": 20.0, "burn_k": 45.0},
     ),
     "fast wear": ("motor_env/MaintainUnknownRate-v0", {"drift_per_day": 0.04, "days": 60}),
 }
@@ -225,14 +226,19 @@ def judged(envs: Any, policy: Any) -> dict[str, Any]:
 
 
 def monitored(recipe: str) -> Any:
-    return MonitorVectorEnv(4, recipe=recipe, horizon_s=0.05, observe=baseline_features(recipe))
+    return MonitorVectorEnv(
+        4,
+        recipe=recipe,
+        horizon_s=0.05,
+        observe=baseline_features(recipe),
+        **gym.spec("motor_env/MonitorInstant-v0").kwargs,
+    )
 
 
 def driven(policy: Any) -> list[list[float]]:
     """The parts of the returns of a few short drives, in thousandths: a tolerance is small beside them."""
-    envs = DriveVectorEnv(
-        6, horizon_s=2.0, earliest_onset_s=0.1, mean_onset_s=0.1, growth_per_s=(1.0, 2.0), warm_k=15.0
-    )
+    short: dict[str, Any] = {"horizon_s": 2.0, "earliest_onset_s": 0.1, "mean_onset_s": 0.1}
+    envs = DriveVectorEnv(6, **VOLTAGES, **short, steps_per_decision=1, growth_per_s=(1.0, 2.0), warm_k=15.0)
     parts = parts_of(envs, policy(envs), 4)
     return [(1e3 * part).tolist() for part in parts]
 
@@ -246,17 +252,16 @@ def upkeep() -> list[Any]:
 
 POLICIES: dict[str, Callable[[], Any]] = {
     "bayes": lambda: judged(envs := monitored("medium"), BayesPolicy(envs.setup, 0.0)),
-    "tolerances": lambda: judged(envs := monitored("hard"), TolerancePolicy(envs.setup, 0.0)),
     "bank": lambda: judged(envs := monitored("hard"), BankPolicy(envs.setup, 0.0)),
     "cusum": lambda: judged(
         envs := monitored("hard"), RulePolicy(envs.setup, Cusum(0.5, two_sided=True), threshold=0.0)
     ),
     "bursts": lambda: judged(
-        envs := ProbeVectorEnv(4, horizon_s=0.1),
+        envs := ProbeVectorEnv(4, horizon_s=0.1, **gym.spec("motor_env/ProbeInstant-v0").kwargs),
         OpenLoop(RatioTest(envs.setup, 0.0), Bursts(5, 8, 3).actions(50)),
     ),
     "on demand": lambda: judged(
-        envs := ProbeVectorEnv(4, horizon_s=0.1),
+        envs := ProbeVectorEnv(4, horizon_s=0.1, **gym.spec("motor_env/ProbeInstant-v0").kwargs),
         EventTriggeredProbing(ExpectedRewardTest(envs.setup, 0.0), 0.05),
     ),
     "lqg": lambda: driven(lambda envs: Lqg(envs.setup)),

@@ -30,14 +30,15 @@ from motor_env.motor.faults import BUILT_IN_KINDS, FaultKind, apply_faults
 from motor_env.simulation.recipes import FaultClass
 
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
-SHORT: dict[str, Any] = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005}
+INSTANT = gym.spec("motor_env/MonitorInstant-v0").kwargs
+SHORT: dict[str, Any] = {"horizon_s": 0.02, "earliest_onset_s": 0.001, "mean_onset_s": 0.005, **INSTANT}
 PAIRS: list[tuple[Any, Any, dict[str, Any]]] = [
     (MonitorEnv, MonitorVectorEnv, SHORT),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "growth_s": 0.004, "start": "standstill"}),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "samples_per_step": 2}),
     (MonitorEnv, MonitorVectorEnv, {**SHORT, "recipe": "hard", "drive": "speed_loop"}),
     (ProbeEnv, ProbeVectorEnv, {**SHORT, "samples_per_step": 5}),
-    (ProbeEnv, ProbeVectorEnv, {**SHORT, "confirm_steps": 2, "drive": "speed_loop"}),
+    (ProbeEnv, ProbeVectorEnv, {**SHORT, "samples_per_step": 20, "confirm_steps": 2, "drive": "speed_loop"}),
     (
         ProbeContinuousEnv,
         ProbeContinuousVectorEnv,
@@ -261,7 +262,9 @@ def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, 
     """The compiled drawing, `draw` of the recipe and `discretize` give the same numbers, to the last bit."""
     ranges = (FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in BUILT_IN_KINDS))
     task = TASKS.get(recipe) or replace(TASKS["hard"], classes=ranges)
-    envs = MonitorVectorEnv(200, recipe=task, growth_s=growth_s, precision=precision, mean_onset_s=0.0)
+    envs = MonitorVectorEnv(
+        200, recipe=task, growth_s=growth_s, precision=precision, mean_onset_s=0.0, **INSTANT
+    )
     _, info = envs.reset(seed=9)
     drawn = draw(task, 9, np.arange(200) << 32)
     np.testing.assert_array_equal(info["class_index"], drawn.class_index)
@@ -358,7 +361,7 @@ def test_a_step_limit_under_the_other_autoreset_modes() -> None:
         with pytest.raises(ValueError, match="max_episode_steps must be"):
             MonitorVectorEnv(2, max_episode_steps=count)  # type: ignore[arg-type]  # what is refused
     waits = np.zeros(3, dtype=np.int64)
-    envs = MonitorVectorEnv(3, autoreset_mode="SameStep", max_episode_steps=2)
+    envs = MonitorVectorEnv(3, autoreset_mode="SameStep", max_episode_steps=2, confirm_steps=1)
     first = envs.reset(seed=1)[0]
     envs.step(waits)
     observation, _, terminated, truncated, info = envs.step(np.array([0, 1, 0]))

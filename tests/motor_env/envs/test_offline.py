@@ -14,7 +14,7 @@ from motor_env.envs.offline_data import TASKS, Behaviour, episodes_of
 minari = pytest.importorskip("minari", reason="data sets for learning offline need the extra minari")
 
 
-@pytest.mark.parametrize("task", ["Monitor-v0", "Probe-v0", "Maintain-v0", "Drive-v0"])
+@pytest.mark.parametrize("task", ["Monitor-v0", "Probe-v0", "DriveControl-v0", "Maintain-v0"])
 def test_a_data_set_is_read_and_its_environment_repeats_it(
     task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -51,7 +51,7 @@ def test_a_folder_may_be_relative_and_new(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_better_policies_are_paid_better() -> None:
-    for task in ("Probe-v0", "Drive-v0", "Maintain-v0"):
+    for task in ("Probe-v0", "DriveControl-v0", "Maintain-v0"):
         random, rule, best = (
             np.mean([one.rewards.sum() for one in episodes_of(task, each, 60, 1)])
             for each in (Behaviour.RANDOM, Behaviour.RULE, Behaviour.BEST)
@@ -71,16 +71,16 @@ def test_thresholds_are_those_that_were_tuned() -> None:
         found[name] = [getattr(make(envs), "threshold", None) for make in makers]
         if name == "Monitor-v0":
             rule: Any = task.rule(envs)
-            assert (rule.rule.shift, rule.rule.two_sided) == (0.25, True)
+            assert (rule.rule.shift, rule.rule.two_sided) == (0.3, True)
         if name == "Probe-v0":
             best: Any = task.best(envs)
             assert best.above == 0.08
     assert found == {
-        "Monitor-v0": [30.0, 0.9609],
-        "Probe-v0": [0.93, 0.97],
+        "Monitor-v0": [16.0, 0.8],
+        "Probe-v0": [0.93, 0.93],
+        "DriveControl-v0": [None, None],
         "Maintain-v0": [0.84],
         "MaintainUnknownRate-v0": [0.84],
-        "Drive-v0": [None, None],
     }
 
 

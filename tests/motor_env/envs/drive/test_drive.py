@@ -1,4 +1,4 @@
-"""Drive-v0: the package's physics, gymnasium's contract, costs as the options say, and what detection is worth."""
+"""Drive: the package's physics, gymnasium's contract, costs as the options say, and what detection is worth."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -34,8 +34,25 @@ from motor_env.motor.model import Input
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.random_streams import Stream, normals, uniforms
 
+VOLTAGES: dict[str, Any] = {
+    "control": "voltage_and_decision",
+    "steps_per_decision": 1,
+    "tracking_limit_per_s": 0.0,
+}
 SHORT: dict[str, Any] = {"horizon_s": 0.6, "earliest_onset_s": 0.1, "mean_onset_s": 0.1}
 STEADY: dict[str, Any] = {"growth_per_s": (1e-9, 1e-9), "load_std_n_m": 1e-13, "earliest_onset_s": 0.05}
+
+
+def drive(options: DriveOptions | None = None, **changes: Any) -> DriveEnv:
+    return DriveEnv(options, **{**VOLTAGES, **changes})
+
+
+def drives(count: int, **options: Any) -> DriveVectorEnv:
+    return DriveVectorEnv(count, **{**VOLTAGES, **options})
+
+
+def drive_options(**options: Any) -> DriveOptions:
+    return DriveOptions(**{**VOLTAGES, **options})
 
 
 def random_actions(steps: int, count: int) -> NDArray[np.float64]:
@@ -49,8 +66,8 @@ def random_actions(steps: int, count: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_every_lane_is_the_single_environment(mode: AutoresetMode) -> None:
     count, actions = 12, random_actions(200, 12)
-    envs = DriveVectorEnv(count, autoreset_mode=mode, **SHORT)
-    assert_lanes_are_single(envs, DriveEnv(**SHORT), actions)
+    envs = drives(count, autoreset_mode=mode, **SHORT)
+    assert_lanes_are_single(envs, drive(**SHORT), actions)
 
 
 def test_a_score_counts_the_first_episode_alone() -> None:
@@ -65,7 +82,7 @@ def test_a_score_counts_the_first_episode_alone() -> None:
             self.first = False
             return np.array([[0.0, decision], [0.0, RUN], [0.0, decision]])
 
-    envs, env = DriveVectorEnv(3, **SHORT), DriveEnv(**SHORT)
+    envs, env = drives(3, **SHORT), drive(**SHORT)
     returns, parts = (of(envs, StopTwo(), seed=5) for of in (returns_of, parts_of))
     for index in (0, 2):
         env.reset(seed=5, options={"index": index})
@@ -78,7 +95,7 @@ def test_a_score_counts_the_first_episode_alone() -> None:
 
 def test_a_controller_forgets_the_episode_before() -> None:
     """Filters, integral, and a winding that counts as warm from one kelvin on."""
-    envs = DriveVectorEnv(4, warm_k=1.0, **SHORT)
+    envs = drives(4, warm_k=1.0, **SHORT)
     used, fresh = (Lqg(envs.setup, levels=3) for _ in range(2))
     for policy, seed in ((used, 1), (fresh, 2)):
         policy.start(4)
@@ -105,8 +122,8 @@ def state_of(env: DriveEnv) -> FloatArray:
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_the_motor_is_the_discretised_one_with_its_fault(kind: int) -> None:
     weights = tuple(float(k == kind) for k in range(3))
-    options = DriveOptions(weights=weights, mean_onset_s=0.0, **STEADY)  # type: ignore[arg-type]
-    env, truth = DriveEnv(options), []
+    options = drive_options(weights=weights, mean_onset_s=0.0, **STEADY)
+    env, truth = drive(options), []
     _, info = env.reset(seed=3)
     assert info["label"] == LABELS[kind]
     rng, states, volts = np.random.default_rng(0), [state_of(env)], []
@@ -124,7 +141,7 @@ def test_the_motor_is_the_discretised_one_with_its_fault(kind: int) -> None:
 
 
 def test_the_filter_of_a_healthy_motor_has_white_innovations() -> None:
-    envs = DriveVectorEnv(50, weights=(1.0, 0.0, 0.0), horizon_s=3.0)
+    envs = drives(50, weights=(1.0, 0.0, 0.0), horizon_s=3.0)
     policy, (observations, _) = Lqg(envs.setup), envs.reset(seed=5)
     policy.start(50)
     rows = []
@@ -140,7 +157,7 @@ def test_the_filter_of_a_healthy_motor_has_white_innovations() -> None:
 
 
 def test_supply_and_profile_keep_their_limits() -> None:
-    envs = DriveVectorEnv(30, current_limit_a=1.7)
+    envs = drives(30, current_limit_a=1.7)
     envs.reset(seed=2)
     for action in random_actions(150, 30):
         envs.step(action * [1.0, 0.0])
@@ -154,7 +171,7 @@ def test_supply_and_profile_keep_their_limits() -> None:
 
 
 def test_a_failure_costs_the_rest_of_the_episode_and_more() -> None:
-    env = DriveEnv(weights=(0.0, 1.0, 0.0), mean_onset_s=0.0, growth_per_s=(10.0, 10.0), wear_cost=3.0)
+    env = drive(weights=(0.0, 1.0, 0.0), mean_onset_s=0.0, growth_per_s=(10.0, 10.0), wear_cost=3.0)
     policy = Lqg(env.setup)
     policy.start(1)
     observation, _ = env.reset(seed=1)
@@ -188,7 +205,7 @@ def follow_truth(env: DriveEnv, actions: Iterable[Any]) -> Iterator[tuple[Any, A
 def test_every_price_alone(kind: int) -> None:
     """At the default prices, from the motor's true state, as docs/drive-and-maintain.md has them."""
     weights = tuple(float(k == kind) for k in range(3))
-    env = DriveEnv(weights=weights, mean_onset_s=0.0, warm_k=1.0, burn_k=1e3, growth_per_s=(1.2, 1.2))
+    env = drive(weights=weights, mean_onset_s=0.0, warm_k=1.0, burn_k=1e3, growth_per_s=(1.2, 1.2))
     env.reset(seed=3)
     profile, limps, heat, worn = env._lanes.profile[0], 0.0, 0.0, 0.0
     rng = np.random.default_rng(2)
@@ -214,7 +231,7 @@ def test_every_price_alone(kind: int) -> None:
 @pytest.mark.parametrize("kind", [0, 1, 2])
 def test_heat_and_wear_follow_their_equations(kind: int) -> None:
     weights = tuple(float(k == kind) for k in range(3))
-    env = DriveEnv(weights=weights, mean_onset_s=0.0)
+    env = drive(weights=weights, mean_onset_s=0.0)
     _, first = env.reset(seed=3)
     assert first["onset_step"] == (50 if kind else -1)
     options, motor, believed = env.options, env.options.driven, 0.0
@@ -248,7 +265,7 @@ def test_heat_and_wear_follow_their_equations(kind: int) -> None:
 
 def test_the_filter_sees_what_its_model_says() -> None:
     """Estimates and whitened innovations against `run_filter`'s equations with the fan as it turns; units by hand."""
-    env = DriveEnv(weights=(1.0, 0.0, 0.0), load_std_n_m=2e-3)
+    env = drive(weights=(1.0, 0.0, 0.0), load_std_n_m=2e-3)
     env.reset(seed=3)
     options, belief = env.options, drive_filter(env.options, env.options.driven)
     gain, covariance = converged_gain(belief)
@@ -290,14 +307,14 @@ def test_the_filter_sees_what_its_model_says() -> None:
 
 def test_a_long_period_shows_each_step_ahead_once() -> None:
     """0.05 s ahead is the end of the next step already."""
-    setup = make_setup(DriveOptions(period_s=0.05))
+    setup = make_setup(drive_options(period_s=0.05))
     assert setup.ahead.tolist() == [0, 1, 2, 4]
     assert setup.observed[-4:] == ("profile_0", "profile_1", "profile_2", "profile_4")
 
 
 def test_a_bank_and_its_decisions_by_hand() -> None:
     """Two severities of each kind, a quarter and three quarters of the way from onset to failure, on a logarithm."""
-    setup = DriveEnv().setup
+    setup = drive().setup
     bank = make_bank(setup.options, 2)
     assert bank.kind.tolist() == [0, 1, 1, 2, 2]
     sixth, twentieth = (12.0 / 2.0) ** 0.25, (4.0 / 0.2) ** 0.25
@@ -341,7 +358,7 @@ def test_a_bank_and_its_decisions_by_hand() -> None:
 
 @pytest.mark.parametrize("factor", [1.0 - 1e-9, 1.0 + 1e-9])
 def test_limits_of_the_options_are_exact(factor: float) -> None:
-    current, volts = DriveOptions().needs(450.0, 350.0 / 0.2)
+    current, volts = drive_options().needs(450.0, 350.0 / 0.2)
     refused: list[dict[str, Any]] = [
         {"voltage_limit_v": volts / factor},
         {"current_limit_a": current / factor},
@@ -353,12 +370,12 @@ def test_limits_of_the_options_are_exact(factor: float) -> None:
     ]
     for options in refused:
         if factor < 1.0:
-            DriveOptions(**options)
+            drive_options(**options)
         else:
             with pytest.raises(ValueError, match=r"must be|needs"):
-                DriveOptions(**options)
+                drive_options(**options)
     with pytest.raises(ValueError, match="periods, got 200000"):
-        DriveOptions(horizon_s=1e9)
+        drive_options(horizon_s=1e9)
 
 
 @pytest.mark.parametrize(
@@ -390,11 +407,11 @@ def test_limits_of_the_options_are_exact(factor: float) -> None:
 )
 def test_bad_options_get_their_sentence(options: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ValueError, match=re.escape(sentence)):
-        DriveEnv(**options)
+        drive(**options)
 
 
 def test_bad_actions_get_their_sentence() -> None:
-    env = DriveEnv()
+    env = drive()
     env.reset(seed=0)
     for action in ([0.0], [np.nan, 0.0]):
         with pytest.raises(ValueError, match=r"action must be finite and have shape \(2,\)"):
@@ -406,11 +423,11 @@ def test_other_actions_give_the_same_commands(control: str) -> None:
     """Of a vector and of a single environment; the drive's own controller is the LQG of the healthy motor."""
     short: dict[str, Any] = {"tracking_limit_per_s": 3.0, "horizon_s": 3.0, "growth_per_s": (1.0, 3.0)}
     changes = short | {"control": control}
-    plain, other = DriveVectorEnv(16, **short), DriveVectorEnv(16, **changes)
+    plain, other = drives(16, **short), drives(16, **changes)
     first, second = (returns_of(envs, Lqg(envs.setup, levels=3), seed=3) for envs in (plain, other))
     off = np.abs(first - second)
     assert (off == 0.0).all() if control == "voltage_limp_stop" else (np.median(off) < 0.02 and off.any())
-    single = DriveEnv(**changes)
+    single = drive(**changes)
     seen, _ = single.reset(seed=3, options={"index": 7})
     policy, total, over = Lqg(single.setup, levels=3), 0.0, False
     policy.start(1)
@@ -425,7 +442,7 @@ def test_other_actions_give_the_same_commands(control: str) -> None:
 
 
 def test_its_own_controller_is_the_fixed_lqg() -> None:
-    plain, own = DriveVectorEnv(8), DriveVectorEnv(8, control="decision")
+    plain, own = drives(8), drives(8, control="decision")
     seen, _ = plain.reset(seed=3)
     own.reset(seed=3)
     policy = Lqg(plain.setup)
@@ -440,7 +457,7 @@ def test_its_own_controller_is_the_fixed_lqg() -> None:
 
 def test_a_decision_lasts_and_an_error_costs_so_much_at_most() -> None:
     healthy: dict[str, Any] = {"control": "decision", "weights": (1.0, 0.0, 0.0)}
-    fine, coarse = DriveVectorEnv(4, **healthy), DriveVectorEnv(4, **healthy, steps_per_decision=5)
+    fine, coarse = drives(4, **healthy), drives(4, **healthy, steps_per_decision=5)
     fine.reset(seed=5)
     coarse.reset(seed=5)
     for step in range(100):
@@ -453,7 +470,7 @@ def test_a_decision_lasts_and_an_error_costs_so_much_at_most() -> None:
             info["reward_limp"], sum(each[4]["reward_limp"] for each in inner), rtol=1e-12
         )
         assert not over.any()
-    free, capped = DriveVectorEnv(50), DriveVectorEnv(50, tracking_limit_per_s=3.0)
+    free, capped = drives(50), drives(50, tracking_limit_per_s=3.0)
     for envs in (free, capped):
         envs.reset(seed=5)
     rng = np.random.default_rng(0)
@@ -466,7 +483,7 @@ def test_a_decision_lasts_and_an_error_costs_so_much_at_most() -> None:
 
 def test_no_controller_is_above_the_bound() -> None:
     """In no episode, as it is told all that is to come; the best plan comes near."""
-    envs = DriveVectorEnv(60)
+    envs = drives(60)
     bound = drive_bounds(envs.options, 60, seed=4)
     best = returns_of(envs, PlannedDrive(envs.setup), 4)
     assert (best < bound + 1e-3).all()
@@ -475,26 +492,26 @@ def test_no_controller_is_above_the_bound() -> None:
 
 @pytest.mark.long
 def test_the_plan_is_ahead_of_the_bank() -> None:
-    envs = DriveVectorEnv(150)
+    envs = drives(150)
     bank, plan = (
         returns_of(envs, policy, seed=9) for policy in (Lqg(envs.setup, levels=8), PlannedDrive(envs.setup))
     )
     ahead = plan - bank
     assert ahead.mean() > 1.5 * ahead.std() / np.sqrt(150)
-    deciding = DriveVectorEnv(150, **gym.spec("motor_env/DriveDecide-v0").kwargs)
+    deciding = DriveVectorEnv(150)
     decided = returns_of(deciding, PlannedDecisions(deciding.setup), seed=9)
     assert decided.mean() > bank.mean()
 
 
 def test_detection_is_worth_something() -> None:
-    envs = DriveVectorEnv(40)
+    envs = drives(40)
     fixed, bank = (returns_of(envs, Lqg(envs.setup, levels=levels), seed=9) for levels in (0, 8))
     ahead = bank - fixed
     assert ahead.mean() > 1.0 + 1.96 * ahead.std() / np.sqrt(40)
 
 
 def test_a_picture_changes_nothing() -> None:
-    shown, plain = DriveEnv(render_mode="rgb_array"), DriveEnv()
+    shown, plain = drive(render_mode="rgb_array"), drive()
     shown.reset(seed=1)
     plain.reset(seed=1)
     for _ in range(50):
@@ -507,7 +524,7 @@ def test_a_picture_changes_nothing() -> None:
 @pytest.mark.parametrize("control", ["voltage_and_decision", "decision"])
 def test_what_linear_algebra_gives_has_twelve_digits(control: str) -> None:
     """Its last digits differ from processor to processor, and an id's steps are the same to the bit."""
-    task = make_setup(DriveOptions(control=control)).task  # type: ignore[arg-type]
+    task = make_setup(drive_options(control=control)).task
     names = [name for name in task._fields if re.fullmatch(r"[kw]\d\d|by_\w+", name)]
     assert len(names) == 12
     for name in names:
@@ -518,7 +535,7 @@ def test_a_decision_is_drawn_as_long_as_it_lasts() -> None:
     """After 80 of 800 periods the curves reach a tenth of the screen further than after 8."""
     ends = []
     for repeats in (1, 10):
-        env = DriveEnv(control="decision", steps_per_decision=repeats, render_mode="rgb_array")
+        env = drive(control="decision", steps_per_decision=repeats, render_mode="rgb_array")
         env.reset(seed=4)
         frames = []
         for _ in range(8):
