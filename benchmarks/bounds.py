@@ -39,10 +39,12 @@ from motor_env.envs.options import MonitorOptions
 from motor_env.envs.policies.fault_posterior import (
     N_HYPOTHESIS,
     known_faults,
+    known_motor,
     onset_law,
     sample_model,
     step_of,
 )
+from motor_env.envs.policies.residual_posterior import innovation_signatures
 from motor_env.envs.setup import Setup, make_setup
 from motor_env.motor.compiled import njit
 from motor_env.motor.model import State, load_torque
@@ -270,7 +272,7 @@ def _probing(setup: Setup) -> float:
 
 def _watching(setup: Setup) -> float:
     """Bound on a monitor."""
-    options, faults = setup.options, known_faults(setup)
+    options, faults = setup.options, known_motor(setup)
     chance = options.task.class_probabilities[faults]
     late, weights, remaining = _remaining(options)
     blocks = np.ceil(remaining / BLOCK_S).astype(int)
@@ -295,23 +297,12 @@ def _remaining(options: MonitorOptions) -> tuple[float, FloatArray, FloatArray]:
     return late, np.diff(edges), span - since[:-1]
 
 
-def signature(setup: Setup, which: int, n_samples: int) -> FloatArray:
-    """Squares of the mean whitened innovations of a class since its onset, without a probe, shape (n_samples,)."""
-    sample, state = sample_model(setup, which), np.zeros(N_HYPOTHESIS + 2)
-    state[-1] = 1.0
-    answer = np.empty(n_samples)
-    for k in range(n_samples):
-        moved = sample @ state
-        state[:N_HYPOTHESIS] = moved[:N_HYPOTHESIS]
-        answer[k] = moved[N_HYPOTHESIS] ** 2
-    return answer
-
-
 def _values_at_onset(setup: Setup, which: int, blocks: FloatArray) -> FloatArray:
     """Value at the onset of a class by the log-odds, for every number of blocks that remain: (times, log-odds)."""
     options = setup.options
     per_block = round(BLOCK_S / options.dt_s)
-    information = signature(setup, which, int(blocks.max()) * per_block).reshape(-1, per_block).sum(axis=1)
+    means = innovation_signatures(setup, [which], int(blocks.max()) * per_block)[0]
+    information = np.square(means).reshape(len(means) // per_block, -1).sum(axis=1)
     declared, silent = declared_worth(options), silent_worth(options)
     delay = options.delay_cost_per_s * options.dt_s * per_block * PROBABILITY
     value = np.tile(silent[:, None], len(blocks))

@@ -28,6 +28,7 @@ from motor_env.envs import (
     ThresholdReplacement,
     baseline_features,
 )
+from motor_env.envs.policies.residual_posterior import ResidualPosterior
 from motor_env.envs.policies.rule_policies import Player
 
 Make = Callable[[Any], Player]
@@ -145,6 +146,12 @@ REFERENCES = {
         ("GLR of a step", _kept(Glr(1, 60, two_sided=True), 18.0)),
         None,
         {"observe": baseline_features("medium")},
+    ),
+    "MonitorSensor-v0": Reference(
+        ("bank of hypotheses", lambda envs: ResidualPosterior(envs.setup, 0.9)),
+        ("bank of hypotheses", lambda envs: ResidualPosterior(envs.setup, 0.9)),
+        _at_every_sample,
+        {"observe": ("innovation_current", "innovation_speed")},
     ),
     "MonitorInstant-v0": Reference(
         ("CUSUM", _rule(Cusum(0.12, two_sided=True), 63.07)),

@@ -23,12 +23,16 @@ from motor_env.envs import layout
 from motor_env.envs.layout import (
     CASE_HIGH,
     CASE_LOW,
+    GAIN,
+    HOLD,
     LANES,
     NEVER,
+    RISE,
     ROW_LENGTH,
     ROWS,
     SEED_HIGH,
     SEED_LOW,
+    SHIFT,
     Block,
     Lanes,
     TaskNumbers,
@@ -44,7 +48,7 @@ from motor_env.filters.kalman import KalmanFilter
 from motor_env.motor.compiled import compiled_with_arrays, inlined
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import Input, exponential_and_phi
-from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters
+from motor_env.motor.parameters import QUANTITY_FIELDS, Channel, FloatArray, MotorParameters
 from motor_env.simulation.random_streams import Stream, box_muller, philox
 
 _STREAM = np.uint32(Stream.MEASUREMENT)
@@ -116,7 +120,22 @@ def refill(s: Block, words: WordArray, first: int, channels: int, width: int) ->
 
 
 _CLASS, _MOTOR, _SUPPLY = np.uint32(Stream.CLASS), np.uint32(Stream.MOTOR), np.uint32(Stream.SUPPLY)
-_ONSET, _SEVERITY = np.uint32(Stream.ONSET), np.uint32(Stream.SEVERITY)
+_ONSET, _SEVERITY, _RECOVERY = (
+    np.uint32(Stream.ONSET),
+    np.uint32(Stream.SEVERITY),
+    np.uint32(Stream.RECOVERY),
+)
+
+
+CHANNELS = (Channel.CURRENT, Channel.SPEED)
+SENSOR_ERRORS = {
+    "dead": ("gain", -1.0),
+    "gain": ("gain", 1.0),
+    "offset": ("shift", 1.0),
+    "drift": ("rise", 1.0),
+    "stuck": ("hold", 1.0),
+}
+"""Failures of a sensor that the environments have, and what they do, a unit of severity."""
 
 
 def _fault_powers(kind: FaultKind) -> tuple[float, ...]:
@@ -166,8 +185,14 @@ def make_prior(
     for row, c in zip(classes, recipe.classes, strict=True):
         if c.kind is not None:
             row["severity_from"], row["severity_to"] = c.severity, c.largest_severity
-            row["kind"], row["loses"] = list(FaultKind).index(c.kind), c.kind.loses
+            row["column"], row["loses"] = recipe.severity_columns.index(c.kind), c.kind.loses
             row["powers"], row["noise_power"] = _fault_powers(c.kind), c.kind.powers.get("noise", 0.0)
+            if c.recovery is not None:
+                row["log_lasts"], row["log_pauses"] = c.recovery.log_stay(options.dt_s)
+            if c.kind.is_sensor:
+                channel, _, failure = c.kind.partition("_")
+                field, size = SENSOR_ERRORS[failure]
+                row["errors"][CHANNELS.index(channel), layout.ERRORS.index(field)] = size
     return prior.view(np.float64), classes.view(np.float64).reshape(len(classes), -1)
 
 
@@ -193,7 +218,7 @@ def _factor(power: float, loses: float, severity: float) -> float:
 
 @inlined
 def motor_row(p: Any, c: Any, drawn: Any, share: float, row: FloatArray) -> None:
-    """Write the motor of a class at a share of its severity, as its difference to the healthy model.
+    """Write motor and sensors of a class at a share of its severity, as their difference to the healthy model.
 
     Args:
         p: prior of the task, a `layout.PRIOR`.
@@ -229,6 +254,10 @@ def motor_row(p: Any, c: Any, drawn: Any, share: float, row: FloatArray) -> None
         row[6 + m] = gain * supply - p.by_volt[m]
     noise = np.sqrt(_factor(c.noise_power, loses, severity))
     row[8], row[9] = noise * p.noise[0], noise * p.noise[1]
+    for m in range(2):
+        scale = severity * abs(volts / (ohm if m == 0 else back_emf))
+        row[GAIN + m], row[SHIFT + m] = severity * c.errors[m, 0], scale * c.errors[m, 1]
+        row[RISE + m], row[HOLD + m] = scale * dt * c.errors[m, 2], severity * c.errors[m, 3]
 
 
 @compiled_with_arrays
@@ -285,7 +314,7 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     c = class_of(task.classes, which)
     drawn.severity = c.severity_from
     if c.severity_to > c.severity_from:
-        u = random_uniforms(_SEVERITY, int(c.kind) >> 2, words, n)[int(c.kind) & 3]
+        u = random_uniforms(_SEVERITY, int(c.column) >> 2, words, n)[int(c.column) & 3]
         drawn.severity += (c.severity_to - c.severity_from) * u
     if p.is_known > 0.0:
         drawn.supply = drawn.resistance = drawn.constants = drawn.inertia = drawn.friction = 1.0
@@ -299,6 +328,17 @@ def draw_episode(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     lanes.marks[layout.CLASS_INDEX, n] = which
     lanes.marks[layout.RUNNING_ONSET, n] = int(min(onset, 2.0**31 - 1.0)) if onset < NEVER else -1
     return onset
+
+
+@inlined
+def draw_turn(task: TaskNumbers, lanes: Lanes, n: int) -> float:
+    """Draw for how many samples the fault of lane n's episode acts or pauses now; NEVER where it stays."""
+    c, turn = class_of(task.classes, lanes.marks[layout.CLASS_INDEX, n]), lanes.marks[layout.TURN, n]
+    lanes.marks[layout.TURN, n] = turn + 1
+    log_stay = c.log_pauses if turn & 1 else c.log_lasts
+    if log_stay == 0.0:
+        return NEVER
+    return 1.0 + np.floor(np.log(random_uniforms(_RECOVERY, turn >> 2, lanes.words, n)[turn & 3]) / log_stay)
 
 
 @inlined

@@ -7,12 +7,23 @@ serves float32 and float64.
 
 from __future__ import annotations
 
-from motor_env.envs.layout import Block, Constants, Model
+from motor_env.envs.layout import GAIN, HOLD, RISE, SHIFT, Block, Constants, Model
 from motor_env.motor.compiled import inlined
 
 
 @inlined
-def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full: bool) -> None:
+def _read(
+    s: Block, j: int, p: Constants, m: int, state: float, noise: float, rest: float, last: float
+) -> tuple[float, float]:
+    """Noise of channel m of lane j with the error of its sensor, and its reading: too much, or the last one again."""
+    age = s.time[j] - s.since[j]
+    error = s.rows[GAIN + m, j] * (state + rest) + s.rows[SHIFT + m, j] + s.rows[RISE + m, j] * age
+    holds = s.rows[HOLD + m, j] * age > p.zero
+    return (last - state if holds else noise + error), (last if holds else state + (noise + error))
+
+
+@inlined
+def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full: bool, failing: bool) -> None:
     """One sample of lane j of the block s: plant, measurement, filter, statistics, price of the energy.
 
     States, measurements and the voltage u are deviations from the rest point of the healthy model (F, G). The error of
@@ -26,8 +37,11 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
 
     The filter does not know what a speed loop adds to the voltage, d: it is a part of m.
 
-    `kept` is 0 on the first sample of a step, 1 after that. `with_speed` (there is a speed sensor) and `full` (the
-    voltage may move, or a bank follows) are literals at each call, so the compiler leaves out what is not needed.
+    What a failed sensor reads too much is a part of its noise v.
+
+    `kept` is 0 on the first sample of a step, 1 after that. `with_speed` (there is a speed sensor), `full` (the voltage
+    may move, or a bank follows) and `failing` (sensors may fail) are literals at each call, so the compiler leaves out
+    what is not needed.
     """
     x0, x1 = s.current[j], s.speed[j]
     m0 = s.m00[j] * x0 + s.m01[j] * x1 + s.d0[j]
@@ -45,16 +59,18 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
     a0 = p.f00 * e0 + p.f01 * e1 + m0
     rise = p.f10 * e0 + p.f11 * e1 + m1
     v0 = s.sigma_current[j] * s.normal_current[j]
+    v0, z0 = _read(s, j, p, 0, y0, v0, p.rest_current, s.measured_current[j]) if failing else (v0, v0)
     d0 = p.c0 * (a0 + v0)
     r0 = p.w00 * d0
     e0, correction, power = a0 - p.k00 * d0, p.k10 * d0, r0 * r0
     fast, slow = p.memory_fast, p.memory_slow
     if with_speed:
         v1 = s.sigma_speed[j] * s.normal_speed[j]
+        v1, z1 = _read(s, j, p, 1, y1, v1, p.rest_speed, s.measured_speed[j]) if failing else (v1, v1)
         d1 = e1 + rise + v1
         r1 = p.w10 * d0 + p.w11 * d1
         e0, correction, power = e0 - p.k01 * d1, correction + p.k11 * d1, power + r1 * r1
-        s.measured_speed[j] = y1 + v1
+        s.measured_speed[j] = z1 if failing else y1 + v1
         s.noise_speed[j] = v1
         s.innovation_speed[j] = kept * s.innovation_speed[j] + r1
         s.fast_speed[j] = fast * s.fast_speed[j] + p.into_fast * r1
@@ -63,7 +79,7 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
     before, e1 = e1, e1 + rise
     s.carry[j] = (e1 - before) - rise
     s.error_current[j], s.error_speed[j] = e0, e1
-    s.measured_current[j] = y0 + v0
+    s.measured_current[j] = z0 if failing else y0 + v0
     s.estimated_current[j], s.estimated_speed[j] = y0 - e0, y1 - e1
     s.innovation_current[j] = kept * s.innovation_current[j] + r0
     s.fast_current[j] = fast * s.fast_current[j] + p.into_fast * r0

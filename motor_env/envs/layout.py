@@ -71,11 +71,20 @@ Block = Any
 
 _MOTOR = ("m00", "m01", "m10", "m11", "d0", "d1", "b0", "b1", "sigma_current", "sigma_speed")
 """The motor as it is now, as its difference to the healthy model."""
-ROW_LENGTH = len(_MOTOR)
+ERRORS = ("gain", "shift", "rise", "hold")
+"""What a failed sensor does: it reads a share too much, an offset, so much more with each sample, its last reading."""
+_ERRORS = tuple(f"{error}_{channel}" for error in ERRORS for channel in ("current", "speed"))
+GAIN, SHIFT, RISE, HOLD = range(len(_MOTOR), len(_MOTOR) + len(_ERRORS), 2)  # their rows
+ROW_LENGTH = len(_MOTOR) + len(_ERRORS)
 _STATE = ("current", "speed", "error_current", "error_speed", "carry")
 """True state, error of the filter's estimate, and what rounding took from the error of the speed."""
 _STATISTICS = ("fast_current", "slow_current", "fast_speed", "slow_speed", "excess")  # running
-_TIMES = ("time", "next_change")  # in samples
+_TIMES = (
+    "time",
+    "next_change",
+    "since",
+    "until",
+)  # in samples; the fault has set in since, and ends or returns
 _MEASURED = ("measured_current", "measured_speed", "estimated_current", "estimated_speed")  # the last sample
 _STEP = ("innovation_current", "innovation_speed", "voltage")  # the last step; the innovation is white
 _EPISODE = ("onset", "level", "kind", "supply")
@@ -84,6 +93,7 @@ _LOOP = ("drive", "held")  # what a speed loop adds to the voltage, and the spee
 _PRICE = ("energy", "energy_due")  # of the energy of the last step, and of those before it
 _FIELDS = (
     *_MOTOR,
+    *_ERRORS,
     *_STATE,
     *_STATISTICS,
     *_TIMES,
@@ -159,6 +169,7 @@ class Constants(NamedTuple):
     miss: float
     rest_voltage: float
     rest_current: float
+    rest_speed: float
     probe_cost: float
     energy_cost: float
     growth: float
@@ -170,6 +181,7 @@ class Constants(NamedTuple):
     loop_p: float  # gains of the speed loop
     loop_i: float
     confirm: float  # how often in a row a kind has to be chosen
+    failing: float  # whether sensors may fail
 
 
 N_CONSTANTS, FULL = len(Constants._fields), Constants._fields.index("full")
@@ -226,12 +238,17 @@ PRIOR = np.dtype(
     ]
 )
 """Prior of an episode: nominal motor, healthy model and initial estimate, tolerances, onset."""
-_LAW = ("kind", "loses", "noise_power")
+_LAW = ("column", "loses", "noise_power", "log_lasts", "log_pauses")
 _CLASS = ("cumulated", "verdict", "severity_from", "severity_to", *_LAW)
 CLASS = np.dtype(
-    [*((name, float) for name in _CLASS), ("powers", [(name, float) for name in MotorParameters.__slots__])]
+    [
+        *((name, float) for name in _CLASS),
+        ("powers", [(name, float) for name in MotorParameters.__slots__]),
+        ("errors", float, (2, len(ERRORS))),
+    ]
 )
-"""A class of the recipe: cumulated probability, verdict, severity, kind, and effect on the motor."""
+"""A class of the recipe: cumulated probability, verdict, severity and its random number, logarithms of the
+probabilities that duration and pause go on (0: it stays), effect on the motor, and on its sensors for each severity."""
 N_PRIOR, CLASS_LENGTH = PRIOR.itemsize // 8, CLASS.itemsize // 8
 prior_of, class_of = record_maker(lambda _: PRIOR, N_PRIOR), record_maker(lambda _: CLASS, CLASS_LENGTH)
 
@@ -243,10 +260,10 @@ drawn_of = record_maker(lambda _: DRAWN, DRAWN_LENGTH)
 # Rows of the words (key and counter of an episode's random numbers), the marks, and the flags.
 CASE_LOW, CASE_HIGH, SEED_LOW, SEED_HIGH = range(4)
 BEFORE_FIRST = 0xFFFFFFFF  # number of the episode before the first: one more is 0
-CLASS_INDEX, RUNNING_ONSET, DECLARED, CHOSEN, TIMES, QUIET, ROW = range(7)
-"""Class and onset (-1: none) of the episode; kind declared (0: none); kind chosen, and how often in a row; in the first
-lane of a block, samples until a fault of its lanes changes or an episode ends; in the first lane of all, the noise's
-row."""
+CLASS_INDEX, RUNNING_ONSET, DECLARED, CHOSEN, TIMES, TURN, QUIET, ROW = range(8)
+"""Class and onset (-1: none) of the episode; kind declared (0: none); kind chosen, and how often in a row; how often
+the fault has set in or ended; in the first lane of a block, samples until a fault of its lanes changes or an episode
+ends; in the first lane of all, the noise's row."""
 TERMINATED, TRUNCATED, FAULT_ACTIVE, KNOWN = range(4)
 
 Float32Array = NDArray[np.float32]
@@ -272,7 +289,7 @@ class Lanes(NamedTuple):
 
     state: FloatArray  # blocks, flat
     words: WordArray  # see the rows above, shape (4, n_lanes)
-    marks: MarkArray  # shape (7, n_lanes)
+    marks: MarkArray  # shape (8, n_lanes)
     flags: BoolArray  # shape (4, n_lanes)
     drawn: FloatArray  # a `DRAWN` each, float64, shape (n_lanes, DRAWN_LENGTH)
 

@@ -1,4 +1,4 @@
-"""Options of Monitor and what all environments' options share; the recipes easy, medium, hard and small."""
+"""Options of Monitor and what all environments' options share; the recipes easy, medium, hard, small and sensor."""
 
 from __future__ import annotations
 
@@ -74,7 +74,23 @@ SMALL = Recipe(
 )
 """Winding faults of 0.5 to 3 %, which only a moving voltage shows, and a bearing fault."""
 
-TASKS = {recipe.name: recipe for recipe in (EASY, MEDIUM, HARD, SMALL)}
+SENSOR = Recipe(
+    name="sensor",
+    classes=(
+        FaultClass(weight=10.0),
+        *PAPER_CLASSES[1:3],
+        *(FaultClass(FaultKind.WINDING_CONTACT, severity) for severity in (0.02, 0.05, 0.10)),
+        FaultClass(FaultKind("current_gain"), 0.02),
+        FaultClass(FaultKind("current_offset"), 0.001),  # 0.3 standard deviations of the noise
+        FaultClass(FaultKind("current_drift"), 0.02),  # 0.1 A/s
+        FaultClass(FaultKind("speed_gain"), 0.001),
+        FaultClass(FaultKind("speed_drift"), 0.02),  # 10 rad/s2
+    ),
+    sensor=SensorParameters((Channel.CURRENT, Channel.SPEED)),
+)
+"""Faults of a motor and of its two sensors, so small that the other quantity has to tell which of them it is."""
+
+TASKS = {recipe.name: recipe for recipe in (EASY, MEDIUM, HARD, SMALL, SENSOR)}
 
 
 def described(kind: type[Any], value: Any) -> Any:
@@ -87,7 +103,7 @@ def described(kind: type[Any], value: Any) -> Any:
 
 
 def task_recipe(recipe: Any) -> Recipe:
-    """Recipe by name (easy, medium, hard, small, or a named recipe of the package), TOML file or dictionary.
+    """Recipe by name (easy, medium, hard, small, sensor, or a named recipe of the package), TOML file or dictionary.
 
     Raises:
         ValueError: no such recipe or file, or it is not a recipe.
@@ -213,7 +229,7 @@ class MonitorOptions:
 
     Attributes:
         recipe: nominal motor, tolerances, faults and their weights, sensor, sampling rate: a `Recipe`, its TOML file,
-            its dictionary in an EnvSpec's JSON, or a name (easy, medium, hard, small, or of
+            its dictionary in an EnvSpec's JSON, or a name (easy, medium, hard, small, sensor, or of
             `simulation.named_recipes`).
         motor: in place of the recipe's nominal motor: a motor's TOML file, which also gives supply, noise and
             tolerances; a name of the catalogue, or `MotorParameters`; None: the recipe's motor.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from motor_env.envs import layout
-from motor_env.envs.episode_sampling import make_prior, motor_table
+from motor_env.envs.episode_sampling import SENSOR_ERRORS, make_prior, motor_table
 from motor_env.envs.layout import TaskNumbers
 from motor_env.envs.options import Drive, MonitorOptions, Start
 from motor_env.filters.kalman import KalmanFilter, gain_and_covariance
@@ -88,8 +88,14 @@ def make_setup(options: MonitorOptions) -> Setup:
         ValueError: the recipe has no fault, or failed sensors, or a feature cannot be observed with its sensor.
     """
     recipe = options.task
-    recipe.require_motor_faults()
-    kinds = tuple(dict.fromkeys(kind.verdict for kind in recipe.kinds))
+    for kind in recipe.kinds:
+        channel, _, failure = kind.partition("_")
+        require(
+            not kind.is_sensor or (channel in recipe.sensor.channels and failure in SENSOR_ERRORS),
+            f"recipe {recipe.name} has {kind}, which an environment does not simulate; of the recipe's sensor it knows "
+            + ", ".join(f"{c}_{failure}" for c in recipe.sensor.channels for failure in SENSOR_ERRORS),
+        )
+    kinds = tuple(dict.fromkeys(kind.component for kind in recipe.kinds))
     require(bool(kinds), f"recipe {recipe.name} must have a class with a fault, got healthy only")
     rest = steady_state(recipe.motor, float(recipe.supply.voltage_v), options.load_n_m)
     require(
@@ -113,7 +119,7 @@ def make_setup(options: MonitorOptions) -> Setup:
     chosen = [features.index(name) for name in observed]
     offsets: tuple[float, ...] = options.offsets_v
     labels = tuple(c.label_kind for c in recipe.classes)
-    right = [0 if label == HEALTHY else 1 + kinds.index(FaultKind(label).verdict) for label in labels]
+    right = [0 if label == HEALTHY else 1 + kinds.index(FaultKind(label).component) for label in labels]
     return Setup(
         options=options,
         kinds=kinds,
@@ -139,7 +145,7 @@ def make_setup(options: MonitorOptions) -> Setup:
 def _numbers(
     options: MonitorOptions, belief: KalmanFilter, rest: FloatArray, view: FloatArray, right: list[int]
 ) -> TaskNumbers:
-    bank, constants = make_bank(options, belief.model, rest), _constants(options, belief, float(rest[0]))
+    bank, constants = make_bank(options, belief.model, rest), _constants(options, belief, rest)
     evidence = np.arange(layout.EVIDENCE, layout.EVIDENCE + layout.MAX_BANK)
     bank[~np.isin(evidence, view[:, layout.FIELD])] = 0.0  # what nobody sees need not run
     constants[layout.FULL] = options.moves_voltage or options.drive is Drive.SPEED_LOOP or bank.any()
@@ -149,7 +155,7 @@ def _numbers(
     return numbers._replace(motors=motor_table(numbers))
 
 
-def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: float) -> FloatArray:
+def _constants(options: MonitorOptions, belief: KalmanFilter, rest: FloatArray) -> FloatArray:
     channels = [(Channel.CURRENT, Channel.SPEED).index(channel) for channel in options.task.sensor.channels]
     gain, covariance = converged_gain(belief)
     full_gain, whitening = np.zeros((2, 2)), np.zeros((2, 2))
@@ -184,7 +190,8 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: floa
         wrong_kind=options.wrong_kind_cost,
         miss=options.miss_cost,
         rest_voltage=float(options.task.supply.voltage_v),
-        rest_current=rest_current,
+        rest_current=float(rest[State.CURRENT]),
+        rest_speed=float(rest[State.SPEED]),
         probe_cost=options.probe_cost_per_v2_s * options.dt_s,
         energy_cost=options.energy_cost_per_j * options.dt_s,
         growth=round(options.growth_s / options.dt_s),
@@ -196,6 +203,7 @@ def _constants(options: MonitorOptions, belief: KalmanFilter, rest_current: floa
         loop_p=loop_p,
         loop_i=loop_i,
         confirm=options.confirm_steps,
+        failing=any(kind.is_sensor for kind in options.task.kinds),
     )
     return np.array(numbers, dtype=np.float64)
 

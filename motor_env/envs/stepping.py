@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motor_env.envs import kernel, layout
-from motor_env.envs.episode_sampling import begin_noise, begin_state, draw_episode, refill, set_motor
+from motor_env.envs.episode_sampling import (
+    begin_noise,
+    begin_state,
+    draw_episode,
+    draw_turn,
+    refill,
+    set_motor,
+)
 from motor_env.envs.layout import (
     LANES,
     MODEL_LENGTH,
@@ -36,16 +43,22 @@ Float32Array = NDArray[np.float32]
 
 @compiled
 def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, first: int, width: int) -> None:
-    """Let the faults of a block reach the levels that are due, and note when the next one is."""
+    """Let the faults of a block reach the levels that are due, end or return, and note when the next change is."""
     quiet = p.horizon
     for j in range(width):
         while s.next_change[j] <= s.time[j]:
-            level = int(s.level[j]) + 1
+            at, level = s.next_change[j], int(s.level[j]) + 1
+            if level > 1 and at >= s.until[j]:
+                level = 0
             set_motor(s, j, task, lanes, first + j, level)
             s.level[j] = level
-            due = s.onset[j] + np.floor(p.growth * level / p.n_levels)
-            s.next_change[j] = due if level < p.n_levels else layout.NEVER
-            lanes.flags[layout.FAULT_ACTIVE, first + j] = True
+            if level == 1:
+                s.since[j] = at
+            if level <= 1:
+                s.until[j] = at + draw_turn(task, lanes, first + j)
+            due = s.since[j] + np.floor(p.growth * level / p.n_levels)
+            s.next_change[j] = min(due if 0 < level < p.n_levels else layout.NEVER, s.until[j])
+            lanes.flags[layout.FAULT_ACTIVE, first + j] = level > 0
         if s.time[j] < p.horizon:
             quiet = min(quiet, min(s.next_change[j], p.horizon) - s.time[j])
     lanes.marks[layout.QUIET, first] = int(quiet)
@@ -54,31 +67,42 @@ def _change_levels(s: Block, p: Constants, task: TaskNumbers, lanes: Lanes, firs
 T11 = Model._fields.index("t11")
 
 
-@inlined
-def _advance_all(s: Block, p: Constants, row: int, kept: float, width: int) -> None:
-    """Advance a block by a sample; four loops, each without what it does not need.
+@compiled
+def _advance_failing(s: Block, p: Constants, kept: float, width: int) -> None:
+    """Advance a block whose sensors may fail: a function of its own, for beside it the other loops would be slower."""
+    for j in range(width):  # without a speed sensor its gains are 0
+        kernel.advance(s, j, p, kept, True, True, True)
 
-    The normals are copied to a fixed row, so that the compiler knows that nothing written overlaps them.
-    """
+
+@inlined
+def _lay_normals(s: Block, p: Constants, row: int, width: int) -> None:
+    """Copy the normals to a fixed row, so that the compiler knows that nothing written overlaps them."""
     speed_row = row + int(p.n_channels) - 1
     for j in range(width):
         s.normal_current[j] = s.noise[row, j]
     if p.c1 > 0.0:
         for j in range(width):
             s.normal_speed[j] = s.noise[speed_row, j]
-    if p.full > 0.0:
+
+
+@inlined
+def _advance_all(s: Block, p: Constants, kept: float, width: int) -> None:
+    """Advance a block by a sample; four loops, each without what it does not need."""
+    if p.failing > 0.0:
+        _advance_failing(s, p, kept, width)
+    elif p.full > 0.0:
         if p.c1 > 0.0:
             for j in range(width):
-                kernel.advance(s, j, p, kept, True, True)
+                kernel.advance(s, j, p, kept, True, True, False)
         else:
             for j in range(width):
-                kernel.advance(s, j, p, kept, False, True)
+                kernel.advance(s, j, p, kept, False, True, False)
     elif p.c1 > 0.0:
         for j in range(width):
-            kernel.advance(s, j, p, kept, True, False)
+            kernel.advance(s, j, p, kept, True, False, False)
     else:
         for j in range(width):
-            kernel.advance(s, j, p, kept, False, False)
+            kernel.advance(s, j, p, kept, False, False, False)
 
 
 @inlined
@@ -103,7 +127,8 @@ def _step_block(
         if row >= ROWS:
             refill(s, lanes.words, first, channels, width)
             row = 0
-        _advance_all(s, p, row, kept, width)
+        _lay_normals(s, p, row, width)
+        _advance_all(s, p, kept, width)
         if p.loop_i > 0.0:
             for j in range(width):
                 kernel.hold_speed(s, j, p)
@@ -138,7 +163,7 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
     four = begin_noise(s, lanes.words, n, row, channels)
     s.measured_current[j] = current + s.sigma_current[j] * four[0]
     s.measured_speed[j] = speed + s.sigma_speed[j] * four[channels - 1]
-    lanes.marks[layout.TIMES, n] = 0
+    lanes.marks[layout.TIMES, n] = lanes.marks[layout.TURN, n] = 0
     first = n - j
     soon = int(min(s.next_change[j], p.horizon))
     lanes.marks[layout.QUIET, first] = min(lanes.marks[layout.QUIET, first], soon)

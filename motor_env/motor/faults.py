@@ -116,6 +116,11 @@ class FaultKind(str, metaclass=_Registry):
         return self.verdict == SENSOR
 
     @property
+    def component(self) -> str:
+        """What an agent declares: its verdict, or the sensor that failed, as current_sensor."""
+        return f"{self.partition('_')[0]}_sensor" if self.is_sensor else self.verdict
+
+    @property
     def loses(self) -> bool:
         """Whether the severity is a share that is lost, below 1."""
         return bool(self.powers) and all(power < 0.0 for power in self.powers.values())
@@ -255,21 +260,25 @@ def _sensor(name: str, finding: str) -> FaultKind:
     return _KINDS.setdefault(name, kind)
 
 
-_WITHOUT_END = ("gain", "offset")  # a severity of these may be above 1
+_WITHOUT_END = ("gain", "offset", "drift")  # a severity of these may be above 1
 _DEAD = "look at its supply, cable and connector, and at the channel of the recorder"
 _SCALE = "look at {}, and at the range that the recorder was set to"
 _REVERSED = "{} reads with the wrong sign: look at the direction of {}, and at the order of its leads"
 _STUCK = "{} no longer moves: look at its cable, and whether the recorder repeats the last sample"
 _CLIPPED = "{} stands at the end of its range: choose a larger range, {}"
+_DRIFT = "{} drifts away from what it was: let its sensor warm up, and balance it anew"
 SENSOR_KINDS = (
     _sensor("current_dead", f"the current's sensor shows nothing: {_DEAD}; or the circuit is open"),
     _sensor("current_gain", f"the current's scale is wrong: {_SCALE.format('probe and shunt')}"),
     _sensor("current_offset", "the current is off by a constant: balance its sensor while the motor stands"),
+    _sensor("current_drift", _DRIFT.format("the current")),
     _sensor("current_polarity", _REVERSED.format("the current", "the probe")),
     _sensor("current_stuck", _STUCK.format("the current")),
     _sensor("current_clipped", _CLIPPED.format("the current", "or look at the limit of the supply")),
     _sensor("speed_dead", f"the speed's sensor shows nothing: {_DEAD}"),
     _sensor("speed_gain", f"the speed's scale is wrong: {_SCALE.format('pulses a turn, gear and coupling')}"),
+    _sensor("speed_offset", "the speed is off by a constant: balance its sensor while the motor stands"),
+    _sensor("speed_drift", _DRIFT.format("the speed")),
     _sensor("speed_polarity", _REVERSED.format("the speed", "the encoder's channels or of the tachometer")),
     _sensor("speed_stuck", _STUCK.format("the speed")),
     _sensor("speed_clipped", _CLIPPED.format("the speed", "or look at the counter of the encoder")),
@@ -314,9 +323,11 @@ class Fault:
         onset_s: time from the supply's step to the onset; the fault acts in intervals that begin at or after it.
         growth_s: time over which the severity rises linearly from 0; 0 for an abrupt fault.
         noise_source: for kinds that change the noise only.
+        changes_s: times at which it ends and returns in turn, ascending, shape (*severity.shape, n_changes); with
+            each return it grows anew. None: it stays.
 
     Raises:
-        ValueError: a severity out of range, a time that is no number, or growth without an onset.
+        ValueError: a severity out of range, times that are no numbers or of another shape, or growth without an onset.
     """
 
     kind: FaultKind
@@ -324,9 +335,10 @@ class Fault:
     onset_s: float = ALWAYS
     growth_s: float = 0.0
     noise_source: NoiseSource = NoiseSource.MEASUREMENT
+    changes_s: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        kind, source = self.kind, self.noise_source
+        kind, source, changes_s = self.kind, self.noise_source, self.changes_s
         onset_s = self.onset_s if type(self.onset_s) is float else float(real("onset_s", self.onset_s, ()))
         severity = require_positive("severity", self.severity, zero_allowed=True)
         growth_s = require_positive("growth_s", self.growth_s, zero_allowed=True, one=True)
@@ -341,21 +353,44 @@ class Fault:
             raise ValueError("onset_s must be a number, got nan")
         if growth_s and math.isinf(onset_s):
             raise ValueError(f"growth_s must be 0 for a fault that is always there, got {growth_s:g}")
-        for name, value in zip(self.__slots__, (kind, severity, onset_s, growth_s, source), strict=True):
+        if changes_s is not None:
+            changes_s = np.asarray(changes_s, dtype=np.float64)
+            shape = changes_s.shape[:-1]
+            require(
+                changes_s.ndim > 0 and shape == np.shape(severity),
+                f"changes_s must have shape (*severity.shape, n_changes), got {changes_s.shape}",
+            )
+            ascends = bool((changes_s[..., 1:] >= changes_s[..., :-1]).all() and (changes_s >= onset_s).all())
+            require(ascends, "changes_s must ascend from onset_s on")
+        values = (kind, severity, onset_s, growth_s, source, changes_s)
+        for name, value in zip(self.__slots__, values, strict=True):
             object.__setattr__(self, name, value)
 
     @property
     def is_constant(self) -> bool:
         """Whether the severity never changes."""
-        return self.onset_s == ALWAYS
+        return self.onset_s == ALWAYS and self.changes_s is None
+
+    def age_at(self, time_s: FloatArray) -> FloatArray:
+        """Time since it last set in, of the sampling intervals that begin at the given times; below 0: it does not act.
+
+        `fraction_at` has its shape: (n_times,), or (n_motors, n_times) where changes are those of several motors.
+        """
+        # Intervals begin on a grid of floats: an onset meant to be on the grid must not slip by a rounding error.
+        slack = 1e-9 * np.maximum(1.0, np.abs(time_s))
+        age: FloatArray = time_s - self.onset_s + slack
+        if self.changes_s is not None:
+            for m, change_s in enumerate(np.moveaxis(self.changes_s, -1, 0)[..., None]):
+                since = time_s - change_s + slack
+                age = np.where(since < 0.0, age, since if m % 2 else -math.inf)
+        return age
 
     def fraction_at(self, time_s: FloatArray) -> FloatArray:
         """Share of the severity reached in the sampling intervals that begin at the given times, 0 to 1."""
-        # Intervals begin on a grid of floats: an onset meant to be on the grid must not slip by a rounding error.
-        elapsed = time_s - self.onset_s + 1e-9 * np.maximum(1.0, np.abs(time_s))
+        age = self.age_at(time_s)
         if self.growth_s == 0.0:
-            return (elapsed >= 0.0).astype(np.float64)
-        return np.clip(elapsed / self.growth_s, 0.0, 1.0)
+            return (age >= 0.0).astype(np.float64)
+        return np.clip(age / self.growth_s, 0.0, 1.0)
 
 
 def apply_fault(parameters: MotorParameters, fault: Fault) -> MotorParameters:

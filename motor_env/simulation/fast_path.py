@@ -127,7 +127,7 @@ def measure(
         "the simulated current or speed left the range of numbers: a value of the recipe is too large or too small",
     )
     channels = [*sensor.channels, *([] if driving is None else [VOLTAGE])]
-    fail_before_noise(out, channels, scenario.faults, timing.interval_start_s)
+    fail_before_noise(out, channels, scenario.faults, timing.interval_start_s, scenario.full_scale)
     rows = np.empty((0, 5)) if chain is None else chain.rows(n_cases, timing.dt_s)
     read = out if driving is None else np.ascontiguousarray(out[:, :-1])
     read_sensors(read, is_current, rows, _noise_std(scenario), np.uint64(seed), numbers.astype(np.uint64))

@@ -301,9 +301,11 @@ def changed_recipe(
 
 def recipe_to_dict(recipe: Recipe) -> dict[str, Any]:
     """The recipe in strings, numbers, lists and dictionaries."""
-    content: dict[str, Any] = json.loads(json.dumps(asdict(recipe)))
-    if recipe.duty is None:
-        del content["duty"]  # as in every file of a release that knew no duty
+
+    def without(items: list[tuple[str, Any]]) -> dict[str, Any]:  # as in every file that knew neither
+        return {name: v for name, v in items if v is not None or name not in ("duty", "recovery")}
+
+    content: dict[str, Any] = json.loads(json.dumps(asdict(recipe, dict_factory=without)))
     return content
 
 

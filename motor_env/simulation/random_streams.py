@@ -60,6 +60,7 @@ class Stream(IntEnum):
     CALIBRATION = 14
     PROFILE = 15
     DUTY = 16
+    RECOVERY = 17
 
 
 @njit(cache=True, inline="always")  # a call would keep the loop around it from vectorising

@@ -67,6 +67,39 @@ LARGEST_SEVERITY = 10.0
 
 
 @dataclass(frozen=True, slots=True)
+class Recovery:
+    """A fault that comes and goes, as a loose contact does: times of geometric laws, of at least a sample.
+
+    Attributes:
+        mean_duration_s: mean time for which it acts.
+        mean_pause_s: mean time for which it is gone.
+    """
+
+    mean_duration_s: float
+    mean_pause_s: float
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            require_positive(f.name, getattr(self, f.name), one=True)
+
+    def log_stay(self, dt_s: float) -> FloatArray:
+        """Logarithm of the probability that duration and pause last a sample longer, shape (2,).
+
+        A time is 1 + floor(log u / log_stay) samples, with u uniform in (0, 1).
+        """
+        samples = np.maximum(np.array([self.mean_duration_s, self.mean_pause_s]) / dt_s, 1.0)
+        with np.errstate(divide="ignore"):
+            stay: FloatArray = np.log1p(-1.0 / samples)
+        return stay
+
+    def changes(self, u: FloatArray, dt_s: float) -> FloatArray:
+        """Sample after the onset at which the fault ends and returns in turn, from uniform u of shape (..., n)."""
+        parity = np.arange(u.shape[-1]) % 2
+        times: FloatArray = np.cumsum(1.0 + np.floor(np.log(u) / self.log_stay(dt_s)[parity]), axis=-1)
+        return times
+
+
+@dataclass(frozen=True, slots=True)
 class FaultClass:
     """A class: a fault kind at a level of severity, or healthy (kind None, severity 0).
 
@@ -76,6 +109,7 @@ class FaultClass:
         weight: how often it is drawn, relative to the others.
         severity_to: the largest severity, drawn uniformly; None for one level.
         also: joint faults that come with it; their weights are ignored.
+        recovery: how long it acts and pauses; None: it stays. The first time begins with the record, or at the onset.
 
     Raises:
         ValueError: a healthy class with a severity, a fault without one or beyond `LARGEST_SEVERITY`, a negative
@@ -87,6 +121,7 @@ class FaultClass:
     weight: float = 1.0
     severity_to: float | None = None
     also: tuple[FaultClass, ...] = ()
+    recovery: Recovery | None = None
 
     def __post_init__(self) -> None:
         if self.kind is None:
@@ -94,6 +129,7 @@ class FaultClass:
             require(
                 self.severity_to is None and not self.also, "a healthy class cannot have a fault beside it"
             )
+            require(self.recovery is None, "a healthy class cannot have a recovery")
         else:
             object.__setattr__(self, "kind", FaultKind(self.kind))
             is_range = self.severity_to is not None
@@ -144,7 +180,8 @@ class FaultClass:
 def _level_name(part: FaultClass) -> str:
     if part.kind is None:
         return HEALTHY
-    return str(part.kind) if part.severity_to is not None else f"{part.kind}_{100.0 * part.severity:g}"
+    name = str(part.kind) if part.severity_to is not None else f"{part.kind}_{100.0 * part.severity:g}"
+    return name if part.recovery is None else f"{name}_recovers"
 
 
 PAPER_CLASSES = (
@@ -229,6 +266,15 @@ class Recipe:
             "healthy_starts need a healthy class among the classes",
         )
         require(self.motor.batch_shape == (), f"motor of recipe {self.name} must be one motor, got a batch")
+        stays = all(
+            part.recovery is None or not part.kind.motor_powers
+            for fault_class in self.classes
+            for part in fault_class.parts
+            if part.kind is not None
+        )
+        require(
+            stays or self.field is None, "a fault of the motor cannot have a recovery beside a table field"
+        )
         for surroundings in (self.field, *(shift.field for shift in self.shifts)):
             if surroundings is not None:
                 substeps(self.motor, self.timing.dt_s, surroundings.ripple_hz)
@@ -264,6 +310,11 @@ class Recipe:
         present = {part.kind for fault_class in self.classes for part in fault_class.parts}
         known = [kind for kind in BUILT_IN_KINDS if kind in present]
         return (*known, *sorted(k for k in present if k is not None and k not in BUILT_IN_KINDS))
+
+    @property
+    def severity_columns(self) -> tuple[FaultKind, ...]:
+        """Kind of each number of a case's severities: a case depends on its recipe, not on what else is registered."""
+        return (*BUILT_IN_KINDS, *(kind for kind in self.kinds if kind not in BUILT_IN_KINDS))
 
     @property
     def class_names(self) -> tuple[str, ...]:
@@ -306,11 +357,15 @@ class Recipe:
         )
 
     def require_motor_faults(self) -> None:
-        """Raise `ValueError` for failed sensors."""
+        """Raise `ValueError` for failed sensors, and for faults that recover."""
         failed = [kind for kind in self.kinds if kind.is_sensor]
         require(
             not failed,
             f"recipe {self.name} must have faults of motors alone for this, got {', '.join(failed)}",
+        )
+        recover = [c.name for c in self.classes for part in c.parts if part.recovery is not None]
+        require(
+            not recover, f"recipe {self.name} must have faults that stay for this, got {', '.join(recover)}"
         )
 
     def shifted(self, name: str) -> Recipe:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motor_env.common.arrays import instance, whole
-from motor_env.motor.faults import BUILT_IN_KINDS, HEALTHY, Fault, FaultKind
+from motor_env.motor.faults import HEALTHY, Fault, FaultKind
 from motor_env.motor.parameters import (
     QUANTITY_FIELDS,
     FloatArray,
@@ -68,7 +68,10 @@ def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
     severities = _draw_severities(recipe, seed, class_index, motor_id)
     scenario = Scenario(
         parameters=apply_factors(recipe.motor, factors),
-        faults=tuple(Fault(kind, severity) for kind, severity in severities.items()),
+        faults=tuple(
+            Fault(kind, severity, changes_s=_draw_changes(recipe, seed, kind, class_index, numbers))
+            for kind, severity in severities.items()
+        ),
         supply=SupplyParameters(recipe.supply.voltage_v * factors[:, supply]),
         sensor=recipe.sensor,
         timing=recipe.timing,
@@ -104,12 +107,10 @@ def _draw_severities(
     recipe: Recipe, seed: int, class_index: NDArray[np.int64], motor_id: NDArray[np.int64]
 ) -> dict[FaultKind, FloatArray]:
     """Severity of each fault kind that the recipe has, shape (n_cases,); one draw a motor where it is continuous."""
-    kinds = recipe.kinds
-    others = [kind for kind in kinds if kind not in BUILT_IN_KINDS]
-    columns = [*BUILT_IN_KINDS, *others]  # a case depends on its recipe, not on what else is registered
+    columns = recipe.severity_columns
     u = uniforms(seed, Stream.SEVERITY, motor_id, len(columns))
     severities: dict[FaultKind, FloatArray] = {}
-    for kind in kinds:
+    for kind in recipe.kinds:
         low, high = np.array(
             [
                 next(((p.severity, p.largest_severity) for p in c.parts if p.kind == kind), (0.0, 0.0))
@@ -118,6 +119,29 @@ def _draw_severities(
         )[class_index].T
         severities[kind] = low + (high - low) * u[:, columns.index(kind)]
     return severities
+
+
+def _draw_changes(
+    recipe: Recipe,
+    seed: int,
+    kind: FaultKind,
+    class_index: NDArray[np.int64],
+    cases: NDArray[np.int64],
+) -> FloatArray | None:
+    """Times at which a kind ends and returns in turn, shape (n_cases, n_changes); None where it stays."""
+    dt_s, count = recipe.timing.dt_s, recipe.timing.n_samples
+    changes = np.full((len(cases), count), np.inf)
+    for index, fault_class in enumerate(recipe.classes):
+        for part in fault_class.parts:
+            if part.kind == kind and part.recovery is not None:
+                rows = class_index == index
+                u = uniforms(seed, Stream.RECOVERY, cases[rows], count)
+                changes[rows] = part.recovery.changes(u, dt_s)
+    seen = changes < count
+    if not seen.any():
+        return None
+    begin_s = float(recipe.timing.interval_start_s[0])
+    return np.where(seen, begin_s + dt_s * changes, np.inf)[:, : seen.sum(axis=1).max()]
 
 
 def _draw_priors(recipe: Recipe, seed: int, cases: NDArray[np.int64]) -> FloatArray:

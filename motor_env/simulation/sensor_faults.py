@@ -1,18 +1,20 @@
 """Readings of failed sensors: the motor is healthy, and something else is recorded.
 
-Dead, scaled, offset and reversed sensors act before the noise; clipped and stuck readings after it.
+Before the noise, by the severity s: dead, x (1 - s); gain, x (1 + s); offset, x + s X; drift, x + s X t; polarity, -x.
+X is the full scale, the blocked motor's current V / R or its ideal no-load speed V / Kb; t are the seconds since the
+fault last set in, or since the record began. After the noise: clipped and stuck readings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from motor_env.motor.faults import ALWAYS, Fault
-from motor_env.motor.parameters import FloatArray, require
+from motor_env.motor.faults import Fault
+from motor_env.motor.parameters import FloatArray, Floats, require
 
 VOLTAGE = "voltage"
 """The applied voltage as a channel: after the measured ones, without noise, since the drive knows what it applies."""
@@ -22,7 +24,11 @@ Readings = NDArray[Any]
 
 
 def fail_before_noise(
-    out: Readings, channels: Sequence[str], faults: Iterable[Fault], interval_start_s: FloatArray
+    out: Readings,
+    channels: Sequence[str],
+    faults: Iterable[Fault],
+    interval_start_s: FloatArray,
+    full_scale: Mapping[str, Floats],
 ) -> None:
     """True quantities as failed sensors show them, in place.
 
@@ -31,11 +37,13 @@ def fail_before_noise(
         channels: their names.
         faults: of which the sensors' count.
         interval_start_s: begin of each sampling interval, shape (n_samples,).
+        full_scale: of current and speed, one or one a case.
 
     Raises:
         ValueError: a sensor that is not among the channels; columns of another motor, which is not here.
     """
-    for column, failure, fault in _failures(out, channels, faults):
+    recorded_s = interval_start_s - interval_start_s[0]
+    for column, channel, failure, fault in _failures(out, channels, faults):
         share = np.reshape(fault.severity, (-1, 1)) * fault.fraction_at(interval_start_s)
         if failure == "dead":
             column *= 1.0 - share
@@ -43,8 +51,9 @@ def fail_before_noise(
             column *= 1.0 + share
         elif failure == "polarity":
             column *= np.where(share > 0.0, -1.0, 1.0)
-        elif failure == "offset":
-            column += share * np.abs(column).max(axis=-1, keepdims=True)
+        elif failure in ("offset", "drift"):
+            lasted = np.clip(fault.age_at(interval_start_s), 0.0, recorded_s) if failure == "drift" else 1.0
+            column += share * lasted * np.reshape(full_scale[channel], (-1, 1))
 
 
 def fail_after_noise(
@@ -52,27 +61,31 @@ def fail_after_noise(
 ) -> None:
     """Readings as converter and recorder leave them, in place; the arguments are those of `fail_before_noise`.
 
-    A channel is stuck for the severity as the last share of the record, or from the onset on.
+    A stuck channel repeats its first reading: for the severity as the last share of the record, or while the fault
+    acts.
     """
     count = len(interval_start_s)
-    for column, failure, fault in _failures(out, channels, faults):
-        severity = np.broadcast_to(np.asarray(fault.severity, dtype=np.float64), len(column))
+    for column, _, failure, fault in _failures(out, channels, faults):
+        severity = np.reshape(fault.severity, (-1, 1))
         if failure == "clipped":
-            share = severity[:, None] * fault.fraction_at(interval_start_s)
+            share = severity * fault.fraction_at(interval_start_s)
             limit = (1.0 - share) * np.abs(column).max(axis=-1, keepdims=True)
             np.clip(column, -limit, limit, out=column)
         elif failure == "stuck":
-            since = int(np.searchsorted(interval_start_s, fault.onset_s - 1e-9))
-            for row, size in zip(column, severity.tolist(), strict=True):
-                first = count - round(size * count) if fault.onset_s == ALWAYS else since
-                if size > 0.0 and first < count:
-                    row[first:] = row[first]
+            sample = np.arange(count)
+            acts = fault.age_at(interval_start_s) >= 0.0
+            if fault.is_constant:
+                acts = sample >= count - np.round(severity * count)
+            acts = np.broadcast_to(acts & (severity > 0.0), column.shape)
+            sets_in = np.diff(acts, axis=1, prepend=False) & acts
+            first = np.maximum.accumulate(np.where(sets_in, sample, 0), axis=1)
+            np.copyto(column, np.take_along_axis(column, first, axis=1), where=acts)
 
 
 def _failures(
     out: Readings, channels: Sequence[str], faults: Iterable[Fault]
-) -> Iterable[tuple[Readings, str, Fault]]:
-    """Column, what happens to it, and the fault, for each failed sensor."""
+) -> Iterable[tuple[Readings, str, str, Fault]]:
+    """Column, its channel, what happens to it, and the fault, for each failed sensor."""
     for fault in faults:
         if not fault.kind.is_sensor or not np.any(fault.severity):
             continue
@@ -80,4 +93,4 @@ def _failures(
         channel, _, failure = fault.kind.partition("_")
         names = [str(name) for name in channels]
         require(channel in names, f"{fault.kind} needs the {channel} among the channels {', '.join(names)}")
-        yield out[:, names.index(channel)], failure, fault
+        yield out[:, names.index(channel)], channel, failure, fault

@@ -14,6 +14,7 @@ from motor_env.motor.model import N_STATES, Input, discretize, propagate
 from motor_env.motor.parameters import (
     Channel,
     FloatArray,
+    Floats,
     MotorParameters,
     SensorParameters,
     SupplyParameters,
@@ -148,6 +149,15 @@ class Scenario:
         motors = (getattr(self.parameters, name) for name in self.parameters.__slots__)
         return common_shape(_SEVERAL, *motors, self.supply.voltage_v, *severities)
 
+    @property
+    def full_scale(self) -> dict[str, Floats]:
+        """Current of the blocked motor and its ideal no-load speed, of which a sensor's offset is a share."""
+        volts, motor = np.abs(self.supply.voltage_v), self.parameters
+        return {
+            Channel.CURRENT: volts / motor.resistance_ohm,
+            Channel.SPEED: volts / motor.back_emf_constant_v_s_per_rad,
+        }
+
     def checked_cases(self, cases: ArrayLike) -> NDArray[np.int64]:
         """Case numbers as an array; `ValueError` unless they number as many as the motors."""
         found = case_numbers(cases)
@@ -256,14 +266,15 @@ def _segments(
     changing = [fault for fault in faults if not fault.is_constant]
     if not changing:
         return [(0, n_samples, faults)]
-    fractions = np.stack([fault.fraction_at(interval_start_s) for fault in changing])
-    cuts = [0, *(np.flatnonzero(np.any(np.diff(fractions, axis=1) != 0.0, axis=0)) + 1).tolist(), n_samples]
+    fractions = [fault.fraction_at(interval_start_s) for fault in changing]
+    changes = [np.diff(np.atleast_2d(fraction)).any(axis=0) for fraction in fractions]
+    cuts = [0, *(np.flatnonzero(np.any(changes, axis=0)) + 1).tolist(), n_samples]
     constant = tuple(fault for fault in faults if fault.is_constant)
     segments = []
     for begin, end in pairwise(cuts):
         held = tuple(
-            Fault(fault.kind, fault.severity * float(fraction), noise_source=fault.noise_source)
-            for fault, fraction in zip(changing, fractions[:, begin], strict=True)
+            Fault(fault.kind, fault.severity * fraction[..., begin], noise_source=fault.noise_source)
+            for fault, fraction in zip(changing, fractions, strict=True)
         )
         segments.append((begin, end, constant + held))
     return segments
@@ -292,7 +303,7 @@ def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
     factor = noise_variance_factor(scenario.faults, NoiseSource.MEASUREMENT, timing.interval_start_s)
     noise *= np.sqrt(factor)[:, None, :]
     columns, begins = sensor.observation @ np.moveaxis(states, -1, -2), timing.interval_start_s
-    fail_before_noise(columns, sensor.channels, scenario.faults, begins)
+    fail_before_noise(columns, sensor.channels, scenario.faults, begins, scenario.full_scale)
     columns += noise
     fail_after_noise(columns, sensor.channels, scenario.faults, begins)
     return Transients(timing.time_s, level[:, None] * timing.step(1.0), columns, sensor.channels, states)

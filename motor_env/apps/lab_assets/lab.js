@@ -5,6 +5,7 @@ const SLIDERS = ["severity_percent", "noise_ma", "resistance_percent", "friction
 const NAMES = { healthy: "healthy", bearing: "bearing: friction up", winding_contact: "winding: resistance up",
   winding_short: "winding: shorted turns", noise: "sensor noise: variance up", magnet: "magnet: less flux",
   current_dead: "current sensor: dead", current_gain: "current sensor: wrong scale", current_offset: "current sensor: offset",
+  current_drift: "current sensor: drift",
   current_polarity: "current sensor: reversed", current_stuck: "current sensor: stuck", current_clipped: "current sensor: clipped" };
 let seed = 1, round = 0, timer = 0, largest = 0;
 

@@ -111,6 +111,19 @@ VERDICT_TEXTS: dict[Verdict | FaultKind, tuple[str, ...]] = {
         "Read the current with the motor's lead off: what shows then is the offset. Balance the sensor there.",
         "It comes back: look for a magnet or a high current beside the sensor.",
     ),
+    FaultKind("speed_offset"): (
+        "A speed that does not begin at zero",
+        "Read the speed while the motor stands: what shows then is the offset. Balance the sensor there.",
+        "It comes back: compare with a stroboscope while the motor turns.",
+    ),
+    **dict.fromkeys(
+        map(FaultKind, ("current_drift", "speed_drift")),
+        (
+            "A reading that drifts",
+            "Let motor and sensor warm up, and watch the reading while the motor stands.",
+            "It still moves: compare with a second instrument, and replace the sensor.",
+        ),
+    ),
     FaultKind("swapped"): (
         "Columns that are swapped",
         "Check the order of the columns and which cable is in which channel: unplug one and see which reading stops.",

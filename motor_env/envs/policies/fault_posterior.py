@@ -47,6 +47,15 @@ def known_faults(setup: Setup) -> list[int]:
         ValueError: the task has no exact posterior; the sentence says why.
     """
     options, recipe = setup.options, setup.options.task
+    recipe.require_motor_faults()
+    require(options.growth_s == 0.0, f"growth_s must be 0 for the exact posterior, got {options.growth_s:g}")
+    require(recipe.sensor.channels == (Channel.CURRENT,), "the exact posterior reads the current alone")
+    return known_motor(setup)
+
+
+def known_motor(setup: Setup) -> list[int]:
+    """Classes with a fault of a task whose motor rests and is known; `ValueError` for another one."""
+    options, recipe = setup.options, setup.options.task
     require(not recipe.spread.std.any(), f"recipe {recipe.name} must have no spread for the exact posterior")
     noisy = any(kind.changes_noise for kind in recipe.kinds)
     require(not noisy, "the exact posterior knows no noise faults")
@@ -55,15 +64,13 @@ def known_faults(setup: Setup) -> list[int]:
         options.drive is Drive.OPEN_LOOP,
         f"drive must be open_loop for the exact posterior, got {options.drive}",
     )
-    require(options.growth_s == 0.0, f"growth_s must be 0 for the exact posterior, got {options.growth_s:g}")
-    require(recipe.sensor.channels == (Channel.CURRENT,), "the exact posterior reads the current alone")
     require(options.mean_onset_s > 0.0 and math.isfinite(options.mean_onset_s), "mean_onset_s must be > 0")
     return [m for m, c in enumerate(recipe.classes) if c.kind is not None]
 
 
 def kind_matrix(setup: Setup, classes: list[int]) -> FloatArray:
     """1 where a class has the verdict, shape (n_classes, n_kinds)."""
-    verdicts = [FaultKind(setup.labels[m]).verdict for m in classes]
+    verdicts = [FaultKind(setup.labels[m]).component for m in classes]
     return np.array([[v == kind for kind in setup.kinds] for v in verdicts], dtype=np.float64)
 
 

@@ -137,6 +137,11 @@ def test_a_fault_without_onset_was_always_there() -> None:
         ({"onset_s": 0.0, "growth_s": -1.0}, "growth_s must be finite and >= 0, got -1"),
         ({"growth_s": 1.0}, "growth_s must be 0 for a fault that is always there, got 1"),
         ({"kind": "rust"}, "kind must be one of bearing, .*, swapped, got 'rust'"),
+        (
+            {"changes_s": np.ones((2, 3))},
+            r"changes_s must have shape \(\*severity.shape, n_changes\), got \(2, 3\)",
+        ),
+        ({"changes_s": np.array([2.0, 1.0])}, "changes_s must ascend from onset_s on"),
     ],
 )
 def test_bad_fault(arguments: dict[str, object], sentence: str) -> None:

@@ -1,7 +1,6 @@
 """Failed sensors in simulation: the readings change as the kind says, and the motor stays as it is."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +43,7 @@ def read(*faults: Fault, noise: bool = True) -> FloatArray:
 
 CLEAN, TRUE = read(), read(noise=False)
 NOISE = CLEAN - TRUE
-TOP = np.abs(TRUE).max(axis=1, keepdims=True)
+SCALE = np.array([[12.0 / 2.18], [12.0 / 0.02352]])  # of the blocked motor, and of one without load
 
 
 @pytest.mark.parametrize(
@@ -54,7 +53,8 @@ TOP = np.abs(TRUE).max(axis=1, keepdims=True)
         ("dead", 0.75, 0.25 * TRUE + NOISE),
         ("gain", 0.5, 1.5 * TRUE + NOISE),
         ("polarity", 1.0, NOISE - TRUE),
-        ("offset", 0.1, CLEAN + 0.1 * TOP),
+        ("offset", 0.1, CLEAN + 0.1 * SCALE),
+        ("drift", 0.5, CLEAN + 0.5 * SCALE * np.arange(600) / 5_000.0),
         (
             "clipped",
             0.5,
@@ -92,11 +92,18 @@ def test_no_failure_of_a_sensor_is_one_of_the_motor() -> None:
     assert Fault(FaultKind("current_gain"), 1.1).severity == 1.1
 
 
-def test_a_sensor_fails_from_its_onset_on() -> None:
-    begins = TIMING.interval_start_s >= 0.04 - 1e-9
-    for kind, expected in (("speed_dead", NOISE[1]), ("speed_stuck", CLEAN[1, np.argmax(begins)])):
-        found = read(Fault(FaultKind(kind), 1.0, onset_s=0.04))[1]
-        np.testing.assert_allclose(found, np.where(begins, expected, CLEAN[1]), atol=1e-12)
+@pytest.mark.parametrize("changes_s", [None, [0.05, 0.06], [0.0402, 0.0404, 0.05, 0.07, 0.09]])
+def test_a_sensor_fails_from_its_onset_on_and_while_the_fault_lasts(changes_s: list[float] | None) -> None:
+    at = np.arange(600)
+    edges = [300, *(round(5_000.0 * (change + 0.02)) for change in changes_s or ())]
+    turn = np.searchsorted(edges, at, side="right")
+    acts, first = turn % 2 == 1, np.array([0, *edges])[turn]
+    drift = CLEAN[1] + 0.5 * SCALE[1] * (at - first) / 5_000.0
+    cases = (("dead", 1.0, NOISE[1]), ("stuck", 1.0, CLEAN[1, first]), ("drift", 0.5, drift))
+    for failure, severity, expected in cases:
+        changes = None if changes_s is None else np.array(changes_s)
+        found = read(Fault(FaultKind(f"speed_{failure}"), severity, onset_s=0.04, changes_s=changes))[1]
+        np.testing.assert_allclose(found, np.where(acts, expected, CLEAN[1]), atol=1e-5)
 
 
 def test_recipes_draw_them_for_motors_at_work() -> None:
@@ -138,12 +145,18 @@ def test_what_is_not_recorded_cannot_fail(name: str, sentence: str) -> None:
 
 
 def test_what_knows_motors_alone_refuses_failed_sensors() -> None:
-    recipe = load_recipe("bench", classes=(FaultClass(), FaultClass(FaultKind("current_dead"), 1.0)))
-    sentence = "recipe bench must have faults of motors alone for this, got current_dead"
-    calls: list[Any] = [
-        lambda: class_probabilities(recipe, np.zeros((1, 1, 1000))),
-        lambda: make_setup(MonitorOptions(recipe=recipe)),
-    ]
-    for call in calls:
-        with pytest.raises(ValueError, match=sentence):
-            call()
+    classes = (FaultClass(), FaultClass(FaultKind("current_clipped"), 0.5))
+    recipe = load_recipe("bench", classes=classes)
+    with pytest.raises(
+        ValueError, match="recipe bench must have faults of motors alone for this, got current_clipped"
+    ):
+        class_probabilities(recipe, np.zeros((1, 1, 1000)))
+    with pytest.raises(
+        ValueError, match="recipe bench has current_clipped, which an environment does not simulate"
+    ):
+        make_setup(MonitorOptions(recipe=recipe))
+    away = load_recipe("bench", classes=(FaultClass(), FaultClass(FaultKind("speed_dead"), 1.0)))
+    with pytest.raises(
+        ValueError, match="recipe bench has speed_dead, which an environment does not simulate"
+    ):
+        make_setup(MonitorOptions(recipe=away))

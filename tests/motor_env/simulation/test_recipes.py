@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -10,11 +11,18 @@ import pytest
 
 from motor_env import PAPER_MOTOR, FaultKind, Recipe, SensorParameters, Timing, draw
 from motor_env.motor.faults import apply_faults
+from motor_env.motor.model import discretize
 from motor_env.simulation import recipes
 from motor_env.simulation.disturbances import PER_MOTOR, PRIORS, Field
-from motor_env.simulation.named_recipes import RECIPES, changed_recipe, named_recipe, recipe_to_dict
+from motor_env.simulation.named_recipes import (
+    RECIPES,
+    changed_recipe,
+    named_recipe,
+    recipe_from_dict,
+    recipe_to_dict,
+)
 from motor_env.simulation.random_streams import Stream, normals, uniforms
-from motor_env.simulation.recipes import FACTORS, FaultClass, Shift, Spread
+from motor_env.simulation.recipes import FACTORS, FaultClass, Recovery, Shift, Spread
 from motor_env.simulation.sampling import apply_factors, measure_draw
 from motor_env.simulation.simulate import MOST_SAMPLES
 
@@ -292,3 +300,46 @@ def test_a_shift_changes_each_thing_that_it_names() -> None:
     assert recipe.shifted("whole") == replace(recipe, **changes)
     for name, value in changes.items():
         assert recipe.shifted(name) == replace(recipe, **{name: value})
+
+
+LOOSE = Recovery(mean_duration_s=0.004, mean_pause_s=0.002)
+
+
+def acts_by_hand(seed: int, case: int, count: int) -> list[bool]:
+    """Whether the fault of a case of `LOOSE` acts in each interval of 0.1 ms: times of 40 and 20 in the mean."""
+    u, acts = uniforms(seed, Stream.RECOVERY, [case], count)[0], []
+    for m in range(count):
+        lasts = 1 + math.floor(math.log(u[m]) / math.log(1.0 - 1.0 / (20 if m % 2 else 40)))
+        acts += [m % 2 == 0] * lasts
+    return acts[:count]
+
+
+def test_a_loose_contact_comes_and_goes() -> None:
+    classes = (
+        FaultClass(),
+        FaultClass(FaultKind.WINDING_CONTACT, 0.25),
+        FaultClass(FaultKind.WINDING_CONTACT, 0.25, recovery=LOOSE),
+        FaultClass(FaultKind("current_dead"), 1.0, recovery=LOOSE),
+    )
+    recipe = replace(RECIPES["bench"], classes=classes, sensor=SensorParameters(current_noise_a=0.0))
+    assert recipe.class_names[2] == "winding_contact_25_recovers"
+    assert recipe_from_dict(recipe_to_dict(recipe)) == recipe
+    drawn = draw(recipe, 6, np.arange(30))
+    found, share = measure_draw(drawn, recipe, 6)[:, 0], []
+    for n, which in enumerate(drawn.class_index.tolist()):
+        motor, volts = (
+            drawn.scenario.parameters.motor(n),
+            float(np.asarray(drawn.scenario.supply.voltage_v)[n]),
+        )
+        worse = discretize(motor.scaled(resistance_ohm=1.25), 1e-4)
+        acts, state = acts_by_hand(6, n, 1000) if which > 1 else [which == 1] * 1000, np.zeros(2)
+        for k, reading in enumerate(found[n]):
+            model = worse if acts[k] and which in (1, 2) else discretize(motor, 1e-4)
+            state = model.transition @ state + model.gain[:, 0] * volts
+            assert reading == pytest.approx(0.0 if acts[k] and which == 3 else state[0], rel=2e-5, abs=1e-5)
+        share += acts if which > 1 else []
+    assert np.mean(share) == pytest.approx(2.0 / 3.0, abs=0.03)
+    with pytest.raises(ValueError, match="a fault of the motor cannot have a recovery beside a table field"):
+        replace(RECIPES["field"], classes=classes[:3])
+    with pytest.raises(ValueError, match="faults that stay for this, got winding_contact_25_recovers"):
+        replace(recipe, classes=classes[:3]).require_motor_faults()
