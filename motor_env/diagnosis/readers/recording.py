@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from motor_env.common.arrays import flags, instance, numbers
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.readers.columns import recognise
 from motor_env.diagnosis.readers.headers import SI, ColumnChoice
-from motor_env.diagnosis.readers.noise import filled
+from motor_env.diagnosis.readers.noise import filled, lone_outliers
 from motor_env.diagnosis.readers.tables import read_table
 from motor_env.diagnosis.readers.text_block import FEWEST_SAMPLES, Table
 from motor_env.diagnosis.readers.text_numbers import MOST_ROWS
@@ -134,14 +134,40 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     notes += [f"{table.averaged} neighbouring samples are averaged into one"] * (table.averaged > 1)
     notes += [f"not used: {', '.join(unused)}"] * (unused != ())
     warnings = tuple(column.warning for column in columns.values() if column.warning)
-    return replace(_recording(path, table, values, (*notes, *table.remarks)), warnings=warnings)
+    recording = _recording(path, table, values, (*notes, *table.remarks))
+    return without_lone_outliers(replace(recording, warnings=warnings), ("voltage_v", "speed_rad_s"))
 
 
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
     """Return a recording, or that of a file."""
     instance("recording", recording, (Recording, str, Path))
     instance("columns", choices, (tuple, list))
-    return recording if isinstance(recording, Recording) else read_recording(recording, choices)
+    if isinstance(recording, Recording):
+        return without_lone_outliers(recording, ("voltage_v", "speed_rad_s"))
+    return read_recording(recording, choices)
+
+
+def without_lone_outliers(
+    recording: Recording, names: Sequence[str] = ("voltage_v", "current_a", "speed_rad_s")
+) -> Recording:
+    """Return a recording whose lone outliers count as missing, with a note.
+
+    In a start the peak of the current may be one sample: see `noise.outlier_samples`.
+    """
+    outliers = {
+        name: lone
+        for name in names
+        if getattr(recording, name) is not None and (lone := lone_outliers(getattr(recording, name))).any()
+    }
+    changed: dict[str, Any] = {
+        name: np.where(lone, np.nan, getattr(recording, name)) for name, lone in outliers.items()
+    }
+    notes = [
+        f"{name} of {getattr(recording, name)[np.argmax(lone)]:.4g} at {recording.time_s[np.argmax(lone)]:.6g} s"
+        for name, lone in outliers.items()
+    ]
+    words = [f"lone outliers count as missing: {', '.join(notes)}"] * bool(notes)
+    return replace(recording, **changed, columns=(*recording.columns[:-1], *words, *recording.columns[-1:]))
 
 
 def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:
