@@ -43,6 +43,8 @@ def test_a_closed_stream_is_no_bug(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr", None)
     assert console.run(app, ["work"]) != ExitStatus.BUG
     assert console.run(_app(InputError("no")), ["work"]) == ExitStatus.BAD_INPUT
+    for stream in (sys.stdout, sys.stderr):
+        stream.close()
 
 
 @pytest.mark.parametrize(
