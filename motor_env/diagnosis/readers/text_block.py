@@ -123,8 +123,9 @@ def cells(path: Path, lines: Sequence[str]) -> TextTable:
     """Split lines into cells."""
     delimiter = _delimiter_of(lines)
     kept = list(rows_of(path, lines, delimiter))
-    near_end = (cell for _, row in kept[-_LOOK_AHEAD:] for cell in row)
-    comma = delimiter != "," and any(map(_DECIMAL_COMMA.match, near_end))
+    near_end = [cell for _, row in kept[-_LOOK_AHEAD:] for cell in row]
+    comma = any(map(_DECIMAL_COMMA.match, near_end))
+    comma &= delimiter != "," or not any("." in cell for cell in near_end)  # quoted thousands
     return TextTable(path, delimiter, comma, tuple(n for n, _ in kept), tuple(row for _, row in kept))
 
 
