@@ -158,8 +158,8 @@ def diagnose(
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
     Args:
-        files: Recordings (CSV and other text, .mat, .h5, .npy, .npz, .parquet, .xlsx) with time, current, and voltage,
-            speed where measured; e.g. columns time_s, current_a, voltage_v, speed_rad_s.
+        files: Recordings (CSV and other text, .mat, .h5, .npy, .npz, .parquet, .tdms, .xlsx) with time, current, and
+            voltage, speed where measured; e.g. columns time_s, current_a, voltage_v, speed_rad_s.
         motor: Motor file (TOML), or the name of a catalogue motor.
         healthy: Recordings of the healthy motor to compare with, after the option: --healthy A.csv B.csv C.csv
         false_alarm_rate: How often a healthy recording may be called faulty.

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter, Token
@@ -29,7 +30,7 @@ _CLOSED_PIPE = 128 + 13  # as a shell reports SIGPIPE, which Windows does not ha
 def _whole(_: type[int], tokens: Sequence[Token]) -> int:
     text = tokens[0].value
     try:
-        return int(text)
+        return int(text if text.isascii() and "_" not in text else "")
     except ValueError:
         raise ValueError(f"must be a whole number, got {text!r}") from None
 
@@ -70,11 +71,13 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
     """
     app.default_parameter = Parameter(negative=())  # no --no-json, and no --empty-files
     app.suppress_keyboard_interrupt = False  # otherwise cyclopts exits before anything can be said
+    for name in ("stdout", "stderr"):  # closed by the shell: what is said goes nowhere
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  # to the end
     try:
         _heed_termination()
         status = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
-        if sys.stdout is not None:
-            sys.stdout.flush()
+        sys.stdout.flush()
     except BrokenPipeError:  # whoever read is gone, and the rest of it goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _CLOSED_PIPE
@@ -116,7 +119,7 @@ def printable(text: str) -> str:
 @contextmanager
 def working(words: str) -> Iterator[Callable[[object], None]]:
     """Show on a terminal what is worked on; yield the function that changes this line."""
-    if sys.stderr is None or not sys.stderr.isatty():
+    if not sys.stderr.isatty():
         yield lambda now: None
         return
     from rich.console import Console

@@ -31,7 +31,12 @@ from motor_env.diagnosis.estimation.starts.start_identification import (
 )
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.noise import explainable
-from motor_env.diagnosis.readers.recording import Recording, UnusableError, recording_of
+from motor_env.diagnosis.readers.recording import (
+    Recording,
+    UnusableError,
+    recording_of,
+    without_lone_outliers,
+)
 from motor_env.diagnosis.readers.regime import RegimeDecision, taken_for
 from motor_env.diagnosis.readers.start import Circuit, Start, chosen_starts, prepare
 from motor_env.diagnosis.verdict import report_text
@@ -137,6 +142,7 @@ def diagnose(
         taken = RegimeDecision("operation", "as its healthy recordings")
     known: dict[str, Any] = {"voltage_v": voltage_v, "circuit": circuit, "temperature_c": temperature_c}
     if taken.regime == "operation":
+        recording = without_lone_outliers(recording)
         for option, value in (("start", start), ("sensor-lag", circuit and circuit.sensor_lag_s)):
             if value:
                 raise InputError(

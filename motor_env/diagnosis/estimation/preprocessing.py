@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from motor_env.diagnosis.estimation.ekf import BEGIN, OPEN
 from motor_env.diagnosis.estimation.record import STRETCHES, Record, with_begins, with_holes
-from motor_env.diagnosis.readers.recording import Recording, UnusableError, cut
+from motor_env.diagnosis.readers.recording import Recording, UnusableError, cut, without_lone_outliers
 from motor_env.diagnosis.readers.regime import refuse_aliased
 from motor_env.diagnosis.readers.start import Circuit
 from motor_env.motor.parameters import FloatArray
@@ -195,6 +195,7 @@ def at_terminals(
     recording: Recording, voltage_v: float | None = None, circuit: Circuit | None = None
 ) -> Recording:
     """Return the recording with the voltage at the motor's terminals: duty in volts, less that of the shunt."""
+    recording = without_lone_outliers(recording)
     voltage = recording.voltage_v
     if voltage is None and recording.duty is not None and voltage_v is not None:
         voltage = recording.duty * voltage_v

@@ -30,7 +30,7 @@ from motor_env.diagnosis.operation.windows import (
     viscous,
     windows_of,
 )
-from motor_env.diagnosis.readers.recording import Recording, UnusableError
+from motor_env.diagnosis.readers.recording import Recording, UnusableError, cut
 from motor_env.diagnosis.readers.start import Circuit
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE
 from motor_env.diagnosis.verdict.healthy_motor import NORMAL_DOF, ReferenceShift, reference_of
@@ -67,7 +67,7 @@ def judge_log(
     temperature_c: float | None = None,
 ) -> tuple[list[Judgement], int]:
     """Judge the windows of a log, or the whole if it has none; return also the number of windows."""
-    whole = at_terminals(recording, voltage_v, circuit)
+    whole = _until_read(at_terminals(recording, voltage_v, circuit))
     if motor is None:
         return [Judgement(Verdict.NO_REFERENCE, (_NOTHING,)).on(whole)], 1
     failed = diagnose_sensors(whole, motor, voltage_v, at_work=True)
@@ -83,6 +83,15 @@ def judge_log(
     except UnusableError as error:
         return [Judgement(Verdict.UNUSABLE, (str(error),)).on(whole)], 1
     return judged, count
+
+
+def _until_read(recording: Recording) -> Recording:
+    """Return a log up to the last sample of current and speed: what fills the rest looks like a stuck sensor."""
+    missing = np.zeros((1, 3)) if recording.missing is None else recording.missing
+    read = np.flatnonzero(~missing[:, 1:].any(axis=1))
+    return (
+        cut(recording, slice(int(read[-1]) + 1)) if recording.missing is not None and len(read) else recording
+    )
 
 
 def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -> list[Judgement]:

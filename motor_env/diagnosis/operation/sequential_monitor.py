@@ -265,7 +265,11 @@ class SequentialMonitor:
 
     def _load_state_dict(self, state: dict[str, list[float]]) -> None:
         sizes = {name: len(row) for name, row in self.state_dict.items()}
-        if {name: len(row) for name, row in state.items()} != sizes or min(map(min, state.values())) < 0.0:
+        if not 0.0 <= min(map(min, state.values())) <= max(map(max, state.values())) <= _LARGEST_SUM:
+            raise InputError(
+                f"the memory of the state must lie in 0 .. {_LARGEST_SUM:g}; give another --state"
+            )
+        if {name: len(row) for name, row in state.items()} != sizes:
             raise InputError("the memory of the state is not that of this motor; give another --state")
         self._sums = np.array(state["sums"]).reshape(self._sums.shape)
         self.alarm_active = bool(state["alarm"][0])

@@ -123,6 +123,7 @@ MOST_SAMPLES = 6_000
 MANY, MOST_JUDGED = 40, 20
 _TOGETHER = 50  # windows that are screened at once
 _REGIME = 2.0
+_SAME_STEP = 1.1  # times the commissioned interval
 CONDITION_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
 """Standard deviation of the logarithms of R, K, J and B under another condition, from unmodelled effects (stiction,
 gear, brushes)."""
@@ -237,8 +238,13 @@ class WindowJudge:
             UnusableError: outside the commissioned regime, or shorter than a window.
         """
         sampled = averaged(recording, self.windows.window_s)
-        if not 1.0 / _REGIME <= sampled.dt_s / self.windows.dt_s <= _REGIME:
-            raise UnusableError("outside the commissioned regime: another sampling interval")
+        # Whether a voltage's steps between two samples came late or early shows in J.
+        most = _SAME_STEP if recording.averaged == 1 else _REGIME
+        if not 1.0 / most <= sampled.dt_s / self.windows.dt_s <= most:
+            raise UnusableError(
+                f"outside the commissioned regime: another sampling interval, {sampled.dt_s:.4g} s where it was"
+                f" {self.windows.dt_s:.4g} s"
+            )
         parts = windows_of(sampled, self.windows.window_s)
         if not parts:
             raise UnusableError(f"the record is shorter than a window of {self.windows.window_s:g} s")

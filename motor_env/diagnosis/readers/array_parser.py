@@ -19,6 +19,7 @@ from typing import Any, cast
 import numpy as np
 
 MOST_NUMBERS = 50_000_000
+WAVEFORM_TIME = "time [s]"
 _MOST_READ = 1_000_000_000  # of a Parquet file, in pieces
 _MOST_ROWS = 4_000_000  # of a long log, beyond which neighbours are averaged
 _BATCH_ROWS = 65_536
@@ -86,8 +87,28 @@ def parse_hdf5(content: bytes) -> dict[str, Any]:
         return _by_short_names((name, dataset[()]) for name, dataset in datasets.items())
 
 
-def parse_workbook(content: bytes) -> str:
-    """Return a workbook's first sheet with rows of numbers as CSV: values, no formulas."""
+def parse_tdms(content: bytes) -> dict[str, Any]:
+    """Return the channels of a TDMS file with their units, and the time of its waveforms."""
+    from nptdms import TdmsFile
+
+    named: dict[str, Any] = {}
+    with TdmsFile.open(io.BytesIO(content)) as file:
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        check_count(sum(map(len, channels)))
+        for channel in channels:
+            values, unit = channel[:], channel.properties.get("unit_string")
+            if values.dtype.kind == "M":
+                values, unit = (values - values[:1]) / np.timedelta64(1, "s"), "s"
+            named[f"{channel.group_name}.{channel.name}" + (f" [{unit}]" if unit else "")] = values
+            step = float(channel.properties.get("wf_increment", 0.0))
+            if step > 0.0:
+                begin = float(channel.properties.get("wf_start_offset", 0.0))
+                named.setdefault(WAVEFORM_TIME, begin + step * np.arange(len(values)))
+    return _by_short_names(named.items())
+
+
+def parse_workbook(content: bytes) -> tuple[str, list[str]]:
+    """Return a workbook's first sheet with rows of numbers as CSV: values, no formulas; and what it leaves out."""
     import openpyxl
 
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -95,19 +116,46 @@ def parse_workbook(content: bytes) -> str:
     book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True, keep_links=False)
     for sheet in book.worksheets:
         sheet.reset_dimensions()  # what a file says of them may be wrong
-        text, numeric, cells = io.StringIO(), 0, 0
-        write = csv.writer(text, lineterminator="\n").writerow
+        rows: list[list[str]] = []
+        counts: list[int] = []  # of the numbers of each row
+        cells = 0
         for n, row in enumerate(sheet.iter_rows(values_only=True), 1):
             cells += len(row)
             check_count(cells)
             if n > _MOST_SHEET_ROWS:
                 raise ValueError(f"a sheet has at most {_MOST_SHEET_ROWS:,} rows")
-            numeric += any(isinstance(cell, int | float) for cell in row)
+            counts.append(sum(isinstance(cell, int | float) for cell in row))
             texts = ["" if cell is None else " ".join(str(cell).split()) for cell in row]
-            write(texts if any(texts) else [])
-        if numeric >= _FEWEST_ROWS:
-            return text.getvalue()
+            rows.append(texts if any(texts) else [])
+        if sum(map(bool, counts)) >= _FEWEST_ROWS:
+            stray = _take_stray(rows, counts)
+            text = io.StringIO()
+            csv.writer(text, lineterminator="\n").writerows(rows)
+            return text.getvalue(), stray
     raise ValueError(f"no sheet holds {_FEWEST_ROWS} rows of numbers")
+
+
+def _take_stray(rows: list[list[str]], counts: list[int]) -> list[str]:
+    """Take away, and return, what stands below and beside a table: rows with fewer numbers, cells beyond most rows."""
+    typical = int(np.median([count for count in counts if count]))
+    last = max(n for n, count in enumerate(counts) if count >= typical)
+    first = next(n for n, count in enumerate(counts) if count >= typical)
+    width = int(np.quantile([len(_filled(row)) for row in rows[first : last + 1]], 0.9))
+    below = (
+        [] if len(rows) - last > _FEWEST_ROWS else [cell for row in rows[last + 1 :] for cell in row if cell]
+    )
+    beside = [cell for row in rows[first : last + 1] for cell in row[width:] if cell]
+    if below or len(rows) - last <= _FEWEST_ROWS:
+        del rows[last + 1 :]
+    if len(beside) < _FEWEST_ROWS:
+        rows[first : last + 1] = [row[:width] for row in rows[first : last + 1]]
+        below += beside
+    return below
+
+
+def _filled(row: list[str]) -> list[str]:
+    """Return a row without empty cells at its end."""
+    return row[: max((k + 1 for k, cell in enumerate(row) if cell), default=0)]
 
 
 def parse_parquet(path: str) -> tuple[dict[str, Any], int]:
@@ -145,13 +193,13 @@ def main() -> int:
         resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
     try:
         if sys.argv[1] == "workbook":
-            sys.stdout.buffer.write(parse_workbook(sys.stdin.buffer.read()).encode())
+            sys.stdout.buffer.write(json.dumps(parse_workbook(sys.stdin.buffer.read())).encode())
             return 0
         if sys.argv[1] == "Parquet":
             arrays, averaged = parse_parquet(sys.argv[2])
         else:
-            parse = parse_hdf5 if sys.argv[1] == "HDF5" else parse_matlab
-            arrays, averaged = parse(sys.stdin.buffer.read()), 1
+            parsers = {"HDF5": parse_hdf5, "MATLAB": parse_matlab, "TDMS": parse_tdms}
+            arrays, averaged = parsers[sys.argv[1]](sys.stdin.buffer.read()), 1
         numbers = {
             name: array.astype(np.float64, copy=False)
             for name, array in arrays.items()

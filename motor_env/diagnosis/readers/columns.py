@@ -43,6 +43,10 @@ _UNIT = "UNIT is A or mA"
 _MOST_NAMED = 8
 _NONE = "none"
 _SMALL = {"time": "ms", "current": "mA", "voltage": "mV", "speed": "rpm"}
+_NO_UNIT = "no unit stated"
+_SLOW_S, _LONG_S = 0.005, 20.0  # a time in ms looks like this
+_DAY_S, _COUNTER_BITS = 86_400.0, (16, 24, 31, 32)
+_ON_STEPS = 5.0  # usual steps at most, where a counter begins anew
 _DENSEST = 0.9  # of a step of the rounding: times further apart hardly repeat
 
 
@@ -245,7 +249,9 @@ def recognise(
         columns["time"] = _counted(suggested, counter)
     if "time" in places:
         columns["time"] = _timed(columns["time"], missing[:, places["time"]])
+        columns["time"] = _unwrapped(columns["time"])
     columns["time"] = _unrounded(columns["time"])
+    _ask_for_unit(suggested, columns, places)
     _refuse_no_current(path, columns)
     unused = tuple(suggested.name(k) for k in free if k not in places.values() and k != counter)
     _restore(path, columns, places, missing)
@@ -285,6 +291,39 @@ def _restore(
                 raise InputError(f"{path}: the {quantity} ({origin}) has no value")
             words = f"{origin}, {np.count_nonzero(lost)} of {len(lost)} values missing"
             columns[quantity] = Column(np.where(lost, np.nan, values), words, warning)
+
+
+def _ask_for_unit(suggested: Suggestions, columns: Mapping[str, Column], places: Mapping[str, int]) -> None:
+    """Ask for the unit of a time that names none and, taken as s, runs as slowly as ms or us may."""
+    steps = np.diff(columns["time"].values)
+    if _NO_UNIT in columns["time"].origin and "speed" not in columns:
+        step_s, whole_s = float(np.median(steps)), float(np.ptp(columns["time"].values))
+        if step_s >= _SLOW_S and whole_s >= _LONG_S:
+            name = suggested.name(places["time"])
+            options = (f"--column {_quoted(f'time={name}:{unit}')}" for unit in ("ms", "us", "s"))
+            raise InputError(
+                f"{suggested.path}: the time ({name}) names no unit, and in s its samples are {step_s:.4g} s apart:"
+                f" name it: {' or '.join(options)}"
+            )
+
+
+def _unwrapped(time: Column) -> Column:
+    """Go on counting where a counter of microseconds and the like began at 0 again."""
+    values, steps = time.values, np.diff(time.values)
+    back, on = steps < 0.0, steps[steps > 0.0]
+    if not back.any() or not len(on):
+        return time
+    most, before = _ON_STEPS * float(np.median(on)), values[:-1][back]
+    sizes = [_DAY_S, *(2.0**bits * unit for unit in (1.0, 1e-3, 1e-6) for bits in _COUNTER_BITS)]
+    for size in sizes:
+        is_on = (steps[back] + size > 0.0) & (steps[back] + size <= most)
+        is_top = size == _DAY_S or any(
+            ((top - most <= before) & (before < top)).all() for top in (size, 0.5 * size)
+        )
+        if is_on.all() and is_top:
+            words = f"{time.origin}, whose counter begins anew after {size:.10g} s: counted on"
+            return time._replace(values=values + size * np.append(0.0, np.cumsum(back)), origin=words)
+    return time
 
 
 def _unrounded(time: Column) -> Column:
@@ -390,7 +429,7 @@ def _column(
                 f' (--column "{quantity}={name}:{_SMALL[quantity]}") or give a scale'
                 f' (--column "{quantity}={name}*SCALE+OFFSET")'
             )
-        origin += f", no unit stated, taken as {SI[quantity]}"
+        origin += f", {_NO_UNIT}, taken as {SI[quantity]}"
     return Column(meaning.factor * table.values[:, k], origin)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import ndtr
 
@@ -23,6 +24,7 @@ _WILD_NOISES = 10.0
 _WILD_SHARE = 0.05  # of the current's range: a smaller jump spoils no fit
 _AGREE = 0.2  # of the jump: the neighbours of a wild sample agree so well among themselves
 _SAMPLES_PER_WILD = 1000
+_OUTSIDE = 2.0  # times the largest of the others
 _FEWEST_SAMPLES = 64
 _MOST_LINES = 8
 
@@ -77,6 +79,17 @@ def outlier_samples(current: FloatArray) -> tuple[int, ...]:
     )
     wild = np.flatnonzero(is_wild) + 2
     return tuple(wild.tolist()) if len(wild) <= len(current) / _SAMPLES_PER_WILD else ()
+
+
+def lone_outliers(values: FloatArray) -> NDArray[np.bool_]:
+    """Flag single readings more than twice as large as all others, one in a thousand at most, shape (n,)."""
+    size = np.abs(np.nan_to_num(values))
+    most = 1 + len(size) // _SAMPLES_PER_WILD
+    if len(size) <= most:
+        return np.zeros(len(size), dtype=np.bool_)
+    rest = float(np.partition(size, -1 - most)[-1 - most])
+    far = np.pad(size > _OUTSIDE * rest, 1) & (rest > 0.0)
+    return np.asarray(far[1:-1] & ~far[:-2] & ~far[2:], dtype=np.bool_)
 
 
 def without_outliers(current: FloatArray, wild: Sequence[int]) -> FloatArray:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from motor_env.common.arrays import flags, instance, numbers
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.readers.columns import recognise
 from motor_env.diagnosis.readers.headers import SI, ColumnChoice
-from motor_env.diagnosis.readers.noise import filled
+from motor_env.diagnosis.readers.noise import filled, lone_outliers
 from motor_env.diagnosis.readers.tables import read_table
 from motor_env.diagnosis.readers.text_block import FEWEST_SAMPLES, Table
 from motor_env.diagnosis.readers.text_numbers import MOST_ROWS
@@ -32,6 +32,7 @@ _Record = TypeVar("_Record", bound="DataclassInstance")
 _AS_LONG, _ALIKE = 0.2, 0.05  # of the median step: usual ones; standard deviation of a clock's
 _MOSTLY = 0.8  # of the steps: where fewer are usual, times near even ones were rounded
 _HOLE = 1.75  # median steps of a clock that is not even: nearly all of its own steps are shorter
+_HOLE_STEPS, _AT_BEGIN = 3.0, 0.1  # where a clock begins anew; of the time until then
 _MOST_READINGS = 3  # that are told apart in a list
 _CHANNELS = {"voltage_v": 0, "duty": 0, "current_a": 1, "speed_rad_s": 2}
 
@@ -118,7 +119,7 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     """Read time, current and, where recorded, voltage and speed from a file.
 
     Args:
-        path: .csv, .txt and the like; .mat, .h5, .npy, .npz, .parquet, .xlsx.
+        path: .csv, .txt and the like; .mat, .h5, .npy, .npz, .parquet, .tdms, .xlsx.
         choices: columns that the user names; the others are recognised by their headers.
 
     Raises:
@@ -134,14 +135,40 @@ def read_recording(path: str | Path, choices: Sequence[ColumnChoice] = ()) -> Re
     notes += [f"{table.averaged} neighbouring samples are averaged into one"] * (table.averaged > 1)
     notes += [f"not used: {', '.join(unused)}"] * (unused != ())
     warnings = tuple(column.warning for column in columns.values() if column.warning)
-    return replace(_recording(path, table, values, (*notes, *table.remarks)), warnings=warnings)
+    recording = _recording(path, table, values, (*notes, *table.remarks))
+    return without_lone_outliers(replace(recording, warnings=warnings), ("voltage_v", "speed_rad_s"))
 
 
 def recording_of(recording: Recording | str | Path, choices: Sequence[ColumnChoice] = ()) -> Recording:
     """Return a recording, or that of a file."""
     instance("recording", recording, (Recording, str, Path))
     instance("columns", choices, (tuple, list))
-    return recording if isinstance(recording, Recording) else read_recording(recording, choices)
+    if isinstance(recording, Recording):
+        return without_lone_outliers(recording, ("voltage_v", "speed_rad_s"))
+    return read_recording(recording, choices)
+
+
+def without_lone_outliers(
+    recording: Recording, names: Sequence[str] = ("voltage_v", "current_a", "speed_rad_s")
+) -> Recording:
+    """Return a recording whose lone outliers count as missing, with a note.
+
+    In a start the peak of the current may be one sample: see `noise.outlier_samples`.
+    """
+    outliers = {
+        name: lone
+        for name in names
+        if getattr(recording, name) is not None and (lone := lone_outliers(getattr(recording, name))).any()
+    }
+    changed: dict[str, Any] = {
+        name: np.where(lone, np.nan, getattr(recording, name)) for name, lone in outliers.items()
+    }
+    notes = [
+        f"{name} of {getattr(recording, name)[np.argmax(lone)]:.4g} at {recording.time_s[np.argmax(lone)]:.6g} s"
+        for name, lone in outliers.items()
+    ]
+    words = [f"lone outliers count as missing: {', '.join(notes)}"] * bool(notes)
+    return replace(recording, **changed, columns=(*recording.columns[:-1], *words, *recording.columns[-1:]))
 
 
 def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:
@@ -173,6 +200,15 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
     if len(time) < FEWEST_SAMPLES:
         raise InputError(f"{path}: must hold at least {FEWEST_SAMPLES} samples, got {len(time)}")
     steps = np.diff(time)
+    if (anew := _clock_begins(time)).any():
+        lines = [str(table.lines[k + 1]) for k in np.flatnonzero(anew)[:_MOST_READINGS].tolist()]
+        notes = (
+            *notes,
+            f"the clock begins anew in {table.where} {', '.join(lines)}: a new piece, with a hole before it",
+        )
+        on = _HOLE_STEPS * float(np.median(steps))
+        time = time + np.append(0.0, np.cumsum(np.where(anew, on - steps, 0.0)))
+        columns, steps = columns | {"time": time}, np.diff(time)
     if not (steps > 0.0).all():
         bad = int(np.argmax(steps <= 0.0)) + 1
         raise InputError(
@@ -201,6 +237,14 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
         columns=notes,
         averaged=table.averaged,
     )
+
+
+def _clock_begins(time_s: FloatArray) -> NDArray[np.bool_]:
+    """Return which steps go back to the begin of a clock, shape (n - 1,); none where some go back to elsewhere."""
+    back = np.diff(time_s) < 0.0
+    begins = time_s[1:] <= time_s[0] + _AT_BEGIN * (time_s[:-1] - time_s[0])
+    is_clock = (begins | ~back).all() and np.count_nonzero(back) * FEWEST_SAMPLES <= len(time_s)
+    return np.asarray(back & is_clock, dtype=np.bool_)
 
 
 def _summary(time_s: FloatArray, columns: dict[str, FloatArray]) -> str:

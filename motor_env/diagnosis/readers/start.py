@@ -199,7 +199,7 @@ def _refuse_lost_rise(voltage: FloatArray, missing: NDArray[np.bool_], largest: 
     """Refuse a measured voltage with a hole in which it changes."""
     firsts, ends = stretches(missing)
     before, after = np.maximum(firsts - 1, 0), np.minimum(ends, len(voltage) - 1)
-    change = np.abs(voltage[after] - voltage[before])
+    change = np.where(ends < len(voltage), np.abs(voltage[after] - voltage[before]), 0.0)
     if change.max() > OFF * largest:
         n = int(np.argmax(change))
         raise UnusableError(

@@ -14,6 +14,7 @@ import sys
 import zipfile
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +32,14 @@ LARGEST_WHOLE_BYTES = 50_000_000
 """Size of a text up to which it is read whole; a longer one is read in pieces."""
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
+_NULL_SHARE = 0.2  # of a text
+_MOST_STRAY = 5  # cells that are told
+_WIDE = (b"\xff\xfe", b"\xfe\xff")
 _FOREIGN = {  # how they begin, and what helps
     b"PK\x03\x04": "an archive; a workbook must be named .xlsx, other archives unpacked",
     b"\xd0\xcf\x11\xe0": "an old Excel workbook; save it as .xlsx or CSV",
     b"\x89HDF": "HDF5, which must be named .mat, .h5 or .hdf5",
-    b"TDSm": "LabVIEW's TDMS; export it as CSV",
+    b"TDSm": "LabVIEW's TDMS, which must be named .tdms",
 }
 _SECONDS = 30.0  # for what is parsed elsewhere
 _SINGLE = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
@@ -67,13 +71,26 @@ def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
         case ".xlsx" | ".xlsm":
             content = _content(path)
             require_extra("openpyxl", "files")
-            return whole_block(path, _parse_in_subprocess(path, content, "workbook").decode())
+            text, stray = json.loads(_parse_in_subprocess(path, content, "workbook"))
+            table, words = whole_block(path, text), ", ".join(repr(cell[:20]) for cell in stray[:_MOST_STRAY])
+            return replace(
+                table, remarks=(*table.remarks, *[f"ignored, for they stand apart: {words}"] * bool(stray))
+            )
+        case ".tdms":
+            content = _content(path)
+            require_extra("nptdms", "files")
+            arrays, averaged = _arrays(_parse_in_subprocess(path, content, "TDMS"))
+            if sum(understand(name).quantity == "time" for name in arrays) > 1:  # one of its own counts more
+                arrays.pop(array_parser.WAVEFORM_TIME, None)
         case ".npy" | ".npz":
             arrays = _numpy(path, _content(path))
         case _ if size > LARGEST_WHOLE_BYTES:
             return large_block(path)
         case _:
-            return whole_block(path, _decoded(path, _content(path)))
+            content = _content(path)
+            table, nulls = whole_block(path, _decoded(path, content)), _nulls(content)
+            words = f"{nulls} NUL byte{'s are' if nulls > 1 else ' is'} skipped"
+            return replace(table, remarks=(*table.remarks, words)) if nulls else table
     return _columns(path, arrays, averaged, wanted)
 
 
@@ -96,7 +113,10 @@ def _content(path: Path, largest: int = LARGEST_DATA_BYTES) -> bytes:
 def _decoded(path: Path, content: bytes) -> str:
     """Decode text in UTF-8, UTF-16, or an old scope's code page."""
     _refuse_foreign(path, content)
-    wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    wide = content[:2] in _WIDE
+    whole = content.rstrip(b"\0")  # a power cut may leave any number of them
+    if _nulls(whole) < _NULL_SHARE * len(whole):
+        content = content if wide else whole.replace(b"\0", b"")
     for encoding in ["utf-16"] if wide else ["utf-8-sig", "cp1252"]:
         with suppress(UnicodeDecodeError):
             text = content.decode(encoding)
@@ -104,7 +124,14 @@ def _decoded(path: Path, content: bytes) -> str:
             control = len(plain) - len(plain.translate(None, _CONTROL))
             if control <= _CONTROL_SHARE * len(text) and "\0" not in text:
                 return text
-    raise InputError(f"{path}: is not text, and its ending is none of .mat, .h5, .npy, .npz, .parquet, .xlsx")
+    raise InputError(
+        f"{path}: is not text, and its ending is none of .mat, .h5, .npy, .npz, .parquet, .tdms, .xlsx"
+    )
+
+
+def _nulls(content: bytes) -> int:
+    """Count the bytes of 0 in a text that is not UTF-16."""
+    return 0 if content[:2] in _WIDE else content.count(0)
 
 
 def _refuse_foreign(path: Path, content: bytes) -> None:
@@ -115,7 +142,7 @@ def _refuse_foreign(path: Path, content: bytes) -> None:
 
 def _parse_in_subprocess(path: Path, content: bytes, kind: str, *more: str) -> bytes:
     """Parse a file in a subprocess, with limits of memory and time; return what it prints."""
-    if kind != "HDF5" and content[:2] != b"PK":
+    if kind not in ("HDF5", "TDMS") and content[:2] != b"PK":
         _refuse_foreign(path, content)
     # -P: modules of this folder must not hide others of the same name.
     command = [sys.executable, "-P", array_parser.__file__, kind, *more]

@@ -46,6 +46,13 @@ _BEGIN = re.compile(r"^x?start$")
 _HERTZ = {"": 1.0, "hz": 1.0, "sa/s": 1.0, "khz": 1e3, "ksa/s": 1e3, "mhz": 1e6, "msa/s": 1e6}
 
 
+def as_number(text: str) -> float:
+    """Return a number; ValueError for what only Python takes for one: 1_0, and digits beyond ASCII."""
+    if "_" in text or not text.isascii():
+        raise ValueError(f"no number: {text!r}")
+    return float(text)
+
+
 @dataclass(frozen=True, slots=True)
 class TextTable:
     """Cells of a text file.
@@ -66,10 +73,10 @@ class TextTable:
 
     def number(self, cell: str) -> float | None:
         """Return a cell as a number; None where it is none, or has the wrong decimal mark."""
-        if (self.decimal_comma and "." in cell) or "_" in cell:
+        if self.decimal_comma and "." in cell:
             return None
         try:
-            return float(cell.replace(",", ".") if self.decimal_comma else cell)
+            return as_number(cell.replace(",", ".") if self.decimal_comma else cell)
         except ValueError:
             return None
 
@@ -116,8 +123,9 @@ def cells(path: Path, lines: Sequence[str]) -> TextTable:
     """Split lines into cells."""
     delimiter = _delimiter_of(lines)
     kept = list(rows_of(path, lines, delimiter))
-    near_end = (cell for _, row in kept[-_LOOK_AHEAD:] for cell in row)
-    comma = delimiter != "," and any(map(_DECIMAL_COMMA.match, near_end))
+    near_end = [cell for _, row in kept[-_LOOK_AHEAD:] for cell in row]
+    comma = any(map(_DECIMAL_COMMA.match, near_end))
+    comma &= delimiter != "," or not any("." in cell for cell in near_end)  # quoted thousands
     return TextTable(path, delimiter, comma, tuple(n for n, _ in kept), tuple(row for _, row in kept))
 
 

@@ -169,6 +169,8 @@ def _numbers_cell_by_cell(block: Block, lines: list[str], begin: int) -> tuple[F
     at: list[int] = []
     columns: list[list[Any]] = [[] for _ in block.columns]
     for n, row in rows_of(table.path, lines, table.delimiter):
+        if any(block.names) and [row[k].strip() for k in block.columns if k < len(row)] == list(block.names):
+            continue  # a device that starts anew repeats its header
         at.append(begin - 1 + n)
         if filled(row) > block.width:
             raise InputError(

@@ -118,11 +118,18 @@ def source(
 
 
 def _standard_input() -> Iterator[Piece]:
+    if sys.stdin is None:
+        raise InputError("standard input is closed; name a log, or pipe its lines")
+    try:
+        os.read(sys.stdin.fileno(), 0)
+    except OSError as error:
+        raise InputError(f"standard input: {(error.strerror or str(error)).lower()}") from None
     waiting: queue.Queue[Piece | None] = queue.Queue(16)
 
     def read() -> None:
-        while piece := os.read(sys.stdin.fileno(), _CHUNK):
-            waiting.put(piece)
+        with suppress(OSError):  # a terminal that is gone
+            while piece := os.read(sys.stdin.fileno(), _CHUNK):
+                waiting.put(piece)
         waiting.put(None)
 
     threading.Thread(target=read, daemon=True).start()

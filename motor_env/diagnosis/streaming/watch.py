@@ -28,7 +28,13 @@ from motor_env.diagnosis.operation.sequential_monitor import SequentialMonitor
 from motor_env.diagnosis.operation.window_baseline import FEWEST_WINDOWS, learn_windows
 from motor_env.diagnosis.operation.windows import averaged, judge_of
 from motor_env.diagnosis.readers.headers import LARGEST_CURRENT_A, understand
-from motor_env.diagnosis.readers.recording import Recording, UnusableError, resampled
+from motor_env.diagnosis.readers.recording import (
+    Recording,
+    UnusableError,
+    resampled,
+    without_lone_outliers,
+)
+from motor_env.diagnosis.readers.text_block import as_number
 from motor_env.diagnosis.streaming.sources import (
     LONGEST_LINE,
     NEW_FILE,
@@ -47,6 +53,10 @@ from motor_env.motor.healthy import Healthy, Windows
 STUCK_AFTER = 200
 _GAP_STEPS = 20.0
 _SAME_STEP = 0.2
+_FEWEST_A_WINDOW = 200.0  # samples, while the interval is not known
+_LATEST_S = 1e13
+_ABSURD, _LARGEST_READING = 1e4, 1e9  # times the largest healthy reading; where none is known
+_RAREST = 1e-12  # false alarms a year
 _MOST_COLUMNS = 1000
 _LONGEST_NAME = 100
 _QUANTITIES = ("time", "voltage", "current", "speed")
@@ -162,8 +172,8 @@ class LearningPhase:
 
     @property
     def dt_s(self) -> float:
-        """Sampling interval; infinite until it is known."""
-        return self.recordings[0].dt_s if self.recordings else math.inf
+        """Sampling interval; the longest that can be learned from until it is known."""
+        return self.recordings[0].dt_s if self.recordings else self.window_s / _FEWEST_A_WINDOW
 
 
 # Garbage may look like a header in every line, mostly with the same words.
@@ -186,8 +196,13 @@ class Watch:
         self, healthy: Healthy | LearningPhase, state: State, *, false_alarms_per_year: float
     ) -> None:
         require_options(false_alarms_per_year=false_alarms_per_year)
+        if false_alarms_per_year < _RAREST:
+            raise InputError(
+                f"false-alarms-per-year must be at least {_RAREST:g}, got {false_alarms_per_year:g}"
+            )
         self.state = state
         self.healthy: Healthy | None = None
+        self._limits: tuple[float, ...] = (_LATEST_S, _LARGEST_READING, LARGEST_CURRENT_A, _LARGEST_READING)
         self._per_year = false_alarms_per_year
         self._phase: LearningPhase | SequentialMonitor
         if isinstance(healthy, LearningPhase):
@@ -207,6 +222,9 @@ class Watch:
 
     def _monitor(self, healthy: Healthy, state: dict[str, list[float]] | None = None) -> None:
         self.healthy = healthy
+        if healthy.windows is not None and healthy.windows.peaks is not None:
+            largest = (_ABSURD * peak for peak in healthy.windows.peaks)
+            self._limits = (_LATEST_S, *map(min, self._limits[1:], largest))
         self._phase = SequentialMonitor(
             judge_of(healthy), healthy, false_alarms_per_year=self._per_year, state=state
         )
@@ -250,10 +268,10 @@ class Watch:
             return
         words = text.split(",", _MOST_COLUMNS)
         try:
-            sample = [float(words[k]) * factor for k, factor in self._columns]
+            sample = [as_number(words[k]) * factor for k, factor in self._columns]
         except (ValueError, IndexError):
             sample = []
-        if sample and math.isfinite(sum(sample)) and abs(sample[2]) <= LARGEST_CURRENT_A:
+        if sample and all(abs(each) <= most for each, most in zip(sample, self._limits, strict=True)):
             yield from self._add_sample(sample)
         # A restarted device repeats its header.
         elif text and text[0] != "#" and not self._read_header(text):
@@ -293,7 +311,9 @@ class Watch:
                 text = f"the {name} of a whole window is {values[name][0]:.6g}"
                 return self._restart_window("stuck_sensor", text)
         even_s, values, _ = resampled(time_s, values, self._step_s)
-        recording = Recording(Path("stream"), even_s, values["current"], values["voltage"], values["speed"])
+        recording = without_lone_outliers(
+            Recording(Path("stream"), even_s, values["current"], values["voltage"], values["speed"])
+        )
         if abs(recording.dt_s - self._timing.dt_s) < _SAME_STEP * self._timing.dt_s:
             self._step_s = self._timing.dt_s
         if isinstance(self._phase, LearningPhase):

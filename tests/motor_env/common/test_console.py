@@ -36,6 +36,17 @@ def test_status_of_the_command_is_passed_on() -> None:
     assert console.run(_app(), ["work"]) == ExitStatus.HEALTHY
 
 
+def test_a_closed_stream_is_no_bug(monkeypatch: pytest.MonkeyPatch) -> None:
+    app = App(name="tool")
+    app.command(lambda: sys.stdout.write("said"), name="work")
+    monkeypatch.setattr("sys.stdout", None)
+    monkeypatch.setattr("sys.stderr", None)
+    assert console.run(app, ["work"]) != ExitStatus.BUG
+    assert console.run(_app(InputError("no")), ["work"]) == ExitStatus.BAD_INPUT
+    for stream in (sys.stdout, sys.stderr):
+        stream.close()
+
+
 @pytest.mark.parametrize(
     ("error", "sentence"),
     [
@@ -61,7 +72,7 @@ def test_wrong_use_is_one_sentence(arguments: list[str], capsys: pytest.CaptureF
     assert captured.err.count("\n") == 1
 
 
-@pytest.mark.parametrize("number", ["1.5", "2.7", "1e3", "nan", "0.0", "9" * 5000])
+@pytest.mark.parametrize("number", ["1.5", "2.7", "1e3", "nan", "0.0", "9" * 5000, "1_0", "\u0661"])
 def test_whole_numbers_are_not_rounded(number: str, capsys: pytest.CaptureFixture[str]) -> None:
     commands = [
         (datasets_cli.main, ["generate", "bench", "--cases", "3", "--out", "x", "--seed", number]),

@@ -105,6 +105,10 @@ def holed(columns: Columns, pattern: str) -> Columns:
         "in bursts": bursts(n),
         "anywhere": scattered(n),
         "of every 20th": np.arange(n) % 20 == 10,
+        "of every 2nd": np.arange(n) % 2 == 1,
+        "of every 4th": np.arange(n) % 4 == 1,
+        "2 of every 5": np.isin(np.arange(n) % 5, (1, 3)),
+        "at the end": np.arange(n) >= n - 51,
     }[which]
     if how == "lines":
         return {name: values[~missing] for name, values in columns.items()}
@@ -126,6 +130,7 @@ def verdicts(path: Path, columns: Columns) -> list[str]:
         ("all at steps", "healthy"),
         ("voltage_v at steps", "healthy"),
         ("current_a in bursts", "winding"),
+        ("all at the end", "healthy"),
     ],
 )
 def test_holes_are_no_fault_and_hide_none(tmp_path: Path, pattern: str, kind: str) -> None:
@@ -152,6 +157,36 @@ def test_a_log_that_changes_its_rate_is_judged_where_it_has_its_own(tmp_path: Pa
     assert set(said) == {"healthy", "unusable"}
     told = next(piece.reasons[0] for piece in found if piece.verdict is Verdict.UNUSABLE)
     assert "samples are there, and follow others 0.002 s apart without a hole" in told
+
+
+@pytest.mark.parametrize("which", ["of every 2nd", "of every 4th", "2 of every 5"])
+def test_holes_that_leave_another_interval_are_unusable(tmp_path: Path, which: str) -> None:
+    for how in ("lines", "all"):
+        some = holed(log("healthy"), f"{how} {which}")
+        assert set(verdicts(tmp_path / "log.csv", some)) == {"unusable"}
+        assert set(streamed(some)) == {"unusable"}
+
+
+@pytest.mark.parametrize(
+    ("channel", "size", "place"),
+    [
+        ("voltage_v", 61.0, 700),
+        ("voltage_v", 1e3, 501),
+        ("current_a", -999.0, 900),
+        ("speed_rad_s", 1e5, 499),
+    ],
+)
+def test_a_lone_outlier_is_no_fault_and_hides_none(
+    tmp_path: Path, channel: str, size: float, place: int
+) -> None:
+    for kind in ("healthy", "winding"):
+        columns = log(kind)
+        columns[channel][place] = size
+        assert set(verdicts(tmp_path / "log.csv", columns)) == {kind}
+        assert {text for text in streamed(columns)[:2] if text != "healthy"} <= {kind}
+    assert f"lone outliers count as missing: {channel} of {size:.4g}" in " ".join(
+        diagnose(tmp_path / "log.csv", MOTOR).recording.columns
+    )
 
 
 def streamed(columns: Columns) -> list[str]:

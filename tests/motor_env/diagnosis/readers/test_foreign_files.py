@@ -201,6 +201,70 @@ def test_of_two_motors_the_columns_of_the_one_that_was_named_are_suggested(tmp_p
     np.testing.assert_allclose(read.current_a, SECOND, atol=1e-4)
 
 
+TEXT = "time_s,voltage_v,current_a\n" + "".join(f"{k / 1000},12.5,{k % 7}.25\n" for k in range(60))
+
+
+QUOTED = "time_s,voltage_v,current_a\n" + "".join(f'"0,{k:03d}","12,5","{k % 7},25"\n' for k in range(60))
+MIDNIGHT = "time,current_a\n" + "".join(
+    f"{'23:59:59' if k < 100 else '00:00:00'}.{k % 100:02d},{k % 7}.5\n" for k in range(150)
+)
+
+
+def counted(begin: int, top: int, low: int = 0) -> str:
+    """Microseconds of a counter that begins anew at `low` after `top`."""
+    rows = (f"{(begin + 1000 * k - low) % (top - low) + low},{k % 7}.25\n" for k in range(60))
+    return "micros,current_a\n" + "".join(rows)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (TEXT + "\0", "1 NUL byte is skipped"),
+        (TEXT[:500] + "\0\0\0" + TEXT[500:], "3 NUL bytes are skipped"),
+        (TEXT + "\0" * 4096, "4096 NUL bytes are skipped"),
+        (QUOTED, "decimal comma"),
+        (counted(2**32 - 20_500, 2**32), "whose counter begins anew after 4294.967296 s"),
+        (counted(2**31 - 20_500, 2**31, -(2**31)), "whose counter begins anew after 4294.967296 s"),
+        (counted(2**16 - 20_500, 2**16), "whose counter begins anew after 0.065536 s"),
+        (MIDNIGHT, "begins anew after 86400 s"),
+    ],
+)
+def test_what_loggers_leave_in_their_files_is_read_and_told(text: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    found = read_recording(path)
+    assert told in "; ".join(found.columns)
+    np.testing.assert_allclose(np.diff(found.time_s), found.dt_s)
+    assert found.dt_s in (pytest.approx(1e-3), pytest.approx(1e-2))
+    assert found.missing is None
+
+
+def test_a_clock_that_begins_anew_begins_a_piece(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    body = TEXT.partition("\n")[2]
+    for text in (TEXT + body, TEXT + TEXT):
+        path.write_text(text)
+        found = read_recording(path)
+        assert any("the clock begins anew in line 6" in note for note in found.columns)
+        assert found.missing is not None
+        assert np.flatnonzero(found.missing[:, :2].all(axis=1)).tolist() == [60, 61]
+    path.write_text(TEXT + "0.03,12.5,1\n")
+    assert "must rise, got 0.03 after 0.059" in refused(lambda: read_recording(path), path)
+
+
+@pytest.mark.parametrize("unit", ["ms", "s"])
+def test_a_time_that_may_be_in_ms_is_asked_for_its_unit(unit: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "Zeit;Strom;Spannung\n" + "".join(f"{k / 10};{k % 7},25;12\n".replace(".", ",") for k in range(600))
+    )
+    sentence = refused(lambda: read_recording(path), path)
+    assert "the time (Zeit) names no unit" in sentence
+    assert f"time=Zeit:{unit}" in options_of(sentence)
+    found = read_recording(path, [ColumnChoice.parse(f"time=Zeit:{unit}")])
+    assert found.dt_s == pytest.approx(0.1 if unit == "s" else 1e-4)
+
+
 @pytest.mark.parametrize(
     ("name", "begin", "words"),
     [
@@ -208,7 +272,8 @@ def test_of_two_motors_the_columns_of_the_one_that_was_named_are_suggested(tmp_p
         ("a.xls", b"\xd0\xcf\x11\xe0", "save it as .xlsx or CSV"),
         ("a.xlsx", b"\xd0\xcf\x11\xe0", "save it as .xlsx or CSV"),
         ("a.dat", b"\x89HDF\r\n", "must be named .mat, .h5 or .hdf5"),
-        ("a.tdms", b"TDSm", "export it as CSV"),
+        ("a.bin", b"TDSm", "must be named .tdms"),
+        ("a.tdms", b"TDSm", "holds no column of numbers"),
     ],
 )
 def test_a_file_that_another_program_must_convert_says_how(

@@ -217,7 +217,9 @@ def check_mangled(n: int, path: Path) -> str:
     def same(recording: Recording) -> None:
         nonlocal became
         wrong = wrong_samples(recording, file, first_s(instrument) - truth().time_s[0])
-        if wrong > 2 and any("taken as" in note or "cut off" in note for note in recording.columns):
+        if wrong > 2 and any(
+            words in note for note in recording.columns for words in ("taken as", "cut off", "begins anew")
+        ):
             became = "said"
         else:  # a row that is missing is interpolated
             assert wrong <= 2, (instrument.__name__, name, wrong, recording.columns)

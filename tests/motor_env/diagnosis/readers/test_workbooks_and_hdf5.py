@@ -52,6 +52,40 @@ def test_the_first_sheet_with_rows_of_numbers_is_read(tmp_path: Path) -> None:
     assert "numbers begin in line 5" in check_same(path)
 
 
+@pytest.mark.parametrize(
+    ("below", "told"),
+    [
+        ([[None], [None, None, 5.5]], "'5.5'"),
+        ([[None], [None, "mean", 1.25]], "'mean', '1.25'"),
+        ([["end"]], "'end'"),
+        ([[None], [None, None, None, None, "by me"]], "'by me'"),
+    ],
+)
+def test_a_stray_cell_below_or_beside_a_table_is_ignored_and_told(
+    tmp_path: Path, below: list[list[Any]], told: str
+) -> None:
+    path = tmp_path / "a.xlsx"
+    workbook(path, data=[*ROWS, *below])
+    assert f"ignored, for they stand apart: {told}" in check_same(path)
+    workbook(path, data=[*ROWS[:9], [*ROWS[9], None, "seen"], *ROWS[10:], *below])
+    assert f"ignored, for they stand apart: {told}, 'seen'" in check_same(path)
+
+
+def test_channels_of_tdms_with_a_time_or_as_a_waveform(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms", reason=MISSING)
+    step = {"wf_increment": 1e-4, "wf_start_offset": 0.0}
+    times = {"time_s": nptdms.ChannelObject("run", "Time", TIME)}
+    volts = nptdms.ChannelObject("run", "Voltage", COLUMNS["voltage_v"], step | {"unit_string": "V"})
+    current = nptdms.ChannelObject("run", "Current", 1e3 * COLUMNS["current_a"], step | {"unit_string": "mA"})
+    for channels in ([volts, current], [*times.values(), volts, current]):
+        with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as writer:
+            writer.write_segment(channels)
+        found = read_recording(tmp_path / "a.tdms")
+        np.testing.assert_allclose(found.current_a, COLUMNS["current_a"], rtol=1e-9)
+        np.testing.assert_array_equal(found.voltage_v, COLUMNS["voltage_v"])
+        np.testing.assert_allclose(found.time_s, TIME, atol=1e-9)
+
+
 def test_a_clock_and_text_in_a_sheet(tmp_path: Path) -> None:
     path, begin = tmp_path / "a.xlsx", dt.datetime(2026, 1, 31, 12)  # noqa: DTZ001  # a sheet knows no zone
     times = [begin + dt.timedelta(seconds=0.5 * n) for n in range(400)]

@@ -138,6 +138,18 @@ def test_a_log_is_a_regular_file(tmp_path: Path) -> None:
             hostile.refused(partial(next, opened(str(path), follow=follow)), path)
 
 
+def test_a_standard_input_that_cannot_be_read_ends_the_watch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", None)
+    with pytest.raises(InputError, match="standard input is closed"):
+        opened(None)
+    with (tmp_path / "written").open("w", encoding="utf-8") as written:
+        monkeypatch.setattr("sys.stdin", written)
+        with pytest.raises(InputError, match="standard input: bad file descriptor"):
+            opened(None)
+
+
 def test_a_line_without_end_takes_no_more_time_and_memory_than_short_ones() -> None:
     """Each byte is looked at a few times: pieces of one letter, as slow ports give them."""
     endless = [b"x"] * 150_000

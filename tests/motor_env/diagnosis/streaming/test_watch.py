@@ -25,9 +25,12 @@ from motor_env.motor.healthy import Healthy, Windows
 HEADER = b"t_ms,voltage_v,current_ma,speed_rad_s\n"
 
 
+WINDOWS = Windows(1e6, (), np.zeros(index.N_VALUES), "held", 1e-3, 500.0, (11.0, 13.0))
+
+
 def healthy(window_s: float = 1e6, dt_s: float = 1e-3) -> Healthy:
     """What ten windows have taught."""
-    windows = Windows(window_s, (), np.zeros(index.N_VALUES), "held", dt_s, 500.0, (11.0, 13.0))
+    windows = replace(WINDOWS, window_s=window_s, dt_s=dt_s)
     return Healthy(10, 13.0, ("R", "K", "J", "B"), np.ones(4), np.eye(4) * 1e-4, windows=windows)
 
 
@@ -37,6 +40,12 @@ def kinds(lines: list[Piece], state: State | None = None) -> list[str]:
     ]
 
 
+ABSURD = [
+    *(b"1e20,12,100,500\n", b"-1e20,12,100,500\n", b"60,1e40,100,500\n", b"60,12,100,-1e300\n"),
+    *(b"60,12,1_0,500\n", "60,12,100,\u0661\n".encode()),
+]
+
+
 def samples(count: int, first_ms: int = 0) -> list[Piece]:
     return [f"{k},12,{100 + k % 7},500\n".encode() for k in range(first_ms, first_ms + count)]
 
@@ -44,9 +53,24 @@ def samples(count: int, first_ms: int = 0) -> list[Piece]:
 def test_what_is_wrong_with_a_stream_is_said_at_once() -> None:
     good: list[Piece] = [HEADER, *samples(50)]
     assert kinds(good) == []
-    for bad in (b"x,y\n", b"60,nan,1,1\n", b"\xff\xfe\n", b"60,12,-127283000,500\n"):
+    for bad in (b"x,y\n", b"60,nan,1,1\n", b"\xff\xfe\n", b"60,12,-127283000,500\n", *ABSURD):
         assert kinds([*good, bad, b"# a remark\n", HEADER]) == ["malformed"]
     assert kinds([*good, SILENCE, *samples(50, 5_000)]) == ["silence"]
+
+
+def test_what_commissioning_cannot_mean_is_malformed() -> None:
+    windows = replace(WINDOWS, peaks=(12.0, 0.1, 500.0))
+    watch = Watch(replace(healthy(), windows=windows), State(), false_alarms_per_year=1.0)
+    lines = (
+        HEADER,
+        *samples(50),
+        b"60,2e5,100,500\n",
+        b"61,12,2e6,500\n",
+        b"62,12,100,6e6\n",
+        *samples(9, 63),
+    )
+    assert [event.kind for event in watch.events(lines)] == ["malformed", "malformed"]
+    assert watch.state.counts == {"malformed": 3}
 
 
 def test_malformed_lines_cost_no_sample_beside_them() -> None:
@@ -64,6 +88,8 @@ def test_bad_input_is_one_sentence() -> None:
         kinds([b"time_s,voltage_v,current_a\n"])
     with pytest.raises(InputError, match="false-alarms-per-year must be > 0"):
         Watch(healthy(), State(), false_alarms_per_year=0.0)
+    with pytest.raises(InputError, match="false-alarms-per-year must be at least 1e-12, got 1e-300"):
+        Watch(healthy(), State(), false_alarms_per_year=1e-300)
     with pytest.raises(InputError, match="columns must name time, voltage, current, speed, got 'a,b'"):
         Watch(healthy(), State(header="a,b"), false_alarms_per_year=1.0)
 

@@ -316,7 +316,6 @@ def test_a_lesson_takes_as_many_windows_as_were_asked_for(monkeypatch: pytest.Mo
     assert events[4].text == "it stands still"
     assert given == [(5, 0.0995, True)] * 2
     assert len(judge.given) == 1
-    assert LearningPhase(0.1, 0.4).dt_s == math.inf
     for window_s, learn_s in ((0.1, 0.399), (0.0, 1.0), (1.0, math.inf)):
         words = f"learn must be at least 4 windows of {window_s:g} s, got {learn_s:g} s"
         with pytest.raises(InputError, match=words):
