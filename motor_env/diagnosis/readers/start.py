@@ -59,6 +59,7 @@ class Start:
         from_rest: whether the motor stands before; else it runs steadily under the first voltage.
         circuit: the measuring circuit.
         lines: ripple of the supply in the running motor's current.
+        hum: of the mains, in the whole current.
         missing: which samples of current and speed are missing, shape (n_samples, 2); None for none.
     """
 
@@ -72,6 +73,7 @@ class Start:
     from_rest: bool = True
     circuit: Circuit = Circuit()
     lines: tuple[PeriodicLine, ...] = ()
+    hum: tuple[PeriodicLine, ...] = ()
     missing: NDArray[np.bool_] | None = None
 
     @property
@@ -88,8 +90,10 @@ class Start:
 
     @property
     def ripple_a(self) -> FloatArray:
-        """The lines' current, from the onset on, shape (n_samples,)."""
+        """The lines' current, from the onset on, and the hum's, shape (n_samples,)."""
         out = np.zeros(len(self.time_s))
+        for line in self.hum:
+            out += line.current_a(self.time_s)
         running = self.time_s >= self.alignment.onset_s
         for line in self.lines:
             out[running] += line.current_a(self.time_s[running])

@@ -11,8 +11,9 @@ import numpy as np
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.model_selection import STRONG_EVIDENCE
 from motor_env.diagnosis.estimation.problem import Problem, Solution
+from motor_env.diagnosis.estimation.starts.current_probe import find_hum, fitted_hum
 from motor_env.diagnosis.estimation.starts.start_fit import UNTOLD_LOG_SD, StartFit, record_of
-from motor_env.diagnosis.estimation.starts.start_prior import CURVE, StartPrior, start_prior
+from motor_env.diagnosis.estimation.starts.start_prior import CURVE, FIT_SAMPLES, StartPrior, start_prior
 from motor_env.diagnosis.estimation.uncertainty import (
     capped,
     free_run_states,
@@ -90,9 +91,10 @@ def _cleaned_start(fit: StartFit) -> Start | None:
     begin = start.alignment.onset_index
     some = slice(begin, None)
     lines = start.lines or constant_lines(residual[some], start.time_s[some], fit.states[some, 1])
-    if lines == start.lines and len(wild) == len(start.alignment.wild):
+    hum = start.hum or find_hum(fit.solution, start.shortened(FIT_SAMPLES).time_s)
+    if (lines, hum) == (start.lines, start.hum) and len(wild) == len(start.alignment.wild):
         return None
-    return replace(start, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
+    return replace(start, lines=lines, hum=hum, alignment=replace(start.alignment, wild=tuple(wild)))
 
 
 def _outliers_of_fit(residual: FloatArray, current: FloatArray) -> list[int]:
@@ -139,6 +141,9 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
         unit = problem.free[k].unit
         extras[name] = (unit * float(theta[k]), unit * math.sqrt(max((covariance + more)[k, k], 0.0)))
     expected = record_of(start).predict(values, learn=False)[0][:, 2:4]
+    if start.hum:
+        left = start.current_a - start.ripple_a - start.alignment.offset_a - expected[:, 0]
+        start = replace(start, hum=fitted_hum(start.hum, start.time_s[start.counted], left[start.counted]))
     expected[:, 0] += start.alignment.offset_a + start.ripple_a
     parameters = MotorParameters(*values[[index.R, index.L, index.K, index.K, index.J, index.B]].tolist())
     return StartFit(
