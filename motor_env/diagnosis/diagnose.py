@@ -26,6 +26,7 @@ from motor_env.diagnosis.estimation.starts.start_fit import (
 from motor_env.diagnosis.estimation.starts.start_identification import (
     EXTENSIONS,
     NUISANCES,
+    behind_capacitor,
     identify,
     identify_best,
 )
@@ -40,7 +41,12 @@ from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift,
 from motor_env.diagnosis.verdict.hypotheses import alarm_share, compare
 from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
 from motor_env.diagnosis.verdict.scaling_errors import SWAPPED, is_unlike_motor
-from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors, sensor_judgement
+from motor_env.diagnosis.verdict.sensor_diagnosis import (
+    AC_COUPLED,
+    check_coupling,
+    diagnose_sensors,
+    sensor_judgement,
+)
 from motor_env.motor import identifiable
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Healthy, Starts
@@ -214,6 +220,7 @@ def judge_start(
             fit = identify_best(start, NUISANCES, constant=constant, typical=typical)
         else:
             fit = identify(start, reference.model, constant=constant, typical=typical)
+            fit = behind_capacitor(fit, constant=constant, typical=typical) or fit
     except UnusableError as error:
         return Judgement(Verdict.UNUSABLE, (str(error),))
     stands = reference is not None and is_blocked(fit, reference.time_constant_s)
@@ -228,7 +235,7 @@ def judge_start(
         reason = _PER_VOLT
     if reference is None or reason:
         return Judgement(Verdict.NO_REFERENCE, (reason,), fit=fit)
-    judgement = decide(fit, reference, rate)
+    judgement = check_coupling(decide(fit, reference, rate), constant)
     if judgement.verdict.is_fault and not shows_turning(fit):
         return Judgement(
             Verdict.OTHER, (NOT_TURNING,), fit=fit, reference=reference, changes=judgement.changes
@@ -296,6 +303,8 @@ def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
 
 def explain_unusable(fit: StartFit) -> str | None:
     """Explain why a fit cannot carry a verdict; None if it can."""
+    if fit.start.coupling_per_s is not None:
+        return AC_COUPLED.format(1.0 / fit.start.coupling_per_s)
     clipped = fit.start.alignment.saturation
     if clipped:
         return f"the recording is clipped, {clipped}"

@@ -60,6 +60,7 @@ class Start:
         circuit: the measuring circuit.
         lines: ripple of the supply in the running motor's current.
         hum: of the mains, in the whole current.
+        coupling_per_s: 1 / time constant of a probe that is coupled by a capacitor; None for any other.
         missing: which samples of current and speed are missing, shape (n_samples, 2); None for none.
     """
 
@@ -74,6 +75,7 @@ class Start:
     circuit: Circuit = Circuit()
     lines: tuple[PeriodicLine, ...] = ()
     hum: tuple[PeriodicLine, ...] = ()
+    coupling_per_s: float | None = None
     missing: NDArray[np.bool_] | None = None
 
     @property
@@ -89,9 +91,14 @@ class Start:
         return out
 
     @property
+    def charge_a_s(self) -> FloatArray:
+        """Integral of the shown current, shape (n_samples,): over the time constant a probe's capacitor lacks it."""
+        return np.asarray(np.cumsum(self.current_a - self.alignment.offset_a) * self.dt_s)
+
+    @property
     def ripple_a(self) -> FloatArray:
-        """The lines' current, from the onset on, and the hum's, shape (n_samples,)."""
-        out = np.zeros(len(self.time_s))
+        """Current of the lines from the onset on, of the hum and of a probe's capacitor, shape (n_samples,)."""
+        out = -(self.coupling_per_s or 0.0) * self.charge_a_s
         for line in self.hum:
             out += line.current_a(self.time_s)
         running = self.time_s >= self.alignment.onset_s

@@ -16,6 +16,7 @@ import numpy as np
 
 from motor_env.diagnosis.estimation import ekf, parameter_index as index
 from motor_env.diagnosis.estimation.record import Record
+from motor_env.diagnosis.estimation.starts.start_identification import identify, likelihood_gain
 from motor_env.diagnosis.readers.alignment import align, clipped_run
 from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
@@ -373,6 +374,36 @@ def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: Floa
     return sensor_judgement(
         "current_offset", f"the current is off by {offset:.3g} A at every voltage and speed"
     )
+
+
+AC_COUPLED = (
+    "the current is AC-coupled: a high pass of about {:.2g} s takes its level away: set the probe to DC"
+)
+_PERHAPS_COUPLED = (
+    "a probe that is AC-coupled, with a high pass of about {:.2g} s, shows this, too: is it set to DC?"
+)
+_LEAST_GAIN_BY_SHEET, _LEAST_GAIN = -6.0, 6.0  # -2 log likelihood
+
+
+def check_coupling(judgement: Judgement, constant: float | None) -> Judgement:
+    """Judge a start whose friction alone fell, or beside its resistance: no fault lowers friction.
+
+    Over the time constant s an AC coupling lowers B/J by 1/s. A machine may have lost its load, so there the recording
+    must tell the coupling; a data sheet is of a motor that has none to lose, so there the recording need only allow it.
+    """
+    fit, reference = judgement.identified, judgement.reference
+    moved = {change.name[0]: change for change in judgement.changes if change.significant}
+    down = moved.get("B")
+    if fit is None or reference is None or down is None or down.ratio > 1.0 or moved.keys() & set("KJ"):
+        return judgement
+    usual = {name.removesuffix("/V"): value for name, value in reference.values.items()}
+    rate = (usual["B/J"] if "B/J" in usual else usual["B"] / usual["J"]) * (1.0 - down.ratio)
+    direct = replace(fit.start, current_a=fit.start.current_a + rate * fit.start.charge_a_s)
+    gain = likelihood_gain(fit, identify(direct, fit.model, constant=constant, typical=reference.values))
+    if gain < (_LEAST_GAIN if reference.is_taught else _LEAST_GAIN_BY_SHEET):
+        return replace(judgement, reasons=(*judgement.reasons, _PERHAPS_COUPLED.format(1.0 / rate)))
+    why = f"{down.name} is down by {1.0 - down.ratio:.0%}, as by no fault: {AC_COUPLED.format(1.0 / rate)}"
+    return replace(judgement.as_other(why), verdict=Verdict.UNUSABLE, confidence=None)
 
 
 _BACKWARDS = "the current has the other sign than in all healthy starts: it is reversed, or the motor started backwards"

@@ -12,7 +12,7 @@ from motor_env.diagnosis.estimation.ekf import REST, STEADY
 from motor_env.diagnosis.estimation.operation_fit import OperationFit
 from motor_env.diagnosis.estimation.problem import Solution, r_squared
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.diagnosis.estimation.starts.current_probe import waves
+from motor_env.diagnosis.estimation.starts.current_probe import shapes
 from motor_env.diagnosis.readers.noise import difference_noise, floor_noise, over_angle
 from motor_env.diagnosis.readers.start import Start, mean_tail
 from motor_env.motor import identifiable
@@ -112,7 +112,9 @@ class StartFit:
             defects.append(f"PWM ripple of {where} (or an alias of it)")
         for line in start.hum:
             where = f"{line.amplitude_a:.3g} A at {line.frequency_hz:.4g} Hz"
-            defects.append(f"hum of the mains of {where} in the current, fitted beside the motor: shield the probe's leads")
+            defects.append(
+                f"hum of the mains of {where} in the current, fitted beside the motor: shield the probe's leads"
+            )
         if "supply_ramp" in size:
             curve = ", in a curve" if "supply_curve" in self.model else ""
             defects.append(f"supply ramp: it rises in {1e3 * size['supply_ramp']:.3g} ms{curve}")
@@ -224,9 +226,8 @@ def record_of(start: Start) -> Record:
     marks = np.zeros(n)
     marks[0] = REST if start.from_rest else STEADY
     is_step, beside = start.voltage_v is None, None
-    if start.hum:
-        beside = waves(start.time_s, np.array([line.frequency_hz for line in start.hum]))
-        beside = np.linalg.qr(beside * start.counted[:, None])[0]
+    if start.hum or start.coupling_per_s is not None:
+        beside = np.linalg.qr(shapes(start) * start.counted[:, None])[0]
     return Record(
         dt_s=start.dt_s,
         voltage_v=np.full(n, start.level_v) if start.voltage_v is None else start.voltage_v,

@@ -11,7 +11,7 @@ import numpy as np
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.model_selection import STRONG_EVIDENCE
 from motor_env.diagnosis.estimation.problem import Problem, Solution
-from motor_env.diagnosis.estimation.starts.current_probe import find_hum, fitted_hum
+from motor_env.diagnosis.estimation.starts.current_probe import find_hum, shapes, with_sizes
 from motor_env.diagnosis.estimation.starts.start_fit import UNTOLD_LOG_SD, StartFit, record_of
 from motor_env.diagnosis.estimation.starts.start_prior import CURVE, FIT_SAMPLES, StartPrior, start_prior
 from motor_env.diagnosis.estimation.uncertainty import (
@@ -38,6 +38,9 @@ EXTENSIONS = (*NUISANCES, "coulomb", "brush_drop")
 """All terms, for where nothing is compared."""
 SCORED_SIZES = tuple(np.exp([-2.0, 0.0, 2.0, 4.0]).tolist())  # a long lag looks different from a short one
 _UNSCORED = ("supply_curve", "dead_zone")
+_NO_DRAG = 0.003  # current at no load over that of a held rotor: brushed motors take more
+_COUPLINGS_PER_S = (0.2, 200.0)
+_CERTAIN = 25.0  # -2 log likelihood
 _PROMISING = 6.0  # of a chi-square with one degree; strong evidence takes 12 and more
 
 
@@ -141,9 +144,10 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
         unit = problem.free[k].unit
         extras[name] = (unit * float(theta[k]), unit * math.sqrt(max((covariance + more)[k, k], 0.0)))
     expected = record_of(start).predict(values, learn=False)[0][:, 2:4]
-    if start.hum:
-        left = start.current_a - start.ripple_a - start.alignment.offset_a - expected[:, 0]
-        start = replace(start, hum=fitted_hum(start.hum, start.time_s[start.counted], left[start.counted]))
+    if shapes(start).size:
+        start = with_sizes(
+            start, start.current_a - start.ripple_a - start.alignment.offset_a - expected[:, 0]
+        )
     expected[:, 0] += start.alignment.offset_a + start.ripple_a
     parameters = MotorParameters(*values[[index.R, index.L, index.K, index.K, index.J, index.B]].tolist())
     return StartFit(
@@ -233,9 +237,46 @@ def identify_best(
             if name in scored or name in _UNSCORED
         ]
         richer = max(trials, key=lambda trial: evidence(best, trial), default=None)
-        if richer is None or evidence(best, richer) < STRONG_EVIDENCE:
+        gain = 0.0 if richer is None else evidence(best, richer)
+        behind = behind_capacitor(best, gain, constant=constant, typical=typical)
+        if behind is not None:
+            return behind
+        if richer is None or gain < STRONG_EVIDENCE:
             return best
         best = richer
+
+
+def behind_capacitor(
+    fit: StartFit,
+    least_gain: float = 0.0,
+    *,
+    constant: float | None = None,
+    typical: Mapping[str, float] | None = None,
+) -> StartFit | None:
+    """Return the fit of a start whose drag vanishes behind the capacitor of a probe, where that explains it; else None.
+
+    Over the time constant s, a capacitor lowers B/J by 1/s (the charge of a start is as its speed), and then every
+    level decays.
+
+    Args:
+        fit: with a probe that is coupled directly.
+        least_gain: of evidence.
+        constant, typical: see `identify`.
+    """
+    values, level_v = fit.physical, fit.start.level_v
+    drag = values[index.B] / values[index.K] + values[index.COULOMB] / level_v
+    if fit.start.coupling_per_s is not None or drag * values[index.R] > _NO_DRAG * values[index.K]:
+        return None
+    behind = identify(replace(fit.start, coupling_per_s=0.0), fit.model, constant=constant, typical=typical)
+    low, high = _COUPLINGS_PER_S
+    is_one = low < (behind.start.coupling_per_s or 0.0) < high
+    return behind if is_one and likelihood_gain(fit, behind) > max(least_gain, _CERTAIN) else None
+
+
+def likelihood_gain(before: StartFit, after: StartFit) -> float:
+    """Return the fall of -2 log likelihood between fits of as many unknowns; only independent samples count."""
+    independent = min(1.0, sum(after.independent) / after.solution.problem.count)
+    return independent * (before.solution.misfit - after.solution.misfit)
 
 
 def _is_applicable(name: str, start: Start, model: tuple[str, ...], *, knows_inductance: bool) -> bool:
