@@ -18,6 +18,7 @@ from motor_env.common.errors import InputError, require_options
 from motor_env.diagnosis.estimation.starts.start_fit import (
     NOT_TURNING,
     POOR_FIT,
+    UNTOLD_LOG_SD,
     StartFit,
     is_blocked,
     ripple_quantities,
@@ -317,7 +318,9 @@ def explain_unusable(fit: StartFit) -> str | None:
         least = POOR_FIT * (1.0 if shown is None else explainable(shown))
         if r2 is not None and r2 < least:
             return f"no motor model explains the {name} (R2 {r2:.2f}; at least {least:.2g} is needed)"
-    worst = float(np.sqrt(np.diag(fit.log_covariance)).min())
-    if worst > 1.0:
+    deviations = np.sqrt(np.diag(fit.log_covariance))
+    if deviations.min() > UNTOLD_LOG_SD:
         return "the recording is too short or too noisy: no quantity is known to a factor of e"
+    if deviations[0] > UNTOLD_LOG_SD:
+        return f"no start is seen: the recording does not tell {fit.quantity_names[0]} to a factor of e"
     return None

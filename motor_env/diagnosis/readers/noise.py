@@ -26,6 +26,19 @@ _SAMPLES_PER_WILD = 1000
 _FEWEST_SAMPLES = 64
 _MOST_LINES = 8
 
+_MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
+_CLOCKS = 0.01  # error of the mains' frequency and of a logger's clock
+_MEANS_HZ = 1000.0  # rate of means of samples in which the mains are looked for
+_STEP, _WIDTH = 0.25, 1.5  # of frequencies, and a line's width, over 1 / duration
+_NEAR, _FAR, _FEWEST, _MOST = (
+    0.4,
+    2.0,
+    6,
+    60,
+)  # of a background: from and to, over the line's frequency; frequencies
+_STANDS_OUT = 15.0  # times the background: white noise in 3 of 10 million
+_SHARPER = 1.25  # power of a line beside the mains, or over the motor's angle, over that at the mains'
+
 
 def difference_noise(values: FloatArray) -> float:
     """Return the standard deviation of white noise on a smooth curve, from its second differences (variance 6 sigma^2).
@@ -235,3 +248,95 @@ def _strongest_line(residual: FloatArray, time_s: FloatArray) -> PeriodicLine | 
     frequency = float(best.x)
     cosine, sine = fit(frequency)[1]
     return PeriodicLine(frequency, float(cosine), float(sine))
+
+
+def waves(time_s: FloatArray, frequencies_hz: FloatArray) -> FloatArray:
+    """Return a cosine and a sine of each frequency, shape (n, 2 m)."""
+    phase = 2.0 * math.pi * np.outer(time_s, frequencies_hz)
+    return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time_s), -1)
+
+
+def total_current(lines: Sequence[PeriodicLine], time_s: FloatArray) -> FloatArray:
+    """Return the current of all lines at some times."""
+    return np.asarray(sum((line.current_a(time_s) for line in lines), np.zeros(len(time_s))))
+
+
+def strong_hum(current: FloatArray, time_s: FloatArray) -> tuple[PeriodicLine, ...]:
+    """Find hum of the mains that stands out of a current with all that is in it, about as large as it is."""
+    lines = mains_lines(current, time_s, np.ones((len(current), 1)))
+    return sized(lines, time_s, current - current.mean())
+
+
+def sized(
+    lines: Sequence[PeriodicLine], time_s: FloatArray, residual: FloatArray
+) -> tuple[PeriodicLine, ...]:
+    """Return lines with what a residual, shape (n,), still has of them."""
+    if not lines:
+        return ()
+    pairs = np.linalg.lstsq(waves(time_s, np.array([line.frequency_hz for line in lines])), residual)[0]
+    return tuple(
+        PeriodicLine(line.frequency_hz, line.cosine_a + cosine, line.sine_a + sine)
+        for line, (cosine, sine) in zip(lines, pairs.reshape(-1, 2).tolist(), strict=True)
+    )
+
+
+def mains_lines(
+    values: FloatArray, time_s: FloatArray, explained: FloatArray, speed: FloatArray | None = None
+) -> tuple[PeriodicLine, ...]:
+    """Find lines of the mains, and of twice and three times their frequency, that stand out of a current.
+
+    Args:
+        values: shape (n,).
+        time_s: evenly spaced, shape (n,).
+        explained: what else may be in the values, shape (n, m).
+        speed: of the motor, in any unit, shape (n,): its own lines are sharper over its angle.
+    """
+    n, clock = len(time_s), time_s - time_s[0]
+    dt_s = float(clock[-1]) / (n - 1)
+    size, clocks = max(int(1.0 / (_MEANS_HZ * dt_s)), 1), [clock]
+    if speed is not None:
+        clocks.append(np.cumsum(speed) * dt_s / max(float(np.mean(speed[-max(n // 20, 1) :])), 1e-300))
+    table = np.column_stack([*clocks, explained, values])[: n // size * size]
+    table = table.reshape(-1, size, table.shape[1]).mean(axis=1)
+    shown, left, beside = table[:, : len(clocks)], table[:, -1], table[:, len(clocks) : -1]
+    width, found = 1.0 / (n * dt_s), dict[float, PeriodicLine]()
+
+    def powers(frequencies_hz: FloatArray, clock: int = 0) -> FloatArray:
+        """Return the fall of the sum of squares by a line of each frequency alone."""
+        pairs = waves(shown[:, clock], frequencies_hz)
+        pairs -= own @ (own.T @ pairs)
+        cosine, sine = pairs[:, ::2], pairs[:, 1::2]
+        c, s, both = np.sum(cosine**2, axis=0), np.sum(sine**2, axis=0), np.sum(cosine * sine, axis=0)
+        a, b = left @ cosine, left @ sine
+        return np.asarray((a * a * s - 2.0 * a * b * both + b * b * c) / np.maximum(c * s - both**2, 1e-300))
+
+    def strongest(mains_hz: float) -> tuple[float, float, float]:
+        """Return how far a line stands out of its background, 0 for none; and its frequency."""
+        off, end = _CLOCKS * mains_hz, min(_FAR * mains_hz, 0.45 / (size * dt_s))
+        count = min(_MOST, int(2.0 * (end - _NEAR * mains_hz) / width))
+        around = np.linspace(_NEAR * mains_hz, end, max(count, 0))
+        around = around[np.abs(around - mains_hz) > max(_WIDTH * width, off)]
+        if mains_hz > end or len(around) < _FEWEST:
+            return 0.0, mains_hz, 0.0
+        near = np.arange(mains_hz - off, mains_hz + 1.001 * off, min(_STEP * width, off))
+        power, usual = powers(near), float(np.median(powers(around))) / math.log(2.0)
+        others = np.arange(near[0] - _WIDTH * width, near[-1] + _WIDTH * width, _STEP * width)
+        rival = max(powers(others, clock).max() for clock in range(len(clocks)))
+        best = int(np.argmax(power))
+        if power[best] < max(_STANDS_OUT * usual, rival / _SHARPER):
+            return 0.0, mains_hz, 0.0
+        return float(power[best] / max(usual, 1e-300)), mains_hz, float(near[best])
+
+    while len(found) < len(_MAINS_HZ):
+        lines = np.array([line.frequency_hz for line in found.values()])
+        own = np.linalg.qr(np.column_stack([beside, waves(shown[:, 0], lines)]))[0]
+        left = left - own @ (own.T @ left)
+        height, mains_hz, frequency = max(strongest(each) for each in _MAINS_HZ if each not in found)
+        if height == 0.0:
+            break
+        step = min(_STEP * width, _CLOCKS * mains_hz)
+        best = minimize_scalar(
+            lambda f: -powers(np.array([f]))[0], bounds=(frequency - step, frequency + step), method="bounded"
+        )
+        found[mains_hz] = PeriodicLine(float(best.x), 0.0, 0.0)
+    return tuple(found.values())

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.readers.alignment import Alignment, align
-from motor_env.diagnosis.readers.noise import PeriodicLine, outlier_samples, without_outliers
+from motor_env.diagnosis.readers.noise import (
+    PeriodicLine,
+    outlier_samples,
+    strong_hum,
+    total_current,
+    without_outliers,
+)
 from motor_env.diagnosis.readers.recording import Recording, UnusableError, cut, stretches
 from motor_env.diagnosis.readers.regime import BOUNCE_S
 from motor_env.motor.parameters import FloatArray
@@ -98,13 +104,9 @@ class Start:
     @property
     def ripple_a(self) -> FloatArray:
         """Current of the lines from the onset on, of the hum and of a probe's capacitor, shape (n_samples,)."""
-        out = -(self.coupling_per_s or 0.0) * self.charge_a_s
-        for line in self.hum:
-            out += line.current_a(self.time_s)
-        running = self.time_s >= self.alignment.onset_s
-        for line in self.lines:
-            out[running] += line.current_a(self.time_s[running])
-        return out
+        running = np.where(self.time_s >= self.alignment.onset_s, total_current(self.lines, self.time_s), 0.0)
+        lacking = (self.coupling_per_s or 0.0) * self.charge_a_s
+        return running + total_current(self.hum, self.time_s) - lacking
 
     def shortened(self, count: int) -> Start:
         """Return the start with at most `count` samples after its onset."""
@@ -123,8 +125,16 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         UnusableError: no start, or too few samples after it; a shunt without a known voltage; a voltage that is on
             before the recording begins; missing samples where voltage or current rise.
     """
-    alignment, missing = align(recording), recording.missing
-    end = end_of_supply(recording, alignment)
+    hum = strong_hum(recording.current_a, recording.time_s)
+    bare = replace(recording, current_a=recording.current_a - total_current(hum, recording.time_s))
+    missing, end = recording.missing, len(recording.time_s)
+    try:
+        alignment = align(bare)
+        end = end_of_supply(bare, alignment)
+    except UnusableError:
+        if not hum:
+            raise
+        alignment = align(recording)  # nothing but hum: the fit will say so
     if end < len(recording.time_s) and end - alignment.onset_index >= _FEWEST_AFTER:
         return prepare(cut(recording, slice(end)), voltage_v, circuit)
     sign, after = alignment.sign, len(recording.time_s) - alignment.onset_index
@@ -160,6 +170,7 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         alignment,
         from_rest,
         circuit or Circuit(),
+        hum=tuple(PeriodicLine(line.frequency_hz, sign * line.cosine_a, sign * line.sine_a) for line in hum),
         missing=None if missing is None else missing[:, 1:],
     )
 

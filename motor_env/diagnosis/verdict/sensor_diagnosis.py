@@ -379,8 +379,8 @@ def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: Floa
 AC_COUPLED = (
     "the current is AC-coupled: a high pass of about {:.2g} s takes its level away: set the probe to DC"
 )
-_PERHAPS_COUPLED = (
-    "a probe that is AC-coupled, with a high pass of about {:.2g} s, shows this, too: is it set to DC?"
+_LIKE_COUPLED = (
+    "a probe that is AC-coupled (a high pass of about {:.2g} s) shows this: set it to DC, and record again"
 )
 _LEAST_GAIN_BY_SHEET, _LEAST_GAIN = -6.0, 6.0  # -2 log likelihood
 
@@ -401,9 +401,10 @@ def check_coupling(judgement: Judgement, constant: float | None) -> Judgement:
     direct = replace(fit.start, current_a=fit.start.current_a + rate * fit.start.charge_a_s)
     gain = likelihood_gain(fit, identify(direct, fit.model, constant=constant, typical=reference.values))
     if gain < (_LEAST_GAIN if reference.is_taught else _LEAST_GAIN_BY_SHEET):
-        return replace(judgement, reasons=(*judgement.reasons, _PERHAPS_COUPLED.format(1.0 / rate)))
-    why = f"{down.name} is down by {1.0 - down.ratio:.0%}, as by no fault: {AC_COUPLED.format(1.0 / rate)}"
-    return replace(judgement.as_other(why), verdict=Verdict.UNUSABLE, confidence=None)
+        return replace(judgement, reasons=(*judgement.reasons, _LIKE_COUPLED.format(1.0 / rate)))
+    why = f"{down.name} is down by {1.0 - down.ratio:.0%}, and no fault lowers friction"
+    unusable = judgement.as_other(why, _LIKE_COUPLED.format(1.0 / rate))
+    return replace(unusable, verdict=Verdict.UNUSABLE, confidence=None)
 
 
 _BACKWARDS = "the current has the other sign than in all healthy starts: it is reversed, or the motor started backwards"

@@ -261,7 +261,8 @@ def behind_capacitor(
     Args:
         fit: with a probe that is coupled directly.
         least_gain: of evidence.
-        constant, typical: see `identify`.
+        constant: see `identify`.
+        typical: see `identify`.
     """
     values, level_v = fit.physical, fit.start.level_v
     drag = values[index.B] / values[index.K] + values[index.COULOMB] / level_v
