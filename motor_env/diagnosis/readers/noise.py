@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +37,7 @@ _NEAR, _FAR, _FEWEST, _MOST = (
     60,
 )  # of a background: from and to, over the line's frequency; frequencies
 _STANDS_OUT = 15.0  # times the background: white noise in 3 of 10 million
+_CLEAR = 6.0  # -2 log likelihood
 _SHARPER = 1.25  # power of a line beside the mains, or over the motor's angle, over that at the mains'
 
 
@@ -264,19 +265,37 @@ def total_current(lines: Sequence[PeriodicLine], time_s: FloatArray) -> FloatArr
 def strong_hum(current: FloatArray, time_s: FloatArray) -> tuple[PeriodicLine, ...]:
     """Find hum of the mains that stands out of a current with all that is in it, about as large as it is."""
     lines = mains_lines(current, time_s, np.ones((len(current), 1)))
-    return sized(lines, time_s, current - current.mean())
+    return fitted_lines(lines, time_s, current - current.mean())
 
 
-def sized(
+def fitted_lines(
     lines: Sequence[PeriodicLine], time_s: FloatArray, residual: FloatArray
 ) -> tuple[PeriodicLine, ...]:
     """Return lines with what a residual, shape (n,), still has of them."""
-    if not lines:
-        return ()
-    pairs = np.linalg.lstsq(waves(time_s, np.array([line.frequency_hz for line in lines])), residual)[0]
+    shapes = waves(time_s, np.array([line.frequency_hz for line in lines]))
+    return enlarged(lines, np.linalg.lstsq(shapes, residual)[0])
+
+
+def is_of_supply(lines: Sequence[PeriodicLine], time_s: FloatArray, rest: FloatArray, onset: int) -> bool:
+    """Return whether lines begin with the motor: the samples before show clearly less without them.
+
+    Args:
+        lines: of the running motor's current.
+        time_s: shape (n,).
+        rest: the current without the lines, shape (n,).
+        onset: first sample of the running motor.
+    """
+    if not lines or onset < FEW:
+        return False
+    without, quiet = rest[:onset], rest[:onset] + total_current(lines, time_s[:onset])
+    return bool(np.var(without) > (1.0 + _CLEAR / onset) * np.var(quiet))
+
+
+def enlarged(lines: Sequence[PeriodicLine], sizes: FloatArray) -> tuple[PeriodicLine, ...]:
+    """Return lines with more of their cosines and sines, shape (2 n,)."""
     return tuple(
         PeriodicLine(line.frequency_hz, line.cosine_a + cosine, line.sine_a + sine)
-        for line, (cosine, sine) in zip(lines, pairs.reshape(-1, 2).tolist(), strict=True)
+        for line, (cosine, sine) in zip(lines, sizes.reshape(-1, 2).tolist(), strict=True)
     )
 
 
@@ -298,8 +317,9 @@ def mains_lines(
         clocks.append(np.cumsum(speed) * dt_s / max(float(np.mean(speed[-max(n // 20, 1) :])), 1e-300))
     table = np.column_stack([*clocks, explained, values])[: n // size * size]
     table = table.reshape(-1, size, table.shape[1]).mean(axis=1)
-    shown, left, beside = table[:, : len(clocks)], table[:, -1], table[:, len(clocks) : -1]
-    width, found = 1.0 / (n * dt_s), dict[float, PeriodicLine]()
+    shown, beside, left = table[:, : len(clocks)], table[:, len(clocks) : -1], table[:, -1]
+    own = np.empty((len(left), 0))
+    width, found = 1.0 / (n * dt_s), dict[float, float]()
 
     def powers(frequencies_hz: FloatArray, clock: int = 0) -> FloatArray:
         """Return the fall of the sum of squares by a line of each frequency alone."""
@@ -327,16 +347,23 @@ def mains_lines(
             return 0.0, mains_hz, 0.0
         return float(power[best] / max(usual, 1e-300)), mains_hz, float(near[best])
 
+    def leave_out(lines: Mapping[float, float]) -> None:
+        nonlocal own, left
+        own = np.linalg.qr(np.column_stack([beside, waves(shown[:, 0], np.array([*lines.values()]))]))[0]
+        left = table[:, -1] - own @ (own.T @ table[:, -1])
+
     while len(found) < len(_MAINS_HZ):
-        lines = np.array([line.frequency_hz for line in found.values()])
-        own = np.linalg.qr(np.column_stack([beside, waves(shown[:, 0], lines)]))[0]
-        left = left - own @ (own.T @ left)
+        leave_out(found)
         height, mains_hz, frequency = max(strongest(each) for each in _MAINS_HZ if each not in found)
         if height == 0.0:
             break
-        step = min(_STEP * width, _CLOCKS * mains_hz)
-        best = minimize_scalar(
-            lambda f: -powers(np.array([f]))[0], bounds=(frequency - step, frequency + step), method="bounded"
-        )
-        found[mains_hz] = PeriodicLine(float(best.x), 0.0, 0.0)
-    return tuple(found.values())
+        found[mains_hz] = frequency
+        for each in [*found, *found]:  # lines that are close move each other
+            near = found.pop(each)
+            leave_out(found)
+            step = min(_STEP * width, _CLOCKS * each)
+            best = minimize_scalar(
+                lambda f: -powers(np.array([f]))[0], bounds=(near - step, near + step), method="bounded"
+            )
+            found[each] = float(best.x)
+    return tuple(PeriodicLine(frequency, 0.0, 0.0) for frequency in found.values())

@@ -14,6 +14,7 @@ from motor_env.common.errors import InputError
 from motor_env.diagnosis.readers.alignment import Alignment, align
 from motor_env.diagnosis.readers.noise import (
     PeriodicLine,
+    is_of_supply,
     outlier_samples,
     strong_hum,
     total_current,
@@ -65,7 +66,8 @@ class Start:
         from_rest: whether the motor stands before; else it runs steadily under the first voltage.
         circuit: the measuring circuit.
         lines: ripple of the supply in the running motor's current.
-        hum: of the mains, in the whole current.
+        hum: of the mains: of the supply in the running motor's current, or of the probe in all of it.
+        is_hum_of_supply: which of both.
         coupling_per_s: 1 / time constant of a probe that is coupled by a capacitor; None for any other.
         missing: which samples of current and speed are missing, shape (n_samples, 2); None for none.
     """
@@ -81,6 +83,7 @@ class Start:
     circuit: Circuit = Circuit()
     lines: tuple[PeriodicLine, ...] = ()
     hum: tuple[PeriodicLine, ...] = ()
+    is_hum_of_supply: bool = False
     coupling_per_s: float | None = None
     missing: NDArray[np.bool_] | None = None
 
@@ -97,6 +100,11 @@ class Start:
         return out
 
     @property
+    def has_hum(self) -> NDArray[np.bool_]:
+        """Samples that hum is in, shape (n_samples,)."""
+        return (self.time_s >= self.alignment.onset_s) | (not self.is_hum_of_supply)
+
+    @property
     def charge_a_s(self) -> FloatArray:
         """Integral of the shown current, shape (n_samples,): over the time constant a probe's capacitor lacks it."""
         return np.asarray(np.cumsum(self.current_a - self.alignment.offset_a) * self.dt_s)
@@ -104,9 +112,9 @@ class Start:
     @property
     def ripple_a(self) -> FloatArray:
         """Current of the lines from the onset on, of the hum and of a probe's capacitor, shape (n_samples,)."""
-        running = np.where(self.time_s >= self.alignment.onset_s, total_current(self.lines, self.time_s), 0.0)
-        lacking = (self.coupling_per_s or 0.0) * self.charge_a_s
-        return running + total_current(self.hum, self.time_s) - lacking
+        ripple = total_current(self.lines, self.time_s) * (self.time_s >= self.alignment.onset_s)
+        hum = total_current(self.hum, self.time_s) * self.has_hum
+        return ripple + hum - (self.coupling_per_s or 0.0) * self.charge_a_s
 
     def shortened(self, count: int) -> Start:
         """Return the start with at most `count` samples after its onset."""
@@ -160,6 +168,7 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         _refuse_begun(sign * recording.current_a, measured)
         alignment = replace(alignment, offset_a=0.0, n_quiet=0)
     current = sign * recording.current_a
+    hum = tuple(PeriodicLine(line.frequency_hz, sign * line.cosine_a, sign * line.sine_a) for line in hum)
     return Start(
         recording.time_s,
         current,
@@ -170,7 +179,8 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         alignment,
         from_rest,
         circuit or Circuit(),
-        hum=tuple(PeriodicLine(line.frequency_hz, sign * line.cosine_a, sign * line.sine_a) for line in hum),
+        hum=hum,
+        is_hum_of_supply=is_of_supply(hum, recording.time_s, bare.current_a, alignment.onset_index),
         missing=None if missing is None else missing[:, 1:],
     )
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import orth
 
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.ekf import REST, STEADY
@@ -227,7 +228,7 @@ def record_of(start: Start) -> Record:
     marks[0] = REST if start.from_rest else STEADY
     is_step, beside = start.voltage_v is None, None
     if start.hum or start.coupling_per_s is not None:
-        beside = np.linalg.qr(shapes(start) * start.counted[:, None])[0]
+        beside = orth(shapes(start) * start.counted[:, None])
     return Record(
         dt_s=start.dt_s,
         voltage_v=np.full(n, start.level_v) if start.voltage_v is None else start.voltage_v,

@@ -11,9 +11,9 @@ import numpy as np
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.model_selection import STRONG_EVIDENCE
 from motor_env.diagnosis.estimation.problem import Problem, Solution
-from motor_env.diagnosis.estimation.starts.current_probe import find_hum, shapes, with_sizes
+from motor_env.diagnosis.estimation.starts.current_probe import shapes, with_hum, with_sizes
 from motor_env.diagnosis.estimation.starts.start_fit import UNTOLD_LOG_SD, StartFit, record_of
-from motor_env.diagnosis.estimation.starts.start_prior import CURVE, FIT_SAMPLES, StartPrior, start_prior
+from motor_env.diagnosis.estimation.starts.start_prior import CURVE, StartPrior, start_prior
 from motor_env.diagnosis.estimation.uncertainty import (
     capped,
     free_run_states,
@@ -94,10 +94,10 @@ def _cleaned_start(fit: StartFit) -> Start | None:
     begin = start.alignment.onset_index
     some = slice(begin, None)
     lines = start.lines or constant_lines(residual[some], start.time_s[some], fit.states[some, 1])
-    hum = start.hum or find_hum(fit.solution, start.shortened(FIT_SAMPLES).time_s)
-    if (lines, hum) == (start.lines, start.hum) and len(wild) == len(start.alignment.wild):
+    hummed = start if start.hum else with_hum(start, fit.solution, residual)
+    if (lines, hummed.hum) == (start.lines, start.hum) and len(wild) == len(start.alignment.wild):
         return None
-    return replace(start, lines=lines, hum=hum, alignment=replace(start.alignment, wild=tuple(wild)))
+    return replace(hummed, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
 
 
 def _outliers_of_fit(residual: FloatArray, current: FloatArray) -> list[int]:
