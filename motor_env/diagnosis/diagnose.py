@@ -304,8 +304,8 @@ def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
 
 def explain_unusable(fit: StartFit) -> str | None:
     """Explain why a fit cannot carry a verdict; None if it can."""
-    if fit.start.coupling_per_s is not None:
-        return AC_COUPLED.format(1.0 / fit.start.coupling_per_s)
+    if fit.coupling_per_s is not None:
+        return AC_COUPLED.format(1.0 / fit.coupling_per_s)
     clipped = fit.start.alignment.saturation
     if clipped:
         return f"the recording is clipped, {clipped}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,17 +28,19 @@ _MOST_LINES = 8
 
 _MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 _CLOCKS = 0.01  # error of the mains' frequency and of a logger's clock
-_MEANS_HZ = 1000.0  # rate of means of samples in which the mains are looked for
-_STEP, _WIDTH = 0.25, 1.5  # of frequencies, and a line's width, over 1 / duration
-_NEAR, _FAR, _FEWEST, _MOST = (
+_MEANS_HZ, _MOST_MEANS = 1000.0, 8000  # rate and number of means of samples in which the mains are looked for
+_STEP, _WIDTH, _PERIODS = (
+    0.05,
+    1.5,
+    4.0,
+)  # of frequencies, a line's width, and the least frequency, over 1 / duration
+_NEAR, _FAR, _BACKGROUND = (
     0.4,
     2.0,
-    6,
     60,
 )  # of a background: from and to, over the line's frequency; frequencies
 _STANDS_OUT = 15.0  # times the background: white noise in 3 of 10 million
-_CLEAR = 6.0  # -2 log likelihood
-_SHARPER = 1.25  # power of a line beside the mains, or over the motor's angle, over that at the mains'
+_SHARPER = 1.25  # power of a line beside the mains, or over the motor's angle, over that at the mains
 
 
 def difference_noise(values: FloatArray) -> float:
@@ -251,119 +253,62 @@ def _strongest_line(residual: FloatArray, time_s: FloatArray) -> PeriodicLine | 
     return PeriodicLine(frequency, float(cosine), float(sine))
 
 
-def waves(time_s: FloatArray, frequencies_hz: FloatArray) -> FloatArray:
+def waves(time_s: FloatArray, frequencies_hz: Sequence[float] | FloatArray) -> FloatArray:
     """Return a cosine and a sine of each frequency, shape (n, 2 m)."""
     phase = 2.0 * math.pi * np.outer(time_s, frequencies_hz)
     return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time_s), -1)
 
 
-def total_current(lines: Sequence[PeriodicLine], time_s: FloatArray) -> FloatArray:
-    """Return the current of all lines at some times."""
-    return np.asarray(sum((line.current_a(time_s) for line in lines), np.zeros(len(time_s))))
-
-
-def strong_hum(current: FloatArray, time_s: FloatArray) -> tuple[PeriodicLine, ...]:
-    """Find hum of the mains that stands out of a current with all that is in it, about as large as it is."""
-    lines = mains_lines(current, time_s, np.ones((len(current), 1)))
-    return fitted_lines(lines, time_s, current - current.mean())
-
-
-def fitted_lines(
-    lines: Sequence[PeriodicLine], time_s: FloatArray, residual: FloatArray
-) -> tuple[PeriodicLine, ...]:
-    """Return lines with what a residual, shape (n,), still has of them."""
-    shapes = waves(time_s, np.array([line.frequency_hz for line in lines]))
-    return enlarged(lines, np.linalg.lstsq(shapes, residual)[0])
-
-
-def is_of_supply(lines: Sequence[PeriodicLine], time_s: FloatArray, rest: FloatArray, onset: int) -> bool:
-    """Return whether lines begin with the motor: the samples before show clearly less without them.
-
-    Args:
-        lines: of the running motor's current.
-        time_s: shape (n,).
-        rest: the current without the lines, shape (n,).
-        onset: first sample of the running motor.
-    """
-    if not lines or onset < FEW:
-        return False
-    without, quiet = rest[:onset], rest[:onset] + total_current(lines, time_s[:onset])
-    return bool(np.var(without) > (1.0 + _CLEAR / onset) * np.var(quiet))
-
-
-def enlarged(lines: Sequence[PeriodicLine], sizes: FloatArray) -> tuple[PeriodicLine, ...]:
-    """Return lines with more of their cosines and sines, shape (2 n,)."""
-    return tuple(
-        PeriodicLine(line.frequency_hz, line.cosine_a + cosine, line.sine_a + sine)
-        for line, (cosine, sine) in zip(lines, sizes.reshape(-1, 2).tolist(), strict=True)
-    )
-
-
-def mains_lines(
-    values: FloatArray, time_s: FloatArray, explained: FloatArray, speed: FloatArray | None = None
-) -> tuple[PeriodicLine, ...]:
+def hum_frequencies(
+    current: FloatArray, time_s: FloatArray, explained: FloatArray, speed: FloatArray | None = None
+) -> tuple[float, ...]:
     """Find lines of the mains, and of twice and three times their frequency, that stand out of a current.
 
     Args:
-        values: shape (n,).
+        current: shape (n,).
         time_s: evenly spaced, shape (n,).
-        explained: what else may be in the values, shape (n, m).
+        explained: what else may be in the current, shape (n, m).
         speed: of the motor, in any unit, shape (n,): its own lines are sharper over its angle.
     """
-    n, clock = len(time_s), time_s - time_s[0]
-    dt_s = float(clock[-1]) / (n - 1)
-    size, clocks = max(int(1.0 / (_MEANS_HZ * dt_s)), 1), [clock]
+    dt_s, clocks = float(time_s[-1] - time_s[0]) / (len(time_s) - 1), [time_s]
     if speed is not None:
-        clocks.append(np.cumsum(speed) * dt_s / max(float(np.mean(speed[-max(n // 20, 1) :])), 1e-300))
-    table = np.column_stack([*clocks, explained, values])[: n // size * size]
-    table = table.reshape(-1, size, table.shape[1]).mean(axis=1)
-    shown, beside, left = table[:, : len(clocks)], table[:, len(clocks) : -1], table[:, -1]
-    own = np.empty((len(left), 0))
-    width, found = 1.0 / (n * dt_s), dict[float, float]()
+        clocks.append(np.cumsum(speed) * dt_s / max(float(np.mean(speed[-len(speed) // 20 :])), 1e-300))
+    size = max(int(1.0 / (_MEANS_HZ * dt_s)), 1)
+    table = np.column_stack([current, *clocks, explained])[: len(time_s) // size * size]
+    table = table.reshape(-1, size, table.shape[1]).mean(axis=1)[:_MOST_MEANS]
+    width, found = 1.0 / (len(table) * size * dt_s), list[float]()
 
-    def powers(frequencies_hz: FloatArray, clock: int = 0) -> FloatArray:
+    def powers(frequencies_hz: FloatArray, clock: int = 1) -> FloatArray:
         """Return the fall of the sum of squares by a line of each frequency alone."""
-        pairs = waves(shown[:, clock], frequencies_hz)
+        pairs = waves(table[:, clock], frequencies_hz)
         pairs -= own @ (own.T @ pairs)
-        cosine, sine = pairs[:, ::2], pairs[:, 1::2]
-        c, s, both = np.sum(cosine**2, axis=0), np.sum(sine**2, axis=0), np.sum(cosine * sine, axis=0)
-        a, b = left @ cosine, left @ sine
-        return np.asarray((a * a * s - 2.0 * a * b * both + b * b * c) / np.maximum(c * s - both**2, 1e-300))
+        each = (table[:, 0] @ pairs) ** 2 / np.maximum(np.sum(pairs**2, axis=0), 1e-300)
+        return np.asarray(each[::2] + each[1::2])
 
-    def strongest(mains_hz: float) -> tuple[float, float, float]:
-        """Return how far a line stands out of its background, 0 for none; and its frequency."""
-        off, end = _CLOCKS * mains_hz, min(_FAR * mains_hz, 0.45 / (size * dt_s))
-        count = min(_MOST, int(2.0 * (end - _NEAR * mains_hz) / width))
-        around = np.linspace(_NEAR * mains_hz, end, max(count, 0))
-        around = around[np.abs(around - mains_hz) > max(_WIDTH * width, off)]
-        if mains_hz > end or len(around) < _FEWEST:
-            return 0.0, mains_hz, 0.0
-        near = np.arange(mains_hz - off, mains_hz + 1.001 * off, min(_STEP * width, off))
-        power, usual = powers(near), float(np.median(powers(around))) / math.log(2.0)
-        others = np.arange(near[0] - _WIDTH * width, near[-1] + _WIDTH * width, _STEP * width)
-        rival = max(powers(others, clock).max() for clock in range(len(clocks)))
-        best = int(np.argmax(power))
-        if power[best] < max(_STANDS_OUT * usual, rival / _SHARPER):
-            return 0.0, mains_hz, 0.0
-        return float(power[best] / max(usual, 1e-300)), mains_hz, float(near[best])
-
-    def leave_out(lines: Mapping[float, float]) -> None:
-        nonlocal own, left
-        own = np.linalg.qr(np.column_stack([beside, waves(shown[:, 0], np.array([*lines.values()]))]))[0]
-        left = table[:, -1] - own @ (own.T @ table[:, -1])
-
-    while len(found) < len(_MAINS_HZ):
-        leave_out(found)
-        height, mains_hz, frequency = max(strongest(each) for each in _MAINS_HZ if each not in found)
-        if height == 0.0:
-            break
-        found[mains_hz] = frequency
-        for each in [*found, *found]:  # lines that are close move each other
-            near = found.pop(each)
-            leave_out(found)
-            step = min(_STEP * width, _CLOCKS * each)
-            best = minimize_scalar(
-                lambda f: -powers(np.array([f]))[0], bounds=(near - step, near + step), method="bounded"
-            )
-            found[each] = float(best.x)
-    return tuple(PeriodicLine(frequency, 0.0, 0.0) for frequency in found.values())
+    while True:
+        own = np.linalg.qr(np.column_stack([table[:, 1 + len(clocks) :], waves(table[:, 1], found)]))[0]
+        table[:, 0] -= own @ (own.T @ table[:, 0])
+        heights: dict[float, float] = {}
+        for mains in _MAINS_HZ:
+            off = _CLOCKS * mains
+            around = np.linspace(_NEAR * mains, _FAR * mains, _BACKGROUND)
+            around = around[(np.abs(around - mains) > _WIDTH * width + off) & (around < 0.45 / (size * dt_s))]
+            if any(abs(line - mains) <= 2.0 * off for line in found) or mains < _PERIODS * width:
+                continue
+            if not len(around) or mains > around[-1]:
+                continue
+            near = mains + np.arange(-off, off, _STEP * width)
+            others = np.arange(near[0] - _WIDTH * width, near[-1] + _WIDTH * width, _STEP * width)
+            power, usual = powers(near), float(np.median(powers(around))) / math.log(2.0)
+            rival = max(powers(others, clock).max() for clock in range(1, 1 + len(clocks)))
+            if power.max() > max(_STANDS_OUT * usual, rival / _SHARPER):
+                heights[float(power.max())] = float(near[np.argmax(power)])
+        if not heights:
+            return tuple(found)
+        near_hz, step = heights[max(heights)], _STEP * width
+        best = minimize_scalar(
+            lambda hertz: -powers(np.array([hertz]))[0],
+            bounds=(near_hz - step, near_hz + step),
+            method="bounded",
+        )
+        found.append(float(best.x))

@@ -11,7 +11,6 @@ import numpy as np
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.model_selection import STRONG_EVIDENCE
 from motor_env.diagnosis.estimation.problem import Problem, Solution
-from motor_env.diagnosis.estimation.starts.current_probe import shapes, with_hum, with_sizes
 from motor_env.diagnosis.estimation.starts.start_fit import UNTOLD_LOG_SD, StartFit, record_of
 from motor_env.diagnosis.estimation.starts.start_prior import CURVE, StartPrior, start_prior
 from motor_env.diagnosis.estimation.uncertainty import (
@@ -23,7 +22,7 @@ from motor_env.diagnosis.estimation.uncertainty import (
     score_tests,
     supply_effects,
 )
-from motor_env.diagnosis.readers.noise import constant_lines
+from motor_env.diagnosis.readers.noise import constant_lines, hum_frequencies
 from motor_env.diagnosis.readers.start import Start
 from motor_env.motor import identifiable
 from motor_env.motor.compiled import on_one_thread
@@ -94,10 +93,24 @@ def _cleaned_start(fit: StartFit) -> Start | None:
     begin = start.alignment.onset_index
     some = slice(begin, None)
     lines = start.lines or constant_lines(residual[some], start.time_s[some], fit.states[some, 1])
-    hummed = start if start.hum else with_hum(start, fit.solution, residual)
-    if (lines, hummed.hum) == (start.lines, start.hum) and len(wild) == len(start.alignment.wild):
+    hum_hz = start.hum_hz or _hum_of_fit(fit)
+    if (lines, hum_hz) == (start.lines, start.hum_hz) and len(wild) == len(start.alignment.wild):
         return None
-    return replace(hummed, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
+    start = start if hum_hz == start.hum_hz else start.with_hum(hum_hz, residual)
+    return replace(start, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
+
+
+def _hum_of_fit(fit: StartFit) -> tuple[float, ...]:
+    """Return frequencies of the hum in the running motor's residual beside what the unknowns explain."""
+    problem, theta, begin = fit.solution.problem, fit.solution.theta, fit.start.alignment.onset_index
+    base, channels, n = (
+        problem.residuals(theta),
+        int(problem.record.recorded.sum()),
+        len(problem.record.marks),
+    )
+    running = slice(begin * channels, n * channels, channels)
+    slopes = problem.jacobian(theta, base)[running]
+    return hum_frequencies(base[running], fit.start.time_s[begin:n], slopes, fit.states[begin:n, 1])
 
 
 def _outliers_of_fit(residual: FloatArray, current: FloatArray) -> list[int]:
@@ -144,10 +157,10 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
         unit = problem.free[k].unit
         extras[name] = (unit * float(theta[k]), unit * math.sqrt(max((covariance + more)[k, k], 0.0)))
     expected = record_of(start).predict(values, learn=False)[0][:, 2:4]
-    if shapes(start).size:
-        start = with_sizes(
-            start, start.current_a - start.ripple_a - start.alignment.offset_a - expected[:, 0]
-        )
+    if (beside := start.beside).size:
+        left = start.current_a - start.ripple_a - start.alignment.offset_a - expected[:, 0]
+        added = np.linalg.lstsq(beside[start.counted], left[start.counted])[0]
+        start = replace(start, sizes=tuple((added + start.sizes).tolist()))
     expected[:, 0] += start.alignment.offset_a + start.ripple_a
     parameters = MotorParameters(*values[[index.R, index.L, index.K, index.K, index.J, index.B]].tolist())
     return StartFit(
@@ -266,11 +279,12 @@ def behind_capacitor(
     """
     values, level_v = fit.physical, fit.start.level_v
     drag = values[index.B] / values[index.K] + values[index.COULOMB] / level_v
-    if fit.start.coupling_per_s is not None or drag * values[index.R] > _NO_DRAG * values[index.K]:
+    if fit.start.is_coupled or drag * values[index.R] > _NO_DRAG * values[index.K]:
         return None
-    behind = identify(replace(fit.start, coupling_per_s=0.0), fit.model, constant=constant, typical=typical)
+    start = replace(fit.start, is_coupled=True, sizes=(*fit.start.sizes, 0.0))
+    behind = identify(start, fit.model, constant=constant, typical=typical)
     low, high = _COUPLINGS_PER_S
-    is_one = low < (behind.start.coupling_per_s or 0.0) < high
+    is_one = low < (behind.coupling_per_s or 0.0) < high
     return behind if is_one and likelihood_gain(fit, behind) > max(least_gain, _CERTAIN) else None
 
 
