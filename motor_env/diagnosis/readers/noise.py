@@ -28,17 +28,9 @@ _MOST_LINES = 8
 
 _MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 _CLOCKS = 0.01  # error of the mains' frequency and of a logger's clock
-_MEANS_HZ, _MOST_MEANS = 1000.0, 8000  # rate and number of means of samples in which the mains are looked for
-_STEP, _WIDTH, _PERIODS = (
-    0.05,
-    1.5,
-    4.0,
-)  # of frequencies, a line's width, and the least frequency, over 1 / duration
-_NEAR, _FAR, _BACKGROUND = (
-    0.4,
-    2.0,
-    60,
-)  # of a background: from and to, over the line's frequency; frequencies
+_MEANS_HZ, _MOST_MEANS = 1000.0, 8000  # of samples, in which the mains are looked for
+_STEP, _WIDTH, _PERIODS = 0.2, 1.5, 4.0  # steps, a line's width, the least frequency: over 1 / duration
+_NEAR, _FAR, _BACKGROUND = 0.4, 2.0, 60  # from and to, over the line's frequency; frequencies
 _STANDS_OUT = 15.0  # times the background: white noise in 3 of 10 million
 _SHARPER = 1.25  # power of a line beside the mains, or over the motor's angle, over that at the mains
 
@@ -297,8 +289,8 @@ def hum_frequencies(
                 continue
             if not len(around) or mains > around[-1]:
                 continue
-            near = mains + np.arange(-off, off, _STEP * width)
-            others = np.arange(near[0] - _WIDTH * width, near[-1] + _WIDTH * width, _STEP * width)
+            near = np.append(mains, mains + np.arange(-off, off, _STEP * width))
+            others = np.arange(mains - off - _WIDTH * width, mains + off + _WIDTH * width, _STEP * width)
             power, usual = powers(near), float(np.median(powers(around))) / math.log(2.0)
             rival = max(powers(others, clock).max() for clock in range(1, 1 + len(clocks)))
             if power.max() > max(_STANDS_OUT * usual, rival / _SHARPER):
