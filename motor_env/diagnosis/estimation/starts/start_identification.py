@@ -38,7 +38,8 @@ EXTENSIONS = (*NUISANCES, "coulomb", "brush_drop")
 SCORED_SIZES = tuple(np.exp([-2.0, 0.0, 2.0, 4.0]).tolist())  # a long lag looks different from a short one
 _UNSCORED = ("supply_curve", "dead_zone")
 _NO_DRAG = 0.003  # current at no load over that of a held rotor: brushed motors take more
-_COUPLINGS_PER_S = (0.2, 200.0)
+COUPLINGS_PER_S = (0.2, 100.0)
+"""Least and largest 1 / time constant of a probe's coupling."""
 _CERTAIN = 25.0  # -2 log likelihood
 _PROMISING = 6.0  # of a chi-square with one degree; strong evidence takes 12 and more
 
@@ -283,7 +284,7 @@ def behind_capacitor(
         return None
     start = replace(fit.start, is_coupled=True, sizes=(*fit.start.sizes, 0.0))
     behind = identify(start, fit.model, constant=constant, typical=typical)
-    low, high = _COUPLINGS_PER_S
+    low, high = COUPLINGS_PER_S
     is_one = low < (behind.coupling_per_s or 0.0) < high
     return behind if is_one and likelihood_gain(fit, behind) > max(least_gain, _CERTAIN) else None
 
