@@ -76,6 +76,22 @@ def _spike(
     return time_s, wild
 
 
+def _hum(
+    time_s: FloatArray, current_a: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Mains of 50 or 60 Hz of the noise's size, and half of that at twice the frequency."""
+    phase = 2.0 * np.pi * rng.choice([50.0, 60.0]) * time_s + rng.uniform(0.0, 2.0 * np.pi)
+    return time_s, current_a + 0.02 * np.sin(phase) + 0.01 * np.sin(2.0 * phase)
+
+
+def _high_pass(
+    time_s: FloatArray, current_a: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """A probe that is coupled by a capacitor, with a time constant of 20 to 200 ms."""
+    kept = np.exp(-(time_s[1] - time_s[0]) / 10.0 ** rng.uniform(-1.7, -0.7))
+    return time_s, lfilter([kept, -kept], [1.0, -kept], current_a)
+
+
 DEFECTS: dict[str, Defect] = {
     "none": Defect(),
     "offset": Defect(chain=SensorChain(offset_a=0.25)),
@@ -96,6 +112,8 @@ DEFECTS: dict[str, Defect] = {
     "a wild sample": Defect("wild", reshape=_spike),
     "no quiet part": Defect(quiet_s=0.0),
     "no start": Defect(reshape=lambda time_s, current_a, _: (time_s, current_a - current_a), judged=False),
+    "mains hum": Defect("hum of the mains", reshape=_hum),
+    "coupled by a capacitor": Defect("AC-coupled", reshape=_high_pass, judged=False),
 }
 """The defects by name, each alone."""
 

@@ -18,6 +18,7 @@ from motor_env.common.errors import InputError, require_options
 from motor_env.diagnosis.estimation.starts.start_fit import (
     NOT_TURNING,
     POOR_FIT,
+    UNTOLD_LOG_SD,
     StartFit,
     is_blocked,
     ripple_quantities,
@@ -26,6 +27,7 @@ from motor_env.diagnosis.estimation.starts.start_fit import (
 from motor_env.diagnosis.estimation.starts.start_identification import (
     EXTENSIONS,
     NUISANCES,
+    behind_capacitor,
     identify,
     identify_best,
 )
@@ -45,7 +47,12 @@ from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift,
 from motor_env.diagnosis.verdict.hypotheses import alarm_share, compare
 from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
 from motor_env.diagnosis.verdict.scaling_errors import SWAPPED, is_unlike_motor
-from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors, sensor_judgement
+from motor_env.diagnosis.verdict.sensor_diagnosis import (
+    AC_COUPLED,
+    check_coupling,
+    diagnose_sensors,
+    sensor_judgement,
+)
 from motor_env.motor import identifiable
 from motor_env.motor.data_sheet import Motor, load_motor
 from motor_env.motor.healthy import Healthy, Starts
@@ -220,6 +227,7 @@ def judge_start(
             fit = identify_best(start, NUISANCES, constant=constant, typical=typical)
         else:
             fit = identify(start, reference.model, constant=constant, typical=typical)
+            fit = behind_capacitor(fit, constant=constant, typical=typical) or fit
     except UnusableError as error:
         return Judgement(Verdict.UNUSABLE, (str(error),))
     stands = reference is not None and is_blocked(fit, reference.time_constant_s)
@@ -234,7 +242,7 @@ def judge_start(
         reason = _PER_VOLT
     if reference is None or reason:
         return Judgement(Verdict.NO_REFERENCE, (reason,), fit=fit)
-    judgement = decide(fit, reference, rate)
+    judgement = check_coupling(decide(fit, reference, rate), constant)
     if judgement.verdict.is_fault and not shows_turning(fit):
         return Judgement(
             Verdict.OTHER, (NOT_TURNING,), fit=fit, reference=reference, changes=judgement.changes
@@ -302,6 +310,8 @@ def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
 
 def explain_unusable(fit: StartFit) -> str | None:
     """Explain why a fit cannot carry a verdict; None if it can."""
+    if fit.coupling_per_s is not None:
+        return AC_COUPLED.format(1.0 / fit.coupling_per_s)
     clipped = fit.start.alignment.saturation
     if clipped:
         return f"the recording is clipped, {clipped}"
@@ -314,7 +324,9 @@ def explain_unusable(fit: StartFit) -> str | None:
         least = POOR_FIT * (1.0 if shown is None else explainable(shown))
         if r2 is not None and r2 < least:
             return f"no motor model explains the {name} (R2 {r2:.2f}; at least {least:.2g} is needed)"
-    worst = float(np.sqrt(np.diag(fit.log_covariance)).min())
-    if worst > 1.0:
+    deviations = np.sqrt(np.diag(fit.log_covariance))
+    if deviations.min() > UNTOLD_LOG_SD:
         return "the recording is too short or too noisy: no quantity is known to a factor of e"
+    if deviations[0] > UNTOLD_LOG_SD:
+        return f"no start is seen: the recording does not tell {fit.quantity_names[0]} to a factor of e"
     return None

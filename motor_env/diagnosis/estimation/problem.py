@@ -71,6 +71,8 @@ class Problem:
     def residuals_each(self, thetas: FloatArray) -> FloatArray:
         """Return residuals for several vectors of unknowns, shape (m, n_unknowns)."""
         out, logs = self.record.predict_each(self.values_each(thetas))
+        if (shapes := self.record.beside) is not None:  # their least-squares amplitudes, of every theta
+            out[:, :, 0] -= out[:, :, 0] @ shapes @ shapes.T
         first, last = np.flatnonzero(self.record.recorded > 0.0)[[0, -1]]
         white = out[:, :, first : last + 1].reshape(len(thetas), -1)
         if not -_LARGEST < white.min() <= white.max() < _LARGEST:

@@ -64,6 +64,7 @@ class Record:
         onset_s: from the first sample to the step of a supply that is switched on once, about; None for any other.
         shunt_ohm: resistance in series with the motor.
         rectified_a: noise of a current sensor that shows none below 0; None for any other.
+        beside: orthonormal shapes in the current that are fitted beside the motor, shape (n, m); None for none.
     """
 
     dt_s: float
@@ -77,6 +78,7 @@ class Record:
     onset_s: float | None = None
     shunt_ohm: float = 0.0
     rectified_a: float | None = None
+    beside: FloatArray | None = None
 
     @property
     def is_start(self) -> bool:

@@ -28,6 +28,14 @@ _OUTSIDE = 2.0  # times the largest of the others
 _FEWEST_SAMPLES = 64
 _MOST_LINES = 8
 
+_MAINS_HZ = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
+_CLOCKS = 0.01  # error of the mains' frequency and of a logger's clock
+_MEANS_HZ, _MOST_MEANS = 1000.0, 8000  # of samples, in which the mains are looked for
+_STEP, _WIDTH, _PERIODS = 0.2, 1.5, 4.0  # steps, a line's width, the least frequency: over 1 / duration
+_NEAR, _FAR, _BACKGROUND = 0.4, 2.0, 60  # from and to, over the line's frequency; frequencies
+_STANDS_OUT = 15.0  # times the background: white noise in 3 of 10 million
+_SHARPER = 1.25  # power of a line beside the mains, or over the motor's angle, over that at the mains
+
 
 def difference_noise(values: FloatArray) -> float:
     """Return the standard deviation of white noise on a smooth curve, from its second differences (variance 6 sigma^2).
@@ -248,3 +256,64 @@ def _strongest_line(residual: FloatArray, time_s: FloatArray) -> PeriodicLine | 
     frequency = float(best.x)
     cosine, sine = fit(frequency)[1]
     return PeriodicLine(frequency, float(cosine), float(sine))
+
+
+def waves(time_s: FloatArray, frequencies_hz: Sequence[float] | FloatArray) -> FloatArray:
+    """Return a cosine and a sine of each frequency, shape (n, 2 m)."""
+    phase = 2.0 * math.pi * np.outer(time_s, frequencies_hz)
+    return np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(time_s), -1)
+
+
+def hum_frequencies(
+    current: FloatArray, time_s: FloatArray, explained: FloatArray, speed: FloatArray | None = None
+) -> tuple[float, ...]:
+    """Find lines of the mains, and of twice and three times their frequency, that stand out of a current.
+
+    Args:
+        current: shape (n,).
+        time_s: evenly spaced, shape (n,).
+        explained: what else may be in the current, shape (n, m).
+        speed: of the motor, in any unit, shape (n,): its own lines are sharper over its angle.
+    """
+    dt_s, clocks = float(time_s[-1] - time_s[0]) / (len(time_s) - 1), [time_s]
+    if speed is not None:
+        clocks.append(np.cumsum(speed) * dt_s / max(float(np.mean(speed[-len(speed) // 20 :])), 1e-300))
+    size = max(int(1.0 / (_MEANS_HZ * dt_s)), 1)
+    table = np.column_stack([current, *clocks, explained])[: len(time_s) // size * size]
+    table = table.reshape(-1, size, table.shape[1]).mean(axis=1)[:_MOST_MEANS]
+    width, found = 1.0 / (len(table) * size * dt_s), list[float]()
+
+    def powers(frequencies_hz: FloatArray, clock: int = 1) -> FloatArray:
+        """Return the fall of the sum of squares by a line of each frequency alone."""
+        pairs = waves(table[:, clock], frequencies_hz)
+        pairs -= own @ (own.T @ pairs)
+        each = (table[:, 0] @ pairs) ** 2 / np.maximum(np.sum(pairs**2, axis=0), 1e-300)
+        return np.asarray(each[::2] + each[1::2])
+
+    while True:
+        own = np.linalg.qr(np.column_stack([table[:, 1 + len(clocks) :], waves(table[:, 1], found)]))[0]
+        table[:, 0] -= own @ (own.T @ table[:, 0])
+        heights: dict[float, float] = {}
+        for mains in _MAINS_HZ:
+            off = _CLOCKS * mains
+            around = np.linspace(_NEAR * mains, _FAR * mains, _BACKGROUND)
+            around = around[(np.abs(around - mains) > _WIDTH * width + off) & (around < 0.45 / (size * dt_s))]
+            if any(abs(line - mains) <= 2.0 * off for line in found) or mains < _PERIODS * width:
+                continue
+            if not len(around) or mains > around[-1]:
+                continue
+            near = np.append(mains, mains + np.arange(-off, off, _STEP * width))
+            others = np.arange(mains - off - _WIDTH * width, mains + off + _WIDTH * width, _STEP * width)
+            power, usual = powers(near), float(np.median(powers(around))) / math.log(2.0)
+            rival = max(powers(others, clock).max() for clock in range(1, 1 + len(clocks)))
+            if power.max() > max(_STANDS_OUT * usual, rival / _SHARPER):
+                heights[float(power.max())] = float(near[np.argmax(power)])
+        if not heights:
+            return tuple(found)
+        near_hz, step = heights[max(heights)], _STEP * width
+        best = minimize_scalar(
+            lambda hertz: -powers(np.array([hertz]))[0],
+            bounds=(near_hz - step, near_hz + step),
+            method="bounded",
+        )
+        found.append(float(best.x))

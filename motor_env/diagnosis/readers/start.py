@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.readers.alignment import Alignment, align
-from motor_env.diagnosis.readers.noise import PeriodicLine, outlier_samples, without_outliers
+from motor_env.diagnosis.readers.noise import (
+    FEW,
+    PeriodicLine,
+    hum_frequencies,
+    outlier_samples,
+    waves,
+    without_outliers,
+)
 from motor_env.diagnosis.readers.recording import Recording, UnusableError, cut, stretches
 from motor_env.diagnosis.readers.regime import BOUNCE_S
 from motor_env.motor.parameters import FloatArray
@@ -29,6 +36,7 @@ _NOISE, _SPAN = 4.0, 0.002  # standard deviations, and of the largest current: s
 _ABRUPT = 3.0  # times that: a current that is switched off comes from further away
 _BRAKED = 0.25  # of the largest current, against it: no undershoot goes so far
 MOST_STARTS = 200
+_CLEAR = 6.0  # -2 log likelihood
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +67,10 @@ class Start:
         from_rest: whether the motor stands before; else it runs steadily under the first voltage.
         circuit: the measuring circuit.
         lines: ripple of the supply in the running motor's current.
+        hum_hz: frequencies of the mains in the current: where of the supply, from the onset on.
+        is_hum_of_supply: whether they are the supply's, else the probe's.
+        is_coupled: whether the probe is coupled by a capacitor.
+        sizes: of the shapes beside the motor.
         missing: which samples of current and speed are missing, shape (n_samples, 2); None for none.
     """
 
@@ -72,6 +84,10 @@ class Start:
     from_rest: bool = True
     circuit: Circuit = Circuit()
     lines: tuple[PeriodicLine, ...] = ()
+    hum_hz: tuple[float, ...] = ()
+    is_hum_of_supply: bool = False
+    is_coupled: bool = False
+    sizes: tuple[float, ...] = ()
     missing: NDArray[np.bool_] | None = None
 
     @property
@@ -87,9 +103,29 @@ class Start:
         return out
 
     @property
+    def charge_a_s(self) -> FloatArray:
+        """Integral of the shown current, shape (n_samples,): a capacitor takes it off over its time constant."""
+        return np.asarray(np.cumsum(self.current_a - self.alignment.offset_a) * self.dt_s)
+
+    @property
+    def beside(self) -> FloatArray:
+        """Shapes that are fitted beside the motor, shape (n_samples, m): hum, and the charge behind a capacitor."""
+        hum = waves(self.time_s, self.hum_hz)
+        hum[: self.alignment.onset_index * self.is_hum_of_supply] = 0.0
+        return np.column_stack([hum, -self.charge_a_s]) if self.is_coupled else hum
+
+    def with_hum(self, hum_hz: tuple[float, ...], residual_a: FloatArray) -> Start:
+        """Return the start with hum, by what else leaves of the current, shape (n_samples,)."""
+        shapes, begin = waves(self.time_s, hum_hz), self.alignment.onset_index
+        sizes = np.linalg.lstsq(shapes[begin:], residual_a[begin:])[0]
+        quiet, rest = residual_a[:begin], (residual_a - shapes @ sizes)[:begin]
+        of_supply = begin >= FEW and bool(np.var(rest) > (1.0 + _CLEAR / begin) * np.var(quiet))
+        return replace(self, hum_hz=hum_hz, sizes=tuple(sizes.tolist()), is_hum_of_supply=of_supply)
+
+    @property
     def ripple_a(self) -> FloatArray:
-        """The lines' current, from the onset on, shape (n_samples,)."""
-        out = np.zeros(len(self.time_s))
+        """Current of the lines, from the onset on, and of the shapes beside the motor, shape (n_samples,)."""
+        out: FloatArray = self.beside @ np.array(self.sizes)
         running = self.time_s >= self.alignment.onset_s
         for line in self.lines:
             out[running] += line.current_a(self.time_s[running])
@@ -112,8 +148,18 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         UnusableError: no start, or too few samples after it; a shunt without a known voltage; a voltage that is on
             before the recording begins; missing samples where voltage or current rise.
     """
-    alignment, missing = align(recording), recording.missing
-    end = end_of_supply(recording, alignment)
+    missing, end = recording.missing, len(recording.time_s)
+    hum_hz = hum_frequencies(recording.current_a, recording.time_s, np.ones((end, 1)))
+    shapes = np.column_stack([waves(recording.time_s, hum_hz), np.ones(end)])
+    hum = shapes[:, :-1] @ np.linalg.lstsq(shapes, recording.current_a)[0][:-1]
+    bare = replace(recording, current_a=recording.current_a - hum)
+    try:
+        alignment = align(bare)
+        end = end_of_supply(bare, alignment)
+    except UnusableError:
+        if not hum_hz:
+            raise
+        alignment = align(recording)  # nothing but hum: the fit will say so
     if end < len(recording.time_s) and end - alignment.onset_index >= _FEWEST_AFTER:
         return prepare(cut(recording, slice(end)), voltage_v, circuit)
     sign, after = alignment.sign, len(recording.time_s) - alignment.onset_index
@@ -139,7 +185,7 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         _refuse_begun(sign * recording.current_a, measured)
         alignment = replace(alignment, offset_a=0.0, n_quiet=0)
     current = sign * recording.current_a
-    return Start(
+    start = Start(
         recording.time_s,
         current,
         speed,
@@ -151,6 +197,7 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
         circuit or Circuit(),
         missing=None if missing is None else missing[:, 1:],
     )
+    return start.with_hum(hum_hz, current - current.mean()) if hum_hz else start
 
 
 def mean_tail(values: FloatArray) -> float:

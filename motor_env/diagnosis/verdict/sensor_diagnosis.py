@@ -16,6 +16,11 @@ import numpy as np
 
 from motor_env.diagnosis.estimation import ekf, parameter_index as index
 from motor_env.diagnosis.estimation.record import Record
+from motor_env.diagnosis.estimation.starts.start_identification import (
+    COUPLINGS_PER_S,
+    identify,
+    likelihood_gain,
+)
 from motor_env.diagnosis.readers.alignment import align, clipped_run
 from motor_env.diagnosis.readers.noise import difference_noise
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
@@ -100,6 +105,11 @@ _MOVES, _NOISE_BEFORE = 0.2, 200  # of a channel's range; samples
 _ON = 0.1  # of the largest voltage
 _ABOVE, _MOSTLY = 1.1, 0.5  # what the motor shows over the top of a clipped channel; share of the samples
 _OFFSET_AT_REST, _OFFSET = 0.05, 0.15  # of the current of a rotor that is held
+AC_COUPLED = (
+    "the current is AC-coupled: a high pass of about {:.2g} s takes its level away: set the probe to DC"
+)
+_BLOCK_S = 0.02  # of samples that are averaged: L/R is shorter
+_CLEARLY, _CERTAIN = 0.75, 50.0  # of the error (rms), and -2 log likelihood, by one more unknown
 _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
 
 
@@ -125,7 +135,7 @@ def find_failure(record: ChannelRecord, physical: FloatArray) -> Judgement | Non
         )
     checks = [_check_swapped, _check_dead, _check_stuck]
     checks += [_check_contradiction, _check_clipped] if record.at_work or record.is_taught else []
-    checks += [_check_offset] if record.at_work else []
+    checks += [_check_coupled, _check_offset] if record.at_work else []
     failures = (check(record, expected, physical) for check in checks)
     return next(filter(None, failures), None)
 
@@ -220,6 +230,23 @@ def _motor_runs_on(
         return bool(_is_turning(record.from_sample(first), expected.from_sample(first), physical))
     speed = record.speed_rad_s
     return speed is not None and bool(np.ptp(speed[first:]) > _MOVES * np.ptp(speed))
+
+
+def _check_coupled(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
+    """Find a current that lacks its charge over a time constant s: V = K w + R (i + charge / s), for any load."""
+    if record.current_a is None or record.speed_rad_s is None:
+        return None
+    n, charge = len(record.voltage_v), record.dt_s * np.cumsum(record.current_a - record.current_a.mean())
+    channels = (record.speed_rad_s, np.ones(n), np.arange(n), record.current_a, charge, record.voltage_v)
+    block = max(round(_BLOCK_S / record.dt_s), 1)
+    *shown, volts = np.column_stack(channels)[: n // block * block].reshape(-1, block, 6).mean(axis=1).T
+    fits = [np.linalg.lstsq(np.column_stack(some), volts)[0] for some in (shown, shown[:-1])]
+    left, direct = (rms(volts - np.column_stack(shown[: len(fit)]) @ fit) for fit in fits)
+    rate = float(fits[0][4] / fits[0][3]) if fits[0][3] else 0.0
+    is_told = left < _CLEARLY * direct and 2.0 * len(volts) * np.log(direct / left) > _CERTAIN
+    if not (is_told and COUPLINGS_PER_S[0] < rate < COUPLINGS_PER_S[1]):
+        return None
+    return Judgement(Verdict.UNUSABLE, (AC_COUPLED.format(1.0 / rate),))
 
 
 def _check_swapped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
@@ -373,6 +400,34 @@ def _check_offset(record: ChannelRecord, expected: ChannelRecord, physical: Floa
     return sensor_judgement(
         "current_offset", f"the current is off by {offset:.3g} A at every voltage and speed"
     )
+
+
+_LIKE_COUPLED = (
+    "a probe that is AC-coupled (a high pass of about {:.2g} s) shows this: set it to DC, and record again"
+)
+_LEAST_GAIN_BY_SHEET, _LEAST_GAIN = -6.0, 6.0  # -2 log likelihood
+
+
+def check_coupling(judgement: Judgement, constant: float | None) -> Judgement:
+    """Judge a start whose friction alone fell, or beside its resistance: no fault lowers friction.
+
+    Over the time constant s an AC coupling lowers B/J by 1/s. A machine may have lost its load, so there the recording
+    must tell the coupling; a data sheet is of a motor that has none to lose, so there the recording need only allow it.
+    """
+    fit, reference = judgement.identified, judgement.reference
+    moved = {change.name[0]: change for change in judgement.changes if change.significant}
+    down = moved.get("B")
+    if fit is None or reference is None or down is None or down.ratio > 1.0 or moved.keys() & set("KJ"):
+        return judgement
+    usual = {name.removesuffix("/V"): value for name, value in reference.values.items()}
+    rate = (usual["B/J"] if "B/J" in usual else usual["B"] / usual["J"]) * (1.0 - down.ratio)
+    direct = replace(fit.start, current_a=fit.start.current_a + rate * fit.start.charge_a_s)
+    gain = likelihood_gain(fit, identify(direct, fit.model, constant=constant, typical=reference.values))
+    if gain < (_LEAST_GAIN if reference.is_taught else _LEAST_GAIN_BY_SHEET):
+        return replace(judgement, reasons=(*judgement.reasons, _LIKE_COUPLED.format(1.0 / rate)))
+    why = f"{down.name} is down by {1.0 - down.ratio:.0%}, and no fault lowers friction"
+    unusable = judgement.as_other(why, _LIKE_COUPLED.format(1.0 / rate))
+    return replace(unusable, verdict=Verdict.UNUSABLE, confidence=None)
 
 
 _BACKWARDS = "the current has the other sign than in all healthy starts: it is reversed, or the motor started backwards"

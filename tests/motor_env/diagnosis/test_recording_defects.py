@@ -75,7 +75,9 @@ def test_a_defect_is_no_fault(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name, defect in DEFECTS.items() if not defect.judged])
 def test_what_cannot_be_judged_is_unusable(name: str) -> None:
-    assert judge(DEFECTS[name], Verdict.WINDING).verdict is Verdict.UNUSABLE
+    found = judge(DEFECTS[name], Verdict.WINDING)
+    assert found.verdict is Verdict.UNUSABLE
+    assert DEFECTS[name].words in found.reasons[0]
 
 
 def assert_friction_is_undecided(found: Diagnosis) -> None:

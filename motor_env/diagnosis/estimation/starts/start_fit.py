@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import orth
 
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.ekf import REST, STEADY
@@ -90,6 +91,11 @@ class StartFit:
         return float(self.start.alignment.onset_s + late)
 
     @property
+    def coupling_per_s(self) -> float | None:
+        """1 / time constant of a probe that is coupled by a capacitor; None for any other."""
+        return self.start.sizes[-1] if self.start.is_coupled else None
+
+    @property
     def offset_a(self) -> float:
         """Fitted offset of the current."""
         return float(self.start.alignment.offset_a + self.physical[index.OFFSET_I])
@@ -109,6 +115,12 @@ class StartFit:
         for line in start.lines:
             where = f"{line.amplitude_a:.3g} A at {line.frequency_hz:.4g} Hz"
             defects.append(f"PWM ripple of {where} (or an alias of it)")
+        for hertz, pair in zip(
+            start.hum_hz, np.reshape(start.sizes[: 2 * len(start.hum_hz)], (-1, 2)), strict=True
+        ):
+            whose = "supply" if start.is_hum_of_supply else "probe"
+            where = f"{math.hypot(*pair):.3g} A at {hertz:.4g} Hz"
+            defects.append(f"hum of the mains in the {whose}'s current of {where}, fitted beside the motor")
         if "supply_ramp" in size:
             curve = ", in a curve" if "supply_curve" in self.model else ""
             defects.append(f"supply ramp: it rises in {1e3 * size['supply_ramp']:.3g} ms{curve}")
@@ -219,7 +231,7 @@ def record_of(start: Start) -> Record:
         speed = np.where(start.missing[:, 1], np.nan, speed)
     marks = np.zeros(n)
     marks[0] = REST if start.from_rest else STEADY
-    is_step = start.voltage_v is None
+    is_step, beside = start.voltage_v is None, start.beside * start.counted[:, None]
     return Record(
         dt_s=start.dt_s,
         voltage_v=np.full(n, start.level_v) if start.voltage_v is None else start.voltage_v,
@@ -229,6 +241,7 @@ def record_of(start: Start) -> Record:
         onset_s=alignment.onset_s - float(start.time_s[0]) if is_step else None,
         shunt_ohm=start.circuit.shunt_ohm,
         rectified_a=alignment.noise_a if alignment.rectified else None,
+        beside=orth(beside) if beside.size else None,
     )
 
 

@@ -22,7 +22,7 @@ from motor_env.diagnosis.estimation.uncertainty import (
     score_tests,
     supply_effects,
 )
-from motor_env.diagnosis.readers.noise import constant_lines
+from motor_env.diagnosis.readers.noise import constant_lines, hum_frequencies
 from motor_env.diagnosis.readers.start import Start
 from motor_env.motor import identifiable
 from motor_env.motor.compiled import on_one_thread
@@ -37,6 +37,10 @@ EXTENSIONS = (*NUISANCES, "coulomb", "brush_drop")
 """All terms, for where nothing is compared."""
 SCORED_SIZES = tuple(np.exp([-2.0, 0.0, 2.0, 4.0]).tolist())  # a long lag looks different from a short one
 _UNSCORED = ("supply_curve", "dead_zone")
+_NO_DRAG = 0.003  # current at no load over that of a held rotor: brushed motors take more
+COUPLINGS_PER_S = (0.2, 100.0)
+"""Least and largest 1 / time constant of a probe's coupling."""
+_CERTAIN = 25.0  # -2 log likelihood
 _PROMISING = 6.0  # of a chi-square with one degree; strong evidence takes 12 and more
 
 
@@ -90,9 +94,24 @@ def _cleaned_start(fit: StartFit) -> Start | None:
     begin = start.alignment.onset_index
     some = slice(begin, None)
     lines = start.lines or constant_lines(residual[some], start.time_s[some], fit.states[some, 1])
-    if lines == start.lines and len(wild) == len(start.alignment.wild):
+    hum_hz = start.hum_hz or _hum_of_fit(fit)
+    if (lines, hum_hz) == (start.lines, start.hum_hz) and len(wild) == len(start.alignment.wild):
         return None
+    start = start if hum_hz == start.hum_hz else start.with_hum(hum_hz, residual)
     return replace(start, lines=lines, alignment=replace(start.alignment, wild=tuple(wild)))
+
+
+def _hum_of_fit(fit: StartFit) -> tuple[float, ...]:
+    """Return frequencies of the hum in the running motor's residual beside what the unknowns explain."""
+    problem, theta, begin = fit.solution.problem, fit.solution.theta, fit.start.alignment.onset_index
+    base, channels, n = (
+        problem.residuals(theta),
+        int(problem.record.recorded.sum()),
+        len(problem.record.marks),
+    )
+    running = slice(begin * channels, n * channels, channels)
+    slopes = problem.jacobian(theta, base)[running]
+    return hum_frequencies(base[running], fit.start.time_s[begin:n], slopes, fit.states[begin:n, 1])
 
 
 def _outliers_of_fit(residual: FloatArray, current: FloatArray) -> list[int]:
@@ -139,6 +158,10 @@ def _start_fit(belief: StartPrior, model: tuple[str, ...], best: Solution) -> St
         unit = problem.free[k].unit
         extras[name] = (unit * float(theta[k]), unit * math.sqrt(max((covariance + more)[k, k], 0.0)))
     expected = record_of(start).predict(values, learn=False)[0][:, 2:4]
+    if (beside := start.beside).size:
+        left = start.current_a - start.ripple_a - start.alignment.offset_a - expected[:, 0]
+        added = np.linalg.lstsq(beside[start.counted], left[start.counted])[0]
+        start = replace(start, sizes=tuple((added + start.sizes).tolist()))
     expected[:, 0] += start.alignment.offset_a + start.ripple_a
     parameters = MotorParameters(*values[[index.R, index.L, index.K, index.K, index.J, index.B]].tolist())
     return StartFit(
@@ -228,9 +251,48 @@ def identify_best(
             if name in scored or name in _UNSCORED
         ]
         richer = max(trials, key=lambda trial: evidence(best, trial), default=None)
-        if richer is None or evidence(best, richer) < STRONG_EVIDENCE:
+        gain = 0.0 if richer is None else evidence(best, richer)
+        behind = behind_capacitor(best, gain, constant=constant, typical=typical)
+        if behind is not None:
+            return behind
+        if richer is None or gain < STRONG_EVIDENCE:
             return best
         best = richer
+
+
+def behind_capacitor(
+    fit: StartFit,
+    least_gain: float = 0.0,
+    *,
+    constant: float | None = None,
+    typical: Mapping[str, float] | None = None,
+) -> StartFit | None:
+    """Return the fit of a start whose drag vanishes behind the capacitor of a probe, where that explains it; else None.
+
+    Over the time constant s, a capacitor lowers B/J by 1/s (the charge of a start is as its speed), and then every
+    level decays.
+
+    Args:
+        fit: with a probe that is coupled directly.
+        least_gain: of evidence.
+        constant: see `identify`.
+        typical: see `identify`.
+    """
+    values, level_v = fit.physical, fit.start.level_v
+    drag = values[index.B] / values[index.K] + values[index.COULOMB] / level_v
+    if fit.start.is_coupled or drag * values[index.R] > _NO_DRAG * values[index.K]:
+        return None
+    start = replace(fit.start, is_coupled=True, sizes=(*fit.start.sizes, 0.0))
+    behind = identify(start, fit.model, constant=constant, typical=typical)
+    low, high = COUPLINGS_PER_S
+    is_one = low < (behind.coupling_per_s or 0.0) < high
+    return behind if is_one and likelihood_gain(fit, behind) > max(least_gain, _CERTAIN) else None
+
+
+def likelihood_gain(before: StartFit, after: StartFit) -> float:
+    """Return the fall of -2 log likelihood between fits of as many unknowns; only independent samples count."""
+    independent = min(1.0, sum(after.independent) / after.solution.problem.count)
+    return independent * (before.solution.misfit - after.solution.misfit)
 
 
 def _is_applicable(name: str, start: Start, model: tuple[str, ...], *, knows_inductance: bool) -> bool:
