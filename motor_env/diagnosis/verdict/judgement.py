@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -14,10 +15,12 @@ from motor_env.diagnosis.verdict.healthy_motor import Reference
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
 from motor_env.filters.consistency import Consistency, check_consistency
 from motor_env.motor.faults import FaultKind
+from motor_env.motor.identifiable import fault_direction, matrix
 
 SURE_OF_KIND = 0.95
 """Least posterior probability of a named kind."""
 _FEWEST_FOR_WHITENESS = 40
+NOTHING_ELSE = " and nothing else moved"
 
 
 class Verdict(StrEnum):
@@ -59,6 +62,27 @@ _REGISTERED: dict[str, Verdict] = {}
 
 
 @dataclass(frozen=True, slots=True)
+class NamedFault:
+    """Fault of a verdict; for attributes see `Judgement`."""
+
+    fault_kind: FaultKind
+    severity: float
+    severity_interval: tuple[float, float] | None
+    confidence: float
+    kind_probability: float
+
+    @property
+    def verdict(self) -> Verdict:
+        """Word for the family of the fault."""
+        return Verdict(self.fault_kind.verdict)
+
+    @property
+    def kind(self) -> FaultKind | None:
+        """Kind of the fault, if it is distinguished from the others of its family."""
+        return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
+
+
+@dataclass(frozen=True, slots=True)
 class Judgement:
     """Verdict on one piece of a recording, and its evidence.
 
@@ -70,6 +94,7 @@ class Judgement:
         confidence: posterior probability of the verdict.
         fault_kind: the most probable kind of the family.
         kind_probability: posterior probability of that kind.
+        also: further faults at once.
         fit: the fitted piece, if any.
         reference: of the comparison.
         changes: of each quantity from the reference.
@@ -85,6 +110,7 @@ class Judgement:
     confidence: float | None = None
     fault_kind: FaultKind | None = None
     kind_probability: float = 0.0
+    also: tuple[NamedFault, ...] = ()
     fit: Fitted | None = None
     reference: Reference | None = None
     changes: tuple[Change, ...] = ()
@@ -105,12 +131,18 @@ class Judgement:
             severity=None,
             severity_interval=None,
             fault_kind=None,
+            also=(),
         )
 
     @property
     def kind(self) -> FaultKind | None:
         """Kind of the fault, if it is distinguished from the others of its family."""
         return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
+
+    @property
+    def faults(self) -> tuple[Judgement | NamedFault, ...]:
+        """The verdict itself and the further faults."""
+        return self, *self.also
 
     @property
     def identified(self) -> StartFit | None:
@@ -128,6 +160,29 @@ class Judgement:
     def warning(self) -> str:
         """Sentence on an inconsistent fit; empty if consistent."""
         return "" if self.consistency is None else self.consistency.warning
+
+
+def describe_findings(kinds: Sequence[FaultKind], changes: Sequence[Change]) -> Iterator[str]:
+    """Describe what faults moved and where to look, and what moved that they do not move, by its interval."""
+    beside = [
+        change for change in changes if change.excludes_healthy and not _is_moved_by(kinds, change.name)
+    ]
+    for kind in kinds:
+        what, colon, where = kind.finding.partition(":")
+        alone = len(kinds) == 1 and not beside and not kind.is_sensor
+        yield f"{what}{NOTHING_ELSE if alone else ''}{colon}{where}"
+    for change in beside:
+        yield (
+            f"{change.name} moved beside {'it' if len(kinds) == 1 else 'them'}, by {change.ratio - 1.0:+.1%}"
+            f" ({change.low - 1.0:+.1%} to {change.high - 1.0:+.1%}): too little to tell a further fault from the"
+            " model's error beside so large a one"
+        )
+
+
+def _is_moved_by(kinds: Sequence[FaultKind], name: str) -> bool:
+    """Whether a quantity moves with one of some faults; a sensor's fault moves any."""
+    powers = matrix((name,))
+    return any(kind.is_sensor or (powers @ fault_direction(kind)).any() for kind in kinds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +241,11 @@ class JudgedRecording:
     def severity_interval(self) -> tuple[float, float] | None:
         """Interval of the severity, 95 %; None without one."""
         return self.decisive.severity_interval
+
+    @property
+    def also(self) -> tuple[NamedFault, ...]:
+        """Further faults at once."""
+        return self.decisive.also
 
     @property
     def smallest_changes(self) -> dict[str, float]:

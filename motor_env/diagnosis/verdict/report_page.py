@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,11 +14,12 @@ from motor_env.diagnosis.estimation.operation_fit import OperationFit
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.estimation.starts.start_prior import absolute_parameters
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
-from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, NamedFault, Verdict
 from motor_env.diagnosis.verdict.report_text import as_text, describe_r2, warnings_of
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
+T = TypeVar("T")
 KIND_TEXTS = {
     "bearing": "more friction",
     "winding_contact": "more winding resistance",
@@ -178,20 +179,22 @@ def page(diagnosis: JudgedRecording) -> str:
     decisive, verdict = diagnosis.decisive, diagnosis.verdict
     fit, expected = decisive.identified, reference_current(decisive)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
-    named = decisive.kind if decisive.kind in VERDICT_TEXTS else verdict
-    title, *first = VERDICT_TEXTS.get(named, (str(verdict).capitalize(),))
+    texts = [
+        _text_of(VERDICT_TEXTS, fault) or (str(fault.verdict).capitalize(),) for fault in decisive.faults
+    ]
+    runs_on = [_text_of(RUN_ON_TEXTS, fault) or "" for fault in decisive.faults]
     sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
     current, residual = ("", "") if fit is None else _currents(fit, expected, is_fault=verdict.is_fault)
     return render(
         "motor_env.diagnosis.verdict",
         "diagnosis.html.j2",
-        title=title,
+        title=", and: ".join(title for title, *_ in texts),
         file=printable(diagnosis.recording.path.name),
         tone=tone,
-        size=_size(decisive),
+        size="; ".join(filter(None, map(_size, decisive.faults))),
         sure="over 99 % sure" if (diagnosis.confidence or 0.0) > 0.99 else sure,
-        runs_on=RUN_ON_TEXTS.get(decisive.kind or verdict) or RUN_ON_TEXTS.get(verdict, ""),
-        first=first,
+        runs_on=" ".join(dict.fromkeys(runs_on)),
+        first=[step for _, *steps in texts for step in steps],
         reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
         warnings=[
             f"{sentence[0].upper()}{sentence[1:]}." for sentence in warnings_of(diagnosis.recording, fit)
@@ -209,6 +212,11 @@ def page(diagnosis: JudgedRecording) -> str:
         ],
         expert=printable(as_text(diagnosis, verbose=True)),
     )
+
+
+def _text_of(texts: Mapping[Verdict | FaultKind, T], fault: Judgement | NamedFault) -> T | None:
+    """Return the text of a fault's kind, or of its verdict."""
+    return texts.get(fault.kind or fault.verdict) or texts.get(fault.verdict)
 
 
 def page_of_fits(
@@ -273,10 +281,10 @@ def spread_chart(fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, A
     return _bars(tuple(changes), pieces)
 
 
-def _size(judgement: Judgement) -> str:
+def _size(fault: Judgement | NamedFault) -> str:
     """Describe the size of a fault with its interval; empty without a size."""
-    size, interval, kind = judgement.severity, judgement.severity_interval, judgement.fault_kind
-    if not size or not judgement.verdict.is_fault or kind is None:
+    size, interval, kind = fault.severity, fault.severity_interval, fault.fault_kind
+    if not size or not fault.verdict.is_fault or kind is None:
         return ""
     between = "" if interval is None else f", between {interval[0]:.0%} and {interval[1]:.0%}"
     return SIZE_TEXTS.get(kind, "Size {}").format(f"{size:.0%}") + between
