@@ -131,15 +131,12 @@ class Motor:
     @property
     def guesses(self) -> tuple[str, ...]:
         """Parameters that a data sheet does not tell."""
-        if self.kind != "data_sheet":
-            return ()
-        return tuple(
-            field for field in _FIELDS.values() if field and next(iter(UNITS[field])) in self.assumed
-        )
+        names = _TOLERANCE_OF if self.kind == "data_sheet" else ()
+        return tuple(name for name in names if next(iter(UNITS[name])) in self.assumed)
 
     def with_guesses_of(self, parameters: MotorParameters) -> Motor:
-        """The motor with the parameters that its data sheet does not tell from others."""
-        told = {field: getattr(parameters, field) for field in self.guesses}
+        """The motor with its guesses replaced by other parameters."""
+        told = {name: getattr(parameters, name) for name in self.guesses}
         return replace(self, parameters=replace(self.parameters, **told))
 
     def dry_share(self, speed_rad_s: float) -> float:
@@ -188,45 +185,34 @@ def _to_motor(file: _File, given: Collection[str]) -> Motor:
     numbers = {key: number for key, number in asdict(file.motor).items() if number is not None}
     si, is_sheet = in_si(numbers), file.kind == "data_sheet"
     notes, guessed = complete(si, numbers, may_guess=is_sheet)
-    wide = {
-        name: (_GUESSED, "a guess, as the sheet has none") for name in _TOLERANCES if _FIELDS[name] in guessed
-    }
+    usual = {name: "usual" for name in _TOLERANCES if name not in given}
+    wide = {_TOLERANCE_OF[quantity]: _GUESSED for quantity in guessed}
+    usual |= dict.fromkeys(wide, _MISSING)
     if "viscous_friction_n_m_s_per_rad" not in si:
         si["viscous_friction_n_m_s_per_rad"] = _friction(si)
         if "friction" not in given:
-            wide["friction"] = (_NO_LOAD, "from a no-load current, and those scatter")
-    unknown = [key for key in file.assumed if key not in numbers]
-    require(not unknown, f"assumed.{', '.join(unknown)} is no value of the table motor")
-    usual = {name: "usual" for name in _TOLERANCES if name not in given}
-    usual |= {name: source for name, (_, source) in wide.items()}
+            wide["friction"], usual["friction"] = _NO_LOAD, "from a no-load current, and those scatter"
     if si["viscous_friction_n_m_s_per_rad"] == 0.0 == si.get("coulomb_friction_n_m", 0.0):
         notes.append("its friction is 0, which no motor has: is it unknown?")
-    motor = Motor(
+    if guessed:
+        notes.append(
+            f"the sheet does not tell {' and '.join(guessed)}: a recording's own counts, and no change of it shows;"
+            " motor-env commission start1.csv start2.csv start3.csv -o motor.toml learns all from healthy starts"
+        )
+    unknown = [key for key in file.assumed if key not in numbers]
+    require(not unknown, f"assumed.{', '.join(unknown)} is no value of the table motor")
+    return Motor(
         file.name,
         file.kind,
         MotorParameters(**{f.name: si[f.name] for f in fields(MotorParameters)}),
         nominal_voltage_v=si.get("nominal_voltage_v"),
-        tolerance=file.tolerance,
+        tolerance=replace(file.tolerance, **wide) if is_sheet else file.tolerance,
+        usual_tolerances=usual if is_sheet else {},
         **asdict(file.sensor),
         coulomb_friction_n_m=si.get("coulomb_friction_n_m", 0.0),
         brush_drop_v=si.get("brush_drop_v", 0.0),
         healthy=file.healthy,
-        notes=file.notes,
-        assumed=file.assumed,
-    )
-    if not is_sheet:
-        return motor
-    if guessed:
-        names = " and ".join(name for name in _TOLERANCES if _FIELDS[name] in guessed)
-        notes.append(
-            f"the sheet does not tell {names}: taken from the recording, so that no change of it shows;"
-            " motor-env commission start1.csv start2.csv start3.csv -o motor.toml learns all from healthy starts"
-        )
-    return replace(
-        motor,
-        tolerance=replace(file.tolerance, **{name: size for name, (size, _) in wide.items()}),
-        usual_tolerances=usual,
-        notes=(*file.notes, *notes),
+        notes=(*file.notes, *notes) if is_sheet else file.notes,
         assumed={**file.assumed, **{next(iter(UNITS[quantity])): _MISSING for quantity in guessed}},
     )
 
@@ -285,8 +271,8 @@ def to_toml(motor: Motor) -> str:
 
 _TOLERANCES = tuple(f.name for f in fields(Tolerance))
 _NO_LOAD, _GUESSED = 0.3, 1.5  # tolerance of friction from a no-load current; of a guess
-_FIELDS = dict.fromkeys(_TOLERANCES, "") | {"inductance": "inductance_h", "inertia": "inertia_kg_m2"}
-_MISSING = "a guess, as the sheet has none: commissioning tells it"
+_TOLERANCE_OF = {"inductance_h": "inductance", "inertia_kg_m2": "inertia"}
+_MISSING = "a guess, as the sheet has none"
 _K = ("torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad")
 _J, _B, _V = "rotor_inertia_kg_m2", "viscous_friction_n_m_s_per_rad", "nominal_voltage_v"
 _GUESS = "a guess, 1/100 of the voltage: the current alone tells K^2/J and B/J, not K, J and B"

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from motor_env.motor.parameters import RAD_S_PER_RPM, require
 
@@ -69,14 +68,14 @@ UNITS: dict[str, dict[str, float]] = {
 
 # Of two numbers of a sheet for one quantity: sheets round, and K falls with warmth. Points of a curve are read roughly.
 _LARGEST_DISAGREEMENT, _REFUSED = 0.10, 0.30
-_K = ("torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad")
-_SPEED_CONSTANT, _J, _L = "speed_constant_rpm_per_v", "inertia_kg_m2", "inductance_h"
-_USUAL_NO_LOAD = 0.03  # of the stall current
-_USUAL_S = {_J: 0.02, _L: 0.001}  # mechanical and electrical time constant
+_KT, _KB = "torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad"
+_R, _L, _J = "resistance_ohm", "inductance_h", "inertia_kg_m2"
+_USUAL_S = {"mechanical": 0.02, "electrical": 0.001}  # time constants
+_SLOWEST_RPM, _FASTEST_RPM = 50.0, 2e5
 
 
 def in_si(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Quantities in SI units, of the numbers by their keys.
+    """Quantities in SI units, of the numbers by their keys; a resistance may follow from the stall current.
 
     Raises:
         ValueError: a quantity is given twice.
@@ -87,150 +86,101 @@ def in_si(numbers: Mapping[str, float]) -> dict[str, float]:
         require(len(stated) < 2, f"motor gives {' and '.join(stated)}; give one of them")
         if stated:
             si[quantity] = numbers[stated[0]] * keys[stated[0]]
+    if "stall_current_a" in si and _volts(si) > 0.0:
+        si.setdefault(_R, _volts(si) / si["stall_current_a"])
     return si
+
+
+def _volts(si: Mapping[str, float]) -> float:
+    """Nominal voltage behind the brushes; at most 0 if it is unknown."""
+    return si.get("nominal_voltage_v", 0.0) - si.get("brush_drop_v", 0.0)
 
 
 def complete(
     si: dict[str, float], numbers: Mapping[str, float], *, may_guess: bool
 ) -> tuple[list[str], list[str]]:
-    """Add resistance, constants, inductance and inertia that the others tell.
-
-    Args:
-        si: quantities, to which they are added.
-        numbers: by their keys, as they were given.
-        may_guess: whether an inductance or an inertia that nothing tells is guessed.
-
-    Returns:
-        Notes on what is odd, and the guessed quantities.
+    """Add constants, inductance and inertia that the others tell; return notes, and which of them are guesses.
 
     Raises:
         ValueError: a quantity is missing, or two contradict each other.
     """
-    behind_v = si.get("nominal_voltage_v", 0.0) - si.get("brush_drop_v", 0.0)
-    if behind_v > 0.0 and "stall_current_a" in si:
-        si.setdefault("resistance_ohm", behind_v / si["stall_current_a"])
-    require(
-        "resistance_ohm" in si,
-        "motor.resistance_ohm is missing (or motor.stall_current_a with motor.nominal_voltage_v)",
-    )
-    notes = _add_constants(si, numbers, behind_v)
-    guessed = [quantity for quantity in (_J, _L) if not _follows_from_time(si, quantity)]
-    for quantity, usual_key in ((_L, "inductance_mh"), (_J, "rotor_inertia_g_cm2")):
-        require(may_guess or quantity not in guessed, f"motor.{usual_key} is missing")
-    return [*notes, *_odd(si, guessed, behind_v)], guessed
-
-
-def _add_constants(si: dict[str, float], numbers: Mapping[str, float], behind_v: float) -> list[str]:
-    """Add torque and back-EMF constant; return notes on points that contradict them a little.
-
-    In SI units they are one number, so either stands for the other. Without both it follows from the no-load point, or
-    from the stall.
-    """
-    stated = {name: si[name] for name in _K if name in si}
-    if _SPEED_CONSTANT in si:
-        require(_K[1] not in si, "motor gives a speed constant and a back-EMF constant; give one of them")
-        stated[_K[1]] = 1.0 / (si[_SPEED_CONSTANT] * RAD_S_PER_RPM)
-    points = {}
-    if behind_v > 0.0 and {"no_load_current_a", "no_load_speed_rad_s"} <= si.keys():
-        stall = behind_v / si["resistance_ohm"]
+    require(_R in si, "motor.resistance_ohm is missing (or stall_current_a with nominal_voltage_v)")
+    notes, guessed = _add_constants(si, numbers), []
+    squared, speed_rpm = si[_KT] * si[_KB], _volts(si) / si[_KB] / RAD_S_PER_RPM
+    for quantity, key, word, formula, factor in (
+        (_J, "rotor_inertia_g_cm2", "mechanical", "R J / (Kt Kb)", squared / si[_R]),
+        (_L, "inductance_mh", "electrical", "L / R", si[_R]),
+    ):
+        stated = si.get(f"{word}_time_constant_s")
+        if stated is None and quantity not in si:
+            require(may_guess, f"motor.{key} is missing")
+            guessed.append(quantity)
+        follows = si.setdefault(quantity, (stated or _USUAL_S[word]) * factor) / factor
         require(
-            si["no_load_current_a"] < stall,
-            f"motor gives a no-load current of {si['no_load_current_a']:.4g} A, and its resistance lets {stall:.4g} A"
-            " flow at standstill; correct one",
+            stated is None or _apart(stated, follows) <= _LARGEST_DISAGREEMENT,
+            f"motor gives a time constant of {1e3 * (stated or 0.0):.4g} ms, but {formula} of its other numbers is"
+            f" {1e3 * follows:.4g} ms; correct the one that is wrong",
         )
-        induced_v = behind_v - si["resistance_ohm"] * si["no_load_current_a"]
-        points["(V - R i0) / w0 of its no-load point"] = (
-            induced_v / si["no_load_speed_rad_s"],
-            "no_load_speed_rad_s",
-            -1.0,
-        )
-    if {"stall_torque_n_m", "stall_current_a"} <= si.keys():
-        points["its stall torque over the stall current"] = (
-            si["stall_torque_n_m"] / si["stall_current_a"],
-            "stall_torque_n_m",
-            1.0,
-        )
+    if si[_L] > 0.1 * si[_R]:
+        notes.append(f"L / R is {si[_L] / si[_R]:.3g} s, more than a usual motor has: is the unit right?")
+    if speed_rpm > 0.0 and not _SLOWEST_RPM < speed_rpm < _FASTEST_RPM:
+        notes.append(f"V / K is {speed_rpm:.3g} rpm, unlike a usual motor's: is the unit right?")
+    return notes, guessed
+
+
+def _add_constants(si: dict[str, float], numbers: Mapping[str, float]) -> list[str]:
+    """Add torque and back-EMF constant, by default that of the no-load point or the stall; return notes."""
+    (words, one), *others = _constants(si).items() or (("", 0.0),)
     require(
-        bool(stated or points),
+        one > 0.0,
         "motor.torque_constant_mnm_per_a (or motor.speed_constant_rpm_per_v) is missing, and neither a no-load point"
-        " with motor.nominal_voltage_v nor a stall torque and current tell it",
-    )
-    one = next(iter([*stated.values(), *(value for value, *_ in points.values())]))
-    torque, back_emf = (stated.get(name, one) for name in _K)
-    require(
-        _agree(torque, back_emf),
-        f"motor gives a torque constant of {torque:.4g} N m/A and a back-EMF constant of {back_emf:.4g} V s/rad, which"
-        f" are one number in SI units; correct one, or leave it out"
-        f"{_unit_hint(numbers, _keys_of(torque) | {_K[0]: back_emf})}",
+        " with nominal_voltage_v nor stall_torque_n_m with stall_current_a tells it",
     )
     notes = []
-    for words, (value, quantity, power) in points.items():
-        apart = max(value, back_emf) / min(value, back_emf) - 1.0
-        wanted = _keys_of(value) | {_K[0]: value, quantity: si[quantity] * (back_emf / value) ** power}
-        contradiction = (
-            f"motor gives a constant of {back_emf:.4g} V s/rad, but {words} is {value:.4g}; correct the one that is"
-            f" wrong{_unit_hint(numbers, wanted)}"
+    for other_words, other in others:
+        doubt = (
+            f"motor gives {words.format(one)} and {other_words.format(other)}, which are one number in SI units;"
+            f" correct one, or leave it out{_unit_hint(numbers)}"
         )
-        require(apart < _REFUSED, contradiction)
-        notes += [contradiction] if apart >= _LARGEST_DISAGREEMENT else []
-    si |= zip(_K, (torque, back_emf), strict=True)
+        apart = _apart(one, other)
+        require(apart < (_LARGEST_DISAGREEMENT if other_words == _BACK_EMF else _REFUSED), doubt)
+        notes += [doubt] if apart >= _LARGEST_DISAGREEMENT else []
+    back_emf = _constants(si).get(_BACK_EMF, one)
+    si |= {_KT: si.get(_KT, back_emf), _KB: back_emf}
     return notes
 
 
-def _keys_of(back_emf: float) -> dict[str, float]:
-    return {_K[1]: back_emf, _SPEED_CONSTANT: 1.0 / (back_emf * RAD_S_PER_RPM)}
+_BACK_EMF = "a back-EMF constant of {:.4g} V s/rad"
 
 
-def _unit_hint(numbers: Mapping[str, float], wanted: Mapping[str, float]) -> str:
-    """Name the key of another unit with which a number would give the wanted quantity; empty if none does."""
-    for quantity, value in wanted.items():
-        for key in UNITS[quantity].keys() & numbers.keys():
-            for other, factor in UNITS[quantity].items():
-                if _agree(numbers[key] * factor, value):
-                    return f": {key} = {numbers[key]:g} looks like {other}"
-    return ""
-
-
-def _agree(first: float, second: float) -> bool:
-    return abs(math.log(first / second)) <= _LARGEST_DISAGREEMENT
-
-
-def _follows_from_time(si: dict[str, float], quantity: str) -> bool:
-    """Whether inertia or inductance are given, or follow from their time constant; else a usual one is added.
-
-    Raises:
-        ValueError: both are given, and contradict each other.
-    """
-    squared = si[_K[0]] * si[_K[1]]
-    word, formula, factor = {
-        _J: (
-            "mechanical",
-            "R J / (Kt Kb) of its resistance, inertia and constants",
-            squared / si["resistance_ohm"],
-        ),
-        _L: ("electrical", "L / R of its inductance and resistance", si["resistance_ohm"]),
-    }[quantity]
-    stated = si.get(f"{word}_time_constant_s")
-    if quantity in si and stated is not None:
-        follows = si[quantity] / factor
-        require(
-            _agree(stated, follows),
-            f"motor gives an {word} time constant of {1e3 * stated:.4g} ms, but {formula} is {1e3 * follows:.4g} ms;"
-            " correct the one that is wrong",
+def _constants(si: Mapping[str, float]) -> dict[str, float]:
+    """The torque or back-EMF constant by each of the ways in which a sheet tells it, in words."""
+    found, volts = {}, _volts(si)
+    if _KT in si:
+        found["a torque constant of {:.4g} N m/A"] = si[_KT]
+    if _KB in si or "speed_constant_rpm_per_v" in si:
+        found[_BACK_EMF] = si.get(_KB) or 1.0 / (si["speed_constant_rpm_per_v"] * RAD_S_PER_RPM)
+    if volts > 0.0 and {_R, "no_load_current_a", "no_load_speed_rad_s"} <= si.keys():
+        induced = max(volts - si[_R] * si["no_load_current_a"], 1e-6 * volts)
+        found["a no-load point where (V - R i0) / w0 is {:.4g} V s/rad"] = induced / si["no_load_speed_rad_s"]
+    if {"stall_torque_n_m", "stall_current_a"} <= si.keys():
+        found["a stall torque over the stall current of {:.4g} N m/A"] = (
+            si["stall_torque_n_m"] / si["stall_current_a"]
         )
-    is_known = quantity in si or stated is not None
-    si.setdefault(quantity, (_USUAL_S[quantity] if stated is None else stated) * factor)
-    return is_known
+    return found
 
 
-def _odd(si: Mapping[str, float], guessed: list[str], behind_v: float) -> Iterator[str]:
-    """Note numbers that no usual motor has: mostly a unit or a decimal point is wrong."""
-    squared = si[_K[0]] * si[_K[1]]
-    rows = {
-        "L / R": (si[_L] / si["resistance_ohm"], 0.0, 0.1, "s", _L),
-        "R J / (Kt Kb)": (si["resistance_ohm"] * si[_J] / squared, 1e-4, 10.0, "s", _J),
-        "the no-load speed V / K": (behind_v / si[_K[1]] / RAD_S_PER_RPM or 1e3, 50.0, 2e5, "rpm", ""),
-    }
-    for words, (value, low, high, unit, quantity) in rows.items():
-        if not low <= value <= high and quantity not in guessed:
-            yield f"{words} is {value:.4g} {unit}, which no usual motor has: are the units right?"
+def _unit_hint(numbers: Mapping[str, float]) -> str:
+    """Name the keys of other units with which no constant contradicts another; empty if none does."""
+    found: dict[str, str] = {}
+    for key, number in numbers.items():
+        others = {k: numbers[k] for k in numbers if k != key}
+        for other in next(keys for keys in UNITS.values() if key in keys):
+            constants = _constants(in_si(others | {other: number})).values()
+            if len(constants) > 1 and _apart(min(constants), max(constants)) < _LARGEST_DISAGREEMENT:
+                found.setdefault(key, f"{key} = {number:g} looks like {other}")
+    return f": {', or '.join(found.values())}" if found else ""
+
+
+def _apart(first: float, second: float) -> float:
+    return max(first, second) / min(first, second) - 1.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -46,7 +46,6 @@ from motor_env.diagnosis.verdict.hypotheses import (
 from motor_env.diagnosis.verdict.judgement import (
     NOTHING_ELSE,
     Judgement,
-    NamedFault,
     Verdict,
     describe_findings,
 )
@@ -66,6 +65,7 @@ _DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
 _LEFT_OVER = 0.01
 _MACHINE, _MACHINE_LOG_SD = 5.0, 1.0  # its drag over the motor's own: the median, and the sd of the logarithm
 _FALSE_SECOND = 0.01  # rate at which a second fault is named beside a single one
+_AS_EXPECTED = "the parameters are as expected, but "
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
 
 
@@ -147,12 +147,12 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         found = limit_to_wear(
             _explain_alarm(healthy, reference, hypotheses, log_ratios, limit, rate=left_over)
         )
-        noise = _find_noise(fit, reference, limits.noise_z)
-        if noise is None or found.fault_kind is None or found.fault_kind.is_sensor:
+        noisy = _check_noise(healthy, fit, reference, limits.noise_z)
+        if noisy is healthy or found.fault_kind is None or found.fault_kind.is_sensor:
             return found
-        fault, words = noise
         reasons = (reason.replace(NOTHING_ELSE, "") for reason in found.reasons)
-        return replace(found, reasons=(*reasons, words), also=(*found.also, fault))
+        noise = noisy.reasons[0].removeprefix(_AS_EXPECTED)
+        return replace(found, reasons=(*reasons, noise), also=(*found.also, noisy))
     # The scatter of healthy pieces includes loads and the model's error: neither is a defect of this piece.
     own = (fit.white_covariance if reference.includes_fit_error else fit.log_covariance)[np.ix_(rows, rows)]
     by_all, by_piece = (
@@ -163,17 +163,7 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
     if len(undecided) == len(_CHECKED_FAULTS):
         return replace(healthy, verdict=Verdict.UNUSABLE, reasons=undecided, severity=None, confidence=None)
     healthy = replace(healthy, reasons=(*healthy.reasons, *undecided))
-    noise = _find_noise(fit, reference, limits.noise_z)
-    if noise is None:
-        return healthy
-    fault, words = noise
-    return replace(
-        healthy,
-        verdict=Verdict.NOISE,
-        reasons=(f"the parameters are as expected, but {words}",),
-        severity=fault.severity,
-        confidence=fault.confidence,
-    )
+    return _check_noise(healthy, fit, reference, limits.noise_z)
 
 
 def _explain_alarm(
@@ -193,6 +183,11 @@ def _explain_alarm(
     def suffices(fault: Explanation) -> bool:
         return fault.z > limit and fault.p_left_over > rate and is_separable(first.difference, fault.kind)
 
+    def as_fitted(difference: Difference, faults: list[Explanation]) -> list[Explanation]:
+        """Explain what was fitted by the same faults, not what is linearised in the temperature."""
+        kinds = [fault.kind for fault in faults]
+        return explain_by(replace(difference, log_ratios=log_ratios), kinds)
+
     first = hypotheses[0]
     scales = find_scaling_errors(first.difference, reference.names, limit, rate)
     scaling = [describe_scaling_errors(scales)] if scales else []
@@ -211,20 +206,19 @@ def _explain_alarm(
                 if share > probability[best.kind]:
                     break
             named, probability = _find_pair(difference, faults, rate, best.kind) or ([best], probability)
-            fitted = replace(difference, log_ratios=log_ratios)
-            judgement = _name_faults(healthy, reference, fitted, named, probability, hypothesis.load.name)
+            named = as_fitted(difference, named)
+            judgement = _name_faults(healthy, reference, named, probability, hypothesis.load.name)
             return replace(judgement, reasons=(*judgement.reasons, *scaling))
     if gains and len(gains) == len(scales):
         probability = probabilities(first.difference, [*first.faults, *gains])
         # Equal explanations differ by rounding: take the first.
         likeliest = max(gains, key=lambda gain: round(probability[gain.kind], 9))
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
-            judgement = _name_faults(healthy, reference, None, [likeliest], probability, None)
+            judgement = _name_faults(healthy, reference, [likeliest], probability, None)
             return replace(judgement, reasons=(*scaling, *judgement.reasons))
     both = _find_pair(first.difference, first.faults, rate)
     if both is not None:
-        fitted = replace(first.difference, log_ratios=log_ratios)
-        judgement = _name_faults(healthy, reference, fitted, *both, None)
+        judgement = _name_faults(healthy, reference, as_fitted(first.difference, both[0]), both[1], None)
         if limit_to_wear(judgement) is judgement:
             return replace(judgement, reasons=(*judgement.reasons, *scaling))
     nameable = {fault.kind for fault in first.faults}
@@ -268,16 +262,10 @@ def _describe_warming(
 def _find_pair(
     difference: Difference, faults: list[Explanation], rate: float, kind: FaultKind | None = None
 ) -> tuple[list[Explanation], dict[str, float]] | None:
-    """Find two faults at once, each significant beside the other, that leave nothing unexplained.
+    """Find two faults at once, the stronger one first, and the probabilities with them.
 
-    Args:
-        difference: from the healthy motor.
-        faults: each alone.
-        rate: p-value below which too much is left unexplained.
-        kind: one of the two, if it explains the difference alone; else both must explain it better than "other".
-
-    Returns:
-        The pair, the stronger fault first, and the probabilities.
+    Each must be significant beside the other, and both must leave nothing unexplained: no p-value below `rate`. If
+    `kind` explains the difference alone, it is one of the two; else both must explain it better than "other".
     """
     limit = -float(stdtrit(difference.degrees_of_freedom, _FALSE_SECOND / max(len(faults) - 1, 1)))
     pairs = []
@@ -301,54 +289,46 @@ def _find_pair(
 def _name_faults(
     healthy: Judgement,
     reference: Reference,
-    fitted: Difference | None,
     faults: list[Explanation],
     probability: dict[str, float],
     load: str | None,
 ) -> Judgement:
-    """Judge a piece with known faults.
-
-    Args:
-        healthy: judgement without a fault.
-        reference: of the comparison.
-        fitted: difference as fitted, not as linearised in the temperature; None to take the sizes of the faults.
-        faults: the first one is the verdict.
-        probability: posterior, by kinds.
-        load: of `LOADS`, under which the faults explain the difference.
-    """
-    kinds = [fault.kind for fault in faults]
-    sized = [] if fitted is None else explain_by(fitted, kinds)
-    named = [_name_fault(reference, fault, probability) for fault in sized or faults]
-    first = named[0]
-    is_loaded = any(_share_of_machine(reference, fault) > 0.5 for fault in sized)
+    """Judge a piece with faults, of which the first is the verdict; name the load under which they explain it."""
+    first, *also = (_name_fault(healthy, reference, fault, probability) for fault in faults)
+    is_loaded = any(_share_of_machine(reference, fault) > 0.5 for fault in faults)
     return replace(
-        healthy,
-        verdict=first.verdict,
+        first,
         reasons=(
             *((describe_machine(healthy.fit),) if is_loaded else ()),
-            *describe_findings(kinds, healthy.changes),
+            *describe_findings([fault.kind for fault in faults], healthy.changes),
             f"compared with {reference.source}",
             *filter(None, (reference.assumed,)),
             *(() if load is None else (f"the changes fit it if the drag is mostly {LOADS[load]}",)),
         ),
-        **asdict(first),
-        also=tuple(named[1:]),
+        also=tuple(also),
     )
 
 
-def _name_fault(reference: Reference, fault: Explanation, probability: dict[str, float]) -> NamedFault:
-    """Return size and probability of a fault, alone or beside others; the interval is Student's."""
+def _name_fault(
+    healthy: Judgement, reference: Reference, fault: Explanation, probability: dict[str, float]
+) -> Judgement:
+    """Judge a piece with a known fault, alone or beside others; the interval of the severity is Student's."""
 
     def share(kinds: set[FaultKind]) -> float:
         return sum(each for name, each in probability.items() if kinds & set(name.split("+")))
 
-    own = severity_unit(fault.kind, reference.own_friction)
+    verdict, own = Verdict(fault.kind.verdict), severity_unit(fault.kind, reference.own_friction)
     half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
     low, high = (severity_of(fault.kind, fault.step + margin) / own for margin in (-half, half))
-    alone = 1.0 - _share_of_machine(reference, fault)
-    family = {kind for kind in FaultKind if kind.verdict == fault.kind.verdict}
-    return NamedFault(
-        fault.kind, fault.severity / own, (low, high), alone * share(family), share({fault.kind})
+    family = share({kind for kind in FaultKind if kind.verdict == verdict})
+    return replace(
+        healthy,
+        verdict=verdict,
+        severity=fault.severity / own,
+        severity_interval=(low, high),
+        confidence=family * (1.0 - _share_of_machine(reference, fault)),
+        fault_kind=fault.kind,
+        kind_probability=share({fault.kind}),
     )
 
 
@@ -375,22 +355,26 @@ def describe_machine(fit: Fitted | None) -> str:
     )
 
 
-def _find_noise(fit: Fitted, reference: Reference, limit: float) -> tuple[NamedFault, str] | None:
-    """Find a noise of the current above a limit in standard deviations; describe it."""
+def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: float) -> Judgement:
+    """Judge the noise of the current; `limit` is in standard deviations."""
     if reference.log_noise is None or not isinstance(fit, StartFit):
-        return None
+        return healthy
     # Coarse steps, a rectifier and a dead zone change the measured noise. Healthy starts were recorded with the
     # same sensor, so they remain comparable.
     is_coarse = fit.start.alignment.quantum_a > math.exp(reference.log_noise)
     if (is_coarse or fit.is_hidden) and not reference.includes_fit_error:
-        return None
+        return healthy
     z = (math.log(max(fit.noise_a, 1e-12)) - reference.log_noise) / reference.log_noise_sd
     if z <= limit:
-        return None
+        return healthy
     ratio = math.exp(z * reference.log_noise_sd)
-    confidence = float(stdtr(reference.degrees_of_freedom, z))
-    words = f"the current's noise is {ratio:.2f} times the reference's"
-    return NamedFault(FaultKind.NOISE, ratio**2 - 1.0, None, confidence, 1.0), words
+    return replace(
+        healthy,
+        verdict=Verdict.NOISE,
+        reasons=(f"{_AS_EXPECTED}the current's noise is {ratio:.2f} times the reference's",),
+        severity=ratio**2 - 1.0,
+        confidence=float(stdtr(reference.degrees_of_freedom, z)),
+    )
 
 
 _CHECKED_FAULTS = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+import numpy as np
+
 from motor_env.common.console import ExitStatus
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.readers.recording import Recording
@@ -62,27 +64,6 @@ _REGISTERED: dict[str, Verdict] = {}
 
 
 @dataclass(frozen=True, slots=True)
-class NamedFault:
-    """Fault of a verdict; for attributes see `Judgement`."""
-
-    fault_kind: FaultKind
-    severity: float
-    severity_interval: tuple[float, float] | None
-    confidence: float
-    kind_probability: float
-
-    @property
-    def verdict(self) -> Verdict:
-        """Word for the family of the fault."""
-        return Verdict(self.fault_kind.verdict)
-
-    @property
-    def kind(self) -> FaultKind | None:
-        """Kind of the fault, if it is distinguished from the others of its family."""
-        return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
-
-
-@dataclass(frozen=True, slots=True)
 class Judgement:
     """Verdict on one piece of a recording, and its evidence.
 
@@ -94,7 +75,7 @@ class Judgement:
         confidence: posterior probability of the verdict.
         fault_kind: the most probable kind of the family.
         kind_probability: posterior probability of that kind.
-        also: further faults at once.
+        also: further faults at once, each as a judgement.
         fit: the fitted piece, if any.
         reference: of the comparison.
         changes: of each quantity from the reference.
@@ -110,7 +91,7 @@ class Judgement:
     confidence: float | None = None
     fault_kind: FaultKind | None = None
     kind_probability: float = 0.0
-    also: tuple[NamedFault, ...] = ()
+    also: tuple[Judgement, ...] = ()
     fit: Fitted | None = None
     reference: Reference | None = None
     changes: tuple[Change, ...] = ()
@@ -140,8 +121,8 @@ class Judgement:
         return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
 
     @property
-    def faults(self) -> tuple[Judgement | NamedFault, ...]:
-        """The verdict itself and the further faults."""
+    def faults(self) -> tuple[Judgement, ...]:
+        """This judgement and those of further faults."""
         return self, *self.also
 
     @property
@@ -164,8 +145,13 @@ class Judgement:
 
 def describe_findings(kinds: Sequence[FaultKind], changes: Sequence[Change]) -> Iterator[str]:
     """Describe what faults moved and where to look, and what moved that they do not move, by its interval."""
+    powers = [fault_direction(kind) for kind in kinds]
     beside = [
-        change for change in changes if change.excludes_healthy and not _is_moved_by(kinds, change.name)
+        change
+        for change in changes
+        if change.excludes_healthy
+        and not any(kind.is_sensor for kind in kinds)
+        and not np.any(np.array(powers) @ matrix((change.name,)).T)
     ]
     for kind in kinds:
         what, colon, where = kind.finding.partition(":")
@@ -173,16 +159,9 @@ def describe_findings(kinds: Sequence[FaultKind], changes: Sequence[Change]) -> 
         yield f"{what}{NOTHING_ELSE if alone else ''}{colon}{where}"
     for change in beside:
         yield (
-            f"{change.name} moved beside {'it' if len(kinds) == 1 else 'them'}, by {change.ratio - 1.0:+.1%}"
-            f" ({change.low - 1.0:+.1%} to {change.high - 1.0:+.1%}): too little to tell a further fault from the"
-            " model's error beside so large a one"
+            f"{change.name} moved beside it, by {change.ratio - 1.0:+.1%} ({change.low - 1.0:+.1%} to"
+            f" {change.high - 1.0:+.1%}): too little to tell a further fault from the model's error"
         )
-
-
-def _is_moved_by(kinds: Sequence[FaultKind], name: str) -> bool:
-    """Whether a quantity moves with one of some faults; a sensor's fault moves any."""
-    powers = matrix((name,))
-    return any(kind.is_sensor or (powers @ fault_direction(kind)).any() for kind in kinds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +222,7 @@ class JudgedRecording:
         return self.decisive.severity_interval
 
     @property
-    def also(self) -> tuple[NamedFault, ...]:
+    def also(self) -> tuple[Judgement, ...]:
         """Further faults at once."""
         return self.decisive.also
 

@@ -14,7 +14,7 @@ from motor_env.diagnosis.estimation.operation_fit import OperationFit
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.estimation.starts.start_prior import absolute_parameters
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
-from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, NamedFault, Verdict
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
 from motor_env.diagnosis.verdict.report_text import as_text, describe_r2, warnings_of
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
@@ -214,7 +214,7 @@ def page(diagnosis: JudgedRecording) -> str:
     )
 
 
-def _text_of(texts: Mapping[Verdict | FaultKind, T], fault: Judgement | NamedFault) -> T | None:
+def _text_of(texts: Mapping[Verdict | FaultKind, T], fault: Judgement) -> T | None:
     """Return the text of a fault's kind, or of its verdict."""
     return texts.get(fault.kind or fault.verdict) or texts.get(fault.verdict)
 
@@ -281,10 +281,10 @@ def spread_chart(fits: Sequence[Fitted], parameters: Mapping[str, Mapping[str, A
     return _bars(tuple(changes), pieces)
 
 
-def _size(fault: Judgement | NamedFault) -> str:
+def _size(judgement: Judgement) -> str:
     """Describe the size of a fault with its interval; empty without a size."""
-    size, interval, kind = fault.severity, fault.severity_interval, fault.fault_kind
-    if not size or not fault.verdict.is_fault or kind is None:
+    size, interval, kind = judgement.severity, judgement.severity_interval, judgement.fault_kind
+    if not size or not judgement.verdict.is_fault or kind is None:
         return ""
     between = "" if interval is None else f", between {interval[0]:.0%} and {interval[1]:.0%}"
     return SIZE_TEXTS.get(kind, "Size {}").format(f"{size:.0%}") + between

@@ -11,7 +11,7 @@ import numpy as np
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit, constants_at, find_ripple, implausible
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.diagnosis.verdict.hypotheses import Fitted
-from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, NamedFault
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement
 from motor_env.motor.parameters import RAD_S_PER_RPM
 
 TWO_SIDED = 1.96
@@ -95,7 +95,7 @@ def _judgement_json(judgement: Judgement) -> dict[str, Any]:
     }
 
 
-def _fault_json(fault: Judgement | NamedFault) -> dict[str, Any]:
+def _fault_json(fault: Judgement) -> dict[str, Any]:
     """Return verdict, kind, size and confidence."""
     interval = fault.severity_interval
     return {
@@ -294,7 +294,7 @@ def headline(judgement: Judgement) -> str:
     return "; also ".join(map(_fault_words, judgement.faults))
 
 
-def _fault_words(fault: Judgement | NamedFault) -> str:
+def _fault_words(fault: Judgement) -> str:
     words, interval = str(fault.verdict), fault.severity_interval
     if fault.kind is not None and str(fault.kind) != words:
         words += f" ({fault.kind})"
