@@ -6,7 +6,6 @@ is. With the speed, R, L, K, J and B . With the voltage unknown, each parameter 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -99,11 +98,6 @@ def visible_direction(kind: FaultKind, exponents: FloatArray) -> FloatArray:
     """How the logarithms of identifiable quantities move with a fault; `exponents` are those of `matrix`."""
     direction: FloatArray = exponents @ fault_direction(kind)
     return direction
-
-
-def visible_directions(kinds: Sequence[FaultKind], exponents: FloatArray) -> FloatArray:
-    """`visible_direction` of several kinds, shape (n_quantities, n_kinds)."""
-    return np.column_stack([visible_direction(kind, exponents) for kind in kinds])
 
 
 def nameable_kinds(exponents: FloatArray) -> tuple[FaultKind, ...]:

@@ -7,13 +7,7 @@ from collections.abc import Mapping
 from motor_env.motor.parameters import RAD_S_PER_RPM, require
 
 _OUNCE_KG, _INCH_M, _G = 0.45359237 / 16.0, 0.0254, 9.80665
-_TORQUES = {
-    "n_m": 1.0,
-    "mnm": 1e-3,
-    "oz_in": _OUNCE_KG * _G * _INCH_M,
-    "kg_cm": _G * 1e-2,
-    "g_cm": _G * 1e-5,
-}
+_TORQUES = {"n_m": 1.0, "mnm": 1e-3, "oz_in": _OUNCE_KG * _G * _INCH_M, "kg_cm": _G * 1e-2, "g_cm": _G * 1e-5}
 
 
 def _torques(name: str, per: str = "", factor: float = 1.0) -> dict[str, float]:
@@ -51,11 +45,7 @@ UNITS: dict[str, dict[str, float]] = {
     "no_load_speed_rad_s": _of(
         {"rad_s": 1.0, "rpm": RAD_S_PER_RPM, "krpm": 1e3 * RAD_S_PER_RPM}, "no_load_speed", "free_speed"
     ),
-    "speed_constant_rpm_per_v": {
-        "speed_constant_rpm_per_v": 1.0,
-        "speed_constant_krpm_per_v": 1e3,
-        "kv_rpm_per_v": 1.0,
-    },
+    "speed_constant_rpm_per_v": _of({"rpm_per_v": 1.0, "krpm_per_v": 1e3}, "speed_constant", "kv"),
     "stall_current_a": _of(_CURRENTS, "stall_current"),
     "stall_torque_n_m": _torques("stall_torque"),
     "mechanical_time_constant_s": _of(_TIMES, "mechanical_time_constant"),
@@ -71,7 +61,6 @@ _LARGEST_DISAGREEMENT, _REFUSED = 0.10, 0.30
 _KT, _KB = "torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad"
 _R, _L, _J = "resistance_ohm", "inductance_h", "inertia_kg_m2"
 _USUAL_S = {"mechanical": 0.02, "electrical": 0.001}  # time constants
-_SLOWEST_RPM, _FASTEST_RPM = 50.0, 2e5
 
 
 def in_si(numbers: Mapping[str, float]) -> dict[str, float]:
@@ -123,7 +112,7 @@ def complete(
         )
     if si[_L] > 0.1 * si[_R]:
         notes.append(f"L / R is {si[_L] / si[_R]:.3g} s, more than a usual motor has: is the unit right?")
-    if speed_rpm > 0.0 and not _SLOWEST_RPM < speed_rpm < _FASTEST_RPM:
+    if speed_rpm > 0.0 and not 50.0 < speed_rpm < 2e5:
         notes.append(f"V / K is {speed_rpm:.3g} rpm, unlike a usual motor's: is the unit right?")
     return notes, guessed
 

@@ -217,14 +217,6 @@ def covariance_with_faults(
     return np.asarray(difference.covariance + parameters * variances @ parameters.T, dtype=np.float64)
 
 
-def project(difference: Difference, direction: FloatArray) -> tuple[float, float, float]:
-    """Project a difference on a direction: return z, the step, and its standard deviation."""
-    inverse = difference.inverse
-    information = float(direction @ inverse @ direction)
-    step = float(direction @ inverse @ difference.log_ratios) / information
-    return step * math.sqrt(information), step, 1.0 / math.sqrt(information)
-
-
 def residual_p_value(
     difference: Difference, moved: FloatArray, covariance: FloatArray, faults: int = 1
 ) -> float:
@@ -244,18 +236,18 @@ def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) 
 def explain_by(difference: Difference, kinds: Sequence[FaultKind]) -> list[Explanation]:
     """Explain a difference by faults at once, each with its z beside the others; empty if they are not told apart."""
     response = difference.exponents if difference.response is None else difference.response
-    directions = identifiable.visible_directions(kinds, response)
-    if not _are_told_apart(directions, difference.inverse):
+    directions = np.column_stack([identifiable.visible_direction(kind, response) for kind in kinds])
+    steps, sds = fit_steps(directions, difference.inverse, difference.log_ratios)
+    if not np.isfinite(sds).all():
         return []
-    steps, _ = _fit_steps(directions, difference.inverse, difference.log_ratios)
     covariance = covariance_with_faults(difference, kinds, steps)
     p_left_over = residual_p_value(difference, directions @ steps, covariance, len(kinds))
     faults = []
     for n, kind in enumerate(kinds):
         others = [k for k in range(len(kinds)) if k != n]
         beside = covariance_with_faults(difference, [kinds[k] for k in others], steps[others])
-        own, spread = _fit_steps(directions, _inverse(beside), difference.log_ratios)
-        step, sd = float(own[n]), math.sqrt(spread[n, n])
+        own, sds = fit_steps(directions, _inverse(beside), difference.log_ratios)
+        step, sd = float(own[n]), float(sds[n])
         faults.append(Explanation(kind, step / sd, step, sd, p_left_over, directions[:, n], covariance))
     return faults
 
@@ -264,18 +256,15 @@ def _inverse(matrix: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
-def _are_told_apart(directions: FloatArray, inverse: FloatArray) -> bool:
-    """Whether none of one or two directions lies along the other, within the errors."""
-    information = directions.T @ inverse @ directions
-    return bool(np.linalg.det(information) > (1.0 - _ALONG**2) * np.prod(np.diag(information)))
-
-
-def _fit_steps(
+def fit_steps(
     directions: FloatArray, inverse: FloatArray, log_ratios: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the steps along directions, and their covariance."""
-    spread = _inverse(directions.T @ inverse @ directions)
-    return spread @ directions.T @ inverse @ log_ratios, spread
+    """Return steps along one or two directions, and their standard deviations: infinite if they are not told apart."""
+    information = directions.T @ inverse @ directions
+    if np.linalg.det(information) <= (1.0 - _ALONG**2) * np.prod(np.diag(information)):
+        return np.zeros(len(information)), np.full(len(information), np.inf)
+    spread = _inverse(information)
+    return spread @ directions.T @ inverse @ log_ratios, np.sqrt(np.diag(spread))
 
 
 def is_separable(difference: Difference, kind: FaultKind, beside: FaultKind | None = None) -> bool:
@@ -283,18 +272,15 @@ def is_separable(difference: Difference, kind: FaultKind, beside: FaultKind | No
 
     Shorted turns move K too, as a weak magnet does; a warm winding hides their R, and so does a contact beside them.
     """
-    directions = identifiable.visible_directions(
-        (kind,) if beside is None else (kind, beside), difference.exponents
-    )
+    kinds = (kind,) if beside is None else (kind, beside)
+    directions = np.column_stack([identifiable.visible_direction(k, difference.exponents) for k in kinds])
     winding = ~difference.exponents[:, _IMITATED].any(axis=1)
     if not directions[winding, 0].any() or not directions[~winding, 0].any():
         return True
     inverse = _inverse(difference.covariance[np.ix_(winding, winding)])
     shown = directions[winding][:, directions[winding].any(axis=0)]
-    if not _are_told_apart(shown, inverse):
-        return False
-    steps, spread = _fit_steps(shown, inverse, difference.log_ratios[winding])
-    return bool(steps[0] > _POWER_QUANTILE * math.sqrt(spread[0, 0]))
+    steps, sds = fit_steps(shown, inverse, difference.log_ratios[winding])
+    return bool(steps[0] > _POWER_QUANTILE * sds[0])
 
 
 def smallest_changes(difference: Difference, limit: float) -> dict[str, float]:

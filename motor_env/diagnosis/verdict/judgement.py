@@ -121,11 +121,6 @@ class Judgement:
         return self.fault_kind if self.kind_probability >= SURE_OF_KIND else None
 
     @property
-    def faults(self) -> tuple[Judgement, ...]:
-        """This judgement and those of further faults."""
-        return self, *self.also
-
-    @property
     def identified(self) -> StartFit | None:
         """Fit of a start; None for other pieces."""
         return self.fit if isinstance(self.fit, StartFit) else None

@@ -179,10 +179,9 @@ def page(diagnosis: JudgedRecording) -> str:
     decisive, verdict = diagnosis.decisive, diagnosis.verdict
     fit, expected = decisive.identified, reference_current(decisive)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
-    texts = [
-        _text_of(VERDICT_TEXTS, fault) or (str(fault.verdict).capitalize(),) for fault in decisive.faults
-    ]
-    runs_on = [_text_of(RUN_ON_TEXTS, fault) or "" for fault in decisive.faults]
+    faults = (decisive, *decisive.also)
+    texts = [_text_of(VERDICT_TEXTS, fault) or (str(fault.verdict).capitalize(),) for fault in faults]
+    runs_on = [_text_of(RUN_ON_TEXTS, fault) or "" for fault in faults]
     sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
     current, residual = ("", "") if fit is None else _currents(fit, expected, is_fault=verdict.is_fault)
     return render(
@@ -191,7 +190,7 @@ def page(diagnosis: JudgedRecording) -> str:
         title=", and: ".join(title for title, *_ in texts),
         file=printable(diagnosis.recording.path.name),
         tone=tone,
-        size="; ".join(filter(None, map(_size, decisive.faults))),
+        size="; ".join(filter(None, map(_size, faults))),
         sure="over 99 % sure" if (diagnosis.confidence or 0.0) > 0.99 else sure,
         runs_on=" ".join(dict.fromkeys(runs_on)),
         first=[step for _, *steps in texts for step in steps],

@@ -291,7 +291,7 @@ def expert_lines(judgement: Judgement) -> list[str]:
 
 def headline(judgement: Judgement) -> str:
     """Format verdict, severity and confidence in one line, of further faults too."""
-    return "; also ".join(map(_fault_words, judgement.faults))
+    return "; also ".join(map(_fault_words, (judgement, *judgement.also)))
 
 
 def _fault_words(fault: Judgement) -> str:

@@ -92,11 +92,11 @@ def test_a_fault_is_called_from_the_limit_of_its_test_on(kind: str, verdict: Ver
 def test_two_faults_at_once_are_named_both(off: tuple[float, ...], named: list[str]) -> None:
     """Each where it is significant beside the other, and both together explain what one does not."""
     found = moved(*off)
-    assert [str(fault.verdict) for fault in found.faults] == named
+    assert [str(fault.verdict) for fault in (found, *found.also)] == named
     if len(named) == 2:
-        sizes = {str(fault.fault_kind): fault for fault in found.faults}
+        sizes = {str(fault.fault_kind): fault for fault in (found, *found.also)}
         assert sizes["bearing"].severity == pytest.approx(math.expm1(off[3]), rel=0.02)
-        for fault in found.faults:
+        for fault in (found, *found.also):
             low, high = fault.severity_interval or (1.0, 0.0)
             assert low < (fault.severity or 0.0) < high
             assert 0.5 < (fault.confidence or 0.0) <= 1.0
@@ -108,7 +108,7 @@ def test_two_faults_at_once_are_named_both(off: tuple[float, ...], named: list[s
 
 def test_a_noise_is_named_beside_a_fault() -> None:
     found = moved(0.0, 0.0, 0.0, 0.5, noise=0.8)
-    assert [str(fault.verdict) for fault in found.faults] == ["bearing", "noise"]
+    assert [str(fault.verdict) for fault in (found, *found.also)] == ["bearing", "noise"]
     assert found.also[0].severity == pytest.approx(math.exp(1.6) - 1.0)
     assert not any(NOTHING_ELSE in reason for reason in found.reasons)
 
@@ -152,7 +152,10 @@ def test_drag_far_above_a_data_sheet_is_first_a_coupled_machine() -> None:
 
 def test_a_verdict_says_what_its_sheet_assumes() -> None:
     usual = {"resistance": "usual", "friction": "from a no-load current", "temperature_k": "usual"}
-    for faults, verdict in (((), Verdict.HEALTHY), ((Fault("winding_contact", 0.4),), Verdict.WINDING)):
+    for faults, verdict in (
+        ((), Verdict.HEALTHY),
+        ((Fault(FaultKind.WINDING_CONTACT, 0.4),), Verdict.WINDING),
+    ):
         found = diagnose(start(*faults), replace(SHEET, usual_tolerances=usual, notes=("odd",)))
         assert found.verdict is verdict
         (said,) = (reason for reason in found.reasons if "are assumed" in reason)
@@ -169,7 +172,11 @@ def test_what_a_tolerance_hides_is_not_the_recordings_fault() -> None:
 
 @pytest.mark.parametrize(
     ("faults", "verdict"),
-    [((), "healthy"), ((Fault("winding_contact", 0.3),), "winding"), ((Fault("bearing", 1.0),), "bearing")],
+    [
+        ((), "healthy"),
+        ((Fault(FaultKind.WINDING_CONTACT, 0.3),), "winding"),
+        ((Fault(FaultKind.BEARING, 1.0),), "bearing"),
+    ],
 )
 def test_a_sheet_without_inertia_and_inductance_still_judges_the_rest(
     faults: tuple[Fault, ...], verdict: str
