@@ -89,7 +89,6 @@ class Motor:
         parameters: in SI units.
         nominal_voltage_v: voltage of the start, where known.
         tolerance: how far a healthy motor may be off the parameters.
-        usual_tolerances: those that the data sheet does not give, each with its source.
         current_noise_a: standard deviation of a current sample, where known.
         speed_noise_rad_s: standard deviation of a speed sample, where known.
         coulomb_friction_n_m: Coulomb friction torque.
@@ -97,6 +96,7 @@ class Motor:
         healthy: of a commissioned motor.
         notes: for the reader of the file.
         assumed: keys whose values were not measured, or do not stand on the sheet, each with its source.
+        usual_tolerances: those that the data sheet does not give, each with its source.
     """
 
     name: str
@@ -104,7 +104,6 @@ class Motor:
     parameters: MotorParameters
     nominal_voltage_v: float | None = None
     tolerance: Tolerance = field(default_factory=Tolerance)
-    usual_tolerances: Mapping[str, str] = field(default_factory=dict)
     current_noise_a: float | None = None
     speed_noise_rad_s: float | None = None
     coulomb_friction_n_m: float = 0.0
@@ -112,6 +111,7 @@ class Motor:
     healthy: Healthy | None = None
     notes: tuple[str, ...] = ()
     assumed: Mapping[str, str] = field(default_factory=dict)
+    usual_tolerances: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         instance("name", self.name, str)

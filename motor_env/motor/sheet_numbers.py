@@ -59,7 +59,8 @@ UNITS: dict[str, dict[str, float]] = {
 # Of two numbers of a sheet for one quantity: sheets round, and K falls with warmth. Points of a curve are read roughly.
 _LARGEST_DISAGREEMENT, _REFUSED = 0.10, 0.30
 _KT, _KB = "torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad"
-_R, _L, _J = "resistance_ohm", "inductance_h", "inertia_kg_m2"
+_R, _L, _J, _SPEED = "resistance_ohm", "inductance_h", "inertia_kg_m2", "speed_constant_rpm_per_v"
+_TINY = 1e-300
 _USUAL_S = {"mechanical": 0.02, "electrical": 0.001}  # time constants
 
 
@@ -94,8 +95,12 @@ def complete(
         ValueError: a quantity is missing, or two contradict each other.
     """
     require(_R in si, "motor.resistance_ohm is missing (or stall_current_a with nominal_voltage_v)")
+    require(
+        not {_KB, _SPEED} <= si.keys(),
+        "motor gives a speed constant and a back-EMF constant; give one of them",
+    )
     notes, guessed = _add_constants(si, numbers), []
-    squared, speed_rpm = si[_KT] * si[_KB], _volts(si) / si[_KB] / RAD_S_PER_RPM
+    squared, speed_rpm = max(si[_KT] * si[_KB], _TINY), _volts(si) / si[_KB] / RAD_S_PER_RPM
     for quantity, key, word, formula, factor in (
         (_J, "rotor_inertia_g_cm2", "mechanical", "R J / (Kt Kb)", squared / si[_R]),
         (_L, "inductance_mh", "electrical", "L / R", si[_R]),
@@ -147,8 +152,8 @@ def _constants(si: Mapping[str, float]) -> dict[str, float]:
     found, volts = {}, _volts(si)
     if _KT in si:
         found["a torque constant of {:.4g} N m/A"] = si[_KT]
-    if _KB in si or "speed_constant_rpm_per_v" in si:
-        found[_BACK_EMF] = si.get(_KB) or 1.0 / (si["speed_constant_rpm_per_v"] * RAD_S_PER_RPM)
+    if _KB in si or _SPEED in si:
+        found[_BACK_EMF] = si.get(_KB) or 1.0 / max(si[_SPEED] * RAD_S_PER_RPM, _TINY)
     if volts > 0.0 and {_R, "no_load_current_a", "no_load_speed_rad_s"} <= si.keys():
         induced = max(volts - si[_R] * si["no_load_current_a"], 1e-6 * volts)
         found["a no-load point where (V - R i0) / w0 is {:.4g} V s/rad"] = induced / si["no_load_speed_rad_s"]
@@ -172,4 +177,4 @@ def _unit_hint(numbers: Mapping[str, float]) -> str:
 
 
 def _apart(first: float, second: float) -> float:
-    return max(first, second) / min(first, second) - 1.0
+    return max(first, second) / max(min(first, second), _TINY) - 1.0

@@ -238,6 +238,7 @@ def test_the_default_tolerances_are_those_of_the_documentation() -> None:
         ),
         ("resistance_ohm = 2.18", "resistance_ohm = 2.18\nresistance_mohm = 2180.0", "give one of them"),
         ("no_load_current_ma = 26.3", "", "no_load_current_ma"),
+        ("[motor]", "[motor]\nback_emf_constant_v_per_krpm = 2.46", "give one of them"),
         ("inductance_mh = 0.238", 'inductance_mh = "x"', "motor.inductance_mh"),
         ("[motor]", "[motor", "is not TOML"),
     ],
