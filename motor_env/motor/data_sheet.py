@@ -290,6 +290,15 @@ def assumptions(quantities: Sequence[str], *, has_voltage: bool) -> dict[str, st
     return assumed
 
 
+def require_told(motor: Motor) -> None:
+    """Raise `ValueError` for a data sheet that lacks what a simulation needs."""
+    require(
+        not motor.guesses,
+        f"{motor.name}: the data sheet lacks {' and '.join(motor.guesses)}, so that nothing of it can be simulated:"
+        " add it, or commission the motor",
+    )
+
+
 def usable_parameters(motor: Motor, *, needs_speed: bool) -> MotorParameters:
     """The motor's parameters for a simulation; warns of guesses that do not spoil it.
 
@@ -297,11 +306,7 @@ def usable_parameters(motor: Motor, *, needs_speed: bool) -> MotorParameters:
         ValueError: the voltage or a value of a data sheet is unknown, or speeds are needed and the torque constant is a
             guess.
     """
-    require(
-        not motor.guesses,
-        f"{motor.name}: the data sheet lacks {' and '.join(motor.guesses)}, so that nothing of it can be simulated:"
-        " add it, or commission the motor",
-    )
+    require_told(motor)
     require(
         _V not in motor.assumed,
         f"{motor.name}: its voltage is unknown, so that nothing of it can be simulated: commission or identify it with"

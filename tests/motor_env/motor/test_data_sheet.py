@@ -1,15 +1,18 @@
 from __future__ import annotations
 
 from dataclasses import astuple, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hostile import refused
 
-from motor_env import PAPER_MOTOR, InputError, Motor, load_motor
+from motor_env import PAPER_MOTOR, InputError, Motor, cli, load_motor
 from motor_env.motor.data_sheet import Tolerance, save_motor, usable_parameters
 from motor_env.motor.healthy import Healthy, ScoreCalibration, Starts, Windows
+from motor_env.simulation.named_recipes import motor_recipe
+from motor_env.simulation.recipes import LARGEST_SPREAD
 
 SHEET = """
 name = "sheet"
@@ -148,8 +151,12 @@ def test_a_sheet_of_a_shop(tmp_path: Path) -> None:
     assert [note.partition(":")[0] for note in motor.notes] == [
         "the sheet does not tell inertia_kg_m2 and inductance_h"
     ]
-    with pytest.raises(ValueError, match="the data sheet lacks inductance_h and inertia_kg_m2"):
-        usable_parameters(motor, needs_speed=False)
+    for simulated in (motor_recipe, partial(usable_parameters, needs_speed=False)):
+        with pytest.raises(ValueError, match="the data sheet lacks inductance_h and inertia_kg_m2"):
+            simulated(motor)
+    assert (
+        cli.main(["export-c", str(tmp_path / "motor.toml"), "--rate-hz", "1000", "--out", str(tmp_path)]) == 2
+    )
     other = replace(p, inductance_h=3.0, inertia_kg_m2=4.0, resistance_ohm=9.0)
     assert motor.with_guesses_of(other).parameters == replace(p, inductance_h=3.0, inertia_kg_m2=4.0)
     by_stall = SHOP.replace("free_speed_rpm = 6000.0\n", "viscous_friction_n_m_s_per_rad = 0.0\n")
@@ -211,6 +218,9 @@ def test_friction_of_a_no_load_current_has_a_wide_tolerance_unless_the_sheet_say
         tmp_path, SHEET.replace("no_load_current_ma = 26.3", "viscous_friction_n_m_s_per_rad = 1e-6")
     )
     assert [motor.tolerance.friction for motor in (plain, told, given)] == [0.3, 0.05, 0.03]
+    assert [
+        motor_recipe(replace(motor, nominal_voltage_v=12.0)).spread.friction for motor in (plain, told)
+    ] == [LARGEST_SPREAD, 0.05]
     assert plain.usual_tolerances["friction"].startswith("from a no-load current")
     assert "friction" not in told.usual_tolerances
     assert (
