@@ -3,13 +3,14 @@
 python benchmarks/random_motors.py --motors 60     # two minutes of one core
 """
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from cyclopts import run
 from tables import keep_table
-from verdict_tables import HERE, How, Said, counted, words_of
+from verdict_tables import HERE, How, Said, counted, named, words_of
 
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
 from motor_env.diagnosis.readers.recording import Recording
@@ -38,18 +39,19 @@ CHANGES: dict[str, dict[str, float]] = {
     "friction × 6": {"friction": 6.0},
 }
 HEALTHY = 5
-COUNT = HEALTHY + len(CHANGES)
+Changes = Mapping[str, Mapping[str, float]]
 
 
-def scattered(rng: np.random.Generator, spread: float, name: str) -> FloatArray:
-    """A factor for each start: its scatter, and the change of the last ones."""
-    changed = [change.get(name, 1.0) for change in CHANGES.values()]
-    factors: FloatArray = (1.0 + spread * rng.standard_normal(COUNT)) * np.array([1.0] * HEALTHY + changed)
-    return factors
-
-
-def starts(rng: np.random.Generator) -> tuple[list[Recording], Motor]:
+def starts(rng: np.random.Generator, changes: Changes = CHANGES) -> tuple[list[Recording], Motor]:
     """The healthy starts of one motor and then one with each change, recorded by one sensor; and its data sheet."""
+    names = [f"healthy {n}" for n in range(HEALTHY)] + list(changes)
+
+    def scattered(spread: float, name: str) -> FloatArray:
+        """A factor for each start: its scatter, and the change of the last ones."""
+        changed = [changes.get(each, {}).get(name, 1.0) for each in names]
+        factors: FloatArray = (1.0 + spread * rng.standard_normal(len(names))) * np.array(changed)
+        return factors
+
     voltage = float(rng.choice([3.0, 6.0, 12.0, 24.0, 48.0]))
     stall_a = 10.0 ** rng.uniform(-0.5, 1.7)
     speed = 10.0 ** rng.uniform(2.0, 3.0)
@@ -58,7 +60,7 @@ def starts(rng: np.random.Generator) -> tuple[list[Recording], Motor]:
     ohm, constant = voltage / stall_a, 0.97 * voltage / speed
     torque = constant * stall_a * rng.uniform(0.01, 0.06)
     dry = rng.choice([0.0, rng.uniform(0.0, 1.0)])
-    friction = scattered(rng, 0.02, "friction")
+    friction = scattered(0.02, "friction")
     motor = MotorParameters(
         resistance_ohm=ohm,
         inductance_h=electrical_s * ohm,
@@ -68,16 +70,17 @@ def starts(rng: np.random.Generator) -> tuple[list[Recording], Motor]:
         viscous_friction_n_m_s_per_rad=(1.0 - dry) * torque / speed,
     )
     each = motor.scaled(
-        resistance_ohm=scattered(rng, 0.005, "resistance_ohm"),
-        back_emf_constant_v_s_per_rad=scattered(rng, 0.0, "back_emf_constant_v_s_per_rad"),
-        torque_constant_n_m_per_a=scattered(rng, 0.0, "torque_constant_n_m_per_a"),
-        inertia_kg_m2=scattered(rng, 0.0, "inertia_kg_m2"),
+        resistance_ohm=scattered(0.005, "resistance_ohm"),
+        back_emf_constant_v_s_per_rad=scattered(0.0, "back_emf_constant_v_s_per_rad"),
+        torque_constant_n_m_per_a=scattered(0.0, "torque_constant_n_m_per_a"),
+        inertia_kg_m2=scattered(0.0, "inertia_kg_m2"),
+        inductance_h=np.array([changes.get(name, {}).get("inductance_h", 1.0) for name in names]),
         viscous_friction_n_m_s_per_rad=friction,
     )
     duration_s = mechanical_s * rng.uniform(4.0, 10.0)
     rate_hz = float(rng.choice([400, 1_000, 2_500, 10_000])) / duration_s
     timing = Timing(rate_hz, duration_s, duration_s * rng.uniform(0.05, 0.4))
-    delay_s = rng.uniform(0.0, 1.0, COUNT) / rate_hz
+    delay_s = rng.uniform(0.0, 1.0, len(names)) / rate_hz
     drop_v = float(rng.choice([0.0, 0.0, 0.03])) * voltage
     sheet = Motor(
         "this motor",
@@ -99,7 +102,7 @@ def starts(rng: np.random.Generator) -> tuple[list[Recording], Motor]:
     chain = SensorChain(
         offset_a=float(rng.choice([0.0, 0.02])) * stall_a, range_a=2.0 * stall_a, adc_bits=bits
     )
-    supply = voltage * (1.0 + 0.005 * rng.standard_normal(COUNT))
+    supply = voltage * (1.0 + 0.005 * rng.standard_normal(len(names)))
     scenario = Scenario(
         each,
         (),
@@ -108,12 +111,11 @@ def starts(rng: np.random.Generator) -> tuple[list[Recording], Motor]:
         timing,
     )
     seed = int(rng.integers(2**32))
-    current = measure(scenario, seed, range(COUNT), effects=effects, chain=chain, nominal=motor)[:, 0]
+    current = measure(scenario, seed, range(len(names)), effects=effects, chain=chain, nominal=motor)[:, 0]
     # Half of the steps come with their voltage, which some scopes read a sample later than the current.
     measured = not effects.ramp_s and rng.random() < 0.5
     on = timing.time_s > (delay_s + float(rng.choice([0.0, 1.0])) / rate_hz)[:, None]
     volts = supply[:, None] * on + 0.002 * voltage * rng.standard_normal(on.shape)
-    names = [f"healthy {n}" for n in range(HEALTHY)] + list(CHANGES)
     recordings = [
         Recording(Path(name), timing.time_s, row.astype(np.float64), volts[n] if measured else None)
         for n, (name, row) in enumerate(zip(names, current, strict=True))
@@ -125,7 +127,7 @@ def said(found: Diagnosis) -> str:
     """The verdict; where a change of friction was missed also whether the diagnosis had said that it might not show."""
     missed = found.recording.path.name == "friction +50 %" and found.verdict is Verdict.HEALTHY
     stated = missed and found.decisive.smallest_changes["bearing"] > FRICTION - 1.0
-    return f"{found.verdict} (+50 % might not show, it said)" if stated else str(found.verdict)
+    return f"{found.verdict} (+50 % might not show, it said)" if stated else named(found)
 
 
 def judge(number: int, seed: int) -> Said:

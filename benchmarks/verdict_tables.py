@@ -19,6 +19,8 @@ from typing import Any, TypeVar
 
 from cyclopts import Parameter
 
+from motor_env.diagnosis.verdict.judgement import JudgedRecording
+
 Job = TypeVar("Job")
 Row = dict[str, Any]
 
@@ -55,6 +57,11 @@ def kept_rows(
 Cell = tuple[str, ...]
 Said = list[tuple[Cell, str]]
 """What was said in one case: cells and verdicts."""
+
+
+def named(found: JudgedRecording) -> str:
+    """The verdict, and the further faults that it names."""
+    return " + ".join(sorted([found.verdict, *(fault.verdict for fault in found.also)]))
 
 
 def words_of(verdicts: Counter[str]) -> str:

@@ -111,9 +111,10 @@ def export_c(
     """
     from motor_env.diagnosis.embedded.monitor import CusumBank, monitor_of, sensor_of
     from motor_env.diagnosis.embedded.source import write_library
-    from motor_env.motor.data_sheet import load_motor
+    from motor_env.motor.data_sheet import load_motor, require_told
 
     known = load_motor(motor)
+    require_told(known)
     monitor = monitor_of(
         known,
         rate_hz,

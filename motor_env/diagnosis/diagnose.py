@@ -45,7 +45,7 @@ from motor_env.diagnosis.verdict import report_text
 from motor_env.diagnosis.verdict.decision import DEFAULT_FALSE_ALARM_RATE, decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, ReferenceShift, reference_of
 from motor_env.diagnosis.verdict.hypotheses import alarm_share, compare
-from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
+from motor_env.diagnosis.verdict.judgement import NOTHING_ELSE, JudgedRecording, Judgement, Verdict
 from motor_env.diagnosis.verdict.scaling_errors import SWAPPED, is_unlike_motor
 from motor_env.diagnosis.verdict.sensor_diagnosis import (
     AC_COUPLED,
@@ -144,6 +144,8 @@ def diagnose(
     recording = recording_of(recording, columns)
     if isinstance(motor, str | Path):
         motor = load_motor(motor)
+    if motor is not None and motor.kind == "data_sheet":
+        recording = replace(recording, warnings=(*recording.warnings, *motor.notes))
     taken = taken_for(recording, regime, start)
     if regime == "auto" and start is None and _is_like_healthy_windows(recording, motor):
         taken = RegimeDecision("operation", "as its healthy recordings")
@@ -212,6 +214,10 @@ def judge_start(
 ) -> Judgement:
     """Judge one start, see `diagnose`."""
     constant = None if motor is None else float(np.mean(motor.parameters.torque_constant_n_m_per_a))
+    if motor is not None and motor.guesses:
+        with suppress(UnusableError):
+            alone = identify_best(prepare(recording, voltage_v, circuit), NUISANCES, constant=constant)
+            motor = motor.with_guesses_of(alone.parameters)
     failed = None if motor is None else diagnose_sensors(recording, motor, voltage_v, circuit)
     if failed is not None:
         return failed
@@ -265,6 +271,8 @@ def _add_ripple(judgement: Judgement, fit: StartFit, starts: Starts, rate: float
     changes = compare(names, logs, np.eye(2) * starts.ripple_log_sd**2, freedom, limit, is_alarm=True)
     moved = [c for c in changes if c.significant]
     reasons = judgement.reasons
+    if any(change.excludes_healthy for change in changes):
+        reasons = tuple(reason.replace(NOTHING_ELSE, "") for reason in reasons)
     if moved and judgement.verdict.is_fault:
         words = " and ".join(
             f"{c.name} {'up' if c.ratio > 1.0 else 'down'} by {abs(c.ratio - 1.0):.0%}" for c in moved

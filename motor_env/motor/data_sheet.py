@@ -21,8 +21,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
 from types import NoneType
 from typing import ClassVar, Literal, get_args
@@ -33,7 +33,8 @@ from motor_env.common.arrays import instance, is_one_of, shown
 from motor_env.common.errors import InputError
 from motor_env.common.files import write_text
 from motor_env.motor.healthy import Healthy
-from motor_env.motor.parameters import CATALOGUE, RAD_S_PER_RPM, MotorParameters, require, require_positive
+from motor_env.motor.parameters import CATALOGUE, MotorParameters, require, require_positive
+from motor_env.motor.sheet_numbers import UNITS, complete, in_si
 from motor_env.motor.toml_files import (
     NotNegative,
     OneLine,
@@ -44,38 +45,12 @@ from motor_env.motor.toml_files import (
 )
 
 Kind = Literal["data_sheet", "identified", "commissioned"]
-_UNITS: dict[str, dict[str, float]] = {
-    "resistance_ohm": {"resistance_ohm": 1.0, "resistance_mohm": 1e-3},
-    "inductance_h": {"inductance_h": 1.0, "inductance_mh": 1e-3, "inductance_uh": 1e-6},
-    "torque_constant_n_m_per_a": {"torque_constant_n_m_per_a": 1.0, "torque_constant_mnm_per_a": 1e-3},
-    "back_emf_constant_v_s_per_rad": {
-        "back_emf_constant_v_s_per_rad": 1.0,
-        "back_emf_constant_v_per_krpm": 1e-3 / RAD_S_PER_RPM,
-        "back_emf_constant_mv_per_rpm": 1e-3 / RAD_S_PER_RPM,
-    },
-    "inertia_kg_m2": {"rotor_inertia_kg_m2": 1.0, "rotor_inertia_g_cm2": 1e-7, "rotor_inertia_kg_cm2": 1e-4},
-    "viscous_friction_n_m_s_per_rad": {
-        "viscous_friction_n_m_s_per_rad": 1.0,
-        "viscous_friction_mnm_per_krpm": 1e-6 / RAD_S_PER_RPM,
-    },
-    "no_load_current_a": {"no_load_current_a": 1.0, "no_load_current_ma": 1e-3},
-    "no_load_speed_rad_s": {"no_load_speed_rad_s": 1.0, "no_load_speed_rpm": RAD_S_PER_RPM},
-    "speed_constant_rpm_per_v": {"speed_constant_rpm_per_v": 1.0},
-    "mechanical_time_constant_s": {"mechanical_time_constant_s": 1.0, "mechanical_time_constant_ms": 1e-3},
-    "coulomb_friction_n_m": {"coulomb_friction_n_m": 1.0},
-    "brush_drop_v": {"brush_drop_v": 1.0},
-    "nominal_voltage_v": {"nominal_voltage_v": 1.0},
-}
-"""Quantity: the keys that give it, each with its factor; the first key is the one that is written."""
-
-# Of two numbers of a sheet for one quantity: sheets round, and K falls with warmth.
-_LARGEST_DISAGREEMENT = 0.10
 _MAY_BE_ZERO = ("viscous_friction_n_m_s_per_rad", "coulomb_friction_n_m", "brush_drop_v")
 _MotorTable = make_dataclass(
     "_MotorTable",
     [
         (key, (NotNegative if quantity in _MAY_BE_ZERO else Positive) | None, None)
-        for quantity, keys in _UNITS.items()
+        for quantity, keys in UNITS.items()
         for key in keys
     ],
 )
@@ -85,7 +60,8 @@ _MotorTable = make_dataclass(
 class Tolerance:
     """Relative standard deviations of a healthy motor about its data sheet, and of the temperature in kelvin.
 
-    A sheet that guarantees +-10 % wants 0.05. Temperature moves R by 0.393 % a kelvin, the constants by -0.1 %.
+    A sheet that guarantees +-10 % wants 0.05. Temperature moves R by 0.393 % a kelvin, the constants by -0.1 %. No-load
+    currents scatter more: a friction that follows from one has 30 %, unless the file says otherwise.
     """
 
     supply: NotNegative = 0.01
@@ -119,7 +95,8 @@ class Motor:
         brush_drop_v: voltage drop of the brushes.
         healthy: of a commissioned motor.
         notes: for the reader of the file.
-        assumed: keys whose values were not measured, each with its source.
+        assumed: keys whose values were not measured, or do not stand on the sheet, each with its source.
+        usual_tolerances: those that the data sheet does not give, each with its source.
     """
 
     name: str
@@ -134,6 +111,7 @@ class Motor:
     healthy: Healthy | None = None
     notes: tuple[str, ...] = ()
     assumed: Mapping[str, str] = field(default_factory=dict)
+    usual_tolerances: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         instance("name", self.name, str)
@@ -149,6 +127,17 @@ class Motor:
         for name in ("coulomb_friction_n_m", "brush_drop_v"):
             value = require_positive(name, getattr(self, name), zero_allowed=True, one=True)
             object.__setattr__(self, name, value)
+
+    @property
+    def guesses(self) -> tuple[str, ...]:
+        """Parameters that a data sheet does not tell."""
+        names = _TOLERANCE_OF if self.kind == "data_sheet" else ()
+        return tuple(name for name in names if next(iter(UNITS[name])) in self.assumed)
+
+    def with_guesses_of(self, parameters: MotorParameters) -> Motor:
+        """The motor with its guesses replaced by other parameters."""
+        told = {name: getattr(parameters, name) for name in self.guesses}
+        return replace(self, parameters=replace(self.parameters, **told))
 
     def dry_share(self, speed_rad_s: float) -> float:
         """Coulomb friction over viscous friction at a speed, Tc / (B w); no viscous friction counts as 1e-300."""
@@ -181,85 +170,50 @@ def load_motor(name_or_path: str | Path) -> Motor:
     """
     instance("name_or_path", name_or_path, (str, Path))
     if str(name_or_path) in CATALOGUE:
-        return Motor(str(name_or_path), "data_sheet", CATALOGUE[str(name_or_path)])
+        motor = Motor(str(name_or_path), "data_sheet", CATALOGUE[str(name_or_path)])
+        return replace(motor, usual_tolerances=dict.fromkeys(_TOLERANCES, "usual"))
     path = Path(name_or_path)
     content = read_toml(path, f"no such motor file; presets are {', '.join(sorted(CATALOGUE))}")
     try:
-        return _to_motor(from_dict(_File, content, "the motor file"))
+        return _to_motor(from_dict(_File, content, "the motor file"), content.get("tolerance", {}))
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
 
 
-def _to_motor(file: _File) -> Motor:
-    si: dict[str, float] = {}
-    for quantity, keys in _UNITS.items():
-        stated = [key for key in keys if getattr(file.motor, key) is not None]
-        require(len(stated) < 2, f"motor gives {' and '.join(stated)}; give one of them")
-        if stated:
-            si[quantity] = getattr(file.motor, stated[0]) * keys[stated[0]]
-    constants = _constants(si)
-    _time_constant_fits(si | constants)
-    for quantity, usual_key in (
-        ("resistance_ohm", "resistance_ohm"),
-        ("inductance_h", "inductance_mh"),
-        ("inertia_kg_m2", "rotor_inertia_g_cm2"),
-    ):
-        require(quantity in si, f"motor.{usual_key} is missing")
-    si |= constants
-    si["viscous_friction_n_m_s_per_rad"] = _friction(si)
-    unknown = [key for key in file.assumed if getattr(file.motor, key, None) is None]
+def _to_motor(file: _File, given: Collection[str]) -> Motor:
+    """Make the motor of a file, in which some tolerances are given."""
+    numbers = {key: number for key, number in asdict(file.motor).items() if number is not None}
+    si, is_sheet = in_si(numbers), file.kind == "data_sheet"
+    notes, guessed = complete(si, numbers, may_guess=is_sheet)
+    usual = {name: "usual" for name in _TOLERANCES if name not in given}
+    wide = {_TOLERANCE_OF[quantity]: _GUESSED for quantity in guessed}
+    usual |= dict.fromkeys(wide, _MISSING)
+    if "viscous_friction_n_m_s_per_rad" not in si:
+        si["viscous_friction_n_m_s_per_rad"] = _friction(si)
+        if "friction" not in given:
+            wide["friction"], usual["friction"] = _NO_LOAD, "from a no-load current, and those scatter"
+    if si["viscous_friction_n_m_s_per_rad"] == 0.0 == si.get("coulomb_friction_n_m", 0.0):
+        notes.append("its friction is 0, which no motor has: is it unknown?")
+    if guessed:
+        notes.append(
+            f"the sheet does not tell {' and '.join(guessed)}: a recording's own counts, and no change of it shows;"
+            " motor-env commission start1.csv start2.csv start3.csv -o motor.toml learns all from healthy starts"
+        )
+    unknown = [key for key in file.assumed if key not in numbers]
     require(not unknown, f"assumed.{', '.join(unknown)} is no value of the table motor")
     return Motor(
         file.name,
         file.kind,
         MotorParameters(**{f.name: si[f.name] for f in fields(MotorParameters)}),
         nominal_voltage_v=si.get("nominal_voltage_v"),
-        tolerance=file.tolerance,
+        tolerance=replace(file.tolerance, **wide) if is_sheet else file.tolerance,
+        usual_tolerances=usual if is_sheet else {},
         **asdict(file.sensor),
         coulomb_friction_n_m=si.get("coulomb_friction_n_m", 0.0),
         brush_drop_v=si.get("brush_drop_v", 0.0),
         healthy=file.healthy,
-        notes=file.notes,
-        assumed=file.assumed,
-    )
-
-
-def _constants(si: Mapping[str, float]) -> dict[str, float]:
-    """Torque and back-EMF constant; in SI units they are one number, so either stands for the other."""
-    names = ("torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad")
-    stated = {name: si[name] for name in names if name in si}
-    if "speed_constant_rpm_per_v" in si:
-        require(
-            names[1] not in si,
-            "motor gives speed_constant_rpm_per_v and a back-EMF constant; give one of them",
-        )
-        stated[names[1]] = 1.0 / (si["speed_constant_rpm_per_v"] * RAD_S_PER_RPM)
-    require(bool(stated), "motor.torque_constant_mnm_per_a (or motor.speed_constant_rpm_per_v) is missing")
-    constants = dict.fromkeys(names, next(iter(stated.values()))) | stated
-    torque, back_emf = constants.values()
-    require(
-        _agree(torque, back_emf),
-        f"motor gives a torque constant of {torque:.4g} N m/A and a back-EMF constant of {back_emf:.4g} V s/rad, which"
-        " are one number in SI units; correct one, or leave it out",
-    )
-    return constants
-
-
-def _agree(first: float, second: float) -> bool:
-    return abs(math.log(first / second)) <= _LARGEST_DISAGREEMENT
-
-
-def _time_constant_fits(si: Mapping[str, float]) -> None:
-    """Refuse a mechanical time constant that is not R J / (Kt Kb) of the others."""
-    stated = si.get("mechanical_time_constant_s")
-    if stated is None or not {"resistance_ohm", "inertia_kg_m2"} <= si.keys():
-        return
-    torque, back_emf = si["torque_constant_n_m_per_a"], si["back_emf_constant_v_s_per_rad"]
-    follows = si["resistance_ohm"] * si["inertia_kg_m2"] / (torque * back_emf)
-    require(
-        _agree(stated, follows),
-        f"motor gives a mechanical time constant of {1e3 * stated:.4g} ms, but R J / (Kt Kb) of its resistance, inertia"
-        f" and constants is {1e3 * follows:.4g} ms; correct the one that is wrong",
+        notes=(*file.notes, *notes) if is_sheet else file.notes,
+        assumed={**file.assumed, **{next(iter(UNITS[quantity])): _MISSING for quantity in guessed}},
     )
 
 
@@ -296,14 +250,14 @@ def to_toml(motor: Motor) -> str:
     """The text of a motor file."""
     content = asdict(motor)
     content |= content.pop("parameters")
-    first_keys = {quantity: next(iter(keys)) for quantity, keys in _UNITS.items() if quantity in content}
+    first_keys = {quantity: next(iter(keys)) for quantity, keys in UNITS.items() if quantity in content}
     top = {"name": motor.name, "kind": motor.kind, "notes": motor.notes}
     tables = {
         "motor": {key: content[quantity] for quantity, key in first_keys.items()},
         "tolerance": content["tolerance"],
         "sensor": {f.name: content[f.name] for f in fields(_SensorTable)},
     }
-    if motor.kind != "data_sheet":
+    if motor.kind != "data_sheet" or motor.assumed:
         tables["assumed"] = content["assumed"]
     if motor.healthy is not None:
         whole = content["healthy"]
@@ -315,6 +269,10 @@ def to_toml(motor: Motor) -> str:
     return toml_text(top, tables)
 
 
+_TOLERANCES = tuple(f.name for f in fields(Tolerance))
+_NO_LOAD, _GUESSED = 0.3, 1.5  # tolerance of friction from a no-load current; of a guess
+_TOLERANCE_OF = {"inductance_h": "inductance", "inertia_kg_m2": "inertia"}
+_MISSING = "a guess, as the sheet has none"
 _K = ("torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad")
 _J, _B, _V = "rotor_inertia_kg_m2", "viscous_friction_n_m_s_per_rad", "nominal_voltage_v"
 _GUESS = "a guess, 1/100 of the voltage: the current alone tells K^2/J and B/J, not K, J and B"
@@ -332,12 +290,23 @@ def assumptions(quantities: Sequence[str], *, has_voltage: bool) -> dict[str, st
     return assumed
 
 
+def require_told(motor: Motor) -> None:
+    """Raise `ValueError` for a data sheet that lacks what a simulation needs."""
+    require(
+        not motor.guesses,
+        f"{motor.name}: the data sheet lacks {' and '.join(motor.guesses)}, so that nothing of it can be simulated:"
+        " add it, or commission the motor",
+    )
+
+
 def usable_parameters(motor: Motor, *, needs_speed: bool) -> MotorParameters:
     """The motor's parameters for a simulation; warns of guesses that do not spoil it.
 
     Raises:
-        ValueError: the voltage is unknown, or speeds are needed and the torque constant is a guess.
+        ValueError: the voltage or a value of a data sheet is unknown, or speeds are needed and the torque constant is a
+            guess.
     """
+    require_told(motor)
     require(
         _V not in motor.assumed,
         f"{motor.name}: its voltage is unknown, so that nothing of it can be simulated: commission or identify it with"

@@ -209,7 +209,7 @@ def _moved_words(powers: Mapping[str, float]) -> str:
     up = [quantity for quantity, power in powers.items() if power > 0.0]
     down = [quantity for quantity in powers if quantity not in up]
     parts = [f"{' and '.join(names)} {way}" for names, way in ((up, "up"), (down, "down")) if names]
-    return f"{', '.join(parts)}, and nothing else moved"
+    return ", ".join(parts)
 
 
 @cache
@@ -229,14 +229,13 @@ def motor_kinds() -> tuple[FaultKind, ...]:
 FaultKind.BEARING = register_fault_kind(  # paper, part 4
     "bearing",
     {"friction": 1.0},
-    finding="friction is up and nothing else moved: look at the bearings, the lubricant and the load",
+    finding="friction is up: look at the bearings, the lubricant and the load",
 )
 FaultKind.WINDING_CONTACT = register_fault_kind(  # the paper's numbers: a bad contact or brush
     "winding_contact",
     {"resistance": 1.0},
     verdict="winding",
-    finding="resistance is up and nothing else moved: look at brushes, commutator and connections, and at the"
-    " winding's temperature",
+    finding="resistance is up: look at brushes, commutator and connections, and at the winding's temperature",
 )
 FaultKind.WINDING_SHORT = register_fault_kind(  # a share of the turns is shorted (Isermann 2006, table 7.1.3)
     "winding_short",
@@ -248,7 +247,7 @@ FaultKind.NOISE = register_fault_kind("noise", {NOISE: 1.0})  # paper, part 3B
 FaultKind.MAGNET = register_fault_kind(  # demagnetised: less flux, so both constants fall
     "magnet",
     {"constants": -1.0},
-    finding="torque and back-EMF constant are down and nothing else moved: look at the magnets and their temperature",
+    finding="torque and back-EMF constant are down: look at the magnets and their temperature",
 )
 BUILT_IN_KINDS = tuple(_KINDS.values())
 """The kinds of the package. Their order is that of the random numbers of a case: new ones stand at the end."""

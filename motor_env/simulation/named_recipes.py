@@ -15,7 +15,7 @@ import numpy as np
 
 from motor_env.common.arrays import instance
 from motor_env.common.errors import InputError
-from motor_env.motor.data_sheet import Motor, load_motor, usable_parameters
+from motor_env.motor.data_sheet import Motor, load_motor, require_told, usable_parameters
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.healthy import Healthy, Starts
 from motor_env.motor.identifiable import tolerance_std
@@ -113,8 +113,11 @@ def _two_digits(value: float) -> float:
 
 
 def _spread(motor: Motor) -> Spread:
+    require_told(motor)
     std = tolerance_std(motor.tolerance)
-    values = {name: std[name] for name in FACTORS}
+    # The usual tolerance of friction from a no-load current is wider than what can be drawn.
+    usual = motor.usual_tolerances
+    values = {name: min(std[name], LARGEST_SPREAD) if name in usual else std[name] for name in FACTORS}
     if motor.healthy is not None:
         values = _learned_spread(motor.healthy, values["supply"])
     for name, value in values.items():

@@ -70,7 +70,7 @@ def judge_log(
     whole = _until_read(at_terminals(recording, voltage_v, circuit))
     if motor is None:
         return [Judgement(Verdict.NO_REFERENCE, (_NOTHING,)).on(whole)], 1
-    failed = diagnose_sensors(whole, motor, voltage_v, at_work=True)
+    failed = None if motor.guesses else diagnose_sensors(whole, motor, voltage_v, at_work=True)
     if failed is not None:
         return [failed], 1
     try:
@@ -151,8 +151,9 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
                 records.append(replace(from_recordings([part]), hold=joint.record.hold))
         if records:
             physical, terms, _ = choose_window_terms(records, joint)
+    inertia = replace(motor.parameters, inertia_kg_m2=float(physical[index.J]))
     reference = reference_of(
-        motor,
+        motor.with_guesses_of(inertia),
         NAMES,
         are_starts=False,
         temperature_c=temperature_c,

@@ -78,6 +78,7 @@ class Event:
         ratios: quantities of the window over the healthy ones.
         reason: why a window is unusable, or a sensor failed.
         fault_kind: kind of the fault, if distinguished from others of its family.
+        also: further faults of the window at once, each by its kind where distinguished.
         undecided: quantities whose doubling would not show.
         count: number of this kind since the last such event.
     """
@@ -88,6 +89,7 @@ class Event:
     ratios: dict[str, float] = field(default_factory=dict)
     reason: str = ""
     fault_kind: str | None = None
+    also: tuple[str, ...] = ()
     undecided: tuple[str, ...] = ()
     count: int = 1
 
@@ -104,6 +106,7 @@ class Event:
             "event": self.kind,
             "verdict": self.text if is_window else None,
             "kind": self.fault_kind,
+            "also": list(self.also),
             "reason": self.reason if is_window else self.text,
             "ratios": {name: round(ratio, 4) for name, ratio in self.ratios.items()},
             "undecided": list(self.undecided),
@@ -352,6 +355,7 @@ class Watch:
             ratios,
             reason=window.reasons[0] if window.verdict in (Verdict.UNUSABLE, Verdict.SENSOR) else "",
             fault_kind=None if window.kind is None else str(window.kind),
+            also=tuple(str(fault.kind or fault.verdict) for fault in window.also),
             undecided=tuple(change.name for change in window.changes if change.verdict == "undecided"),
         )
 
@@ -489,7 +493,8 @@ def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
             for each in latest:
                 moved = ", ".join(f"{name} {ratio - 1.0:+.1%}" for name, ratio in each.ratios.items())
                 kind = each.kind if each.count == 1 else f"{each.count} {each.kind}"
-                words = (f"{each.time_s:.6g}", kind, f"{each.text} {each.reason}", moved)
+                what = f"{' + '.join((each.text, *each.also))} {each.reason}"
+                words = (f"{each.time_s:.6g}", kind, what, moved)
                 table.add_row(*(Text(printable(word)) for word in words), style=_style(each))
             screen.update(Group(table, Text(", ".join(f"{n} {name}" for name, n in counts.most_common()))))
 

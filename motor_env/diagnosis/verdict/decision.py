@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,9 @@ from scipy.special import stdtr, stdtrit
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.verdict.healthy_motor import Reference
 from motor_env.diagnosis.verdict.hypotheses import (
+    SECOND_PRIOR,
     Change,
+    Difference,
     Explanation,
     Fitted,
     Hypothesis,
@@ -27,17 +30,25 @@ from motor_env.diagnosis.verdict.hypotheses import (
     covariance_at_one_temperature,
     estimate_warming,
     explain,
+    explain_by,
     form_hypotheses,
     is_separable,
     joint_share,
+    name_of,
     probabilities,
+    severity_density,
     severity_of,
     severity_unit,
     shared_rows,
     smallest_changes,
     smallest_detectable,
 )
-from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
+from motor_env.diagnosis.verdict.judgement import (
+    NOTHING_ELSE,
+    Judgement,
+    Verdict,
+    describe_findings,
+)
 from motor_env.diagnosis.verdict.load_hypotheses import LOADS
 from motor_env.diagnosis.verdict.scaling_errors import (
     describe_scaling_errors,
@@ -52,6 +63,9 @@ _NOTABLE_WARMTH_K = 8.0
 # Sizes of changes; a ratio beyond the last is of a quantity that the healthy pieces hardly determine.
 _DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
 _LEFT_OVER = 0.01
+_MACHINE, _MACHINE_LOG_SD = 5.0, 1.0  # its drag over the motor's own: the median, and the sd of the logarithm
+_FALSE_SECOND = 0.01  # rate at which a second fault is named beside a single one
+_AS_EXPECTED = "the parameters are as expected, but "
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
 
 
@@ -110,6 +124,7 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         (
             f"no quantity has moved further than {reference.source} and the fit's own error allow",
             *_describe_warming(hypothesis, same_warmth, reference),
+            *filter(None, (reference.assumed,)),
         ),
         severity=0.0,
         confidence=probabilities(hypothesis.difference, hypothesis.faults)["healthy"],
@@ -129,15 +144,22 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         limit = limits.z if alarm is None else min(limits.z, _NAMED)
         # At any rate of alarms, a true fault leaves a larger residual in 1 of 100 only.
         left_over = min(rate, _LEFT_OVER)
-        return limit_to_wear(
+        found = limit_to_wear(
             _explain_alarm(healthy, reference, hypotheses, log_ratios, limit, rate=left_over)
         )
+        noisy = _check_noise(healthy, fit, reference, limits.noise_z)
+        if noisy is healthy or found.fault_kind is None or found.fault_kind.is_sensor:
+            return found
+        reasons = (reason.replace(NOTHING_ELSE, "") for reason in found.reasons)
+        noise = noisy.reasons[0].removeprefix(_AS_EXPECTED)
+        return replace(found, reasons=(*reasons, noise), also=(*found.also, noisy))
     # The scatter of healthy pieces includes loads and the model's error: neither is a defect of this piece.
-    spread = hypothesis.difference.covariance
-    if reference.includes_fit_error:
-        spread = fit.white_covariance[np.ix_(rows, rows)]
-    smallest = smallest_changes(replace(hypothesis.difference, covariance=spread), limits.z)
-    undecided = tuple(_describe_undecided(smallest, reference.source))
+    own = (fit.white_covariance if reference.includes_fit_error else fit.log_covariance)[np.ix_(rows, rows)]
+    by_all, by_piece = (
+        smallest_changes(replace(hypothesis.difference, covariance=spread), limits.z)
+        for spread in (own if reference.includes_fit_error else hypothesis.difference.covariance, own)
+    )
+    undecided = tuple(_describe_undecided(by_all, by_piece, reference.source))
     if len(undecided) == len(_CHECKED_FAULTS):
         return replace(healthy, verdict=Verdict.UNUSABLE, reasons=undecided, severity=None, confidence=None)
     healthy = replace(healthy, reasons=(*healthy.reasons, *undecided))
@@ -161,6 +183,11 @@ def _explain_alarm(
     def suffices(fault: Explanation) -> bool:
         return fault.z > limit and fault.p_left_over > rate and is_separable(first.difference, fault.kind)
 
+    def as_fitted(difference: Difference, faults: list[Explanation]) -> list[Explanation]:
+        """Explain what was fitted by the same faults, not what is linearised in the temperature."""
+        kinds = [fault.kind for fault in faults]
+        return explain_by(replace(difference, log_ratios=log_ratios), kinds)
+
     first = hypotheses[0]
     scales = find_scaling_errors(first.difference, reference.names, limit, rate)
     scaling = [describe_scaling_errors(scales)] if scales else []
@@ -172,31 +199,46 @@ def _explain_alarm(
         probability = probabilities(difference, faults)
         best = max(filter(suffices, faults), key=lambda fault: probability[fault.kind], default=None)
         if best is not None and probability[best.kind] >= probability["other"]:
-            (as_fitted,) = explain(replace(difference, log_ratios=log_ratios), (best.kind,))
             if gains:
                 probability = probabilities(difference, [*faults, *gains])
                 share = sum(probability[gain.kind] for gain in gains)
                 scaling[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
                 if share > probability[best.kind]:
                     break
-            judgement = _name_fault(healthy, reference, as_fitted, probability, hypothesis.load.name)
+            named, probability = _find_pair(difference, faults, rate, best.kind) or ([best], probability)
+            named = as_fitted(difference, named)
+            judgement = _name_faults(healthy, reference, named, probability, hypothesis.load.name)
             return replace(judgement, reasons=(*judgement.reasons, *scaling))
     if gains and len(gains) == len(scales):
         probability = probabilities(first.difference, [*first.faults, *gains])
         # Equal explanations differ by rounding: take the first.
         likeliest = max(gains, key=lambda gain: round(probability[gain.kind], 9))
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
-            judgement = _name_fault(healthy, reference, likeliest, probability, None)
+            judgement = _name_faults(healthy, reference, [likeliest], probability, None)
             return replace(judgement, reasons=(*scaling, *judgement.reasons))
-    named = {fault.kind for fault in first.faults}
-    unnamed = tuple(kind for kind in motor_kinds() if kind not in named)
+    both = _find_pair(first.difference, first.faults, rate)
+    if both is not None:
+        judgement = _name_faults(healthy, reference, as_fitted(first.difference, both[0]), both[1], None)
+        if limit_to_wear(judgement) is judgement:
+            return replace(judgement, reasons=(*judgement.reasons, *scaling))
+    nameable = {fault.kind for fault in first.faults}
+    unnamed = tuple(kind for kind in motor_kinds() if kind not in nameable)
     # These cannot be named: a coupled load would look the same.
     unnameable = (
         f"it may be {fault.kind} by {fault.severity:.0%} ({fault.kind.finding}), or a coupled load: a recording of the"
         " speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
-    other = healthy.as_other(*scaling, *_describe_changes(healthy.changes, reference.source), *unnameable)
+    is_loaded = reference.is_bare and any(
+        change.name[0] == "B" and change.significant and change.ratio > 1.0 for change in healthy.changes
+    )
+    other = healthy.as_other(
+        *((describe_machine(healthy.fit),) if is_loaded else ()),
+        *scaling,
+        *_describe_changes(healthy.changes, reference.source),
+        *unnameable,
+        *filter(None, (reference.assumed,)),
+    )
     return replace(other, confidence=probabilities(first.difference, first.faults)["other"])
 
 
@@ -217,30 +259,99 @@ def _describe_warming(
     )
 
 
-def _name_fault(
+def _find_pair(
+    difference: Difference, faults: list[Explanation], rate: float, kind: FaultKind | None = None
+) -> tuple[list[Explanation], dict[str, float]] | None:
+    """Find two faults at once, the stronger one first, and the probabilities with them.
+
+    Each must be significant beside the other, and both must leave nothing unexplained: no p-value below `rate`. If
+    `kind` explains the difference alone, it is one of the two; else both must explain it better than "other".
+    """
+    limit = -float(stdtrit(difference.degrees_of_freedom, _FALSE_SECOND / max(len(faults) - 1, 1)))
+    pairs = []
+    for kinds in combinations([fault.kind for fault in faults], 2):
+        pair = [] if kinds[0].verdict == kinds[1].verdict else explain_by(difference, kinds)
+        if (
+            pair
+            and kind in (None, *kinds)
+            and min(fault.z for fault in pair) > limit
+            and pair[0].p_left_over > rate
+            and all(is_separable(difference, one, other) for one, other in (kinds, kinds[::-1]))
+        ):
+            pairs.append(sorted(pair, key=lambda fault: -fault.z))
+    probability = probabilities(difference, faults, pairs)
+    best = max(pairs, key=lambda pair: probability[name_of(pair)], default=[])
+    if not best or (kind is None and probability[name_of(best)] < SECOND_PRIOR * probability["other"]):
+        return None
+    return best, probability
+
+
+def _name_faults(
     healthy: Judgement,
     reference: Reference,
-    fault: Explanation,
+    faults: list[Explanation],
     probability: dict[str, float],
     load: str | None,
 ) -> Judgement:
-    """Judge a piece with a known fault; the interval of the severity is Student's."""
+    """Judge a piece with faults, of which the first is the verdict; name the load under which they explain it."""
+    first, *also = (_name_fault(healthy, reference, fault, probability) for fault in faults)
+    is_loaded = any(_share_of_machine(reference, fault) > 0.5 for fault in faults)
+    return replace(
+        first,
+        reasons=(
+            *((describe_machine(healthy.fit),) if is_loaded else ()),
+            *describe_findings([fault.kind for fault in faults], healthy.changes),
+            f"compared with {reference.source}",
+            *filter(None, (reference.assumed,)),
+            *(() if load is None else (f"the changes fit it if the drag is mostly {LOADS[load]}",)),
+        ),
+        also=tuple(also),
+    )
+
+
+def _name_fault(
+    healthy: Judgement, reference: Reference, fault: Explanation, probability: dict[str, float]
+) -> Judgement:
+    """Judge a piece with a known fault, alone or beside others; the interval of the severity is Student's."""
+
+    def share(kinds: set[FaultKind]) -> float:
+        return sum(each for name, each in probability.items() if kinds & set(name.split("+")))
+
     verdict, own = Verdict(fault.kind.verdict), severity_unit(fault.kind, reference.own_friction)
     half = -float(stdtrit(reference.degrees_of_freedom, 0.025)) * fault.step_sd
     low, high = (severity_of(fault.kind, fault.step + margin) / own for margin in (-half, half))
+    family = share({kind for kind in FaultKind if kind.verdict == verdict})
     return replace(
         healthy,
         verdict=verdict,
-        reasons=(
-            fault.kind.finding,
-            f"compared with {reference.source}",
-            *(() if load is None else (f"the changes fit it if the drag is mostly {LOADS[load]}",)),
-        ),
         severity=fault.severity / own,
         severity_interval=(low, high),
-        confidence=sum(probability.get(kind, 0.0) for kind in FaultKind if kind.verdict == verdict),
+        confidence=family * (1.0 - _share_of_machine(reference, fault)),
         fault_kind=fault.kind,
-        kind_probability=probability[fault.kind],
+        kind_probability=share({fault.kind}),
+    )
+
+
+def _share_of_machine(reference: Reference, fault: Explanation) -> float:
+    """Return the probability that a bearing fault against a data sheet is a machine, which brakes the bare motor alike.
+
+    Beforehand both are equally likely, and the machine's drag over the motor's own is log-normal.
+    """
+    if not (reference.is_bare and fault.kind == FaultKind.BEARING and fault.step > 0.0):
+        return 0.0
+    added = math.expm1(fault.step)
+    deviation = math.log(added / _MACHINE) / _MACHINE_LOG_SD
+    density = math.exp(-0.5 * deviation**2) / math.sqrt(2.0 * math.pi) / _MACHINE_LOG_SD
+    machine = density * (1.0 + added) / added  # by the step instead of the logarithm of the added drag
+    return float(machine / (machine + severity_density(fault.step)))
+
+
+def describe_machine(fit: Fitted | None) -> str:
+    """Describe that a coupled machine looks like friction, and what to do."""
+    recordings = "start1.csv start2.csv start3.csv" if isinstance(fit, StartFit) else "log1.csv log2.csv"
+    return (
+        "a coupled machine looks the same, as a data sheet is of the bare motor: uncouple it and record again, or"
+        f" learn the motor in its machine while it is healthy: motor-env commission {recordings} -o motor.toml"
     )
 
 
@@ -260,9 +371,7 @@ def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: f
     return replace(
         healthy,
         verdict=Verdict.NOISE,
-        reasons=(
-            f"the parameters are as expected, but the current's noise is {ratio:.2f} times the reference's",
-        ),
+        reasons=(f"{_AS_EXPECTED}the current's noise is {ratio:.2f} times the reference's",),
         severity=ratio**2 - 1.0,
         confidence=float(stdtr(reference.degrees_of_freedom, z)),
     )
@@ -271,18 +380,18 @@ def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: f
 _CHECKED_FAULTS = {FaultKind.BEARING: "friction", FaultKind.WINDING_CONTACT: "resistance"}
 
 
-def _describe_undecided(smallest: dict[str, float], source: str) -> Iterator[str]:
-    """Describe quantities whose doubling would not show, or without a reference."""
+def _describe_undecided(smallest: dict[str, float], by_piece: dict[str, float], source: str) -> Iterator[str]:
+    """Describe quantities whose doubling would not show, because of the piece or of its reference."""
     for kind, quantity in _CHECKED_FAULTS.items():
         severity = smallest.get(str(kind))
         if severity is None:
             yield f"the {quantity} is undecided: it cannot be compared with {source}"
         elif severity > _DOUBLED:
             shown = f"only a rise of {severity:.0%}" if severity < _TENFOLD else "not even a tenfold one"
-            yield (
-                f"the {quantity} is undecided: the recording is too coarse, too noisy or too short to tell it,"
-                f" {shown} would show"
-            )
+            why = f"{source} allows too much to tell it"
+            if by_piece[str(kind)] > _DOUBLED:
+                why = "the recording is too coarse, too noisy or too short to tell it"
+            yield f"the {quantity} is undecided: {why}, {shown} would show"
 
 
 def _describe_changes(changes: tuple[Change, ...], source: str) -> tuple[str, ...]:

@@ -48,6 +48,8 @@ class Reference:
         own_friction: the motor's own share of the drag; None if unknown.
         excess: factor on covariance and fit error of healthy pieces.
         is_taught: learned from recordings, sensors included.
+        is_bare: of a motor without a machine, as on a data sheet.
+        assumed: what a data sheet does not give, in words.
     """
 
     source: str
@@ -64,6 +66,8 @@ class Reference:
     own_friction: float | None = None
     excess: float = 1.0
     is_taught: bool = False
+    is_bare: bool = False
+    assumed: str = ""
 
     @property
     def values(self) -> dict[str, float]:
@@ -147,7 +151,20 @@ def reference_of(
         + shift.friction_log_sd**2 * np.outer(exponents[:, _FRICTION], exponents[:, _FRICTION]),
         log_noise=None if motor.current_noise_a is None else math.log(motor.current_noise_a),
         own_friction=1.0,
+        is_bare=motor.kind == "data_sheet",
+        assumed=_describe_assumed(motor),
     )
+
+
+def _describe_assumed(motor: Motor) -> str:
+    """Describe the tolerances that a data sheet does not give, by their source; empty if it gives all."""
+    groups: dict[str, list[str]] = {}
+    for name, source in motor.usual_tolerances.items():
+        size = getattr(motor.tolerance, name)
+        words = f"temperature {size:g} K" if name == "temperature_k" else f"{name} {size:.0%}"
+        groups.setdefault(source, []).append(words)
+    told = "; ".join(f"{', '.join(words)} ({source})" for source, words in groups.items())
+    return f"tolerances (1 sd) that the motor file does not give are assumed: {told}" if told else ""
 
 
 def reference_of_pieces(

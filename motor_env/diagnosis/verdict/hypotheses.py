@@ -8,8 +8,9 @@ possible cause of the drag is a hypothesis of its own.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from motor_env.diagnosis.verdict.healthy_motor import NORMAL_DOF, Reference, add
 from motor_env.diagnosis.verdict.load_hypotheses import LoadHypothesis, possible_loads
 from motor_env.motor import identifiable
 from motor_env.motor.faults import FaultKind
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import FloatArray, Floats
 
 NAMES = ("R", "K", "J", "B")
 """Quantities of a window; B is the drag over the speed."""
@@ -29,8 +30,12 @@ EXPONENTS = identifiable.matrix(NAMES)
 _HOTTEST_K, _LEAST_FACTOR = 100.0, 0.5  # beyond them no quantity follows the temperature in a straight line
 _SEVERITY_PRIOR = 0.30  # scale of the half-Cauchy prior of a severity
 _HEALTHY_PRIOR = 0.8
+SECOND_PRIOR = 1.0 - _HEALTHY_PRIOR
+"""Prior probability of a second fault beside one."""
 _OTHER_PRIOR = 0.30  # standard deviation of each logarithm where something else is wrong
 _STEP_NODES = np.linspace(-10.0, 10.0, 401)  # standard deviations about the best step
+_ALONG = 0.95  # cosine of two directions that are one
+_COARSER = 5  # the nodes of each of two steps
 _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
 # Standard deviation of each parameter beside a fault, over the square of the fault's step; and the largest step.
@@ -90,7 +95,7 @@ class Difference:
     @property
     def inverse(self) -> FloatArray:
         """Inverse of the covariance."""
-        return np.asarray(np.linalg.inv(self.covariance), dtype=np.float64)
+        return _inverse(self.covariance)
 
     @property
     def squared_distance(self) -> float:
@@ -126,6 +131,11 @@ class Change:
     def significant(self) -> bool:
         """Whether the quantity has moved."""
         return self.verdict == "moved"
+
+    @property
+    def excludes_healthy(self) -> bool:
+        """Whether the healthy value lies outside of the interval."""
+        return not self.low <= 1.0 <= self.high
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,57 +203,84 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
     )
 
 
-def covariance_with_fault(difference: Difference, kind: FaultKind, step: float) -> FloatArray:
-    """Return the covariance in the presence of a fault, shape (n, n).
+def covariance_with_faults(
+    difference: Difference, kinds: Sequence[FaultKind], steps: FloatArray
+) -> FloatArray:
+    """Return the covariance in the presence of faults, shape (n, n).
 
     The model error of each parameter grows with the squared step. An unmodelled lag is fitted as L, in proportion to R.
     """
-    parameters = difference.exponents[:, :_VOLTAGE]
-    variances = np.full(_VOLTAGE, _MODEL_ERROR * min(abs(step), _FURTHEST) ** 2) ** 2
-    variances[_L] += (_LAG_IN_L * step * identifiable.fault_direction(kind)[_R]) ** 2
+    parameters, variances = difference.exponents[:, :_VOLTAGE], np.zeros(_VOLTAGE)
+    for kind, step in zip(kinds, steps, strict=True):
+        variances += (_MODEL_ERROR * min(abs(step), _FURTHEST) ** 2) ** 2
+        variances[_L] += (_LAG_IN_L * step * identifiable.fault_direction(kind)[_R]) ** 2
     return np.asarray(difference.covariance + parameters * variances @ parameters.T, dtype=np.float64)
 
 
-def project(difference: Difference, direction: FloatArray) -> tuple[float, float, float]:
-    """Project a difference on a direction: return z, the step, and its standard deviation."""
-    inverse = difference.inverse
-    information = float(direction @ inverse @ direction)
-    step = float(direction @ inverse @ difference.log_ratios) / information
-    return step * math.sqrt(information), step, 1.0 / math.sqrt(information)
-
-
-def residual_p_value(difference: Difference, moved: FloatArray, covariance: FloatArray) -> float:
-    """Return the p-value of the residual of a fault."""
+def residual_p_value(
+    difference: Difference, moved: FloatArray, covariance: FloatArray, faults: int = 1
+) -> float:
+    """Return the p-value of what a number of faults leaves unexplained."""
     rest = difference.log_ratios - moved
-    return difference.p_value(float(rest @ np.linalg.solve(covariance, rest)), len(rest) - 1)
+    return difference.p_value(float(rest @ np.linalg.solve(covariance, rest)), len(rest) - faults)
 
 
 def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
     """Explain a difference by each visible fault, by default by each that the quantities can name."""
     response = difference.exponents if difference.response is None else difference.response
-    explanations = []
-    for kind in identifiable.nameable_kinds(difference.exponents) if kinds is None else kinds:
-        direction = identifiable.visible_direction(kind, response)
-        if np.linalg.norm(direction) >= _LEAST:
-            z, step, step_sd = project(difference, direction)
-            covariance = covariance_with_fault(difference, kind, step)
-            rest = residual_p_value(difference, step * direction, covariance)
-            explanations.append(Explanation(kind, z, step, step_sd, rest, direction, covariance))
-    return explanations
+    every = identifiable.nameable_kinds(difference.exponents) if kinds is None else kinds
+    visible = (k for k in every if np.linalg.norm(identifiable.visible_direction(k, response)) >= _LEAST)
+    return [fault for kind in visible for fault in explain_by(difference, (kind,))]
 
 
-def is_separable(difference: Difference, kind: FaultKind) -> bool:
+def explain_by(difference: Difference, kinds: Sequence[FaultKind]) -> list[Explanation]:
+    """Explain a difference by faults at once, each with its z beside the others; empty if they are not told apart."""
+    response = difference.exponents if difference.response is None else difference.response
+    directions = np.column_stack([identifiable.visible_direction(kind, response) for kind in kinds])
+    steps, sds = fit_steps(directions, difference.inverse, difference.log_ratios)
+    if not np.isfinite(sds).all():
+        return []
+    covariance = covariance_with_faults(difference, kinds, steps)
+    p_left_over = residual_p_value(difference, directions @ steps, covariance, len(kinds))
+    faults = []
+    for n, kind in enumerate(kinds):
+        others = [k for k in range(len(kinds)) if k != n]
+        beside = covariance_with_faults(difference, [kinds[k] for k in others], steps[others])
+        own, sds = fit_steps(directions, _inverse(beside), difference.log_ratios)
+        step, sd = float(own[n]), float(sds[n])
+        faults.append(Explanation(kind, step / sd, step, sd, p_left_over, directions[:, n], covariance))
+    return faults
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def fit_steps(
+    directions: FloatArray, inverse: FloatArray, log_ratios: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return steps along one or two directions, and their standard deviations: infinite if they are not told apart."""
+    information = directions.T @ inverse @ directions
+    if np.linalg.det(information) <= (1.0 - _ALONG**2) * np.prod(np.diag(information)):
+        return np.zeros(len(information)), np.full(len(information), np.inf)
+    spread = _inverse(information)
+    return spread @ directions.T @ inverse @ log_ratios, np.sqrt(np.diag(spread))
+
+
+def is_separable(difference: Difference, kind: FaultKind, beside: FaultKind | None = None) -> bool:
     """Whether R and L alone confirm a fault: they do not move with magnet, inertia or load.
 
-    Shorted turns move K too, as a weak magnet does; a warm winding hides their R.
+    Shorted turns move K too, as a weak magnet does; a warm winding hides their R, and so does a contact beside them.
     """
-    direction = identifiable.visible_direction(kind, difference.exponents)
+    kinds = (kind,) if beside is None else (kind, beside)
+    directions = np.column_stack([identifiable.visible_direction(k, difference.exponents) for k in kinds])
     winding = ~difference.exponents[:, _IMITATED].any(axis=1)
-    if not direction[winding].any() or not direction[~winding].any():
+    if not directions[winding, 0].any() or not directions[~winding, 0].any():
         return True
-    part = np.linalg.solve(difference.covariance[np.ix_(winding, winding)], direction[winding])
-    z = part @ difference.log_ratios[winding] / math.sqrt(part @ direction[winding])
-    return bool(z > _POWER_QUANTILE)
+    inverse = _inverse(difference.covariance[np.ix_(winding, winding)])
+    shown = directions[winding][:, directions[winding].any(axis=0)]
+    steps, sds = fit_steps(shown, inverse, difference.log_ratios[winding])
+    return bool(steps[0] > _POWER_QUANTILE * sds[0])
 
 
 def smallest_changes(difference: Difference, limit: float) -> dict[str, float]:
@@ -310,26 +347,50 @@ def _log_density(points: FloatArray, covariance: FloatArray, freedom: int) -> Fl
     return np.asarray(constant - 0.5 * (freedom + n) * np.log(1.0 + squared / freedom))
 
 
-def probabilities(difference: Difference, faults: list[Explanation]) -> dict[str, float]:
-    """Return the posterior probabilities of `healthy`, of each fault by its kind, and of `other`."""
+def probabilities(
+    difference: Difference, faults: list[Explanation], pairs: Sequence[list[Explanation]] = ()
+) -> dict[str, float]:
+    """Return the posterior probabilities of `healthy`, of each fault by its kind, of pairs by both, and of `other`.
+
+    Beforehand a faulty motor has a second fault as often as any motor has a fault.
+    """
     log_ratios, covariance, n = difference.log_ratios, difference.covariance, len(difference.log_ratios)
     # Degrees of freedom are rounded down: towards wider tails.
     freedom = max(int(min(difference.degrees_of_freedom, NORMAL_DOF)), 1)
     logs: dict[str, float] = {"healthy": float(_log_density(log_ratios, covariance, freedom))}
-    for fault in faults:
-        steps = max(fault.step, 0.0) + fault.step_sd * _STEP_NODES
-        steps = steps[steps >= 0.0]
-        prior = math.log(2.0 / (math.pi * _SEVERITY_PRIOR)) - np.log1p((steps / _SEVERITY_PRIOR) ** 2)
-        along = _log_density(log_ratios - steps[:, None] * fault.direction, fault.covariance, freedom)
-        width = math.log(fault.step_sd * (_STEP_NODES[1] - _STEP_NODES[0]))
-        logs[fault.kind] = width + float(np.logaddexp.reduce(along + prior))
+    logs |= {fault.kind: _log_evidence(log_ratios, (fault,), freedom) for fault in faults}
     logs["other"] = float(_log_density(log_ratios, covariance + _OTHER_PRIOR**2 * np.eye(n), freedom))
-    faulty = math.log((1.0 - _HEALTHY_PRIOR) / (len(logs) - 1))
-    logs = {
-        name: log + (math.log(_HEALTHY_PRIOR) if name == "healthy" else faulty) for name, log in logs.items()
-    }
+    healthy, faulty = math.log(_HEALTHY_PRIOR), math.log((1.0 - _HEALTHY_PRIOR) / (len(logs) - 1))
+    logs = {name: log + (healthy if name == "healthy" else faulty) for name, log in logs.items()}
+    for pair in pairs:
+        logs[name_of(pair)] = _log_evidence(log_ratios, pair, freedom) + faulty + math.log(SECOND_PRIOR)
     total = float(np.logaddexp.reduce(list(logs.values())))
     return {name: math.exp(log - total) for name, log in logs.items()}
+
+
+def name_of(faults: Sequence[Explanation]) -> str:
+    """Return the name of faults at once among the probabilities."""
+    return "+".join(fault.kind for fault in faults)
+
+
+def severity_density(steps: Floats) -> FloatArray:
+    """Return the prior density of a fault's step (half-Cauchy)."""
+    return np.asarray(2.0 / (math.pi * _SEVERITY_PRIOR) / (1.0 + np.square(steps / _SEVERITY_PRIOR)))
+
+
+def _log_evidence(log_ratios: FloatArray, faults: Sequence[Explanation], freedom: int) -> float:
+    """Integrate the density of a difference over the severities of faults."""
+    nodes, axes, weights = _STEP_NODES[:: _COARSER ** (len(faults) - 1)], [], []
+    for fault in faults:
+        steps = max(fault.step, 0.0) + fault.step_sd * nodes
+        axes.append(steps[steps >= 0.0])
+        weights.append(np.log(severity_density(axes[-1])) + math.log(fault.step_sd * (nodes[1] - nodes[0])))
+    moved = sum(
+        steps[..., None] * fault.direction
+        for steps, fault in zip(np.meshgrid(*axes, indexing="ij"), faults, strict=True)
+    )
+    along = _log_density((log_ratios - moved).reshape(-1, len(log_ratios)), faults[0].covariance, freedom)
+    return float(np.logaddexp.reduce(along + reduce(np.add.outer, weights).ravel()))
 
 
 class Hypothesis(NamedTuple):

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+
+import numpy as np
 
 from motor_env.common.console import ExitStatus
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
@@ -14,10 +17,12 @@ from motor_env.diagnosis.verdict.healthy_motor import Reference
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
 from motor_env.filters.consistency import Consistency, check_consistency
 from motor_env.motor.faults import FaultKind
+from motor_env.motor.identifiable import fault_direction, matrix
 
 SURE_OF_KIND = 0.95
 """Least posterior probability of a named kind."""
 _FEWEST_FOR_WHITENESS = 40
+NOTHING_ELSE = " and nothing else moved"
 
 
 class Verdict(StrEnum):
@@ -70,6 +75,7 @@ class Judgement:
         confidence: posterior probability of the verdict.
         fault_kind: the most probable kind of the family.
         kind_probability: posterior probability of that kind.
+        also: further faults at once, each as a judgement.
         fit: the fitted piece, if any.
         reference: of the comparison.
         changes: of each quantity from the reference.
@@ -85,6 +91,7 @@ class Judgement:
     confidence: float | None = None
     fault_kind: FaultKind | None = None
     kind_probability: float = 0.0
+    also: tuple[Judgement, ...] = ()
     fit: Fitted | None = None
     reference: Reference | None = None
     changes: tuple[Change, ...] = ()
@@ -105,6 +112,7 @@ class Judgement:
             severity=None,
             severity_interval=None,
             fault_kind=None,
+            also=(),
         )
 
     @property
@@ -128,6 +136,27 @@ class Judgement:
     def warning(self) -> str:
         """Sentence on an inconsistent fit; empty if consistent."""
         return "" if self.consistency is None else self.consistency.warning
+
+
+def describe_findings(kinds: Sequence[FaultKind], changes: Sequence[Change]) -> Iterator[str]:
+    """Describe what faults moved and where to look, and what moved that they do not move, by its interval."""
+    powers = [fault_direction(kind) for kind in kinds]
+    beside = [
+        change
+        for change in changes
+        if change.excludes_healthy
+        and not any(kind.is_sensor for kind in kinds)
+        and not np.any(np.array(powers) @ matrix((change.name,)).T)
+    ]
+    for kind in kinds:
+        what, colon, where = kind.finding.partition(":")
+        alone = len(kinds) == 1 and not beside and not kind.is_sensor
+        yield f"{what}{NOTHING_ELSE if alone else ''}{colon}{where}"
+    for change in beside:
+        yield (
+            f"{change.name} moved beside it, by {change.ratio - 1.0:+.1%} ({change.low - 1.0:+.1%} to"
+            f" {change.high - 1.0:+.1%}): too little to tell a further fault from the model's error"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +215,11 @@ class JudgedRecording:
     def severity_interval(self) -> tuple[float, float] | None:
         """Interval of the severity, 95 %; None without one."""
         return self.decisive.severity_interval
+
+    @property
+    def also(self) -> tuple[Judgement, ...]:
+        """Further faults at once."""
+        return self.decisive.also
 
     @property
     def smallest_changes(self) -> dict[str, float]:

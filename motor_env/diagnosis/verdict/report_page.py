@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from motor_env.diagnosis.verdict.report_text import as_text, describe_r2, warnin
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
+T = TypeVar("T")
 KIND_TEXTS = {
     "bearing": "more friction",
     "winding_contact": "more winding resistance",
@@ -191,20 +192,21 @@ def page(diagnosis: JudgedRecording) -> str:
     decisive, verdict = diagnosis.decisive, diagnosis.verdict
     fit, expected = decisive.identified, reference_current(decisive)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
-    named = decisive.kind if decisive.kind in VERDICT_TEXTS else verdict
-    title, *first = VERDICT_TEXTS.get(named, (str(verdict).capitalize(),))
+    faults = (decisive, *decisive.also)
+    texts = [_text_of(VERDICT_TEXTS, fault) or (str(fault.verdict).capitalize(),) for fault in faults]
+    runs_on = [_text_of(RUN_ON_TEXTS, fault) or "" for fault in faults]
     sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
     current, residual = ("", "") if fit is None else _currents(fit, expected, is_fault=verdict.is_fault)
     return render(
         "motor_env.diagnosis.verdict",
         "diagnosis.html.j2",
-        title=title,
+        title=", and: ".join(title for title, *_ in texts),
         file=printable(diagnosis.recording.path.name),
         tone=tone,
-        size=_size(decisive),
+        size="; ".join(filter(None, map(_size, faults))),
         sure="over 99 % sure" if (diagnosis.confidence or 0.0) > 0.99 else sure,
-        runs_on=RUN_ON_TEXTS.get(decisive.kind or verdict) or RUN_ON_TEXTS.get(verdict, ""),
-        first=first,
+        runs_on=" ".join(dict.fromkeys(runs_on)),
+        first=[step for _, *steps in texts for step in steps],
         reasons=[f"{reason[0].upper()}{reason[1:]}." for reason in diagnosis.reasons],
         warnings=[
             f"{sentence[0].upper()}{sentence[1:]}." for sentence in warnings_of(diagnosis.recording, fit)
@@ -222,6 +224,11 @@ def page(diagnosis: JudgedRecording) -> str:
         ],
         expert=printable(as_text(diagnosis, verbose=True)),
     )
+
+
+def _text_of(texts: Mapping[Verdict | FaultKind, T], fault: Judgement) -> T | None:
+    """Return the text of a fault's kind, or of its verdict."""
+    return texts.get(fault.kind or fault.verdict) or texts.get(fault.verdict)
 
 
 def page_of_fits(

@@ -82,13 +82,8 @@ def as_json(diagnosis: JudgedRecording) -> dict[str, Any]:
 
 def _judgement_json(judgement: Judgement) -> dict[str, Any]:
     """Return the judgement on a piece as an object."""
-    interval = judgement.severity_interval
-    return {
-        "verdict": str(judgement.verdict),
-        "kind": None if judgement.kind is None else str(judgement.kind),
-        "severity": finite_or_none(judgement.severity),
-        "severity_interval": None if interval is None else [finite_or_none(end) for end in interval],
-        "confidence": finite_or_none(judgement.confidence),
+    return _fault_json(judgement) | {
+        "also": [_fault_json(fault) for fault in judgement.also],
         "reasons": list(judgement.reasons),
         "changes": {
             c.name: {"verdict": c.verdict, "ratio": c.ratio, "interval": [c.low, c.high]}
@@ -97,6 +92,18 @@ def _judgement_json(judgement: Judgement) -> dict[str, Any]:
         "smallest_changes": {
             kind: finite_or_none(value) for kind, value in judgement.smallest_changes.items()
         },
+    }
+
+
+def _fault_json(fault: Judgement) -> dict[str, Any]:
+    """Return verdict, kind, size and confidence."""
+    interval = fault.severity_interval
+    return {
+        "verdict": str(fault.verdict),
+        "kind": None if fault.kind is None else str(fault.kind),
+        "severity": finite_or_none(fault.severity),
+        "severity_interval": None if interval is None else [finite_or_none(end) for end in interval],
+        "confidence": finite_or_none(fault.confidence),
     }
 
 
@@ -283,14 +290,18 @@ def expert_lines(judgement: Judgement) -> list[str]:
 
 
 def headline(judgement: Judgement) -> str:
-    """Format verdict, severity and confidence in one line."""
-    words, interval = str(judgement.verdict), judgement.severity_interval
-    if judgement.kind is not None and str(judgement.kind) != words:
-        words += f" ({judgement.kind})"
-    if judgement.severity and judgement.verdict.is_fault:
-        words += f" {judgement.severity:+.0%}"
+    """Format verdict, severity and confidence in one line, of further faults too."""
+    return "; also ".join(map(_fault_words, (judgement, *judgement.also)))
+
+
+def _fault_words(fault: Judgement) -> str:
+    words, interval = str(fault.verdict), fault.severity_interval
+    if fault.kind is not None and str(fault.kind) != words:
+        words += f" ({fault.kind})"
+    if fault.severity and fault.verdict.is_fault:
+        words += f" {fault.severity:+.0%}"
         if interval is not None:
             words += f" (95 %: {interval[0]:+.0%} to {interval[1]:+.0%})"
-    if judgement.confidence is not None:
-        words += f", confidence {judgement.confidence:.2f}"
+    if fault.confidence is not None:
+        words += f", confidence {fault.confidence:.2f}"
     return words

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from motor_env.diagnosis.estimation.starts.start_fit import NOT_TURNING
-from motor_env.diagnosis.verdict.hypotheses import Difference, Explanation, project, residual_p_value
+from motor_env.diagnosis.verdict.hypotheses import Difference, Explanation, fit_steps, residual_p_value
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.identifiable import PARAMETERS, fault_direction
@@ -93,10 +93,11 @@ def find_scaling_errors(
         direction = difference.exponents @ [POWERS[column].get(parameter, 0.0) for parameter in PARAMETERS]
         if not direction.any():  # a voltage, where nothing of it is compared
             continue
-        z, step, step_sd = project(difference, direction)
+        fitted = fit_steps(direction[:, None], difference.inverse, difference.log_ratios)
+        step, step_sd = (float(each[0]) for each in fitted)
         # A reading's scale is exact: nothing else moves with it.
         p_left_over = residual_p_value(difference, step * direction, difference.covariance)
-        if abs(z) <= limit or p_left_over <= rate:
+        if abs(step) <= limit * step_sd or p_left_over <= rate:
             continue
         # One quantity alone moves by faults and loads as well: only a known factor, and no other near it, counts.
         is_shared = np.count_nonzero(np.abs(step * direction) > limit * sd) > 1
@@ -106,7 +107,13 @@ def find_scaling_errors(
         if column != "time" and word not in _UNITS[column].values():
             kind = FaultKind(f"{column}_gain")
             gain = Explanation(
-                kind, abs(z), abs(step), step_sd, p_left_over, turned * direction, difference.covariance
+                kind,
+                abs(step) / step_sd,
+                abs(step),
+                step_sd,
+                p_left_over,
+                turned * direction,
+                difference.covariance,
             )
         errors += [ScalingError(column, word, gain)] if word else []
     return errors

@@ -1,15 +1,18 @@
 from __future__ import annotations
 
 from dataclasses import astuple, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hostile import refused
 
-from motor_env import PAPER_MOTOR, InputError, Motor, load_motor
-from motor_env.motor.data_sheet import Tolerance, save_motor
+from motor_env import PAPER_MOTOR, InputError, Motor, cli, load_motor
+from motor_env.motor.data_sheet import Tolerance, save_motor, usable_parameters
 from motor_env.motor.healthy import Healthy, ScoreCalibration, Starts, Windows
+from motor_env.simulation.named_recipes import motor_recipe
+from motor_env.simulation.recipes import LARGEST_SPREAD
 
 SHEET = """
 name = "sheet"
@@ -63,7 +66,7 @@ def test_a_mechanical_time_constant_must_follow_from_the_others(tmp_path: Path) 
     plain = load(tmp_path, SHEET)
     for said in ("mechanical_time_constant_ms = 4.4", "mechanical_time_constant_s = 0.0040"):
         assert load(tmp_path, f"{SHEET}{said}\n") == plain
-    with pytest.raises(InputError, match=r"time constant of 4.8 ms, but R J / .Kt Kb. .* is 4.22 ms"):
+    with pytest.raises(InputError, match=r"time constant of 4.8 ms, but R J / .Kt Kb. of .* is 4.22 ms"):
         load(tmp_path, f"{SHEET}mechanical_time_constant_ms = 4.8\n")
 
 
@@ -74,15 +77,23 @@ def test_a_mechanical_time_constant_must_follow_from_the_others(tmp_path: Path) 
         ("inductance_h = 0.25", "inductance_h", 0.25),
         ("inductance_uh = 238.0", "inductance_h", 0.238e-3),
         ("torque_constant_n_m_per_a = 0.024", "torque_constant_n_m_per_a", 0.024),
+        ("torque_constant_oz_in_per_a = 3.25", "torque_constant_n_m_per_a", 3.25 * 7.0615518333e-3),
+        ("speed_constant_krpm_per_v = 0.4", "back_emf_constant_v_s_per_rad", 0.15 / (2.0 * np.pi)),
+        ("kv_rpm_per_v = 400.0", "back_emf_constant_v_s_per_rad", 0.15 / (2.0 * np.pi)),
         ("back_emf_constant_v_s_per_rad = 0.024", "back_emf_constant_v_s_per_rad", 0.024),
         ("back_emf_constant_v_per_krpm = 2.5", "back_emf_constant_v_s_per_rad", 2.5 * 0.06 / (2.0 * np.pi)),
         ("back_emf_constant_mv_per_rpm = 2.5", "back_emf_constant_v_s_per_rad", 2.5 * 0.06 / (2.0 * np.pi)),
         ("rotor_inertia_kg_m2 = 0.5", "inertia_kg_m2", 0.5),
         ("rotor_inertia_kg_cm2 = 0.5", "inertia_kg_m2", 0.5e-4),
+        ("rotor_inertia_oz_in_s2 = 0.0006", "inertia_kg_m2", 4.2369311e-6),
+        ("rotor_inertia_oz_in2 = 0.5", "inertia_kg_m2", 0.5 * 1.82899783e-5),
+        ("mechanical_time_constant_ms = 5.0", "inertia_kg_m2", 5e-3 * 0.0235 / 2.18 * 60.0 / 812.0 / np.pi),
+        ("electrical_time_constant_ms = 0.2", "inductance_h", 4.36e-4),
         ("viscous_friction_n_m_s_per_rad = 0.5", "viscous_friction_n_m_s_per_rad", 0.5),
         ("viscous_friction_mnm_per_krpm = 3.0", "viscous_friction_n_m_s_per_rad", 9e-5 / np.pi),
-        ("nominal_voltage_v = 24.0", "nominal_voltage_v", 24.0),
+        ("nominal_voltage_v = 12.5", "nominal_voltage_v", 12.5),
         ("coulomb_friction_n_m = 0.0001", "coulomb_friction_n_m", 1e-4),
+        ("coulomb_friction_kg_cm = 0.001", "coulomb_friction_n_m", 9.80665e-5),
         ("brush_drop_v = 0.3", "brush_drop_v", 0.3),
     ],
 )
@@ -98,7 +109,8 @@ def test_every_unit_becomes_si(tmp_path: Path, line: str, field: str, si: float)
     sheet = SHEET.replace(replaced[field], line) if field in replaced else f"{SHEET}{line}\n"
     motor = load(tmp_path, sheet)
     holder = motor if hasattr(motor, field) else motor.parameters
-    assert getattr(holder, field) == pytest.approx(si, rel=1e-12)
+    assert getattr(holder, field) == pytest.approx(si, rel=1e-7)
+    assert motor.guesses == ()
 
 
 def test_dry_friction_is_no_part_of_the_viscous_one(tmp_path: Path) -> None:
@@ -114,6 +126,108 @@ def test_dry_friction_is_no_part_of_the_viscous_one(tmp_path: Path) -> None:
     assert friction == pytest.approx(0.0235 * 0.0263 / (speed - 1.8 * 406.0 * np.pi / 30.0))
     with pytest.raises(InputError, match="no-load point leaves no viscous friction, got -"):
         load(tmp_path, f"{SHEET}coulomb_friction_n_m = 0.001\n")
+
+
+SHOP = """
+[motor]
+nominal_voltage_v = 12.0
+stall_current_a = 5.0
+stall_torque_kg_cm = 0.95
+free_speed_rpm = 6000.0
+free_current_a = 0.2
+"""
+
+
+def test_a_sheet_of_a_shop(tmp_path: Path) -> None:
+    """R is V / 5 A, K (V - R i0) / w0; the stall torque of 0.93 N cm agrees. Without L and J both are guesses."""
+    motor = load(tmp_path, SHOP)
+    p = motor.parameters
+    constant = (12.0 - 2.4 * 0.2) / (200.0 * np.pi)
+    assert p.resistance_ohm == pytest.approx(2.4)
+    assert [p.torque_constant_n_m_per_a, p.back_emf_constant_v_s_per_rad] == pytest.approx([constant] * 2)
+    assert p.viscous_friction_n_m_s_per_rad == pytest.approx(constant * 0.2 / (200.0 * np.pi))
+    assert motor.guesses == ("inductance_h", "inertia_kg_m2")
+    assert (motor.tolerance.inductance, motor.tolerance.inertia, motor.tolerance.friction) == (1.5, 1.5, 0.3)
+    assert [note.partition(":")[0] for note in motor.notes] == [
+        "the sheet does not tell inertia_kg_m2 and inductance_h"
+    ]
+    for simulated in (motor_recipe, partial(usable_parameters, needs_speed=False)):
+        with pytest.raises(ValueError, match="the data sheet lacks inductance_h and inertia_kg_m2"):
+            simulated(motor)
+    assert (
+        cli.main(["export-c", str(tmp_path / "motor.toml"), "--rate-hz", "1000", "--out", str(tmp_path)]) == 2
+    )
+    other = replace(p, inductance_h=3.0, inertia_kg_m2=4.0, resistance_ohm=9.0)
+    assert motor.with_guesses_of(other).parameters == replace(p, inductance_h=3.0, inertia_kg_m2=4.0)
+    by_stall = SHOP.replace("free_speed_rpm = 6000.0\n", "viscous_friction_n_m_s_per_rad = 0.0\n")
+    found = load(tmp_path, by_stall)
+    assert found.parameters.torque_constant_n_m_per_a == pytest.approx(0.95 * 0.0980665 / 5.0)
+    assert any("friction is 0" in note for note in found.notes)
+    save_motor(motor, tmp_path / "again.toml")
+    assert load_motor(tmp_path / "again.toml").guesses == motor.guesses
+    with pytest.raises(InputError, match=r"motor\.rotor_inertia_g_cm2 is missing"):
+        load(tmp_path, f'kind = "identified"{SHOP}')
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "needle"),
+    [
+        ("4860.0", "3000.0", "no-load point where (V - R i0) / w0 is 0.03801 V s/rad"),
+        ("no_load_speed_rpm", "no_load_speed_rad_s", "no_load_speed_rad_s = 4860 looks like no_load_speed_rpm"),
+        ("no_load_current_ma", "no_load_current_a", "no_load_current_a = 26.3 looks like no_load_current_ma"),
+        ("torque_constant_mnm", "torque_constant_n_m", "23.5 looks like torque_constant_mnm_per_a"),
+        ("speed_constant_rpm_per_v = 406.0", "speed_constant_rpm_per_v = 0.406", "looks like speed_constant_krpm"),
+        ("[motor]", "[motor]\nstall_current_a = 5.5\nstall_torque_n_m = 1.29", "stall torque over the stall current"),
+    ],
+)  # fmt: skip
+def test_points_that_contradict_the_constants_are_refused(
+    tmp_path: Path, old: str, new: str, needle: str
+) -> None:
+    """By 30 % or more; the unit that mends it is named."""
+    sheet = f"{SHEET}nominal_voltage_v = 12.0\n"
+    assert old in sheet
+    assert load(tmp_path, sheet).notes == ()
+    with pytest.raises(InputError) as error:
+        load(tmp_path, sheet.replace(old, new))
+    assert needle in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "needle"),
+    [
+        ("4860.0", "4300.0", "(V - R i0) / w0 is 0.02652 V s/rad"),
+        ("inductance_mh", "inductance_h", "L / R is 0.109 s"),
+        ("no_load_current_ma = 26.3", "viscous_friction_n_m_s_per_rad = 0.0", "friction is 0"),
+        ("nominal_voltage_v = 12.0", "nominal_voltage_v = 0.1", "V / K is 40.6 rpm"),
+    ],
+)
+def test_odd_numbers_are_noted(tmp_path: Path, old: str, new: str, needle: str) -> None:
+    """A disagreement from 10 % on, and what no usual motor has."""
+    sheet = f"{SHEET}nominal_voltage_v = 12.0\n"
+    if "nominal" in old:
+        sheet = sheet.replace("no_load_speed_rpm = 4860.0\n", "").replace("26.3", "1e-4")
+    (note,) = load(tmp_path, sheet.replace(old, new)).notes
+    assert needle in note
+
+
+def test_friction_of_a_no_load_current_has_a_wide_tolerance_unless_the_sheet_says_otherwise(
+    tmp_path: Path,
+) -> None:
+    plain, told = load(tmp_path, SHEET), load(tmp_path, f"{SHEET}[tolerance]\nfriction = 0.05\n")
+    given = load(
+        tmp_path, SHEET.replace("no_load_current_ma = 26.3", "viscous_friction_n_m_s_per_rad = 1e-6")
+    )
+    assert [motor.tolerance.friction for motor in (plain, told, given)] == [0.3, 0.05, 0.03]
+    assert [
+        motor_recipe(replace(motor, nominal_voltage_v=12.0)).spread.friction for motor in (plain, told)
+    ] == [LARGEST_SPREAD, 0.05]
+    assert plain.usual_tolerances["friction"].startswith("from a no-load current")
+    assert "friction" not in told.usual_tolerances
+    assert (
+        set(given.usual_tolerances.values())
+        == set(load_motor("paper").usual_tolerances.values())
+        == {"usual"}
+    )
 
 
 def test_the_default_tolerances_are_those_of_the_documentation() -> None:
@@ -134,6 +248,7 @@ def test_the_default_tolerances_are_those_of_the_documentation() -> None:
         ),
         ("resistance_ohm = 2.18", "resistance_ohm = 2.18\nresistance_mohm = 2180.0", "give one of them"),
         ("no_load_current_ma = 26.3", "", "no_load_current_ma"),
+        ("[motor]", "[motor]\nback_emf_constant_v_per_krpm = 2.46", "give one of them"),
         ("inductance_mh = 0.238", 'inductance_mh = "x"', "motor.inductance_mh"),
         ("[motor]", "[motor", "is not TOML"),
     ],

@@ -206,7 +206,7 @@ def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
         replace(other, changes=changes(1.0, 1.4, 1.8, 1.0, moved="RKJB")),
         replace(other, changes=changes(1.0, 1.4, 1.8, 1.0, moved="RJB")),
         unsure,
-        replace(unsure, kind_probability=0.951),
+        replace(unsure, kind_probability=0.951, also=(judged("bearing", 1.0, 1.0, 1.0, 1.3),)),
         Judgement(Verdict.UNUSABLE, ("the motor stands", "all the time")),
         UnusableError("too short"),
         sensor_judgement("current_dead", "the current shows nothing"),
@@ -226,6 +226,7 @@ def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [one["event"] for one in told[1:]] == ["another_motor", *(5 * ["window"])]
     assert [one.get("verdict") for one in told[2:]] == ["other", "winding", "winding", *(2 * ["unusable"])]
     assert [one.get("kind") for one in told] == [*(4 * [None]), "winding_contact", None, None]
+    assert [one.get("also") for one in told] == [*(4 * [None]), ["bearing"], None, None]
     assert [one.get("reason") for one in told[2:]] == [None, None, None, "the motor stands", "too short"]
     assert dict(state.counts) == {
         "window bearing": 1,

@@ -2,18 +2,22 @@
 
 import math
 import re
+from collections import Counter
 from dataclasses import replace
+from itertools import product
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
-from judged_by_hand import CURRENT, EXPONENTS, RATE, fitted, judged, moved, of_one
+from judged_by_hand import CURRENT, EXPONENTS, RATE, SHEET, fitted, judged, moved, of_one, start
 from scipy import stats
 
 from motor_env import (
+    Fault,
     FaultKind,
     Verdict,
+    diagnose,
 )
 from motor_env.diagnosis import diagnose as judging
 from motor_env.diagnosis.diagnose import explain_unusable
@@ -30,7 +34,7 @@ from motor_env.diagnosis.verdict.hypotheses import (
     joint_share,
     probabilities,
 )
-from motor_env.diagnosis.verdict.judgement import Judgement
+from motor_env.diagnosis.verdict.judgement import NOTHING_ELSE, Judgement
 from motor_env.filters.consistency import check_consistency
 from motor_env.motor.healthy import Starts
 from motor_env.motor.identifiable import visible_direction
@@ -68,6 +72,124 @@ def test_a_fault_is_called_from_the_limit_of_its_test_on(kind: str, verdict: Ver
     assert found.confidence == pytest.approx(sum(told[name] for name in kinds))
     assert found.kind_probability == pytest.approx(told[kind])
     assert moved(*(0.995 * at), degrees_of_freedom=freedom).confidence is not None
+
+
+@pytest.mark.parametrize(
+    ("off", "named"),
+    [
+        ((0.25, 0.0, 0.0, 0.5), ["bearing", "winding"]),
+        ((0.6, 0.0, 0.0, 0.3), ["winding", "bearing"]),
+        ((-0.15, -0.3, -0.3, 0.5), ["bearing", "winding"]),  # shorted turns
+        ((0.25, 0.0, 0.0, 0.0), ["winding"]),
+        ((0.0, 0.0, 0.0, 0.5), ["bearing"]),
+        ((0.02, 0.0, 0.0, 0.5), ["bearing"]),
+        ((0.25, 0.0, -0.3, 0.5), ["other"]),
+        ((0.25, 0.0, 0.0, -0.5), ["other"]),
+        ((0.3, 0.0, 0.0, 0.5), ["bearing", "winding"]),
+        ((0.25, 0.0, 0.0, 2.5), ["other"]),  # friction of no wear
+    ],
+)
+def test_two_faults_at_once_are_named_both(off: tuple[float, ...], named: list[str]) -> None:
+    """Each where it is significant beside the other, and both together explain what one does not."""
+    found = moved(*off)
+    assert [str(fault.verdict) for fault in (found, *found.also)] == named
+    if len(named) == 2:
+        sizes = {str(fault.fault_kind): fault for fault in (found, *found.also)}
+        assert sizes["bearing"].severity == pytest.approx(math.expm1(off[3]), rel=0.02)
+        for fault in (found, *found.also):
+            low, high = fault.severity_interval or (1.0, 0.0)
+            assert low < (fault.severity or 0.0) < high
+            assert 0.5 < (fault.confidence or 0.0) <= 1.0
+        assert not any(NOTHING_ELSE in reason for reason in found.reasons)
+        told, text = report_text.as_json(of_one(also=found.also)), report_text.headline(found)
+        assert [each["verdict"] for each in told["also"]] == named[1:]
+        assert "; also " in text
+
+
+def test_a_noise_is_named_beside_a_fault() -> None:
+    found = moved(0.0, 0.0, 0.0, 0.5, noise=0.8)
+    assert [str(fault.verdict) for fault in (found, *found.also)] == ["bearing", "noise"]
+    assert found.also[0].severity == pytest.approx(math.exp(1.6) - 1.0)
+    assert not any(NOTHING_ELSE in reason for reason in found.reasons)
+
+
+def test_no_sentence_says_that_nothing_else_moved_where_the_table_says_that_it_did() -> None:
+    """For steps of all quantities through the limits of the intervals and of the tests."""
+    said = Counter[bool]()
+    steps = (-0.2, 0.0, 0.04, 0.07, 0.1)
+    for r, pull, drag in product(steps, steps, (0.0, 0.3, 0.6, 1.1)):
+        for found in (moved(r, 0.0, pull, drag), moved(r, 0.0, pull, drag, is_bare=True, own_friction=1.0)):
+            beside = {"bearing": "RLK", "winding": "LKB", "magnet": "RLJB"}.get(str(found.verdict), "")
+            others = [
+                change for change in found.changes if change.name[0] in beside and change.excludes_healthy
+            ]
+            alone = any(NOTHING_ELSE in reason for reason in found.reasons)
+            if found.fault_kind == FaultKind.WINDING_SHORT:
+                continue
+            assert not (alone and others)
+            assert not (alone and found.also)
+            said[alone] += 1
+    assert min(said.values()) > 20
+
+
+def test_drag_far_above_a_data_sheet_is_first_a_coupled_machine() -> None:
+    """Believed beforehand: a machine brakes as often, five times the motor's own friction, give or take e."""
+    for size, is_first in ((0.3, False), (2.0, True)):
+        found = moved(0.0, 0.0, 0.0, math.log1p(size), is_bare=True)
+        taught = moved(0.0, 0.0, 0.0, math.log1p(size))
+        assert found.verdict is taught.verdict is Verdict.BEARING
+        machine = stats.norm.pdf(math.log(size / 5.0)) * (1.0 + size) / size
+        bearing = 2.0 / (math.pi * 0.3) / (1.0 + (math.log1p(size) / 0.3) ** 2)
+        assert (found.confidence or 0.0) / (taught.confidence or 1.0) == pytest.approx(
+            bearing / (machine + bearing), rel=1e-3
+        )
+        assert ("motor-env commission start1.csv" in found.reasons[0]) is is_first
+        assert not any("coupled machine" in reason for reason in taught.reasons)
+    loaded = moved(0.0, 0.0, -0.4, 0.8, is_bare=True)
+    assert loaded.verdict is Verdict.OTHER
+    assert "coupled machine" in loaded.reasons[0]
+
+
+def test_a_verdict_says_what_its_sheet_assumes() -> None:
+    usual = {"resistance": "usual", "friction": "from a no-load current", "temperature_k": "usual"}
+    for faults, verdict in (
+        ((), Verdict.HEALTHY),
+        ((Fault(FaultKind.WINDING_CONTACT, 0.4),), Verdict.WINDING),
+    ):
+        found = diagnose(start(*faults), replace(SHEET, usual_tolerances=usual, notes=("odd",)))
+        assert found.verdict is verdict
+        (said,) = (reason for reason in found.reasons if "are assumed" in reason)
+        assert "resistance 2%, temperature 10 K (usual); friction 3% (from a no-load current)" in said
+        assert "odd" in found.to_json()["warnings"]
+    assert not any("assumed" in reason for reason in judged().reasons)
+
+
+def test_what_a_tolerance_hides_is_not_the_recordings_fault() -> None:
+    wide = replace(SHEET, tolerance=replace(SHEET.tolerance, friction=0.3))
+    (said,) = (reason for reason in diagnose(start(), wide).reasons if "undecided" in reason)
+    assert said.startswith("the friction is undecided: data sheet RE 25, 12 V allows too much to tell it")
+
+
+@pytest.mark.parametrize(
+    ("faults", "verdict"),
+    [
+        ((), "healthy"),
+        ((Fault(FaultKind.WINDING_CONTACT, 0.3),), "winding"),
+        ((Fault(FaultKind.BEARING, 1.0),), "bearing"),
+    ],
+)
+def test_a_sheet_without_inertia_and_inductance_still_judges_the_rest(
+    faults: tuple[Fault, ...], verdict: str
+) -> None:
+    """The guesses are 10 and 50 times too large here."""
+    far = replace(SHEET.parameters, inductance_h=50.0 * 0.238e-3, inertia_kg_m2=10.0 * 1.07e-6)
+    lacking = replace(
+        SHEET,
+        parameters=far,
+        tolerance=replace(SHEET.tolerance, inductance=1.5, inertia=1.5),
+        assumed={"inductance_h": "a guess", "rotor_inertia_kg_m2": "a guess"},
+    )
+    assert diagnose(start(*faults), lacking).verdict == verdict
 
 
 def test_a_kind_is_told_from_a_probability_of_19_in_20_on() -> None:
@@ -150,6 +272,10 @@ def test_the_ripple_is_compared_beside_the_verdict(monkeypatch: pytest.MonkeyPat
             told = judging._add_ripple(found, one, starts, RATE)
             assert (told.verdict, told.reasons) == (found.verdict, found.reasons)
             added = told.changes[len(found.changes) :]
+            alone = judging._add_ripple(
+                replace(found, reasons=(f"B is up{NOTHING_ELSE}",)), one, starts, RATE
+            )
+            assert alone.reasons == (("B is up" if is_determined else f"B is up{NOTHING_ELSE}"),)
             assert [each.name for each in added] == (["speed", name] if is_determined else [])
             for each, log in zip(added, np.log([1e-3 * hz, 0.9]), strict=is_determined):
                 expected = np.exp([log, log - half, log + half])

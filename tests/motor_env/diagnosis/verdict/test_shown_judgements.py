@@ -91,7 +91,8 @@ def test_text_and_json_say_the_same() -> None:
     assert (begin, length) == pytest.approx((time_s[0], len(time_s) * judged().recording.dt_s))
     assert piece == {name: told[name] for name in piece}
     assert set(piece) == {
-        "verdict", "kind", "severity", "severity_interval", "confidence", "reasons", "changes", "smallest_changes",
+        "verdict", "kind", "severity", "severity_interval", "confidence", "also", "reasons", "changes",
+        "smallest_changes",
     }  # fmt: skip
     units = ("ohm", "H", "V/(A s)", "1/s")
     for name, value, error, unit in zip(CURRENT, fit.values, fit.standard_errors, units, strict=True):

@@ -25,6 +25,7 @@ def judged(case: str) -> Diagnosis:
     recordings = {
         "healthy": healthy,
         "bearing": start(Fault(FaultKind.BEARING, 0.5)),
+        "both": start(Fault(FaultKind.WINDING_CONTACT, 0.4), Fault(FaultKind.BEARING, 0.8)),
         "short": start(Fault(FaultKind.WINDING_SHORT, 0.12)),
         "clipped": replace(healthy, current_a=np.minimum(healthy.current_a, 2.5)),
         "probe": replace(healthy, current_a=10.0 * healthy.current_a),
@@ -39,6 +40,11 @@ ANSWERS: dict[str, Answers] = {
         "More friction: bearing, lubricant or load",
         "Friction up by (4|5)[0-9]%",
         "turn the shaft by hand",
+    ),
+    "both": (
+        "More friction: bearing, lubricant or load, and: Winding or brushes",
+        "Friction up by [78][0-9]%.*; Winding resistance up by [34][0-9]%",
+        "turn the shaft by hand.*measure the resistance",
     ),
     "short": ("Winding: shorted turns", "1[0-9]% of the turns shorted", "Measure the resistance"),
     "clipped": ("This recording cannot be judged", "clipped", "Record again"),
