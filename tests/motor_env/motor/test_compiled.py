@@ -63,11 +63,11 @@ def test_parts_give_the_same_whether_they_are_only_linked_or_made_machine_code(
 
     @compiled.njit(is_part=True)
     def inner(value: float) -> float:
-        return np.exp(value) + 1.0
+        return float(np.exp(value) + 1.0)
 
     @compiled.njit(is_part=True, forceinline=True)
     def part(value: float) -> float:
-        return inner(value) / 3.0
+        return float(inner(value) / 3.0)
 
     @compiled.njit()
     def total(values: np.ndarray) -> float:
