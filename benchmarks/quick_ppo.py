@@ -17,7 +17,7 @@ Array = NDArray[np.float32]
 BETAS, EPSILON = (0.9, 0.999), 1e-5  # of Adam, as Stable-Baselines3 has it
 
 
-class QuickPPO(PPO):
+class QuickPPO(PPO):  # type: ignore[misc]  # Stable-Baselines3 says no types
     """PPO with the default networks, the default losses and discrete actions."""
 
     def _setup_model(self) -> None:
@@ -62,7 +62,7 @@ class QuickPPO(PPO):
     def train(self) -> None:
         """Learn from one rollout."""
         self._update_learning_rate(self.policy.optimizer)
-        rate, clip = self.lr_schedule(self._current_progress_remaining), self.clip_range(1.0)  # type: ignore[operator]
+        rate, clip = self.lr_schedule(self._current_progress_remaining), self.clip_range(1.0)
         b = self.rollout_buffer
         names = ("observations", "actions", "log_probs", "advantages", "returns")
         seen, actions, logs, gained, returns = (b.swap_and_flatten(getattr(b, name)) for name in names)

@@ -62,7 +62,7 @@ class StepMeans(MotorVectorEnv):
     def __init__(self, num_envs: int, options: MonitorOptions, samples: int) -> None:
         super().__init__(num_envs, options, autoreset_mode="SameStep")
         self.samples = samples
-        self._shown = np.zeros((num_envs, self._n_observed), dtype=np.float32)
+        self._shown: Observation = np.zeros((num_envs, self._n_observed), dtype=np.float32)
 
     def _begin(self, mask: BoolArray) -> None:
         super()._begin(mask)
@@ -85,7 +85,7 @@ class StepMeans(MotorVectorEnv):
             rewards += reward * ~over
             over |= self._flags[TERMINATED, : self.num_envs]
         self._flags[TERMINATED, : self.num_envs] = over
-        self._shown = shown / self.samples
+        self._shown = shown / np.float32(self.samples)
         return self._shown, rewards, parts, int(over.sum())
 
 
@@ -112,8 +112,8 @@ def judged(model: Any, envs: Any) -> FloatArray:
     """Return of one episode in each sub-environment, by the likeliest actions."""
     envs.unwrapped.seed(reference.AGENT_SEED)
     observations, state = envs.reset(), None
-    begins, alive, returns = np.ones((3, envs.num_envs))
-    returns[:] = 0.0
+    begins, alive = np.ones((2, envs.num_envs))
+    returns: FloatArray = np.zeros(envs.num_envs)
     while alive.any():
         actions, state = model.predict(observations, state, begins, deterministic=True)
         observations, rewards, begins, _ = envs.step(actions)
@@ -197,7 +197,7 @@ def draw(path: Path) -> None:
         for axis, name in zip(figure.subplots(1, 2, sharey=True), IDS, strict=True):
             for variant, (title, colour) in NAMES.items():
                 curves = [one["curve"] for one in kept(name, variant)]
-                if len(curves) < reference.FEWEST:
+                if not curves:
                     continue
                 points = [[each["return"] for each in at] for at in zip(*curves, strict=True)]
                 spread = [reference.interquartile(np.array(at), np.random.default_rng(0)) for at in points]

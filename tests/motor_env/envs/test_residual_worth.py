@@ -65,6 +65,16 @@ def test_a_raw_measurement_is_the_mean_of_a_step_and_an_episode_begins_with_a_st
     np.testing.assert_allclose(seen[4][1, 2], means[0][1, 2], rtol=1e-5)
 
 
+def test_agents_of_raw_currents_learn_no_more_than_the_clock_on_a_probe() -> None:
+    """As the page says: they are no better than a winding that is declared at a fixed time, 216 ms."""
+    envs = reference_scores.vector("Probe-v0", reference_scores.AGENT_EPISODES)
+    by_clock = returns_of(envs, Late(4, 54), reference_scores.AGENT_SEED).mean()
+    assert f"{by_clock:+.2f}" == "-0.29"
+    for variant in ("raw", "stacked"):
+        kept = [one["return"] for one in residual_worth.kept("Probe-v0", variant)]
+        assert max(kept) < by_clock + 0.05
+
+
 def test_the_quick_update_is_that_of_stable_baselines() -> None:
     found = []
     for algorithm in (PPO, QuickPPO):
