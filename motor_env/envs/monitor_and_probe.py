@@ -162,7 +162,7 @@ class MonitorEnv(MotorEnv):
 
     ## Action space
     `Discrete(1 + number of kinds)`: 0 waits, the others choose one of the recipe's kinds, in the order bearing,
-    winding, noise. With the default recipe: 1 bearing, 2 winding.
+    winding, noise, current_sensor, speed_sensor. With the default recipe: 1 bearing, 2 winding.
 
     ## Observation space
     `Box`, float32, finite, clipped at the space's bounds; `observe` chooses the numbers. Means are exponentially
@@ -171,7 +171,8 @@ class MonitorEnv(MotorEnv):
 
     ## Reward
     0 until the episode ends. See `MonitorOptions`: right kind +1, silence to the end without a fault +1, false alarm
-    -1, wrong kind -0.5, miss -1; delay costs 5 a second. Charged step by step, the delay would tell the onset.
+    -1, wrong kind -0.5, miss -1; delay costs 5 a second. Charged step by step, the delay would tell the onset. A fault
+    that comes and goes stays the right answer in its pauses, and these count as delay.
 
     ## End of an episode
     A declaration, or the horizon (100 steps of 2 ms), both as `terminated`: a miss has to be charged. `truncated`
@@ -179,7 +180,7 @@ class MonitorEnv(MotorEnv):
 
     ## Info
     The truth, for scoring: `label`, `class_index` (of the recipe's classes), `severity`, `onset_sample`
-    (-1: no fault), `fault_active`. The parts of the reward: `reward_verdict`, `reward_delay`.
+    (-1: no fault), `fault_active` (False in a pause). The parts of the reward: `reward_verdict`, `reward_delay`.
     """
 
 
