@@ -2,9 +2,10 @@
 
 `import motor_env` registers the ids. Everything is loaded when first used; `__init__.pyi` lists what is public.
 
-Begin with `monitor_and_probe`: `single` and `vector` run its episodes, `stepping` is a step, `kernel` the equations of
-a sample, `episode_sampling` what is random, `layout` the arrays, `setup` their numbers. `drive` and `maintain` are
-families of their own; `policies` decide, and `offline_data` records them. No policy reads the truth in an info.
+Begin with `reference`: a step on one page of NumPy. `monitor_and_probe` has the environments; `single` and `vector` run
+their episodes, `stepping` is the compiled step, `kernel` the equations of a sample, `episode_sampling` what is random,
+`layout` the arrays, `setup` their numbers. `drive` and `maintain` are families of their own; `policies` decide, and
+`offline_data` records them. No policy reads the truth in an info.
 
 Example:
     A textbook policy plays 100 episodes of the easy task.
