@@ -152,7 +152,7 @@ class Reference:
         failed = np.array([channel == name for name in self.options.task.sensor.channels])
         severity = self.severity * self.level / self.options.n_levels
         volts, own = abs(self.voltage_v * self.supply), self.own
-        scale = self.c @ (volts / own.resistance_ohm, volts / own.back_emf_constant_v_s_per_rad)
+        scale = self.c @ np.array([volts / own.resistance_ohm, volts / own.back_emf_constant_v_s_per_rad])
         error = {
             "gain": severity * z,
             "dead": -severity * z,
