@@ -249,9 +249,9 @@ def screen_of(name: str) -> str:
 
 def tables_of(env: Any) -> dict[str, str]:
     """What is seen, done and paid in an environment."""
-    tables = {"Observation space": observation_table(env)}
+    tables = {"Observation Space": observation_table(env)}
     if isinstance(env.options, MonitorOptions):
-        tables |= {"Action space": action_table(env), "Reward": reward_table(env.options)}
+        tables |= {"Action Space": action_table(env), "Rewards": reward_table(env.options)}
     return tables
 
 
@@ -300,9 +300,8 @@ def family_page(name: str, specs: list[EnvSpec]) -> str:
             ],
         ),
     ]
-    tables = tables_of(env)
-    for heading in dict.fromkeys([*said, *tables]):
-        parts += [f"## {heading}", said.get(heading, ""), tables.get(heading, "")]
+    for heading, text in said.items():
+        parts += [f"## {heading}", text]
     parts += [
         "## Options",
         "Any of them by name in `gym.make`; all are checked, and a wrong value is named.",

@@ -84,6 +84,8 @@ def main() -> None:
     given = parser.parse_args()
     name, out = given.play or given.train, Path("out/agents")
     weights = (given.agents or (AGENTS if given.play else out)) / f"{name}.npz"
+    if given.play and not weights.is_file():
+        parser.error(f"{weights}: no such agent; --train {name} makes one")
     if given.train:
         weights.parent.mkdir(parents=True, exist_ok=True)
         np.savez(weights, **train(name, given.steps, given.seed))

@@ -72,25 +72,52 @@ class ProbeEnv(MotorEnv):
     As in `MonitorEnv`, but faults are small (0.5 to 3 %), and the agent chooses the voltage every 4 ms. A moving
     voltage makes the current flow that a changed resistance changes.
 
-    ## Action space
-    `Discrete(number of offsets + number of kinds)`: the first actions add an offset to the supply's 12 V for a step (0,
-    -0.7 and +0.7 V), the others choose a kind, in the order bearing, winding, noise. By default 0 waits, 1 and 2 probe,
-    3 chooses a bearing, 4 a winding.
+    ## Action Space
+    `Discrete(number of offsets + number of kinds)`. An offset is added to the supply's 12 V for a step. By default:
 
-    ## Observation space
-    As in `MonitorEnv`, and for each kind of fault the evidence: a CUSUM of the log-likelihood ratio of its smallest
-    fault, divided by 10, from 0 to 10. The voltage is that of the last step. The innovation is the sum over the step,
-    over the root of its number of samples.
+    | Num | Action |
+    |---|---|
+    | 0 | wait |
+    | 1 | move the voltage by -0.7 V |
+    | 2 | move the voltage by +0.7 V |
+    | 3 | choose bearing |
+    | 4 | choose winding |
 
-    ## Reward
-    As in `MonitorEnv` with a delay cost of 2 a second; an offset of 1 V costs 2 a second, growing with its
-    square, in the step that it lasts.
+    ## Observation Space
+    As in `MonitorEnv`, and the evidence for each kind of fault that changes the motor:
 
-    ## End of an episode
+    | Num | Observation | Meaning | Min | Max |
+    |---|---|---|---|---|
+    | 0 to 8 | | those of `MonitorEnv` | | |
+    | 9 | `evidence_bearing` | CUSUM of the log-likelihood ratio of the kind's smallest fault, over 10 | -10 | 10 |
+    | 10 | `evidence_winding_contact` | the same | -10 | 10 |
+
+    ## Rewards
+    As in `MonitorEnv`, with a delay cost of 2 a second. In each step an offset of u volt costs 2 u^2 a second. Energy
+    (`energy_cost_per_j`, 0 by default) is charged where the episode ends.
+
+    ## Starting State
+    As in `MonitorEnv`.
+
+    ## Episode End
     A declaration, or the horizon (100 steps of 4 ms), both as `terminated`.
 
-    ## Info
+    ## Information
     As in `MonitorEnv`, with `reward_probe` and `reward_energy`.
+
+    ## Arguments
+    Any option of `ProbeOptions` by name, and `render_mode`: `rgb_array` or `human` (a window, needs pygame). A reset
+    with a seed and `options={"index": n}` begins the stream of sub-environment n of a vector.
+
+    ```python
+    env = gym.make("motor_env/Probe-v0", offsets_v=(0.0, -1.0, 1.0), render_mode="rgb_array")
+    ```
+
+    ## Vectorized environment
+    `gym.make_vec("motor_env/Probe-v0", num_envs=1024)` is compiled: all sub-environments step in one call.
+
+    ## Version History
+    * v0: first version.
     """
 
     options_type = ProbeOptions
@@ -109,13 +136,46 @@ def _continuous_actions(setup: Setup) -> spaces.Box:
 class ProbeContinuousEnv(MotorEnv):
     """`ProbeEnv` with a voltage that can take any value.
 
-    ## Action space
-    `Box(-1, 1, (1 + number of kinds,))`: the first entry is the offset in units of the largest (2 V); if the largest of
-    the others is above 0.5, its kind is chosen. Values outside are clipped.
+    ## Description
+    As in `ProbeEnv`. ProbeContinuous-v0 decides every 2 ms, and the first declaration counts.
 
-    ProbeContinuous-v0 decides every 2 ms, and the first declaration counts.
+    ## Action Space
+    `Box(-1, 1, (1 + number of kinds,))`; values outside are clipped. By default:
 
-    Everything else is as in `ProbeEnv`.
+    | Num | Action | Min | Max |
+    |---|---|---|---|
+    | 0 | offset of the voltage, in units of 2 V | -1 | 1 |
+    | 1 | above 0.5, and above the other kinds: choose bearing | -1 | 1 |
+    | 2 | above 0.5, and above the other kinds: choose winding | -1 | 1 |
+
+    ## Observation Space
+    As in `ProbeEnv`.
+
+    ## Rewards
+    As in `ProbeEnv`.
+
+    ## Starting State
+    As in `MonitorEnv`.
+
+    ## Episode End
+    A declaration, or the horizon (200 steps of 2 ms), both as `terminated`.
+
+    ## Information
+    As in `ProbeEnv`.
+
+    ## Arguments
+    Any option of `ProbeOptions` by name, and `render_mode`: `rgb_array` or `human` (a window, needs pygame). A reset
+    with a seed and `options={"index": n}` begins the stream of sub-environment n of a vector.
+
+    ```python
+    env = gym.make("motor_env/ProbeContinuous-v0", max_offset_v=1.0, render_mode="rgb_array")
+    ```
+
+    ## Vectorized environment
+    `gym.make_vec("motor_env/ProbeContinuous-v0", num_envs=1024)` is compiled: all sub-environments step in one call.
+
+    ## Version History
+    * v0: first version.
     """
 
     options_type = ProbeOptions
@@ -160,27 +220,70 @@ class MonitorEnv(MotorEnv):
     then the filter's whitened innovation is standard normal white noise. The agent waits, or chooses a kind; one that
     is chosen in three steps in a row is declared.
 
-    ## Action space
-    `Discrete(1 + number of kinds)`: 0 waits, the others choose one of the recipe's kinds, in the order bearing,
-    winding, noise, current_sensor, speed_sensor. With the default recipe: 1 bearing, 2 winding.
+    ## Action Space
+    `Discrete(1 + number of kinds)`; kinds are those of the recipe, in the order bearing, winding, noise, and the
+    sensors, `current_sensor` and `speed_sensor`. By default:
 
-    ## Observation space
-    `Box`, float32, finite, clipped at the space's bounds; `observe` chooses the numbers. Means are exponentially
-    weighted and scaled to a standard deviation of 1. Current is in units of the stall current, speed of the ideal
-    no-load speed, voltage of the supply's.
+    | Num | Action |
+    |---|---|
+    | 0 | wait |
+    | 1 | choose bearing |
+    | 2 | choose winding |
 
-    ## Reward
-    0 until the episode ends. See `MonitorOptions`: right kind +1, silence to the end without a fault +1, false alarm
-    -1, wrong kind -0.5, miss -1; delay costs 5 a second. Charged step by step, the delay would tell the onset. A fault
-    that comes and goes stays the right answer in its pauses, and these count as delay.
+    ## Observation Space
+    `Box`, float32, finite, clipped at its bounds; `observe` chooses the numbers. By default:
 
-    ## End of an episode
-    A declaration, or the horizon (100 steps of 2 ms), both as `terminated`: a miss has to be charged. `truncated`
-    is always False.
+    | Num | Observation | Meaning | Min | Max |
+    |---|---|---|---|---|
+    | 0 | `measured_current` | what the sensor reads, in units of the stall current | -3 | 3 |
+    | 1 | `estimated_current` | what the filter holds it for | -3 | 3 |
+    | 2 | `estimated_speed` | the same of the speed, in units of the ideal no-load speed | -3 | 3 |
+    | 3 | `innovation_current` | read minus expected, whitened: sum over the step / root of its samples | -10 | 10 |
+    | 4 | `fast_current` | its exponentially weighted mean over 1 ms, scaled to a standard deviation of 1 | -10 | 10 |
+    | 5 | `slow_current` | the same over 10 ms | -10 | 10 |
+    | 6 | `excess` | how far its power exceeds that of noise, over 10 ms, scaled in the same way | -10 | 10 |
+    | 7 | `voltage` | of the last step, in units of the supply's | -3 | 3 |
+    | 8 | `time` | share of the horizon that has passed | 0 | 1 |
 
-    ## Info
-    The truth, for scoring: `label`, `class_index` (of the recipe's classes), `severity`, `onset_sample`
-    (-1: no fault), `fault_active` (False in a pause). The parts of the reward: `reward_verdict`, `reward_delay`.
+    ## Rewards
+    0 until the episode ends. Charged step by step, the delay would tell the onset. By default (`MonitorOptions`):
+
+    | Event | Reward |
+    |---|---|
+    | the right kind is declared after the onset | +1 |
+    | silence until the horizon, and there was no fault | +1 |
+    | a kind is declared before anything has happened | -1 |
+    | another kind than the fault's is declared after the onset | -0.5 |
+    | silence until the horizon, and there was a fault | -1 |
+    | each second between onset and declaration, or horizon | -5 |
+
+    A fault that comes and goes stays the right answer in its pauses, and these count as delay.
+
+    ## Starting State
+    The operating point of a motor that is drawn from the recipe, healthy; with `start="standstill"` it stands. Class,
+    severity, motor and onset follow from the seed alone.
+
+    ## Episode End
+    A declaration, or the horizon (100 steps of 2 ms), both as `terminated`: a miss has to be charged. `truncated` is
+    always False.
+
+    ## Information
+    The truth, for scoring: `label`, `class_index` (of the recipe's classes), `severity`, `onset_sample` (-1: no fault),
+    `fault_active` (False in a pause). The parts of the reward: `reward_verdict`, `reward_delay`.
+
+    ## Arguments
+    Any option of `MonitorOptions` by name, and `render_mode`: `rgb_array` or `human` (a window, needs pygame). A reset
+    with a seed and `options={"index": n}` begins the stream of sub-environment n of a vector.
+
+    ```python
+    env = gym.make("motor_env/Monitor-v0", recipe="easy", render_mode="rgb_array")
+    ```
+
+    ## Vectorized environment
+    `gym.make_vec("motor_env/Monitor-v0", num_envs=1024)` is compiled: all sub-environments step in one call.
+
+    ## Version History
+    * v0: first version.
     """
 
 

@@ -113,33 +113,79 @@ class DriveEnv(StreamEnv[DriveOptions]):
     grows exponentially at an unknown rate; that of a bearing grows faster under load and speed. A bad winding heats up.
     A motor whose severity or temperature is too large fails.
 
-    ## Action space
-    `Discrete(3)`: 0 runs the motor, 1 limps (within 0.3 s the profile shrinks to half), 2 stops the motor for good. The
-    drive's own speed controller sets the voltage, and a decision holds for 0.1 s.
+    ## Action Space
+    `Discrete(3)`. The drive's own speed controller sets the voltage, and a decision holds for 0.1 s.
+
+    | Num | Action |
+    |---|---|
+    | 0 | run |
+    | 1 | limp: within 0.3 s the profile shrinks to half |
+    | 2 | stop for good |
 
     With `control="voltage_limp_stop"` (DriveControl-v0) `Box(-1, 1, (3,))`: the voltage in units of the supply's limit;
     above 0 limps; above 0.5 stops. With `control="voltage_and_decision"` `Box(-1, 1, (2,))`: the voltage, and a
     decision: at most 0 runs, up to 0.5 limps, above 0.5 stops. Values outside are clipped.
 
-    ## Observation space
-    `Box`, float32, finite, clipped at the space's bounds: measured current and speed; the load that the filter of the
-    healthy motor estimates, its whitened innovations and their weighted means over 0.3 s; the voltage of the last step;
-    the temperature of a healthy winding; the scale of the profile; time as a share of the horizon; the scaled profile
-    now, at the end of the next step, and 0.05, 0.1 and 0.2 s ahead.
+    ## Observation Space
+    `Box`, float32, finite, clipped at its bounds:
 
-    ## Reward
-    See `DriveOptions`. The squared error of the speed, in units of the top speed, costs 300 a second, but a second at
-    most 3; a kelvin beyond 70 K 0.05 a second; a bearing worn from new to failure 1; limping 0.2 a second; a stopped
-    motor 1 for each second left, a failed one 6 more. Heat and wear are charged where the episode ends: step by step
-    they would tell of the fault.
+    | Num | Observation | Meaning | Min | Max |
+    |---|---|---|---|---|
+    | 0 | `measured_current` | what the sensor reads, in units of the current's limit | -1.5 | 1.5 |
+    | 1 | `measured_speed` | what the sensor reads, in units of the top speed | -1.5 | 1.5 |
+    | 2 | `estimated_load` | beyond the known load, as the healthy motor's filter has it; 1 is ten sd | -1.5 | 1.5 |
+    | 3 | `innovation_current` | read minus expected, whitened | -10 | 10 |
+    | 4 | `innovation_speed` | the same of the speed | -10 | 10 |
+    | 5 | `slow_current` | weighted mean of the innovation over 0.3 s, scaled to a standard deviation of 1 | -10 | 10 |
+    | 6 | `slow_speed` | the same of the speed | -10 | 10 |
+    | 7 | `voltage` | of the last step, in units of its limit | -1 | 1 |
+    | 8 | `estimated_temperature` | rise of a healthy winding's temperature, as a share of the failing one | 0 | 1.5 |
+    | 9 | `scale` | share of the profile that is asked for now | 0 | 1 |
+    | 10 | `time` | share of the horizon that has passed | 0 | 1 |
+    | 11 | `profile_0` | scaled profile now, in units of the top speed | 0 | 1 |
+    | 12 | `profile_1` | the same at the end of the next period | 0 | 1 |
+    | 13 | `profile_5` | in 0.05 s | 0 | 1 |
+    | 14 | `profile_10` | in 0.1 s | 0 | 1 |
+    | 15 | `profile_20` | in 0.2 s | 0 | 1 |
 
-    ## End of an episode
+    ## Rewards
+    By default (`DriveOptions`); heat and wear are charged where the episode ends: step by step they would tell of the
+    fault.
+
+    | Event | Reward |
+    |---|---|
+    | a second of the squared error of the speed, in units of the top speed; a second costs at most 3 | -300 |
+    | a second of a kelvin beyond 70 K | -0.05 |
+    | a bearing wears from new to failure | -1 |
+    | a second of limping | -0.2 |
+    | each second left when the motor stops or fails | -1 |
+    | a failure, besides | -6 |
+
+    ## Starting State
+    A healthy motor turns at the first speed of a profile that is drawn. Class, onset, growth and profile follow from
+    the seed alone.
+
+    ## Episode End
     Stopping, a failure, or the horizon (80 decisions of 0.1 s), all as `terminated`. `truncated` is always False.
 
-    ## Info
+    ## Information
     The truth, for scoring: `label`, `class_index`, `onset_step` (-1: no fault), `fault_active`, `severity`,
     `temperature_k`. The parts of the reward: `reward_tracking`, `reward_heat`, `reward_wear`, `reward_limp`,
     `reward_stop`, `reward_failure`.
+
+    ## Arguments
+    Any option of `DriveOptions` by name, and `render_mode`: `rgb_array` or `human` (a window, needs pygame). A reset
+    with a seed and `options={"index": n}` begins the stream of sub-environment n of a vector.
+
+    ```python
+    env = gym.make("motor_env/Drive-v0", weights=(1.0, 2.0, 0.0), render_mode="rgb_array")
+    ```
+
+    ## Vectorized environment
+    `gym.make_vec("motor_env/Drive-v0", num_envs=1024)` is compiled: all sub-environments step in one call.
+
+    ## Version History
+    * v0: first version.
     """
 
     options_type = DriveOptions

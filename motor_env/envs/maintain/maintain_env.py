@@ -170,26 +170,61 @@ class MaintainEnv(StreamEnv[MaintainOptions]):
     drift; each start gives a noisy estimate of it. At the limit the bearing fails in service. A new bearing has
     severity 0, and with `rate_spread` a rate of wear of its own.
 
-    ## Action space
-    `Discrete(3)`: 0 runs the motor for a day, 1 inspects the bearing (the motor stands still for the day, and its
-    severity is known after it), 2 replaces the bearing and runs.
+    ## Action Space
+    `Discrete(3)`:
 
-    ## Observation space
-    `Box`, float32, shape (7,). `estimate`: severity by the last start or inspection; `mean`, `std`: of its posterior;
-    `risk`: probability that the bearing fails today; `rate`: posterior mean of the rate of wear; `age`: days since the
-    bearing was new; `days_left`. Severities are divided by the limit, times by the episode's length, the rate by
-    `drift_per_day`.
+    | Num | Action |
+    |---|---|
+    | 0 | run the motor for a day |
+    | 1 | inspect: the motor stands still for the day, and its severity is known after it |
+    | 2 | replace the bearing, and run |
 
-    ## Reward
-    Minus the day's cost, in planned replacements: see `MaintainOptions`. A failure costs 5, a planned replacement 1, an
-    inspection 0.1.
+    ## Observation Space
+    `Box`, float32. Severities are divided by the limit, times by the episode's length:
 
-    ## End of an episode
+    | Num | Observation | Meaning | Min | Max |
+    |---|---|---|---|---|
+    | 0 | `estimate` | severity by the last start or inspection | -0.5 | 1.5 |
+    | 1 | `mean` | of the severity's posterior | 0 | 1 |
+    | 2 | `std` | its standard deviation | 0 | 1 |
+    | 3 | `risk` | probability that the bearing fails today | 0 | 1 |
+    | 4 | `rate` | posterior mean of the rate of wear, over `drift_per_day` | 0 | 1 |
+    | 5 | `age` | time since the bearing was new | 0 | 1 |
+    | 6 | `days_left` | time to the end of the episode | 0 | 1 |
+
+    ## Rewards
+    Minus the day's cost, in planned replacements. A failure is seen at once, so nothing is held back. By default
+    (`MaintainOptions`):
+
+    | Event | Reward |
+    |---|---|
+    | a failure | -5 |
+    | a planned replacement | -1 |
+    | an inspection | -0.1 |
+
+    ## Starting State
+    A new bearing; its rate of wear follows from the seed alone.
+
+    ## Episode End
     After `days` days, as `terminated`. `truncated` is always False: what is left of a bearing then has no value.
 
-    ## Info
+    ## Information
     The truth, for scoring: `severity`, `drift_per_day`, `failed`. The parts of the reward: `reward_failure`,
     `reward_replacement`, `reward_inspection`.
+
+    ## Arguments
+    Any option of `MaintainOptions` by name, and `render_mode`: `rgb_array` or `human` (a window, needs pygame). A reset
+    with a seed and `options={"index": n}` begins the stream of sub-environment n of a vector.
+
+    ```python
+    env = gym.make("motor_env/Maintain-v0", days=60, render_mode="rgb_array")
+    ```
+
+    ## Vectorized environment
+    `gym.make_vec("motor_env/Maintain-v0", num_envs=1024)` is compiled: all sub-environments step in one call.
+
+    ## Version History
+    * v0: first version.
     """
 
     observed = FEATURES

@@ -1,5 +1,7 @@
 """Everyone's tools accept the environments: wrappers, Stable-Baselines3, TorchRL, a video writer, a window."""
 
+import inspect
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -324,3 +326,29 @@ def test_the_adapter_refuses_options_of_a_reset() -> None:
     for options in ({"index": 3}, [{}, {"index": 3}]):
         with pytest.raises(NotImplementedError, match="has no options of a reset, got"):
             envs.set_options(options)
+
+
+HEADINGS = (
+    *("Description", "Action Space", "Observation Space", "Rewards", "Starting State", "Episode End"),
+    *("Information", "Arguments", "Vectorized environment", "Version History"),
+)
+"""As Gymnasium's own environments have them."""
+
+
+@pytest.mark.parametrize("name", ["Monitor", "Probe", "ProbeContinuous", "Drive", "Maintain"])
+def test_docstrings_have_gymnasiums_headings_and_the_numbers_of_the_spaces(name: str) -> None:
+    env: Any = gym.make(f"motor_env/{name}-v0").unwrapped
+    text, space = inspect.getdoc(type(env)) or "", env.observation_space
+    assert tuple(re.findall(r"^## (.*)$", text, re.MULTILINE)) == HEADINGS
+    part = dict(zip(HEADINGS, re.split(r"^## .*$", text, flags=re.MULTILINE)[1:], strict=True))
+    seen = re.findall(
+        r"^\| (\d+) \| `(\w+)` \| .* \| (\S+) \| (\S+) \|$", part["Observation Space"], re.MULTILINE
+    )
+    wanted = [
+        (str(n), each, f"{space.low[n]:.4g}", f"{space.high[n]:.4g}") for n, each in enumerate(env.observed)
+    ]
+    assert seen == wanted[len(wanted) - len(seen) :]
+    assert len(seen) == {"Probe": 2, "ProbeContinuous": 0}.get(name, len(wanted))
+    actions = env.action_space.n if hasattr(env.action_space, "n") else env.action_space.shape[0]
+    numbers = re.findall(r"^\| (\d+) \|", part["Action Space"], re.MULTILINE)
+    assert numbers == [str(n) for n in range(actions)]
