@@ -20,7 +20,7 @@ for _id, _class, _options, _best in (
     ("Monitor", "Monitor", {}, 0.882),
     ("MonitorHard", "Monitor", {"recipe": "hard"}, 0.442),
     ("MonitorSpeedLoop", "Monitor", {"drive": "speed_loop"}, 0.662),
-    ("MonitorSensor", "Monitor", {"recipe": "sensor", "growth_s": 0.1}, 0.8),
+    ("MonitorSensor", "Monitor", {"recipe": "sensor", "growth_s": 0.1}, 0.814),
     ("MonitorInstant", "Monitor", _INSTANT, 0.889),
     ("Probe", "Probe", {}, 0.851),
     ("ProbeContinuous", "ProbeContinuous", _PROBE_INSTANT, 0.887),

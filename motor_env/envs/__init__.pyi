@@ -52,6 +52,9 @@ from .policies.posterior_policies import (
     ExpectedRewardTest as ExpectedRewardTest,
     PosteriorView as PosteriorView,
 )
+from .policies.residual_posterior import (
+    ResidualPosterior as ResidualPosterior,
+)
 from .policies.rule_policies import (
     BankPolicy as BankPolicy,
     Never as Never,

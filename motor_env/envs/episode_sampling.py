@@ -338,7 +338,8 @@ def draw_turn(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     log_stay = c.log_pauses if turn & 1 else c.log_lasts
     if log_stay == 0.0:
         return NEVER
-    return 1.0 + np.floor(np.log(random_uniforms(_RECOVERY, turn >> 2, lanes.words, n)[turn & 3]) / log_stay)
+    u = random_uniforms(_RECOVERY, turn >> 2, lanes.words, n)[turn & 3]
+    return 1.0 + math.floor(math.log(u) / log_stay)
 
 
 @inlined

@@ -221,7 +221,8 @@ class MonitorEnv(MotorEnv):
     is chosen in three steps in a row is declared.
 
     ## Action Space
-    `Discrete(1 + number of kinds)`; kinds are those of the recipe, in the order bearing, winding, noise. By default:
+    `Discrete(1 + number of kinds)`; kinds are those of the recipe, in the order bearing, winding, noise, and the
+    sensors, `current_sensor` and `speed_sensor`. By default:
 
     | Num | Action |
     |---|---|
@@ -256,6 +257,8 @@ class MonitorEnv(MotorEnv):
     | silence until the horizon, and there was a fault | -1 |
     | each second between onset and declaration, or horizon | -5 |
 
+    A fault that comes and goes stays the right answer in its pauses, and these count as delay.
+
     ## Starting State
     The operating point of a motor that is drawn from the recipe, healthy; with `start="standstill"` it stands. Class,
     severity, motor and onset follow from the seed alone.
@@ -266,7 +269,7 @@ class MonitorEnv(MotorEnv):
 
     ## Information
     The truth, for scoring: `label`, `class_index` (of the recipe's classes), `severity`, `onset_sample` (-1: no fault),
-    `fault_active`. The parts of the reward: `reward_verdict`, `reward_delay`.
+    `fault_active` (False in a pause). The parts of the reward: `reward_verdict`, `reward_delay`.
 
     ## Arguments
     Any option of `MonitorOptions` by name, and `render_mode`: `rgb_array` or `human` (a window, needs pygame). A reset

@@ -5,6 +5,7 @@ are in ampere and rad/s here; the compiled step keeps deviations from the rest p
 healthy motor's A, B:
 
     plant     x[k+1] = A_f x[k] + B_f (s (V + u + d), load), z = C x + v     a fault f, a supply that is off by s
+    sensor    z + g (C x), z + s X, z + s X dt (k - onset), or its last z again   one that failed; X: full scale
     filter    e = z - C (A xh + B (V + u, load)), xh[k+1] = A xh + B (V + u, load) + K e, r = S^(-1/2) e
     reward    - price u^2 dt in each step; verdict - delay cost (k - onset) dt - price |power| dt at the end
 
@@ -84,7 +85,7 @@ class Reference:
             k: min(c.severity or c.largest_severity for c in recipe.classes if c.kind == k) for k in moving
         }
         self.rivals = {k: held(apply_fault(self.motor, Fault(k, size)), o.dt_s) for k, size in sizes.items()}
-        self.kinds = list(dict.fromkeys(kind.verdict for kind in recipe.kinds))
+        self.kinds = list(dict.fromkeys(kind.component for kind in recipe.kinds))
         # The speed loop's zero cancels the motor's slow pole.
         no_load = at_rest(self.motor, self.voltage_v, 0.0)[1]
         self.loop = self.voltage_v / no_load / o.loop_time_s if o.drive is Drive.SPEED_LOOP else 0.0
@@ -107,6 +108,11 @@ class Reference:
             u = float(uniforms(seed, Stream.ONSET, case, 1)[0, 0])
             waits = math.floor(math.log(u) / math.log(mean / (1.0 + mean))) if mean > 0.0 else 0
             self.onset = round(o.earliest_onset_s / self.dt_s) + waits
+        # A fault that recovers ends and returns in turn, after times that are geometric, too.
+        self.changes, recovery = np.array([]), self.fault.recovery
+        if recovery is not None:
+            u = uniforms(seed, Stream.RECOVERY, case, o.n_samples)[0]
+            self.changes = self.onset + recovery.changes(u, self.dt_s)
         self.noise = normals(seed, Stream.MEASUREMENT, case, (o.n_samples + 1) * len(self.c))[0].astype(float)
         self.time, self.level, self.drive_v, self.energy_j = 0, 0, 0.0, 0.0
         self.chosen, self.repeats, self.offset_v = 0, 0, 0.0
@@ -120,7 +126,7 @@ class Reference:
         )
         self.held_speed, self.excess, self.total = self.x[1], 0.0, np.zeros(len(self.c))
         self.means = np.zeros((2, len(self.c)))
-        self.z = self.c @ self.x + self._sensor_noise()
+        self.z, self.age = self.c @ self.x + self._sensor_noise(), 0.0
         return self.observation()
 
     def _set_motor(self) -> None:
@@ -139,17 +145,36 @@ class Reference:
         noise: FloatArray = self.noise_std * self.noise[first : first + len(self.c)]
         return noise
 
+    def _reading(self) -> FloatArray:
+        """What the sensors show: the quantities and their noise, or what a failed one makes of them."""
+        z: FloatArray = self.c @ self.x
+        channel, _, failure = str(self.fault.kind).partition("_")
+        failed = np.array([channel == name for name in self.options.task.sensor.channels])
+        severity = self.severity * self.level / self.options.n_levels
+        volts, own = abs(self.voltage_v * self.supply), self.own
+        scale = self.c @ np.array([volts / own.resistance_ohm, volts / own.back_emf_constant_v_s_per_rad])
+        error = {
+            "gain": severity * z,
+            "dead": -severity * z,
+            "offset": severity * scale,
+            "drift": severity * scale * self.dt_s * max(self.age, 0.0),
+        }
+        z = z + failed * error.get(failure, 0.0) + self._sensor_noise()
+        return np.where(failed, self.z, z) if failure == "stuck" and severity * self.age > 0.0 else z
+
     def _sample(self) -> None:
         """Plant, sensor, filter, rivals, statistics and speed loop from sample k to k + 1."""
         o, voltage = self.options, self.voltage_v + self.offset_v
-        growth = round(o.growth_s / self.dt_s)
-        while self.level < o.n_levels and self.time >= self.onset + growth * self.level // o.n_levels:
-            self.level += 1
+        growth, turn = round(o.growth_s / self.dt_s), int(np.searchsorted(self.changes, self.time, "right"))
+        self.age = self.time - (self.changes[turn - 1] if turn else self.onset)
+        level = sum(self.age >= growth * m // o.n_levels for m in range(o.n_levels)) if turn % 2 == 0 else 0
+        if level != self.level:
+            self.level = level
             self._set_motor()
         volts, before = (voltage + self.drive_v) * self.supply, self.x[1]
         self.x = self.plant[0] @ self.x + self.plant[1] @ (volts, self.load_n_m)
         self.time += 1
-        self.z = self.c @ self.x + self._sensor_noise()
+        self.z = self._reading()
 
         predicted = self.a @ self.estimate + self.b @ (voltage, self.load_n_m)
         error = self.z - self.c @ predicted
@@ -234,7 +259,7 @@ class Reference:
             return -o.miss_cost if self.onset < o.n_samples else o.silent_reward
         if until <= self.onset:
             return -o.false_alarm_cost
-        right = self.kinds[declared - 1] == FaultKind(str(self.fault.kind)).verdict
+        right = self.kinds[declared - 1] == FaultKind(str(self.fault.kind)).component
         return o.correct_reward if right else -o.wrong_kind_cost
 
 

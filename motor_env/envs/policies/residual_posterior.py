@@ -40,7 +40,7 @@ def innovation_signatures(setup: Setup, classes: list[int], n_samples: int, onse
         ValueError: a sensor that repeats its last reading, or a fault that recovers.
     """
     options, recipe, dt_s = setup.options, setup.options.task, setup.options.dt_s
-    sensor, begins = recipe.sensor, np.arange(n_samples) * dt_s
+    sensor, begins = recipe.sensor, dt_s * np.arange(n_samples, dtype=np.float64)
     volts = np.full(n_samples, float(recipe.supply.voltage_v))
     scale = Scenario(recipe.motor, supply=recipe.supply).full_scale
     levels = np.arange(options.n_levels) / options.n_levels

@@ -361,7 +361,9 @@ def test_sensors_fail_and_faults_recover_as_in_a_data_set(known: bool) -> None:
     recipe = replace(recipe, timing=Timing(10_000.0, 0.03), spread=Spread(*[0.0 if known else 0.02] * 5))
     if known:
         classes = [replace(c, severity_to=None) for c in FAILING.classes if not c.name.startswith("speed_")]
-        recipe = replace(recipe, classes=tuple(classes), sensor=replace(recipe.sensor, channels=("current",)))
+        recipe = replace(
+            recipe, classes=tuple(classes), sensor=replace(recipe.sensor, channels=(Channel.CURRENT,))
+        )
     channels = recipe.sensor.channels
     envs = monitors(
         60,

@@ -33,10 +33,11 @@ from motor_env.envs import (
     score,
     sweep,
 )
-from motor_env.envs.options import EASY, MEDIUM, SMALL
+from motor_env.envs.options import EASY, HARD, MEDIUM, SENSOR, SMALL
 from motor_env.envs.policies.evaluation import Runs, interval, joined
 from motor_env.envs.policies.fault_posterior import final_worth, worth
 from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop, signatures
+from motor_env.envs.policies.residual_posterior import ResidualPosterior, innovation_signatures
 from motor_env.envs.policies.rule_policies import ThresholdPolicy, column
 from motor_env.envs.setup import converged_gain, make_setup
 from motor_env.motor.faults import apply_faults
@@ -388,3 +389,80 @@ def test_the_bound_of_a_probe_takes_the_worst_shares(monkeypatch: pytest.MonkeyP
     share = np.linspace(0.0, 1.0, 100_001)
     wanted = np.interp(share, tried, np.square(tried)) + np.interp(1.0 - share, tried, 2.0 * np.square(tried))
     assert bounds.upper_bound(ProbeOptions(recipe=recipe, **PROBED)) == pytest.approx(wanted.min(), abs=1e-3)
+
+
+SENSED: dict[str, Any] = {
+    "recipe": SENSOR,
+    "growth_s": 0.1,
+    "observe": ("innovation_current", "innovation_speed"),
+}
+
+
+def test_a_signature_is_what_a_fault_adds_to_the_innovations() -> None:
+    """The same case draws the same noise whatever its class: what differs between a faulty and a healthy motor."""
+    recipe, onset = (
+        SENSOR,
+        {"earliest_onset_s": 0.001, "mean_onset_s": 0.0},
+    )  # in the middle of the first step
+
+    def innovations(which: int) -> FloatArray:
+        classes = [replace(c, weight=1e12 if m == which else 1.0) for m, c in enumerate(recipe.classes)]
+        envs = MonitorVectorEnv(1, **{**SENSED, **onset, "recipe": replace(recipe, classes=tuple(classes))})
+        assert envs.reset(seed=4)[1]["class_index"].tolist() == [which]
+        return np.array([envs.step(np.zeros(1, dtype=np.int64))[0][0] for _ in range(60)])
+
+    setup, healthy = make_setup(MonitorOptions(**SENSED)), innovations(0)
+    faults = list(range(1, len(recipe.classes)))
+    signatures_by_sample = innovation_signatures(setup, faults, 1200, onset=10)
+    for which, by_sample in zip(faults, signatures_by_sample, strict=True):
+        wanted = by_sample.reshape(60, 20, 2).sum(axis=1) / np.sqrt(20.0)
+        np.testing.assert_allclose(innovations(which), np.clip(healthy + wanted, -10.0, 10.0), atol=2e-3)
+
+
+def test_the_bank_of_hypotheses_has_the_posterior_and_tells_motor_from_sensor() -> None:
+    envs = MonitorVectorEnv(200, **SENSED)
+    setup, policy = envs.setup, ResidualPosterior(envs.setup, 0.9)
+    assert setup.kinds == ("bearing", "winding", "current_sensor", "speed_sensor")
+    result = score(envs, run_episodes(envs, policy, 3))
+    assert 0.7 < result.mean_return < 0.883  # what no policy exceeds
+    assert result.isolated_share > 0.95
+    observations, seen = envs.reset(seed=5)[0], []
+    policy.start(200)
+    for _ in range(40):
+        policy.judge(observations)
+        observations = envs.step(np.zeros(200, dtype=np.int64))[0]
+        seen.append(observations[0].astype(np.float64))
+    policy.judge(observations)
+    prior, begin = SENSOR.class_probabilities, np.maximum(20 * np.arange(41) - 100, 0)
+    unborn = (500.0 / 501.0) ** begin
+    by_kind, faults = np.zeros(4), range(1, len(prior))
+    signs = (
+        innovation_signatures(setup, list(faults), 800, onset=10).reshape(-1, 40, 20, 2).sum(axis=2)
+        / 20.0**0.5
+    )
+    for which, shape in zip(faults, signs, strict=True):
+        for born in range(40):
+            mean = shape[: 40 - born]
+            ratio = np.exp((mean * (np.array(seen[born:]) - 0.5 * mean)).sum())
+            by_kind[setup.right_declarations[which] - 1] += (
+                prior[which] * (unborn[born] - unborn[born + 1]) * ratio
+            )
+    quiet = prior[0] + (1.0 - prior[0]) * unborn[40]
+    np.testing.assert_allclose(policy.kinds[0], by_kind / (by_kind.sum() + quiet), atol=1e-9)
+    np.testing.assert_allclose(policy.quiet[0], quiet / (by_kind.sum() + quiet), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"start": "standstill"}, "start must be running"),
+        ({"recipe": HARD, "observe": ()}, "recipe hard must have no spread"),
+        ({"observe": ("innovation_current",)}, "this policy needs the feature innovation_speed"),
+        ({"recipe": replace(SENSOR, classes=(FaultClass(), FaultClass(FaultKind("speed_stuck"), 1.0)))}, "speed_stuck"),
+    ],
+)  # fmt: skip
+def test_a_task_that_the_bank_of_hypotheses_does_not_know_is_refused(
+    changes: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        ResidualPosterior(make_setup(MonitorOptions(**{**SENSED, **changes})), 0.9)

@@ -86,7 +86,10 @@ def made(name: str) -> Any:
 def plain(value: Any) -> Any:
     """Options as JSON has them; a recipe or a motor with all that it holds."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        named = {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        return {
+            name: one for name, one in named.items() if name != "recovery" or one
+        }  # as in a recipe's file
     if isinstance(value, str | bool | None):
         return None if value is None else value if isinstance(value, bool) else str(value)
     if isinstance(value, tuple | list):

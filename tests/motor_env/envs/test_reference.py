@@ -6,12 +6,24 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from motor_env import Channel, SensorParameters, load_recipe
+from motor_env import Channel, FaultKind, SensorParameters, load_recipe
 from motor_env.envs.layout import FIELD, block_type
 from motor_env.envs.reference import Reference
+from motor_env.simulation.recipes import FaultClass, Recovery
 
 IDS = [name for name in gym.registry if name.startswith(("motor_env/Monitor", "motor_env/Probe"))]
 BOTH = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5)
+
+
+def failing(kind: str, severity: float, **options: Any) -> tuple[str, dict[str, Any]]:
+    """A monitor of bearings and of a fault that comes and goes."""
+    recovery = Recovery(mean_duration_s=0.01, mean_pause_s=0.005)
+    seldom = (FaultClass(weight=0.2), FaultClass(FaultKind.BEARING, 0.1, 0.2))
+    classes = (*seldom, FaultClass(FaultKind(kind), severity, recovery=recovery))
+    recipe = load_recipe("bench", sensor=BOTH, classes=classes)
+    return "motor_env/MonitorInstant-v0", {"recipe": recipe, "mean_onset_s": 0.02, **options}
+
+
 TASKS: dict[str, tuple[str, dict[str, Any]]] = {
     **{name: (name, {}) for name in IDS},
     "grows from standstill, two sensors": (
@@ -27,6 +39,9 @@ TASKS: dict[str, tuple[str, dict[str, Any]]] = {
         "motor_env/Probe-v0",
         {"recipe": "hard", "drive": "speed_loop", "energy_cost_per_j": 0.7, "mean_onset_s": 0.0},
     ),
+    "a loose contact that grows": failing("winding_contact", 0.3, growth_s=0.005, growth_levels=4),
+    "a sensor that drifts": failing("current_drift", 0.3),
+    "a sensor that repeats itself": failing("speed_stuck", 1.0, drive="speed_loop"),
 }
 
 

@@ -325,7 +325,8 @@ def test_a_loose_contact_comes_and_goes() -> None:
     assert recipe.class_names[2] == "winding_contact_25_recovers"
     assert recipe_from_dict(recipe_to_dict(recipe)) == recipe
     drawn = draw(recipe, 6, np.arange(30))
-    found, share = measure_draw(drawn, recipe, 6)[:, 0], []
+    found = measure_draw(drawn, recipe, 6)[:, 0]
+    share: list[bool] = []
     for n, which in enumerate(drawn.class_index.tolist()):
         motor, volts = (
             drawn.scenario.parameters.motor(n),
