@@ -6,6 +6,8 @@ Functions take plain numbers from the page and give a dictionary for JSON; the s
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -39,6 +41,7 @@ class Uploads:
         self._folder = tempfile.TemporaryDirectory(prefix="motor-env-lab-")
         self.motor: Path | None = None
         self.healthy: list[Path] = []
+        self._names: dict[Path, str] = {}
 
     def clear(self) -> None:
         """Delete all of it."""
@@ -53,25 +56,38 @@ class Uploads:
         shown = display_name(name)
         if kind not in ("motor", "healthy"):
             raise InputError(f"kind must be motor or healthy, got {kind[:40]!r}")
-        if len(self.healthy) >= _MOST_STARTS:
+        if kind == "healthy" and len(self.healthy) >= _MOST_STARTS:
             raise InputError(f"at most {_MOST_STARTS} healthy starts can be compared with")
         ending = ".toml" if kind == "motor" else file_suffix(shown)
-        path = Path(self._folder.name) / f"{kind}-{len(self.healthy)}{ending}"
+        path = Path(self._folder.name) / f"{kind}-{len(self._names)}{ending}"
+        self._names[path] = shown
         path.write_bytes(content)
-        try:
-            if kind == "motor":
-                load_motor(path)
-                self.motor = path
-            else:
-                read_recording(path)
-                self.healthy.append(path)
-        except InputError as error:
-            raise InputError(str(error).replace(str(path), shown)) from None
+        with self.naming():
+            try:
+                load_motor(path) if kind == "motor" else read_recording(path)
+            except ValueError:
+                path.unlink()
+                raise
+        if kind == "motor":
+            self.motor = path
+        else:
+            self.healthy.append(path)
         return {
             "name": shown,
             "reference": OWN_MOTOR if kind == "motor" else HEALTHY_STARTS,
             "healthy": len(self.healthy),
         }
+
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """Call the files by the names that they came with, in what is refused."""
+        try:
+            yield
+        except ValueError as error:
+            sentence = str(error)
+            for path, name in self._names.items():
+                sentence = sentence.replace(str(path), name)
+            raise InputError(sentence) from None
 
     def reference(self, wanted: str) -> tuple[str | None, list[Path]]:
         """Return motor and healthy starts to compare with, as the page has chosen.
@@ -288,7 +304,8 @@ def recording_verdict(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"recording{file_suffix(shown)}"
         path.write_bytes(content)
-        (outcome,) = diagnose_files([path], motor=known, healthy=healthy, voltage_v=voltage_v)
+        with uploads.naming():
+            (outcome,) = diagnose_files([path], motor=known, healthy=healthy, voltage_v=voltage_v)
         if outcome.diagnosis is None:
             raise InputError((outcome.error or "cannot be read").replace(str(path), shown))
         document = _as_document(outcome.diagnosis)

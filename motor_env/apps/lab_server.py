@@ -132,7 +132,11 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_json(HTTPStatus.SERVICE_UNAVAILABLE, {"error": "the lab is busy; try again"})
             return
         try:
-            body = b"".join(self._chunks(self._length(largest)))
+            length = self._length(largest)
+            body = b"".join(self._chunks(length))
+            if len(body) < length:
+                self.close_connection = True
+                raise InputError(f"the request ended after {len(body)} of its {length} bytes")
             with _FIT_LOCK:
                 answer = action(body)
         finally:

@@ -148,6 +148,7 @@ def commission(
         motor: Motor file of --fleet: one healthy recording of this motor is enough beside its sisters.
         sisters: Which motors the files are of, with --fleet.
     """
+    _require_motor_file(output)
     if fleet or motor is not None:
         options.refuse(
             "--fleet" if fleet else "--motor",
@@ -160,7 +161,7 @@ def commission(
             out=out,
         )
         reading = measurement.of_fleet(regime)
-        text = _commission_fleet(
+        text, before = _commission_fleet(
             files, output, reading, sisters, name=name, motor=motor, rate=false_alarm_rate
         )
     else:
@@ -181,12 +182,13 @@ def commission(
             constant=torque_constant,
             no_load_current_a=no_load_current,
         )
+        before = _kept(output)
         save_motor(result.motor, output)
         if out is not None:
             write_text(out / f"{output.stem}.html", result.page())
         text = result.text()
     print(printable(text))
-    print(printable(f"written: {output}"))
+    print(printable(f"written: {output}{before}"))
     measurement.keep()
     return 0
 
@@ -200,8 +202,8 @@ def _commission_fleet(
     name: str,
     motor: Path | None,
     rate: float,
-) -> str:
-    """Learn a fleet, or one motor with a fleet's motor file as the prior; return what was learned, in words."""
+) -> tuple[str, str]:
+    """Learn a fleet, or one motor with a fleet's motor file as the prior; return both in words, see `_kept`."""
     from motor_env.diagnosis.fleet.learning import learn_fleet, update_unit
     from motor_env.diagnosis.readers.recording import describe_reading, read_recording
     from motor_env.motor.data_sheet import load_motor, save_motor
@@ -216,5 +218,30 @@ def _commission_fleet(
         with sisters.fitted(files, reading) as how:
             fleet = learn_fleet(files, **how)
         learned, text = fleet.motor(name), fleet.text(rate)
+    before = _kept(output)
     save_motor(learned, output)
-    return text
+    return text, before
+
+
+def _require_motor_file(output: Path) -> None:
+    """Refuse to write over a file that is no motor's, before the long work.
+
+    Raises:
+        InputError: it is something else.
+    """
+    from motor_env.motor.data_sheet import load_motor
+
+    if output.exists():
+        try:
+            load_motor(output)
+        except InputError:
+            raise InputError(f"{output}: is there, and is no motor file; give another -o") from None
+
+
+def _kept(output: Path) -> str:
+    """Keep a motor file that is to be replaced, and say where; nothing where there is none."""
+    if not output.exists():
+        return ""
+    kept = output.with_name(f"{output.name}.before")
+    output.replace(kept)
+    return f"; the motor file that was there is now {kept}"

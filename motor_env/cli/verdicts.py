@@ -47,17 +47,23 @@ def watch(
 
     Args:
         motor: Motor file that `commission` wrote from logs, or that --learn writes.
-        source: A file, serial:/dev/ttyACM0, mqtt://host/topic; standard input without it.
+        source: A file, a folder of recordings, serial:/dev/ttyACM0, mqtt://host/topic; standard input without it.
         false_alarms_per_year: Of a healthy motor that always runs.
         state: File that keeps what was seen of this motor and source, so that a new start goes on where the last
             window ended.
-        follow: Wait for lines that are appended to the file, or to the one that takes its place.
+        follow: Wait for lines that are appended to the file, or to the one that takes its place; for recordings that
+            appear in the folder.
         learn: Where there is no motor file yet: so long the motor is healthy, and is learned from; seconds, or 10min.
         window: Length of a window for --learn, in seconds, or 20s; a twentieth of it by default.
         steady: For --learn: only a fault moves this motor. Load, temperature and offsets stay, as on a test bench.
         columns: Names of the columns, such as time_s,voltage_v,current_a,speed_rad_s, where no line says them.
         baud: Of the serial port.
     """
+    if source is not None and Path(source).is_dir():
+        from motor_env.apps.folder import watch_folder
+
+        refuse("a folder", state=state, learn=learn, columns=columns)
+        return watch_folder(motor, Path(source), follow=follow)
     from motor_env.diagnosis.streaming.watch import LearningPhase, run
 
     return run(
@@ -152,7 +158,8 @@ def diagnose(
 
     Example: motor-env diagnose examples/startup_capture.csv --motor examples/motor.toml
 
-    A recording is one start, several, or a log of the motor at work, which is judged by windows.
+    A recording is one start, several, or a log of the motor at work, which is judged by windows. After those of a
+    folder comes the trend of its starts.
 
     With --fleet each file is of another motor of the same make, and each motor is judged by the others.
 
@@ -160,7 +167,7 @@ def diagnose(
 
     Args:
         files: Recordings (CSV and other text, .mat, .h5, .npy, .npz, .parquet, .tdms, .xlsx) with time, current, and
-            voltage, speed where measured; e.g. columns time_s, current_a, voltage_v, speed_rad_s.
+            voltage, speed where measured, or folders of them; e.g. columns time_s, current_a, voltage_v, speed_rad_s.
         motor: Motor file (TOML), or the name of a catalogue motor.
         healthy: Recordings of the healthy motor to compare with, after the option: --healthy A.csv B.csv C.csv
         false_alarm_rate: How often a healthy recording may be called faulty.
@@ -189,8 +196,10 @@ def diagnose(
         return int(result.status)
     if sisters.group is not None:
         raise InputError("--group goes with --fleet")
+    from motor_env.apps.folder import recordings_in, trend_of
     from motor_env.diagnosis.file_verdicts import diagnose_files
 
+    has_folder, files = any(path.is_dir() for path in files), recordings_in(files)
     with console.working("reading") as say:
         outcomes = diagnose_files(
             files,
@@ -214,6 +223,10 @@ def diagnose(
             lambda: [o.as_json() for o in outcomes],
             lambda: "\n".join(one.text(verbose=verbose) for one in judged),
         )
+    if has_folder and not json_:
+        chosen = measurement.chosen.options
+        found = trend_of(outcomes, chosen["voltage_v"], columns=chosen["columns"])
+        print("trend:", "fewer than three starts that can be used" if found is None else f"\n{found.text()}")
     measurement.keep()
     return int(console.worst(outcome.status for outcome in outcomes))
 
@@ -225,7 +238,7 @@ def trend(
     level: float = 0.9,
     voltage: float | None = None,
     reading: Reading = READING,
-    date: Literal["name", "modified"] = "name",
+    date: Literal["name", "modified", "order"] = "name",
     reference_count: console.Whole = 3,
     out: Path = Path("out/trend.html"),
     json_: bool = False,
@@ -243,7 +256,8 @@ def trend(
         level: Probability that the interval of the remaining life holds.
         voltage: Level of the supply in volt, for recordings without a voltage.
         reading: How the recordings are read.
-        date: name (2026-01-31, 2026-01-31T11-00-14, Jan-31-2026_11-00-14), or modified: the file's own date.
+        date: name (2026-01-31, 2026-01-31T11-00-14, Jan-31-2026_11-00-14), modified: the file's own date, or
+            order: as they are given, in a folder by name.
         reference_count: Number of first estimates whose mean is the reference.
         out: The page, one self-contained HTML file.
         json_: Print one array with one object a quantity.

@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter, Token
 
-from motor_env.common.errors import InputError
-
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
 
@@ -74,6 +72,7 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
     for name in ("stdout", "stderr"):  # closed by the shell: what is said goes nowhere
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  # to the end
+    _received.clear()
     try:
         _heed_termination()
         status = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
@@ -81,25 +80,33 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # whoever read is gone, and the rest of it goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _CLOSED_PIPE
-    except CycloptsError as error:
-        message = " ".join(str(error).split())
-    except (InputError, ValueError, OSError) as error:
-        message = _sentence(error)
     except KeyboardInterrupt as interrupt:
-        print(f"{app.name[0]}: interrupted", file=sys.stderr)
-        return 128 + (interrupt.args[0] if interrupt.args else signal.SIGINT)
-    except Exception:  # noqa: BLE001  # a bug, whatever it is, must not end with the exit status of a verdict
-        traceback.print_exc()
-        return int(ExitStatus.BUG)
+        return _end_interrupted(app, *_received, *interrupt.args)
+    except Exception as error:  # noqa: BLE001  # whatever it is must not end with the exit status of a verdict
+        if _received:
+            return _end_interrupted(app, *_received)
+        if (message := _sentence(error)) is None:
+            traceback.print_exc()
+            return int(ExitStatus.BUG)
     else:
         return int(status) if isinstance(status, int) else 0
     print(f"{app.name[0]}: {printable(message)}", file=sys.stderr)
     return int(ExitStatus.BAD_INPUT)
 
 
+_received: list[int] = []
+"""Signals that have ended the command; a library that is being imported makes errors of its own of them."""
+
+
+def _end_interrupted(app: App, number: int = signal.SIGINT, *_: object) -> int:
+    print(f"{app.name[0]}: interrupted", file=sys.stderr)
+    return 128 + number
+
+
 def _heed_termination() -> None:
     def interrupt(number: int, _: object) -> None:
         signal.signal(number, signal.SIG_DFL)  # a second one ends at once
+        _received.append(number)
         raise KeyboardInterrupt(number)
 
     # A handler that somebody else has set stays.
@@ -129,10 +136,18 @@ def working(words: str) -> Iterator[Callable[[object], None]]:
         yield lambda now: status.update(Text(printable(str(now))))
 
 
-def _sentence(error: Exception) -> str:
+_NO_ROOM = ("failed to map segment", "allocate memory")  # of a library, as the loader says it
+
+
+def _sentence(error: Exception) -> str | None:
+    """Return the sentence for bad input and for too little memory; None for a bug."""
+    if isinstance(error, CycloptsError):
+        return " ".join(str(error).split())
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {(error.strerror or str(error)).lower()}"
-    return str(error)
+    if isinstance(error, MemoryError) or any(words in str(error) for words in _NO_ROOM):
+        return f"there is too little memory ({' '.join(str(error).split()) or 'no room left'})"
+    return str(error) if isinstance(error, ValueError | OSError) else None
 
 
 @contextmanager

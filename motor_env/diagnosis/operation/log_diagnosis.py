@@ -51,7 +51,10 @@ from motor_env.motor.parameters import FloatArray
 
 _COARSE = (0.1, 0.1, 0.1, 0.5)  # of the logarithms of R, K, J and the drag
 _CLEAR = 3.0
-_NOTHING = "there is nothing to compare with: give a motor file, or commission one from healthy logs"
+_NOTHING = (
+    "there is nothing to compare with: give a motor file, or learn one from healthy logs: motor-env commission log1.csv"
+    " log2.csv -o motor.toml"
+)
 _WINDOWS = 10  # of a log
 _SHORTEST = 40.0  # a window: mechanical time constants
 _SETTLED, _FEW = 20.0, 2_000  # a stretch: mechanical time constants; samples of all stretches

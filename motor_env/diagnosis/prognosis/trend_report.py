@@ -8,7 +8,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
@@ -30,6 +30,8 @@ from motor_env.diagnosis.verdict.healthy_spread import fit_healthy
 from motor_env.motor.parameters import FloatArray
 
 SECONDS_PER_DAY = 86_400.0
+DateSource = Literal["name", "modified", "order"]
+_COPIED_S = 60.0
 TEMPERATURE = "temperature_c"
 """Column of the temperature in a table of estimates."""
 _MONTHS = {
@@ -195,20 +197,28 @@ def _is_table(path: Path) -> bool:
 def _read_recordings(
     paths: Sequence[Path],
     columns: Sequence[ColumnChoice],
-    date: Literal["name", "modified"],
+    date: DateSource,
     notes: list[str],
 ) -> list[tuple[float, Recording]]:
-    """Read recordings and their days in the order of time; notes say which cannot be read."""
+    """Read recordings and their days (or numbers) in the order of time; notes say which cannot be read."""
     files: list[Path] = []
     for path in paths:
         files += sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
     dated: list[tuple[float, Path]] = []
-    for file in (file for file in files if not file.name.startswith(".")):
-        day = date_of(file.name) if date == "name" else file.stat().st_mtime / SECONDS_PER_DAY
+    for number, file in enumerate((file for file in files if not file.name.startswith(".")), 1):
+        day = date_of(file.name) if date == "name" else number
+        if date == "modified":
+            day = file.stat().st_mtime / SECONDS_PER_DAY
         if day is None:
             notes.append(f"{file.name}: its name holds no date such as 2026-01-31 (or use --date modified)")
         else:
             dated.append((day, file))
+    days = [day for day, _ in dated]
+    if date == "modified" and len(days) > 1 and max(days) - min(days) < _COPIED_S / SECONDS_PER_DAY:
+        notes.append(
+            "all files were written within a minute: their dates are those of copying; name them by their dates, or"
+            " count them (--date order)"
+        )
     recordings = []
     for day, file in sorted(dated):
         try:
@@ -325,7 +335,7 @@ def trend(
     level: float = 0.9,
     voltage_v: float | None = None,
     columns: Sequence[ColumnChoice] = (),
-    date: Literal["name", "modified"] = "name",
+    date: DateSource = "name",
     reference_count: int = 3,
     progress: Callable[[Path], None] = lambda path: None,
 ) -> Trends:
@@ -358,6 +368,8 @@ def trend(
         series = read_estimates(several[0])
     else:
         series = _fit_recordings(_read_recordings(several, columns, date, notes), voltage_v, notes, progress)
+        if date == "order":
+            series = [replace(each, unit="starts", start=None) for each in series]
     named = {estimates.name: estimates for estimates in series}
     temperature = named.pop(TEMPERATURE, None)
     if unknown := [name for name in limits or {} if name not in named]:

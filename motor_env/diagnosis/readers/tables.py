@@ -30,6 +30,11 @@ from motor_env.motor.parameters import FloatArray
 
 LARGEST_WHOLE_BYTES = 50_000_000
 """Size of a text up to which it is read whole; a longer one is read in pieces."""
+ENDINGS = (
+    *(".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".lvm", ".mat", ".h5", ".hdf5", ".npy", ".npz"),
+    *(".parquet", ".pq", ".tdms", ".xlsx", ".xlsm"),
+)
+"""Endings of files in a folder that are recordings; a file that is named may have any other."""
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
 _NULL_SHARE = 0.2  # of a text

@@ -469,7 +469,11 @@ def _load_healthy(motor: Path) -> Healthy:
 
 def _windows_of(motor: Motor) -> Healthy:
     if motor.healthy is None or motor.healthy.windows is None:
-        raise InputError(f"{motor.name}: was not commissioned by windows of the motor at work")
+        origin = "is a data sheet" if motor.healthy is None else "was learned from starts"
+        raise InputError(
+            f"{motor.name}: {origin}; watching a motor at work needs one learned from logs:"
+            " motor-env commission log1.csv log2.csv -o motor.toml"
+        )
     return motor.healthy
 
 

@@ -89,6 +89,10 @@ def test_own_motor_and_healthy_starts_are_references(server: str, tmp_path: Path
     assert (status, told["reference"]) == (200, "own motor")
     status, told, _ = request(server, "POST", "/api/diagnose?name=a.csv&motor=own+motor", recording)
     assert (status, told["verdict"]) == (200, "other")  # half the resistance of that motor file
+    for body in (b"nonsense", b"[motor]\nresistance_ohm = -1\n"):
+        status, told, _ = request(server, "POST", "/api/keep?kind=motor&name=bad.toml", body)
+        assert (status, told["error"][:8]) == (400, "bad.toml")
+        assert request(server, "POST", "/api/diagnose?name=a.csv&motor=own+motor", recording)[0] == 200
     for seed in range(3):
         start = write_start(tmp_path / "h.csv", "healthy", seed).read_bytes()
         assert request(server, "POST", "/api/keep?kind=healthy&name=h.csv", start)[0] == 200
@@ -312,6 +316,34 @@ def test_requests_are_read_in_pieces_and_up_to_their_largest_length() -> None:
     for length in ("10001", "10".zfill(16)):
         with pytest.raises(InputError, match=r"at most 0\.01 MB can be taken"):
             Told(length)._length(10_000)
+
+
+def test_after_many_healthy_starts_a_motor_is_kept_and_no_path_is_shown(tmp_path: Path) -> None:
+    uploads = lab.Uploads()
+    start = write_start(tmp_path / "a.csv", "healthy").read_bytes()
+    for number in range(20):
+        uploads.keep("healthy", f"h{number}.csv", start)
+    with pytest.raises(InputError, match="at most 20 healthy starts"):
+        uploads.keep("healthy", "one.csv", start)
+    assert uploads.keep("motor", "m.toml", Path("examples/motor.toml").read_bytes())["healthy"] == 20
+    noise = b"time_s,current_a\n" + b"".join(b"%d,%d.5\n" % (k, k * 7 % 5) for k in range(60))
+    unfit = lab.Uploads()
+    unfit.keep("healthy", "mine.csv", noise)
+    with pytest.raises(InputError, match=r"^mine\.csv: a healthy recording cannot be used"):
+        lab.recording_verdict("a.csv", start, "healthy starts", None, unfit)
+    for each in (uploads, unfit):
+        each.clear()
+
+
+def test_a_body_that_ends_early_is_refused(server: str) -> None:
+    name, port = server.removeprefix("http://").rstrip("/").split(":")
+    with socket.create_connection((name, int(port)), timeout=30) as sent:
+        head = f"POST /api/simulate HTTP/1.1\r\nHost: {name}:{port}\r\nContent-Length: 20\r\n\r\n{{}}"
+        sent.sendall(head.encode())
+        sent.shutdown(socket.SHUT_WR)
+        answer = sent.makefile("rb").read()
+    assert answer.startswith(b"HTTP/1.0 400")
+    assert b"the request ended after 2 of its 20 bytes" in answer
 
 
 def test_uploads_are_data(server: str, tmp_path: Path) -> None:

@@ -229,7 +229,7 @@ def test_bad_options_get_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixt
         (["--limit", "B"], "--limit must look like"),
         (["--limit", "X=1.5"], "the quantities are B, R"),
         (["--level", "1.5"], "level must lie between 0 and 1, got 1.5"),
-        (["--date", "moon"], 'Choose from: "name", "modified"'),
+        (["--date", "moon"], 'Choose from: "name", "modified", "order"'),
         (["--reference-count", "0"], "must be >= 1, got 0"),
     ):
         assert main(["trend", table, *options, "--out", str(tmp_path / "t.html")]) == 2

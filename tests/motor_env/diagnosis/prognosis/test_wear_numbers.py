@@ -474,6 +474,12 @@ def test_recordings_may_be_dated_by_their_files(tmp_path: Path, capsys: pytest.C
     assert found["R"]["estimates"] == 2
     assert found["R"]["state"] == "unknown"
     assert found["R"]["first_date"] == "2026-01-01T00:00:00+00:00"
+    os.utime(tmp_path / "1.csv", (1_767_225_630.0, 1_767_225_630.0))
+    for date, note, unit in (("modified", "those of copying", "days"), ("order", "", "starts")):
+        assert main(["trend", str(tmp_path), "--date", date, *out]) == 0
+        told = capsys.readouterr()
+        assert note in told.err
+        assert {each["time_unit"] for each in json.loads(told.out)} == {unit}
 
 
 def test_all_recordings_are_fitted_with_one_model_under_the_supply_that_is_given(

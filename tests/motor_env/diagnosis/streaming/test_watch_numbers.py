@@ -376,7 +376,7 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
             watching, "load_motor", lambda _, taught=taught: SimpleNamespace(name="m", healthy=taught)
         )
         assert main(run) == 2
-        assert "was not commissioned by windows of the motor at work" in capsys.readouterr().err
+        assert "learned from logs: motor-env commission log1.csv log2.csv -o" in capsys.readouterr().err
 
 
 def test_columns_that_the_user_names_count_more_than_those_that_were_kept(

@@ -1,0 +1,138 @@
+"""Recordings of one motor in a folder: a verdict on each as it appears, and a trend of its starts at the end."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Literal
+
+from motor_env.common.console import ExitStatus, json_text, printable, worst
+from motor_env.common.errors import InputError
+from motor_env.diagnosis.file_verdicts import Outcome, diagnose_files
+from motor_env.diagnosis.prognosis.trend_report import Trends, date_of, trend
+from motor_env.diagnosis.readers.tables import ENDINGS
+from motor_env.motor.data_sheet import load_motor
+
+FEWEST_STARTS = 3
+"""Starts that a trend needs."""
+_PAUSE_S = 0.5
+
+
+def recordings_in(paths: Iterable[Path]) -> list[Path]:
+    """Return files as they are given, and those of folders whose endings are those of recordings, by name.
+
+    Raises:
+        InputError: a folder holds none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            found.append(path)
+            continue
+        files = _files(path)
+        if not files:
+            raise InputError(f"{path}: holds no recording (a file that ends with {', '.join(ENDINGS)})")
+        found += files
+    return found
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in ENDINGS and not file.name.startswith(".") and file.is_file()
+    )
+
+
+def trend_of(outcomes: Sequence[Outcome], voltage_v: float | None = None, **reading: Any) -> Trends | None:
+    """Find the trends of the starts that were judged, by the dates in their names, else in their order.
+
+    Args:
+        outcomes: of the recordings of one motor, in the order of time.
+        voltage_v: level of the supply where none was recorded.
+        reading: of `trend`: how the files are read.
+
+    Returns:
+        None for fewer than three starts that can be used.
+    """
+    starts = [
+        outcome.path
+        for outcome in outcomes
+        if outcome.diagnosis is not None
+        and outcome.diagnosis.taken.regime == "start"
+        and len(outcome.diagnosis.pieces) == 1
+        and outcome.diagnosis.verdict.status in (ExitStatus.HEALTHY, ExitStatus.FAULT)
+    ]
+    is_dated = all(date_of(path.name) is not None for path in starts)
+    date: Literal["name", "order"] = "name" if is_dated else "order"
+    with suppress(InputError):
+        return (
+            trend(starts, voltage_v=voltage_v, date=date, **reading) if len(starts) >= FEWEST_STARTS else None
+        )
+    return None
+
+
+def appearing(folder: Path, *, follow: bool, sleep: Callable[[float], None] = time.sleep) -> Iterator[Path]:
+    """Yield the recordings of a folder once each; with `follow` also those that appear, when they grow no more."""
+    done: set[Path] = set()
+    sizes: dict[Path, int] = {}
+    while True:
+        before, sizes = sizes, {}
+        for path in _files(folder):
+            with suppress(FileNotFoundError):  # it is gone again
+                sizes[path] = path.stat().st_size
+            if path not in done and path in sizes and (not follow or before.get(path) == sizes[path]):
+                done.add(path)
+                yield path
+        if not follow:
+            return
+        sleep(_PAUSE_S)
+
+
+def watch_folder(motor: Path, folder: Path, *, follow: bool) -> int:
+    """Print a verdict on each recording of a folder as a line of JSON, and the trends at the end.
+
+    Raises:
+        InputError: the motor cannot be used.
+    """
+    known = load_motor(motor)
+    outcomes: list[Outcome] = []
+    with suppress(KeyboardInterrupt):  # the usual end of a watch
+        for path in appearing(folder, follow=follow):
+            outcomes += diagnose_files([path], motor=str(motor))
+            _print(_event(outcomes[-1]))
+    found = trend_of(outcomes, known.nominal_voltage_v)
+    for each in () if found is None else found.to_json():
+        _print(
+            {
+                "event": "trend",
+                "quantity": each["quantity"],
+                "state": each["state"],
+                "reason": each["sentence"],
+            }
+        )
+    return int(worst(outcome.status for outcome in outcomes))
+
+
+def _event(outcome: Outcome) -> dict[str, Any]:
+    judged = outcome.diagnosis
+    event: dict[str, Any] = {"file": str(outcome.path), "event": "recording"}
+    if judged is None:
+        return event | {"verdict": "unusable", "reason": outcome.error}
+    kind = None if judged.kind is None else str(judged.kind)
+    ratios = {change.name: round(change.ratio, 4) for change in judged.decisive.changes}
+    event |= {
+        "verdict": str(judged.verdict),
+        "kind": kind,
+        "reason": judged.decisive.reasons[0],
+        "ratios": ratios,
+    }
+    return {name: value for name, value in event.items() if value not in (None, {})}
+
+
+def _print(event: dict[str, Any]) -> None:
+    sys.stdout.write(printable(json_text(event, indent=None)) + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,68 @@
+"""Recordings in a folder: one verdict each, a trend at the end."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from motor_env import InputError
+from motor_env.apps.folder import appearing, recordings_in
+from motor_env.cli import main
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three starts, and what else may lie beside them."""
+    there = tmp_path / "starts"
+    there.mkdir()
+    for number in (1, 2, 3):
+        (there / f"{number}.csv").write_bytes((EXAMPLES / "startup_capture.csv").read_bytes())
+    for name in ("motor.toml", ".4.csv", "page.html"):
+        (there / name).write_text("no recording")
+    return there
+
+
+def test_each_start_of_a_folder_has_a_verdict_and_a_trend_follows(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    motor = str(EXAMPLES / "motor.toml")
+    assert main(["diagnose", str(folder), "--motor", motor]) == 1
+    told = capsys.readouterr().out
+    assert told.count(": bearing +31%") == 3
+    assert "3 estimates" in told.partition("trend:")[2] or "R" in told.partition("trend:")[2]
+    assert main(["diagnose", str(folder), "--motor", motor, "--json"]) == 1
+    assert len(json.loads(capsys.readouterr().out)) == 3
+    (folder / "3.csv").write_text("nonsense")
+    assert main(["watch", motor, str(folder)]) == 2
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [event["verdict"] for event in events] == ["bearing", "bearing", "unusable"]
+    assert [Path(event["file"]).name for event in events] == ["1.csv", "2.csv", "3.csv"]
+    (folder / "3.csv").write_bytes((folder / "2.csv").read_bytes())
+    assert main(["watch", motor, str(folder)]) == 1
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [event["event"] for event in events[:4]] == [*3 * ["recording"], "trend"]
+    assert main(["watch", motor, str(folder), "--state", "s.json"]) == 2
+    assert "--state does not go with a folder" in capsys.readouterr().err
+
+
+def test_a_recording_is_judged_once_it_grows_no_more(folder: Path) -> None:
+    grown = folder / "4.csv"
+
+    def sleep(_: float) -> None:
+        if grown.exists():
+            grown.write_text(grown.read_text() + "1\n" * (len(grown.read_text()) < 6))
+        else:
+            grown.write_text("")
+
+    found = appearing(folder, follow=True, sleep=sleep)
+    assert [next(found).name for _ in range(4)] == ["1.csv", "2.csv", "3.csv", "4.csv"]
+    assert grown.read_text() == "1\n1\n1\n"
+    assert [path.name for path in appearing(folder, follow=False)] == ["1.csv", "2.csv", "3.csv", "4.csv"]
+
+
+def test_a_folder_without_recordings_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no recording"):
+        recordings_in([tmp_path])
+    assert recordings_in([tmp_path / "any.name"]) == [tmp_path / "any.name"]
