@@ -109,7 +109,7 @@ AC_COUPLED = (
     "the current is AC-coupled: a high pass of about {:.2g} s takes its level away: set the probe to DC"
 )
 _BLOCK_S = 0.02  # of samples that are averaged: L/R is shorter
-_CLEARLY, _CERTAIN = 0.75, 50.0  # of the error (rms), and -2 log likelihood, by one more unknown
+_CLEARLY, _CERTAIN = 0.85, 50.0  # of the error (rms), and -2 log likelihood, by one more unknown
 _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
 
 
@@ -408,21 +408,22 @@ _LIKE_COUPLED = (
 _LEAST_GAIN_BY_SHEET, _LEAST_GAIN = -6.0, 6.0  # -2 log likelihood
 
 
-def check_coupling(judgement: Judgement, constant: float | None) -> Judgement:
-    """Judge a start whose friction alone fell, or beside its resistance: no fault lowers friction.
+def check_coupling(judgement: Judgement, constant: float | None = None) -> Judgement:
+    """Judge a piece whose friction alone fell, or beside its resistance: no fault lowers friction.
 
-    Over the time constant s an AC coupling lowers B/J by 1/s. A machine may have lost its load, so there the recording
-    must tell the coupling; a data sheet is of a motor that has none to lose, so there the recording need only allow it.
+    Over the time constant s an AC coupling lowers B/J by 1/s. A machine may have lost its load, so there a start must
+    tell the coupling; a data sheet is of a motor that has none to lose, so there the recording need only allow it.
     """
     fit, reference = judgement.identified, judgement.reference
     moved = {change.name[0]: change for change in judgement.changes if change.significant}
     down = moved.get("B")
-    if fit is None or reference is None or down is None or down.ratio > 1.0 or moved.keys() & set("KJ"):
+    if reference is None or down is None or down.ratio > 1.0 or moved.keys() & set("KJ"):
         return judgement
-    usual = {name.removesuffix("/V"): value for name, value in reference.values.items()}
+    usual, gain = {name.removesuffix("/V"): value for name, value in reference.values.items()}, 0.0
     rate = (usual["B/J"] if "B/J" in usual else usual["B"] / usual["J"]) * (1.0 - down.ratio)
-    direct = replace(fit.start, current_a=fit.start.current_a + rate * fit.start.charge_a_s)
-    gain = likelihood_gain(fit, identify(direct, fit.model, constant=constant, typical=reference.values))
+    if fit is not None:
+        direct = replace(fit.start, current_a=fit.start.current_a + rate * fit.start.charge_a_s)
+        gain = likelihood_gain(fit, identify(direct, fit.model, constant=constant, typical=reference.values))
     if gain < (_LEAST_GAIN if reference.is_taught else _LEAST_GAIN_BY_SHEET):
         return replace(judgement, reasons=(*judgement.reasons, _LIKE_COUPLED.format(1.0 / rate)))
     why = f"{down.name} is down by {1.0 - down.ratio:.0%}, and no fault lowers friction"
