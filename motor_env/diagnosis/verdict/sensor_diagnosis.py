@@ -234,16 +234,16 @@ def _motor_runs_on(
 
 def _check_coupled(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """Find a current that lacks its charge over a time constant s: V = K w + R (i + charge / s), for any load."""
-    if record.current_a is None or record.speed_rad_s is None:
+    n, block = len(record.voltage_v), max(round(_BLOCK_S / record.dt_s), 1)
+    if record.current_a is None or record.speed_rad_s is None or n < _FEWEST * block:
         return None
-    n, charge = len(record.voltage_v), record.dt_s * np.cumsum(record.current_a - record.current_a.mean())
+    charge = record.dt_s * np.cumsum(record.current_a - record.current_a.mean())
     channels = (record.speed_rad_s, np.ones(n), np.arange(n), record.current_a, charge, record.voltage_v)
-    block = max(round(_BLOCK_S / record.dt_s), 1)
     *shown, volts = np.column_stack(channels)[: n // block * block].reshape(-1, block, 6).mean(axis=1).T
     fits = [np.linalg.lstsq(np.column_stack(some), volts)[0] for some in (shown, shown[:-1])]
     left, direct = (rms(volts - np.column_stack(shown[: len(fit)]) @ fit) for fit in fits)
     rate = float(fits[0][4] / fits[0][3]) if fits[0][3] else 0.0
-    is_told = left < _CLEARLY * direct and 2.0 * len(volts) * np.log(direct / left) > _CERTAIN
+    is_told = 0.0 < left < _CLEARLY * direct and 2.0 * len(volts) * np.log(direct / left) > _CERTAIN
     if not (is_told and COUPLINGS_PER_S[0] < rate < COUPLINGS_PER_S[1]):
         return None
     return Judgement(Verdict.UNUSABLE, (AC_COUPLED.format(1.0 / rate),))
