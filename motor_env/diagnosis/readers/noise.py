@@ -32,6 +32,7 @@ _MEANS_HZ, _MOST_MEANS = 1000.0, 8000  # of samples, in which the mains are look
 _STEP, _WIDTH, _PERIODS = 0.2, 1.5, 4.0  # steps, a line's width, the least frequency: over 1 / duration
 _NEAR, _FAR, _BACKGROUND = 0.4, 2.0, 60  # from and to, over the line's frequency; frequencies
 _STANDS_OUT = 15.0  # times the background: white noise in 3 of 10 million
+_MATTERS = 25.0  # -2 log likelihood
 _SHARPER = 1.25  # power of a line beside the mains, or over the motor's angle, over that at the mains
 
 
@@ -295,7 +296,9 @@ def hum_frequencies(
             others = np.arange(mains - off - _WIDTH * width, mains + off + _WIDTH * width, _STEP * width)
             power, usual = powers(near), float(np.median(powers(around))) / math.log(2.0)
             rival = max(powers(others, clock).max() for clock in range(1, 1 + len(clocks)))
-            if power.max() > max(_STANDS_OUT * usual, rival / _SHARPER):
+            if power.max() > max(
+                _STANDS_OUT * usual, rival / _SHARPER, _MATTERS * float(np.var(table[:, 0]))
+            ):
                 heights[float(power.max())] = float(near[np.argmax(power)])
         if not heights:
             return tuple(found)
