@@ -35,8 +35,7 @@ def judge(number: int, names: Sequence[str], starts: int, seed: int) -> Said:
     for recording in captures(defect, CASES[truth], motor.parameters, seed, starts):
         found = diagnose(recording, motor, circuit=circuit)
         fit = found.decisive.identified
-        told = fit.defects if fit else found.reasons
-        text = " ".join([*found.recording.columns, *map(str, told)])
+        text = " ".join([*found.recording.columns, *(fit.defects if fit else ()), *found.reasons])
         said += [((name, truth), found.verdict), ((name, "noticed"), str(defect.words in text))]
     return said
 

@@ -43,7 +43,7 @@ from motor_env.diagnosis.verdict.scaling_errors import (
     find_scaling_errors,
     is_far_from_healthy,
 )
-from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors
+from motor_env.diagnosis.verdict.sensor_diagnosis import check_coupling, diagnose_sensors
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state
@@ -85,7 +85,7 @@ def judge_log(
             from_recordings([whole])  # may raise the reason
     except UnusableError as error:
         return [Judgement(Verdict.UNUSABLE, (str(error),)).on(whole)], 1
-    return judged, count
+    return [check_coupling(judgement) for judgement in judged], count
 
 
 def _until_read(recording: Recording) -> Recording:

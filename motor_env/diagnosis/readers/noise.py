@@ -34,6 +34,7 @@ _MEANS_HZ, _MOST_MEANS = 1000.0, 8000  # of samples, in which the mains are look
 _STEP, _WIDTH, _PERIODS = 0.2, 1.5, 4.0  # steps, a line's width, the least frequency: over 1 / duration
 _NEAR, _FAR, _BACKGROUND = 0.4, 2.0, 60  # from and to, over the line's frequency; frequencies
 _STANDS_OUT = 15.0  # times the background: white noise in 3 of 10 million
+_MATTERS = 25.0  # -2 log likelihood
 _SHARPER = 1.25  # power of a line beside the mains, or over the motor's angle, over that at the mains
 
 
@@ -275,7 +276,10 @@ def hum_frequencies(
         explained: what else may be in the current, shape (n, m).
         speed: of the motor, in any unit, shape (n,): its own lines are sharper over its angle.
     """
-    dt_s, clocks = float(time_s[-1] - time_s[0]) / (len(time_s) - 1), [time_s]
+    duration_s, clocks = float(time_s[-1] - time_s[0]), [time_s]
+    if duration_s < _PERIODS / max(_MAINS_HZ):
+        return ()
+    dt_s = duration_s / (len(time_s) - 1)
     if speed is not None:
         clocks.append(np.cumsum(speed) * dt_s / max(float(np.mean(speed[-len(speed) // 20 :])), 1e-300))
     size = max(int(1.0 / (_MEANS_HZ * dt_s)), 1)
@@ -298,22 +302,19 @@ def hum_frequencies(
             off = _CLOCKS * mains
             around = np.linspace(_NEAR * mains, _FAR * mains, _BACKGROUND)
             around = around[(np.abs(around - mains) > _WIDTH * width + off) & (around < 0.45 / (size * dt_s))]
-            if any(abs(line - mains) <= 2.0 * off for line in found) or mains < _PERIODS * width:
-                continue
-            if not len(around) or mains > around[-1]:
+            is_found = any(abs(line - mains) <= 2.0 * off for line in found)
+            if is_found or mains < _PERIODS * width or not len(around) or mains > around[-1]:
                 continue
             near = np.append(mains, mains + np.arange(-off, off, _STEP * width))
             others = np.arange(mains - off - _WIDTH * width, mains + off + _WIDTH * width, _STEP * width)
             power, usual = powers(near), float(np.median(powers(around))) / math.log(2.0)
             rival = max(powers(others, clock).max() for clock in range(1, 1 + len(clocks)))
-            if power.max() > max(_STANDS_OUT * usual, rival / _SHARPER):
+            if power.max() > max(
+                _STANDS_OUT * usual, rival / _SHARPER, _MATTERS * float(np.var(table[:, 0]))
+            ):
                 heights[float(power.max())] = float(near[np.argmax(power)])
         if not heights:
             return tuple(found)
-        near_hz, step = heights[max(heights)], _STEP * width
-        best = minimize_scalar(
-            lambda hertz: -powers(np.array([hertz]))[0],
-            bounds=(near_hz - step, near_hz + step),
-            method="bounded",
-        )
-        found.append(float(best.x))
+        line, step = heights[max(heights)], _STEP * width
+        bounds = (line - step, line + step)
+        found.append(float(minimize_scalar(lambda f: -powers(np.array([f]))[0], bounds=bounds).x))

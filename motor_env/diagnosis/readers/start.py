@@ -120,7 +120,8 @@ class Start:
         sizes = np.linalg.lstsq(shapes[begin:], residual_a[begin:])[0]
         quiet, rest = residual_a[:begin], (residual_a - shapes @ sizes)[:begin]
         of_supply = begin >= FEW and bool(np.var(rest) > (1.0 + _CLEAR / begin) * np.var(quiet))
-        return replace(self, hum_hz=hum_hz, sizes=tuple(sizes.tolist()), is_hum_of_supply=of_supply)
+        sizes_of_all = (*sizes.tolist(), *self.sizes[2 * len(self.hum_hz) :])
+        return replace(self, hum_hz=hum_hz, sizes=sizes_of_all, is_hum_of_supply=of_supply)
 
     @property
     def ripple_a(self) -> FloatArray:

@@ -109,7 +109,7 @@ AC_COUPLED = (
     "the current is AC-coupled: a high pass of about {:.2g} s takes its level away: set the probe to DC"
 )
 _BLOCK_S = 0.02  # of samples that are averaged: L/R is shorter
-_CLEARLY, _CERTAIN = 0.75, 50.0  # of the error (rms), and -2 log likelihood, by one more unknown
+_CLEARLY, _CERTAIN = 0.85, 50.0  # of the error (rms), and -2 log likelihood, by one more unknown
 _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
 
 
@@ -234,16 +234,16 @@ def _motor_runs_on(
 
 def _check_coupled(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """Find a current that lacks its charge over a time constant s: V = K w + R (i + charge / s), for any load."""
-    if record.current_a is None or record.speed_rad_s is None:
+    n, block = len(record.voltage_v), max(round(_BLOCK_S / record.dt_s), 1)
+    if record.current_a is None or record.speed_rad_s is None or n < _FEWEST * block:
         return None
-    n, charge = len(record.voltage_v), record.dt_s * np.cumsum(record.current_a - record.current_a.mean())
+    charge = record.dt_s * np.cumsum(record.current_a - record.current_a.mean())
     channels = (record.speed_rad_s, np.ones(n), np.arange(n), record.current_a, charge, record.voltage_v)
-    block = max(round(_BLOCK_S / record.dt_s), 1)
     *shown, volts = np.column_stack(channels)[: n // block * block].reshape(-1, block, 6).mean(axis=1).T
     fits = [np.linalg.lstsq(np.column_stack(some), volts)[0] for some in (shown, shown[:-1])]
     left, direct = (rms(volts - np.column_stack(shown[: len(fit)]) @ fit) for fit in fits)
     rate = float(fits[0][4] / fits[0][3]) if fits[0][3] else 0.0
-    is_told = left < _CLEARLY * direct and 2.0 * len(volts) * np.log(direct / left) > _CERTAIN
+    is_told = 0.0 < left < _CLEARLY * direct and 2.0 * len(volts) * np.log(direct / left) > _CERTAIN
     if not (is_told and COUPLINGS_PER_S[0] < rate < COUPLINGS_PER_S[1]):
         return None
     return Judgement(Verdict.UNUSABLE, (AC_COUPLED.format(1.0 / rate),))
@@ -408,21 +408,22 @@ _LIKE_COUPLED = (
 _LEAST_GAIN_BY_SHEET, _LEAST_GAIN = -6.0, 6.0  # -2 log likelihood
 
 
-def check_coupling(judgement: Judgement, constant: float | None) -> Judgement:
-    """Judge a start whose friction alone fell, or beside its resistance: no fault lowers friction.
+def check_coupling(judgement: Judgement, constant: float | None = None) -> Judgement:
+    """Judge a piece whose friction alone fell, or beside its resistance: no fault lowers friction.
 
-    Over the time constant s an AC coupling lowers B/J by 1/s. A machine may have lost its load, so there the recording
-    must tell the coupling; a data sheet is of a motor that has none to lose, so there the recording need only allow it.
+    Over the time constant s an AC coupling lowers B/J by 1/s. A machine may have lost its load, so there a start must
+    tell the coupling; a data sheet is of a motor that has none to lose, so there the recording need only allow it.
     """
     fit, reference = judgement.identified, judgement.reference
     moved = {change.name[0]: change for change in judgement.changes if change.significant}
     down = moved.get("B")
-    if fit is None or reference is None or down is None or down.ratio > 1.0 or moved.keys() & set("KJ"):
+    if reference is None or down is None or down.ratio > 1.0 or moved.keys() & set("KJ"):
         return judgement
-    usual = {name.removesuffix("/V"): value for name, value in reference.values.items()}
+    usual, gain = {name.removesuffix("/V"): value for name, value in reference.values.items()}, 0.0
     rate = (usual["B/J"] if "B/J" in usual else usual["B"] / usual["J"]) * (1.0 - down.ratio)
-    direct = replace(fit.start, current_a=fit.start.current_a + rate * fit.start.charge_a_s)
-    gain = likelihood_gain(fit, identify(direct, fit.model, constant=constant, typical=reference.values))
+    if fit is not None:
+        direct = replace(fit.start, current_a=fit.start.current_a + rate * fit.start.charge_a_s)
+        gain = likelihood_gain(fit, identify(direct, fit.model, constant=constant, typical=reference.values))
     if gain < (_LEAST_GAIN if reference.is_taught else _LEAST_GAIN_BY_SHEET):
         return replace(judgement, reasons=(*judgement.reasons, _LIKE_COUPLED.format(1.0 / rate)))
     why = f"{down.name} is down by {1.0 - down.ratio:.0%}, and no fault lowers friction"

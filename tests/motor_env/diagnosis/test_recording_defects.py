@@ -80,6 +80,42 @@ def test_what_cannot_be_judged_is_unusable(name: str) -> None:
     assert DEFECTS[name].words in found.reasons[0]
 
 
+@pytest.mark.parametrize(
+    ("hertz", "size_a", "begin_s"), [(50.0, 0.2, 0.0), (59.9, 0.02, 0.0), (100.2, 0.1, 0.1)]
+)
+def test_hum_hides_no_friction(hertz: float, size_a: float, begin_s: float) -> None:
+    """Of a probe throughout, or of the supply from the onset on: as found, and the friction as without it."""
+    (start,) = captures(DEFECTS["none"], FAULTS[Verdict.BEARING], MOTOR.parameters, 5, 1)
+    time_s = start.time_s
+    wave = size_a * np.sin(2.0 * np.pi * hertz * time_s + 1.0) * (time_s >= time_s[0] + begin_s)
+    plain, hummed = (
+        diagnose(replace(start, current_a=start.current_a + hum), MOTOR) for hum in (0.0 * wave, wave)
+    )
+    assert (plain.verdict, hummed.verdict) == (Verdict.BEARING, Verdict.BEARING)
+    assert hummed.severity == pytest.approx(plain.severity, abs=0.06)
+    fits = [found.decisive.identified for found in (plain, hummed)]
+    silent, humming = (fit.start for fit in fits if fit is not None)
+    assert silent.hum_hz == ()
+    assert humming.hum_hz == pytest.approx([hertz], abs=0.2)
+    assert np.hypot(*humming.sizes) == pytest.approx(size_a, abs=0.003)
+    assert humming.is_hum_of_supply is (begin_s > 0.0)
+
+
+@pytest.mark.parametrize("hertz", [50.0, 60.1])
+@pytest.mark.parametrize("level_a", [0.0, 0.5])
+def test_hum_alone_is_no_start(hertz: float, level_a: float) -> None:
+    time_s = 1e-4 * np.arange(6000.0)
+    current = (
+        level_a
+        + 0.3 * np.sin(2.0 * np.pi * hertz * time_s + 0.4)
+        + 0.1 * np.sin(6.0 * np.pi * hertz * time_s)
+    )
+    current += 0.05 * np.random.default_rng(7).standard_normal(len(time_s))
+    found = identify(Recording(Path("hum"), time_s, current))
+    assert not found.is_complete
+    assert found.starts[0][1].start.hum_hz
+
+
 def assert_friction_is_undecided(found: Diagnosis) -> None:
     """A healthy resistance, and nothing of the friction: each is told."""
     assert found.verdict is Verdict.HEALTHY

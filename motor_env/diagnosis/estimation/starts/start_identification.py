@@ -104,11 +104,8 @@ def _cleaned_start(fit: StartFit) -> Start | None:
 def _hum_of_fit(fit: StartFit) -> tuple[float, ...]:
     """Return frequencies of the hum in the running motor's residual beside what the unknowns explain."""
     problem, theta, begin = fit.solution.problem, fit.solution.theta, fit.start.alignment.onset_index
-    base, channels, n = (
-        problem.residuals(theta),
-        int(problem.record.recorded.sum()),
-        len(problem.record.marks),
-    )
+    base, record = problem.residuals(theta), problem.record
+    n, channels = len(record.marks), int(record.recorded.sum())
     running = slice(begin * channels, n * channels, channels)
     slopes = problem.jacobian(theta, base)[running]
     return hum_frequencies(base[running], fit.start.time_s[begin:n], slopes, fit.states[begin:n, 1])

@@ -443,11 +443,12 @@ def test_a_fit_that_explains_too_little_is_unusable() -> None:
         start.current_a = start.ripple_a + np.where(count, shown, 1e6)
         for off, is_refused in ((-0.02, True), (0.02, False)):
             for channel in ("r2_current", "r2_speed"):
-                given = {"r2_current": 1.0, "r2_speed": None, channel: least + off}
+                given = {"r2_current": 1.0, "r2_speed": None, "coupling_per_s": None, channel: least + off}
                 fake = SimpleNamespace(start=start, log_covariance=fit.log_covariance, **given)
                 assert (explain_unusable(cast("Any", fake)) is not None) is is_refused
-    for sd, is_refused in ((1.01, True), (0.99, False)):
-        wide = replace(fit, log_covariance=sd**2 * np.eye(4))
+    # Whatever else it tells, what does not tell R is no start.
+    for sds, is_refused in (([1.01] * 4, True), ([0.99] * 4, False), ([1.01] + [0.1] * 3, True)):
+        wide = replace(fit, log_covariance=np.diag(np.square(sds)))
         assert (explain_unusable(wide) is not None) is is_refused
 
 

@@ -14,13 +14,13 @@ import pytest
 from odd_recordings import at_work, scaled, started
 from scipy.signal import lfilter
 
-from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording
+from motor_env import PAPER_MOTOR, Recording, commission, diagnose, read_recording, simulate_states
 from motor_env.common.errors import InputError
 
 # Reaches in: motors that one recording teaches, and the checks by themselves.
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.readers.start import Circuit
-from motor_env.diagnosis.verdict.judgement import Judgement
+from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
 from motor_env.diagnosis.verdict.report_page import VERDICT_TEXTS
 from motor_env.diagnosis.verdict.sensor_diagnosis import (
     ChannelRecord,
@@ -146,6 +146,53 @@ def test_a_range_and_an_offset_are_named() -> None:
     assert find_failure(seen(log, is_log=True), known) is None  # it is gone, and nothing contradicts that
     known[9] = -1.0
     assert failed_kind(seen(off, is_log=True), known) == "current_offset"
+
+
+def high_pass(current: FloatArray, tau_s: float, dt_s: float) -> FloatArray:
+    """What a probe shows that is coupled by a capacitor, charged before."""
+    kept = tau_s / (tau_s + dt_s)
+    shown: FloatArray = lfilter([kept, -kept], [1.0, -kept], current)
+    return shown
+
+
+@pytest.mark.parametrize("tau_s", [0.02, 0.1])
+def test_a_log_tells_the_time_constant_of_a_coupling(tau_s: float) -> None:
+    log = at_work(np.random.default_rng(2))
+    coupled = replace(log, current_a=high_pass(log.current_a, tau_s, log.dt_s))
+    found = find_failure(seen(coupled, is_log=True), PHYSICAL)
+    assert found is not None
+    assert found.verdict is Verdict.UNUSABLE
+    told = re.search(r"AC-coupled: a high pass of about (\S+) s", found.reasons[0])
+    assert told is not None
+    assert float(told[1]) == pytest.approx(tau_s, rel=0.1)
+    # A slow one shows in no single current, and is no failure: the friction tells where it matters.
+    slower = replace(log, current_a=high_pass(log.current_a, 2.0, log.dt_s))
+    assert find_failure(seen(slower, is_log=True), PHYSICAL) is None
+
+
+@pytest.mark.parametrize(
+    ("friction", "tau_s", "seconds", "verdict", "words"),
+    [
+        (1.0, 0.03, 0.3, Verdict.UNUSABLE, "AC-coupled: a high pass of about"),
+        (1.5, 0.3, 0.3, Verdict.UNUSABLE, "AC-coupled: a high pass of about"),
+        (1.0, 2.0, 0.3, Verdict.UNUSABLE, "AC-coupled (a high pass of about"),
+        (0.5, math.inf, 4.0, Verdict.OTHER, "AC-coupled (a high pass of about"),
+        (1.0, math.inf, 0.3, Verdict.HEALTHY, "no quantity has moved"),
+    ],
+)
+def test_friction_that_falls_is_a_probes(
+    friction: float, tau_s: float, seconds: float, verdict: Verdict, words: str
+) -> None:
+    """A start whose level stays for longer than the time constant is of a motor with less friction."""
+    motor = replace(PAPER_MOTOR, viscous_friction_n_m_s_per_rad=friction * 1.2e-6)
+    dt_s = 2e-4
+    voltage_v = np.where(dt_s * np.arange(seconds / dt_s) >= 0.02, 12.0, 0.0)
+    current = simulate_states(motor, voltage_v, dt_s)[:, 0]
+    current = current if tau_s == math.inf else high_pass(current, tau_s, dt_s)
+    current = current + 0.01 * np.random.default_rng(3).standard_normal(len(current))
+    found = diagnose(Recording(Path("start"), dt_s * np.arange(len(current)), current, voltage_v), SHEET)
+    assert found.verdict is verdict
+    assert any(words in reason for reason in found.reasons)
 
 
 def test_an_encoder_of_few_edges_is_not_clipped() -> None:
