@@ -64,6 +64,8 @@ _NOTABLE_WARMTH_K = 8.0
 _DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
 _LEFT_OVER = 0.01
 _MACHINE, _MACHINE_LOG_SD = 5.0, 1.0  # its drag over the motor's own: the median, and the sd of the logarithm
+# What inertia and drag of a machine move, and whether upwards.
+_BY_MACHINE = {("J", True), ("B", True), ("K^2/J", False), ("B/J", True), ("B/J", False)}
 _FALSE_SECOND = 0.01  # rate at which a second fault is named beside a single one
 _AS_EXPECTED = "the parameters are as expected, but "
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
@@ -229,9 +231,8 @@ def _explain_alarm(
         " speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
-    is_loaded = reference.is_bare and any(
-        change.name[0] == "B" and change.significant and change.ratio > 1.0 for change in healthy.changes
-    )
+    is_up = {change.name: change.ratio > 1.0 for change in healthy.changes if change.significant}
+    is_loaded = reference.is_bare and is_up not in ({}, {"B/J": False}) and is_up.items() <= _BY_MACHINE
     other = healthy.as_other(
         *((describe_machine(healthy.fit),) if is_loaded else ()),
         *scaling,

@@ -145,9 +145,15 @@ def test_drag_far_above_a_data_sheet_is_first_a_coupled_machine() -> None:
         )
         assert ("motor-env commission start1.csv" in found.reasons[0]) is is_first
         assert not any("coupled machine" in reason for reason in taught.reasons)
-    loaded = moved(0.0, 0.0, -0.4, 0.8, is_bare=True)
-    assert loaded.verdict is Verdict.OTHER
-    assert "coupled machine" in loaded.reasons[0]
+    for off, is_loaded in (
+        ((0, 0, -0.4, 0.8), True),
+        ((0, 0, -0.4, 0), True),
+        ((0, 0, 0, -0.6), False),
+        ((0.3, 0, -0.4, 0.8), False),
+    ):
+        loaded = moved(*off, is_bare=True)
+        assert loaded.verdict is Verdict.OTHER
+        assert ("coupled machine" in loaded.reasons[0]) is is_loaded
 
 
 def test_a_verdict_says_what_its_sheet_assumes() -> None:
