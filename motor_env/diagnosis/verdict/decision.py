@@ -207,7 +207,8 @@ def _explain_alarm(
                 scaling[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
                 if share > probability[best.kind]:
                     break
-            named, probability = _find_pair(difference, faults, rate, best.kind) or ([best], probability)
+            both = _find_pair(difference, faults, healthy.changes, rate, best.kind)
+            named, probability = both or ([best], probability)
             named = as_fitted(difference, named)
             judgement = _name_faults(healthy, reference, named, probability, hypothesis.load.name)
             return replace(judgement, reasons=(*judgement.reasons, *scaling))
@@ -218,7 +219,7 @@ def _explain_alarm(
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
             judgement = _name_faults(healthy, reference, [likeliest], probability, None)
             return replace(judgement, reasons=(*scaling, *judgement.reasons))
-    both = _find_pair(first.difference, first.faults, rate)
+    both = _find_pair(first.difference, first.faults, healthy.changes, rate)
     if both is not None:
         judgement = _name_faults(healthy, reference, as_fitted(first.difference, both[0]), both[1], None)
         if limit_to_wear(judgement) is judgement:
@@ -261,13 +262,23 @@ def _describe_warming(
 
 
 def _find_pair(
-    difference: Difference, faults: list[Explanation], rate: float, kind: FaultKind | None = None
+    difference: Difference,
+    faults: list[Explanation],
+    changes: tuple[Change, ...],
+    rate: float,
+    kind: FaultKind | None = None,
 ) -> tuple[list[Explanation], dict[str, float]] | None:
     """Find two faults at once, the stronger one first, and the probabilities with them.
 
-    Each must be significant beside the other, and both must leave nothing unexplained: no p-value below `rate`. If
-    `kind` explains the difference alone, it is one of the two; else both must explain it better than "other".
+    Each must be significant beside the other and show in a quantity's interval, and both must leave nothing
+    unexplained: no p-value below `rate`. If `kind` explains the difference alone, it is one of the two; else both must
+    explain it better than "other".
     """
+
+    def shows(fault: Explanation) -> bool:
+        rows = zip(changes, fault.direction.tolist(), strict=True)
+        return any(c.excludes_healthy and slope * (c.ratio - 1.0) > 0.0 for c, slope in rows)
+
     limit = -float(stdtrit(difference.degrees_of_freedom, _FALSE_SECOND / max(len(faults) - 1, 1)))
     pairs = []
     for kinds in combinations([fault.kind for fault in faults], 2):
@@ -277,6 +288,7 @@ def _find_pair(
             and kind in (None, *kinds)
             and min(fault.z for fault in pair) > limit
             and pair[0].p_left_over > rate
+            and all(map(shows, pair))
             and all(is_separable(difference, one, other) for one, other in (kinds, kinds[::-1]))
         ):
             pairs.append(sorted(pair, key=lambda fault: -fault.z))
