@@ -64,6 +64,8 @@ _NOTABLE_WARMTH_K = 8.0
 _DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
 _LEFT_OVER = 0.01
 _MACHINE, _MACHINE_LOG_SD = 5.0, 1.0  # its drag over the motor's own: the median, and the sd of the logarithm
+# What inertia and drag of a machine move, and whether upwards.
+_BY_MACHINE = {("J", True), ("B", True), ("K^2/J", False), ("B/J", True), ("B/J", False)}
 _FALSE_SECOND = 0.01  # rate at which a second fault is named beside a single one
 _AS_EXPECTED = "the parameters are as expected, but "
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
@@ -205,7 +207,8 @@ def _explain_alarm(
                 scaling[0] += f" (probability {share:.0%}, of {best.kind} {probability[best.kind]:.0%})"
                 if share > probability[best.kind]:
                     break
-            named, probability = _find_pair(difference, faults, rate, best.kind) or ([best], probability)
+            both = _find_pair(difference, faults, healthy.changes, rate, best.kind)
+            named, probability = both or ([best], probability)
             named = as_fitted(difference, named)
             judgement = _name_faults(healthy, reference, named, probability, hypothesis.load.name)
             return replace(judgement, reasons=(*judgement.reasons, *scaling))
@@ -216,7 +219,7 @@ def _explain_alarm(
         if sum(probability[gain.kind] for gain in gains) >= probability["other"]:
             judgement = _name_faults(healthy, reference, [likeliest], probability, None)
             return replace(judgement, reasons=(*scaling, *judgement.reasons))
-    both = _find_pair(first.difference, first.faults, rate)
+    both = _find_pair(first.difference, first.faults, healthy.changes, rate)
     if both is not None:
         judgement = _name_faults(healthy, reference, as_fitted(first.difference, both[0]), both[1], None)
         if limit_to_wear(judgement) is judgement:
@@ -229,9 +232,8 @@ def _explain_alarm(
         " speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
-    is_loaded = reference.is_bare and any(
-        change.name[0] == "B" and change.significant and change.ratio > 1.0 for change in healthy.changes
-    )
+    is_up = {change.name: change.ratio > 1.0 for change in healthy.changes if change.significant}
+    is_loaded = reference.is_bare and is_up not in ({}, {"B/J": False}) and is_up.items() <= _BY_MACHINE
     other = healthy.as_other(
         *((describe_machine(healthy.fit),) if is_loaded else ()),
         *scaling,
@@ -260,13 +262,23 @@ def _describe_warming(
 
 
 def _find_pair(
-    difference: Difference, faults: list[Explanation], rate: float, kind: FaultKind | None = None
+    difference: Difference,
+    faults: list[Explanation],
+    changes: tuple[Change, ...],
+    rate: float,
+    kind: FaultKind | None = None,
 ) -> tuple[list[Explanation], dict[str, float]] | None:
     """Find two faults at once, the stronger one first, and the probabilities with them.
 
-    Each must be significant beside the other, and both must leave nothing unexplained: no p-value below `rate`. If
-    `kind` explains the difference alone, it is one of the two; else both must explain it better than "other".
+    Each must be significant beside the other and show in a quantity's interval, and both must leave nothing
+    unexplained: no p-value below `rate`. If `kind` explains the difference alone, it is one of the two; else both must
+    explain it better than "other".
     """
+
+    def shows(fault: Explanation) -> bool:
+        rows = zip(changes, fault.direction.tolist(), strict=True)
+        return any(c.excludes_healthy and slope * (c.ratio - 1.0) > 0.0 for c, slope in rows)
+
     limit = -float(stdtrit(difference.degrees_of_freedom, _FALSE_SECOND / max(len(faults) - 1, 1)))
     pairs = []
     for kinds in combinations([fault.kind for fault in faults], 2):
@@ -276,6 +288,7 @@ def _find_pair(
             and kind in (None, *kinds)
             and min(fault.z for fault in pair) > limit
             and pair[0].p_left_over > rate
+            and all(map(shows, pair))
             and all(is_separable(difference, one, other) for one, other in (kinds, kinds[::-1]))
         ):
             pairs.append(sorted(pair, key=lambda fault: -fault.z))

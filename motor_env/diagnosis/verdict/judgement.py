@@ -155,7 +155,7 @@ def describe_findings(kinds: Sequence[FaultKind], changes: Sequence[Change]) -> 
     for change in beside:
         yield (
             f"{change.name} moved beside it, by {change.ratio - 1.0:+.1%} ({change.low - 1.0:+.1%} to"
-            f" {change.high - 1.0:+.1%}): too little to tell a further fault from the model's error"
+            f" {change.high - 1.0:+.1%}): a further fault, or the model's error beside so large a one"
         )
 
 

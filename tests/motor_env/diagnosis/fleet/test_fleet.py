@@ -20,7 +20,7 @@ from motor_env.diagnosis.fleet.fits import FitCache, InitialFit, Reading, fit_fl
 from motor_env.diagnosis.fleet.judging import FleetDiagnosis, common_cause, diagnose_fleet
 from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet
 from motor_env.diagnosis.verdict.hypotheses import Difference, FittedWindow
-from motor_env.diagnosis.verdict.judgement import Verdict
+from motor_env.diagnosis.verdict.judgement import NOTHING_ELSE, Verdict
 from motor_env.envs import MonitorEnv
 from motor_env.motor.data_sheet import Motor, save_motor
 
@@ -139,7 +139,7 @@ def test_other_changes_beside_the_fault_are_not_denied(found: FleetDiagnosis) ->
     off[names.index("B")] = 9.0
     alone = replace(worst, difference=Difference(off, np.eye(len(names)), matrix(names), 9.0))
     assert alone.odd.startswith("B +")
-    assert alone.why == FaultKind.BEARING.finding
+    assert alone.why == FaultKind.BEARING.finding.replace(":", f"{NOTHING_ELSE}:")
     off[names.index("R")] = 3.0
     both = replace(worst, difference=Difference(off, np.eye(len(names)), matrix(names), 9.0))
     assert "R +" in both.odd

@@ -106,6 +106,16 @@ def test_two_faults_at_once_are_named_both(off: tuple[float, ...], named: list[s
         assert "; also " in text
 
 
+def test_no_two_faults_are_named_that_no_interval_shows() -> None:
+    """Errors that R, K^2/J and B/J share hide both in the table; only together they would show."""
+    shared = np.array([1.0, 0.0, 1.0, 1.0])
+    given = 0.02**2 * np.eye(4) + 0.3**2 * np.outer(shared, shared)
+    found = moved(0.25, 0.0, 0.0, 0.4, log_covariance=given)
+    assert not any(change.excludes_healthy for change in found.changes)
+    assert found.verdict.is_fault
+    assert found.also == ()
+
+
 def test_a_noise_is_named_beside_a_fault() -> None:
     found = moved(0.0, 0.0, 0.0, 0.5, noise=0.8)
     assert [str(fault.verdict) for fault in (found, *found.also)] == ["bearing", "noise"]
@@ -145,9 +155,15 @@ def test_drag_far_above_a_data_sheet_is_first_a_coupled_machine() -> None:
         )
         assert ("motor-env commission start1.csv" in found.reasons[0]) is is_first
         assert not any("coupled machine" in reason for reason in taught.reasons)
-    loaded = moved(0.0, 0.0, -0.4, 0.8, is_bare=True)
-    assert loaded.verdict is Verdict.OTHER
-    assert "coupled machine" in loaded.reasons[0]
+    for off, is_loaded in (
+        ((0, 0, -0.4, 0.8), True),
+        ((0, 0, -0.4, 0), True),
+        ((0, 0, 0, -0.6), False),
+        ((0.3, 0, -0.4, 0.8), False),
+    ):
+        loaded = moved(*off, is_bare=True)
+        assert loaded.verdict is Verdict.OTHER
+        assert ("coupled machine" in loaded.reasons[0]) is is_loaded
 
 
 def test_a_verdict_says_what_its_sheet_assumes() -> None:
