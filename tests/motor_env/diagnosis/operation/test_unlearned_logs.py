@@ -163,6 +163,18 @@ def test_the_fit_of_the_whole_log_tells_how_its_windows_are_fitted(monkeypatch: 
         assert said(log(HALF_WAY), motor) == ["healthy"] * 2 + ["bearing"] * 2
 
 
+def test_a_motor_file_may_allow_for_more_brush_drop(monkeypatch: pytest.MonkeyPatch) -> None:
+    allowed: list[float] = []
+
+    def fit(record: Record) -> Any:
+        allowed.append(record.brush_drop_v)
+        return true_fit(record)
+
+    monkeypatch.setattr(log_diagnosis, "identify_record", fit)
+    judge_for(log(), replace(SHEET, brush_drop_v=3.0))
+    assert allowed == [3.0]
+
+
 @pytest.mark.usefixtures("quick")
 def test_the_reference_of_a_log_by_hand() -> None:
     """R, K and J are the file's; the drag over the effective speed is its friction, where all of it is viscous."""
