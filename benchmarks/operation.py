@@ -46,7 +46,6 @@ def truth(motor: Motor, load: str, samples: int, dt_s: float, *, has_speed: bool
     rated, values = 0.15 * motor.constant * motor.stall_a, np.zeros(k.N_VALUES)
     values[[k.R, k.L, k.K, k.J]] = motor.ohm, motor.henry, motor.constant, motor.inertia
     values[[k.B, k.COULOMB, k.DROP]] = motor.viscous, motor.coulomb, motor.drop
-    values[[k.HEATING, k.COOLING]] = motor.heat, motor.cool
     values[[k.KNEE, k.STRIBECK, k.SLIDING]] = KNEE * motor.stall_a, motor.stribeck, SLIDING * motor.speed
     values[k.LOAD] = rated if load == "constant" else 0.0
     values[k.SQUARE] = rated / motor.speed**2 if load == "square" else 0.0

@@ -36,7 +36,6 @@ _HELD = {
     "straight": "on a straight line to the next one",
     "late": "held since the one before",
 }
-_WARM_K = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +148,6 @@ class Identification:
             "parameters": _log_quantities(self.joint),
             "r2_current": self.joint.r2_current,
             "r2_speed": self.joint.r2_speed,
-            "warmth_k": float(self.joint.warmth_k.max()),
             "not_told": list(self.joint.notes),
             "columns": list(self.logs[0].columns),
             "warnings": [
@@ -177,8 +175,6 @@ def _text(fields: Mapping[str, Any]) -> str:
     explained = f"  {describe_r2(fields['r2_current'], fields['r2_speed'])}"
     if fields["taken_for"]["regime"] == "operation":
         lines += [f"  the voltage of a sample is {_HELD[fields['voltage']]}", explained]
-        if fields["warmth_k"] > _WARM_K:
-            lines.append(f"  the winding warms by up to {fields['warmth_k']:.0f} K")
     else:
         names = list(rows)
         pairs = [

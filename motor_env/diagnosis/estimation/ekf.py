@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from motor_env.diagnosis.estimation.integrator import (
     FINE,
-    TEMPERATURES,
-    at,
     braked_step,
     coasting_step,
     discretize_each,
@@ -22,11 +20,9 @@ from motor_env.diagnosis.estimation.integrator import (
 )
 from motor_env.diagnosis.estimation.parameter_index import (
     AFTER,
-    COOLING,
     COULOMB,
     DROP,
     GEAR,
-    HEATING,
     LAG_I,
     LAG_W,
     LOAD,
@@ -36,6 +32,7 @@ from motor_env.diagnosis.estimation.parameter_index import (
     NOISE_W,
     OFFSET_I,
     OFFSET_W,
+    SOURCE,
     SQUARE,
     STRIBECK,
     WALK,
@@ -46,7 +43,7 @@ from motor_env.diagnosis.estimation.parameter_index import (
     R,
 )
 from motor_env.motor.compiled import compiled, compiled_part, inlined
-from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, FloatArray
+from motor_env.motor.parameters import FloatArray
 
 BEGIN, OPEN, LOST, FOUND, REST, STEADY, SWITCH = 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
 """Marks of a sample. BEGIN: the first of a recording; OPEN: open circuit; LOST: the voltage before it is unknown;
@@ -56,7 +53,7 @@ voltage; SWITCH: switched on AFTER seconds before the sample.
 _SLOW = 0.02  # of the largest speed: where dry friction is larger
 OUTLIER_SDS = 6.0  # of an innovation, beyond which it counts no more
 _STEADY_STEPS = 12
-_NOT_SIMPLE = np.array([STRIBECK, GEAR, HEATING, NOISE_V, NOISE_T, WALK])
+_NOT_SIMPLE = np.array([STRIBECK, GEAR, SOURCE, NOISE_V, NOISE_T, WALK])
 
 
 @inlined
@@ -179,8 +176,6 @@ def steady(p: FloatArray, volts: float, x: FloatArray) -> None:
 def _advance(
     of: FloatArray,
     lag: tuple[float, float, float],
-    warm_k: float,
-    m: FloatArray,
     x: FloatArray,
     u: FloatArray,
     p: FloatArray,
@@ -191,15 +186,14 @@ def _advance(
     f: FloatArray,
 ) -> None:
     """Advance the state over an interval and fill its slopes; `mark` is its end's, `before` its begin's."""
-    i, w = x[0], x[1]
-    at(of, 0, warm_k, p, m)
+    i, w, m = x[0], x[1], of[0]
     if p[GEAR] > 0.0:
         # A gear loses a share of the torque that it carries: dry friction, by the mean torque without friction.
         free_w = m[1, 0] * i + m[1, 1] * w + m[1, 2] * u[0] + m[1, 3] * (u[1] - u[0])
         dry += p[GEAR] * abs(p[J] * (free_w - w) / dt_s + p[B] * w)
     parts = smooth_step(m, x, u, p, dry, f) if mark != OPEN or before != OPEN else 0
     if parts > 0:
-        at(of, 1 if parts == FINE else (2 if parts > 1 else 0), warm_k, p, m)
+        m = of[1 if parts == FINE else (2 if parts > 1 else 0)]
         braked_step(m, x, u, p, dry, f, parts)
     if mark == OPEN:
         if before == OPEN or x[0] * i < 0.0:  # a diode lets no current turn
@@ -272,8 +266,8 @@ def _run(
     room: tuple[FloatArray, ...],
 ) -> float:
     """Filter one row of `predict_each`."""
-    m, x, cov, f, u, row, shown, work, _ = room
-    lag, logs, warm_k = lag_of(p, dt_s), 0.0, 0.0
+    x, cov, f, u, row, shown, work, _ = room
+    lag, logs = lag_of(p, dt_s), 0.0
     place_i, place_w = (3, 4) if n == 5 else (0, 1)
     u[3] = _SLOW * reach / p[K]
     is_known = marks[0] >= REST and p[NOISE_V] == 0.0 and p[NOISE_T] == 0.0 and p[WALK] == 0.0
@@ -281,7 +275,6 @@ def _run(
         mark = marks[k]
         shown_i, shown_w = readings[k, 0] - p[OFFSET_I], readings[k, 1] - p[OFFSET_W]
         if mark == BEGIN:
-            warm_k = 0.0
             after = min(k + 1, voltage.shape[0] - 1)
             shown[0, 0], shown[0, 1] = shown_i, shown_w
             shown[1, 0], shown[1, 1] = readings[after, 0] - p[OFFSET_I], readings[after, 1] - p[OFFSET_W]
@@ -290,18 +283,17 @@ def _run(
             out[k, 2], out[k, 3] = x[place_i] + p[OFFSET_I], x[place_w] + p[OFFSET_W]
             continue
         if mark >= REST:
-            warm_k, x[:], cov[:] = 0.0, 0.0, 0.0
+            x[:], cov[:] = 0.0, 0.0
         if mark == STEADY:
             steady(p, voltage[k, 1], x)
         elif mark != REST:
-            u[0], u[1] = voltage[k, 0], voltage[k, 1]
+            sag = p[SOURCE] * x[0]
+            u[0], u[1] = voltage[k, 0] + sag, voltage[k, 1] + sag
             u[2] = p[LOAD] + out[k, 4] + (x[2] if learn else 0.0)
-            if p[HEATING] > 0.0:
-                power = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k) * x[0] ** 2
-                warm_k += dt_s * (p[HEATING] * power - p[COOLING] * warm_k)
-            dry = p[COULOMB] * (1.0 + FRICTION_PER_KELVIN * warm_k)
             of, slow = (switched, lag_of(p, p[AFTER])) if mark == SWITCH else (usual, lag)
-            _advance(of, slow, warm_k, m, x, u, p, dry, mark, marks[k - 1], dt_s, f)
+            _advance(of, slow, x, u, p, p[COULOMB], mark, marks[k - 1], dt_s, f)
+            for r in range(3):
+                f[r, 0] += p[SOURCE] * f[r, 3]
             if learn and not is_known:
                 # Whatever the voltage was, it was one that the motor knows.
                 spread(cov, n, f, p, max(p[NOISE_V], reach) if mark == LOST else p[NOISE_V], dt_s, slow, work)
@@ -318,14 +310,13 @@ def _run(
         logs += math.log(variances)  # one logarithm for both
         if learn:
             out[k, 4] = x[2]
-        out[k, 5] = warm_k
     return logs
 
 
 def room_to_work() -> tuple[FloatArray, tuple[FloatArray, ...]]:
     """Return arrays in which `predict_each` works; numba takes a second to compile their making."""
-    shapes = ((3, 6), (5,), (5, 5), (3, 5), (4,), (5,), (2, 2), (3, 5, 5), (3, 6, 6))
-    return np.zeros((2, 3, TEMPERATURES, 3, 6)), tuple(np.zeros(shape) for shape in shapes)
+    shapes = ((5,), (5, 5), (3, 5), (4,), (5,), (2, 2), (3, 5, 5), (3, 6, 6))
+    return np.zeros((2, 3, 3, 6)), tuple(np.zeros(shape) for shape in shapes)
 
 
 @compiled
@@ -355,8 +346,8 @@ def predict_each(
         readings: current and speed, shape (n, 2); NaN where there is none.
         seen: 1 where a channel was recorded, shape (2,).
         learn: weigh readings in; without it the model runs freely.
-        out: whitened innovations, predicted readings, load, temperature, shape (m, n, 6); the load known beforehand is
-            read from it, and the estimated one is left there.
+        out: whitened innovations, predicted readings, load, shape (m, n, 5); the load known beforehand is read
+            from it, and the estimated one is left there.
         logs: sums of the logarithms of the innovations' variances, shape (m,).
         scratch: of `room_to_work`.
     """
@@ -381,7 +372,7 @@ def are_simple(p: FloatArray, marks: FloatArray) -> bool:
 
 def room_of_simple() -> tuple[FloatArray, ...]:
     """Return arrays in which `predict_simple_each` works."""
-    return tuple(np.zeros(shape) for shape in ((2, 3, 1, 3, 6), (5,), (4,), (3, 5), (3, 6, 6)))
+    return tuple(np.zeros(shape) for shape in ((2, 3, 3, 6), (5,), (4,), (3, 5), (3, 6, 6)))
 
 
 @inlined
@@ -397,9 +388,9 @@ def _advance_simple(
     # It stands before the switch. There, dry friction would have each interval cut into parts.
     if x[0] == w == x[3] == x[4] == u[0] == u[1] == 0.0 and abs(u[2]) <= p[COULOMB]:
         return
-    parts = smooth_step(of[0, 0], x, u, p, p[COULOMB], f)
+    parts = smooth_step(of[0], x, u, p, p[COULOMB], f)
     if parts > 0:
-        braked_step(of[1 if parts == FINE else (2 if parts > 1 else 0), 0], x, u, p, p[COULOMB], f, parts)
+        braked_step(of[1 if parts == FINE else (2 if parts > 1 else 0)], x, u, p, p[COULOMB], f, parts)
     if p[LAG_I] <= 0.0:
         x[3] = x[0]
     x[4] = lag[0] * x[4] + lag[1] * w + lag[2] * x[1]
@@ -418,7 +409,7 @@ def predict_simple_each(
     logs: FloatArray,
     room: tuple[FloatArray, ...],
 ) -> None:
-    """Run `predict_each` in a third of the time, for simple starts: no disturbance, heating, gear or Stribeck curve."""
+    """Run `predict_each` in a third of the time, for simple starts: no disturbance, gear, sag or Stribeck curve."""
     models, x, u, f, work = room
     for row in range(len(p)):
         of, table, supply = p[row], out[row], which[row]

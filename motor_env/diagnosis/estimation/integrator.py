@@ -11,7 +11,6 @@ import math
 
 from motor_env.diagnosis.estimation.parameter_index import (
     DROP,
-    HEATING,
     KNEE,
     LAG_I,
     SLIDING,
@@ -26,13 +25,10 @@ from motor_env.diagnosis.estimation.parameter_index import (
 from motor_env.motor.compiled import compiled_part, inlined
 from motor_env.motor.exponentials import exponential_in_kernel
 from motor_env.motor.model import exponential_and_phis, load_in_kernel
-from motor_env.motor.parameters import COPPER_PER_KELVIN, FRICTION_PER_KELVIN, MAGNET_PER_KELVIN, FloatArray
+from motor_env.motor.parameters import FloatArray
 
 FINE, COARSE = 16, 4
 """Parts of an interval in which drop or friction turn, and in which they turn slowly, at a knee, or are about to."""
-TEMPERATURES = 22
-"""Number of temperatures of the discrete models, where the winding warms."""
-_COLDEST_K, _GRID_K = -20.0, 10.0
 _SATURATED = 5.0  # knees: beyond them brush drop and dry friction hardly change
 _SLIGHT = 0.1  # knees: an input hardly changes over such a change, and one part will do
 _KNEE_TOLERANCE = 1e-7
@@ -41,16 +37,13 @@ _SHORTEST_LAG = 1e-6  # of an interval: with a shorter one the squarings of the 
 
 
 @compiled_part
-def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray, work: FloatArray) -> None:
+def _discretize(p: FloatArray, dt_s: float, out: FloatArray, work: FloatArray) -> None:
     """Fill rows current, speed, shown current of a discrete model; `work` has room for three matrices of six.
 
     Columns: current, speed, voltage before, its rise over the interval, torque, shown current.
     """
-    resistance = p[R] * (1.0 + COPPER_PER_KELVIN * warm_k)
-    constant = p[K] * (1.0 + MAGNET_PER_KELVIN * warm_k)
-    drag = p[B] * (1.0 + FRICTION_PER_KELVIN * warm_k)
     whole, held, rising = exponential_and_phis(
-        -resistance / p[L] * dt_s, -constant / p[L] * dt_s, constant / p[J] * dt_s, -drag / p[J] * dt_s
+        -p[R] / p[L] * dt_s, -p[K] / p[L] * dt_s, p[K] / p[J] * dt_s, -p[B] / p[J] * dt_s
     )
     by_volt, by_torque = dt_s / p[L], -dt_s / p[J]
     for r in range(2):
@@ -61,8 +54,8 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray, work
         lag_s = max(p[LAG_I], _SHORTEST_LAG * dt_s)
         motor, whole_system = work[0], work[1]
         motor[:] = 0.0
-        motor[0, 0], motor[0, 1], motor[0, 2] = -resistance / p[L], -constant / p[L], 1.0 / p[L]
-        motor[1, 0], motor[1, 1], motor[1, 4] = constant / p[J], -drag / p[J], -1.0 / p[J]
+        motor[0, 0], motor[0, 1], motor[0, 2] = -p[R] / p[L], -p[K] / p[L], 1.0 / p[L]
+        motor[1, 0], motor[1, 1], motor[1, 4] = p[K] / p[J], -p[B] / p[J], -1.0 / p[J]
         motor[2, 3], motor[5, 0], motor[5, 5] = 1.0 / dt_s, 1.0 / lag_s, -1.0 / lag_s
         for r in range(6):
             for c in range(6):
@@ -74,32 +67,9 @@ def _discretize(p: FloatArray, warm_k: float, dt_s: float, out: FloatArray, work
 
 @compiled_part
 def discretize_each(p: FloatArray, dt_s: float, out: FloatArray, work: FloatArray) -> None:
-    """Fill the discrete models of an interval, of its fine and its coarse parts, over the winding's temperature.
-
-    Shape (3, TEMPERATURES, 3, 6); only the first temperature where nothing warms.
-    """
-    count = TEMPERATURES if p[HEATING] > 0.0 else 1
+    """Fill the discrete models of an interval, of its fine and its coarse parts, shape (3, 3, 6)."""
     for part in range(3):
-        parts = 1 if part == 0 else (FINE if part == 1 else COARSE)
-        for g in range(count):
-            warm_k = _COLDEST_K + g * _GRID_K if count > 1 else 0.0
-            _discretize(p, warm_k, dt_s / parts, out[part, g], work)
-
-
-@inlined
-def at(table: FloatArray, part: int, warm_k: float, p: FloatArray, out: FloatArray) -> None:
-    """Interpolate the discrete model of a part at one temperature."""
-    if p[HEATING] <= 0.0:
-        for r in range(3):
-            for c in range(6):
-                out[r, c] = table[part, 0, r, c]
-        return
-    place = min(max((warm_k - _COLDEST_K) / _GRID_K, 0.0), TEMPERATURES - 1.001)
-    low = int(place)
-    share = place - low
-    for r in range(3):
-        for c in range(6):
-            out[r, c] = (1.0 - share) * table[part, low, r, c] + share * table[part, low + 1, r, c]
+        _discretize(p, dt_s / (1 if part == 0 else (FINE if part == 1 else COARSE)), out[part], work)
 
 
 @inlined
@@ -136,7 +106,7 @@ def smooth_step(m: FloatArray, x: FloatArray, u: FloatArray, p: FloatArray, dry:
         x: current, speed, load, shown current, shown speed.
         u: voltage before and after, load torque, speed at which dry friction is larger.
         p: physical values.
-        dry: dry friction at the motor's temperature.
+        dry: dry friction.
         f: slopes of current, speed and shown current by current, speed, load, voltage and shown current; filled.
     """
     i, w, shown = x[0], x[1], x[3]

@@ -7,12 +7,12 @@ all unknowns; with the current alone for each of several resistances.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import TypeVar
 
 import numpy as np
-from scipy.ndimage import convolve1d
 from scipy.optimize import nnls
 
 from motor_env.diagnosis.estimation import ekf, parameter_index as index
@@ -25,6 +25,8 @@ from motor_env.diagnosis.readers.noise import filled
 from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.motor.parameters import FloatArray
 
+Fit = TypeVar("Fit")
+
 _WINDOWS = (2, 5, 12, 30, 80, 200)
 _RESISTANCES = np.geomspace(0.04, 2.0, 9)
 _LEAST = 1e-9
@@ -35,6 +37,7 @@ SELECTION_SAMPLES = 2_000
 _FIRST_NOISE_V = 0.02
 _FIRST_SHAPE = 0.1  # of what is believed
 _QUIET_VALUES = {
+    "brush_knee": 1e-3,
     "offset_current": 0.0,
     "offset_speed": 0.0,
     "noise_voltage": -1.0,
@@ -162,50 +165,56 @@ def _sign(w: FloatArray) -> FloatArray:
     return direction
 
 
-def fit(record: Record) -> Solution:
+def fit(record: Record, without: Collection[str] = ()) -> Solution:
     """Fit the smallest model of a record that the evidence supports, with alternatives, which widen its intervals.
+
+    Args:
+        record: what is fitted.
+        without: names of terms that no model may have.
 
     Raises:
         UnusableError: no regression finds a motor in the record.
     """
-    best = _with_timing_alternatives(_with_less_brush_drop(_smallest_model(record)))
+    best = _with_timing_alternatives(_with_less_brush_drop(_smallest_model(record, without)))
     return _without_process_noise(best)
 
 
-def _smallest_model(record: Record) -> Solution:
-    """Fit a record without alternatives; a long one from a part."""
-    if len(record.voltage_v) > 2 * SELECTION_SAMPLES:
-        return _refit_to_all_samples(_smallest_model(record.sample(SELECTION_SAMPLES)), record)
-    rivals = [_select_terms(first) for first in _initial_fits(record)]
-    best = min(rivals, key=lambda solution: solution.bic())
-    others = sorted(_fits_of_other_voltages(best, record), key=lambda solution: solution.bic())
-    if others and (other := _refit(others[0], [])).bic() < best.bic():
-        best = _select_terms(other)
-    return _forward_selection(_with_shape_parameters(_prefer_held_voltage(best))).escape_local_minimum()
+def add_terms(
+    best: Fit, extended: Callable[[Fit], Iterable[Fit]], evidence: Callable[[Fit, Fit], float]
+) -> Fit:
+    """Return the fit of a start or of a motor at work with all terms for which there is strong evidence.
 
-
-def _prefer_held_voltage(best: Solution) -> Solution:
-    """Replace a fractional delay or a straight-line voltage by a held one if they win only by averaging noise.
-
-    A mean over three samples without a delay averages that, too: where it explains as much, there is no delay.
+    Args:
+        best: the fit to begin from.
+        extended: fits with one term more, of those that a score test promises.
+        evidence: for a richer fit over a simpler one: the fall of the Bayesian information criterion (Schwarz 1978).
     """
-    timed = _remove_terms(best, ("delay",))
-    is_straight = best.problem.record.hold == "straight"
-    if best.problem.record.averaged > 1 or not (is_straight or len(timed.names) < len(best.names)):
-        return best
-    delay = dict(zip(best.names, best.theta, strict=True)).get("delay", 0.0)
-    part = 0.5 if is_straight else abs(delay) % 1.0
-    beside = (2.0 - math.sqrt(4.0 - 12.0 * part * (1.0 - part))) / 6.0
-    record = best.problem.record
-    even = convolve1d(record.voltage_v, [beside, 1.0 - 2.0 * beside, beside], mode="nearest")
-    for hold in ("held", "late"):
-        problem = replace(timed.problem, record=replace(record, hold=hold, voltage_v=even))
-        averaged = problem.solve(timed.theta)
-        is_as_good = _free_run_misfit(averaged) < _free_run_misfit(best) + _CLEARLY
-        if averaged.bic() < best.bic() and is_as_good:
-            problem = replace(problem, record=replace(record, hold=hold))
-            return problem.solve(averaged.theta)
-    return best
+    while True:
+        gains = [(evidence(best, richer), richer) for richer in extended(best)]
+        gain, richer = max(gains, key=lambda pair: pair[0], default=(0.0, best))
+        if gain < STRONG_EVIDENCE:
+            return best
+        best = richer
+
+
+def promising(
+    best: Solution,
+    every: Mapping[str, Term],
+    tested: Sequence[str],
+    least: float,
+    sizes: Sequence[float] = (),
+) -> list[str]:
+    """Name the terms whose score test promises more than `least`; see `score_tests`."""
+    tests = score_tests(best, every, tested, sizes)
+    return [name for name, test in tests.items() if test.chi_square > least]
+
+
+def _smallest_model(record: Record, without: Collection[str] = ()) -> Solution:
+    """Fit a record without alternatives; a long one from a part. How the voltage is held is chosen before the terms."""
+    if len(record.voltage_v) > 2 * SELECTION_SAMPLES:
+        return _refit_to_all_samples(_smallest_model(record.sample(SELECTION_SAMPLES), without), record)
+    best = _select_terms(_first_fit(record, without))
+    return _grown(_with_shape_parameters(best)).escape_local_minimum()
 
 
 def _with_timing_alternatives(best: Solution) -> Solution:
@@ -213,12 +222,8 @@ def _with_timing_alternatives(best: Solution) -> Solution:
     slopes = np.diff(best.problem.record.voltage_v)
     if np.nansum(np.abs(np.diff(slopes))) > np.nansum(np.abs(slopes)):
         return best
-    rivals = []
-    for initial in _fits_of_other_voltages(best, best.problem.record):
-        other = _refit(initial, [])
-        if other.misfit < best.misfit + _ALTERNATIVE * best.problem.count:
-            rivals.append(other)
-    return _with_alternatives(best, rivals)
+    most = best.misfit + _ALTERNATIVE * best.problem.count
+    return _with_alternatives(best, [other for other in _fits_of_other_voltages(best) if other.misfit < most])
 
 
 def _without_process_noise(best: Solution) -> Solution:
@@ -248,7 +253,7 @@ def _with_less_brush_drop(best: Solution) -> Solution:
         return best
     held = _with_brush_drop(best, place, most)
     if held.misfit < best.misfit - STRONG_EVIDENCE:
-        best = _forward_selection(best.problem.solve(held.theta))
+        best = _grown(best.problem.solve(held.theta))
     small = min(_SMALL_DROP_V / best.problem.free[place].unit, 0.5 * most)
     return _with_alternatives(best, [_with_brush_drop(best, place, small)])
 
@@ -275,18 +280,17 @@ def _refit_to_all_samples(best: Solution, record: Record) -> Solution:
     """Fit the model of a part of a long record to all of it, with further terms."""
     hold = best.problem.record.hold
     record = replace(record if (best.problem.record.marks == ekf.OPEN).any() else record.closed(), hold=hold)
-    return _forward_selection(replace(best.problem, record=record).solve(best.theta, most=_FEW_EVALUATIONS))
+    return _grown(replace(best.problem, record=record).solve(best.theta, most=_FEW_EVALUATIONS))
 
 
-def _fits_of_other_voltages(best: Solution, record: Record) -> list[Solution]:
-    """Fit without a delay under every other variant of the voltage."""
-    timed = _remove_terms(best, ("delay",))
-    fits = []
-    for behaved in _voltage_variants(record):
-        is_same = behaved.hold == best.problem.record.hold and "delay" not in best.names
-        if not (is_same and np.array_equal(behaved.marks, best.problem.record.marks)):
-            fits.append(replace(timed.problem, record=behaved).solve(timed.theta, most=_FEW_EVALUATIONS))
-    return fits
+def _fits_of_other_voltages(best: Solution) -> list[Solution]:
+    """Fit under every other variant of the voltage."""
+    problem, record = best.problem, best.problem.record
+    return [
+        replace(problem, record=other).solve(best.theta)
+        for other in _voltage_variants(record)
+        if other.hold != record.hold or not np.array_equal(other.marks, record.marks)
+    ]
 
 
 def _voltage_variants(record: Record) -> list[Record]:
@@ -297,11 +301,16 @@ def _voltage_variants(record: Record) -> list[Record]:
 
 
 def _with_shape_parameters(best: Solution) -> Solution:
-    """Fit the shapes of brush drop and dry friction under their prior, from several initial values.
+    """Fit the shapes of dry friction under their prior, and all else, from several initial values.
 
     Noise and a walking load may have carried a fit away; dry friction and a constant load may stand for each other.
     """
-    added = [best.problem.available_terms[shape] for shape, of in SHAPES.items() if of in best.names]
+    every = best.problem.available_terms
+    added = [
+        every[shape]
+        for shape, of in SHAPES.items()
+        if of in best.names and shape in every and shape not in best.names
+    ]
     problem = best.problem.with_terms(added)
     begin = np.append(best.theta, [_FIRST_SHAPE * term.prior_sd for term in added])
     calm = np.array(
@@ -330,14 +339,14 @@ def _select_terms(first: Solution) -> Solution:
     best = first
     for name in ("load_walk", "load_constant"):
         best = _drop_if_unsupported(best, name)
-    best = _forward_selection(best)
+    best = _grown(best)
     for name in _TORQUE_DISTURBANCES:
-        if name not in best.names:
+        if name not in best.names and name in best.problem.available_terms:
             disturbed = _refit(
                 _remove_terms(best, _TORQUE_DISTURBANCES), [best.problem.available_terms[name]]
             )
             if disturbed.bic() < best.bic() - STRONG_EVIDENCE:
-                best = _forward_selection(disturbed)
+                best = _grown(disturbed)
     # It may have stood for a term that came later.
     best = _drop_if_unsupported(best, "load_walk")
     return min([best, *_output_error_fits([first, best])], key=_free_run_misfit)
@@ -360,10 +369,15 @@ def _log_unexplained(solution: Solution) -> FloatArray:
     return np.log([max(1.0 - r2, 1e-12) for r2 in solution.explained() if r2 is not None])
 
 
-def _forward_selection(best: Solution) -> Solution:
-    while (richer := _add_best_term(best)) is not None:
-        best = richer
-    return best
+def _grown(best: Solution) -> Solution:
+    """Add the terms that the evidence supports."""
+
+    def extended(simple: Solution) -> Iterator[Solution]:
+        every, least = simple.problem.available_terms, math.log(simple.problem.count) + STRONG_EVIDENCE
+        for name in promising(simple, every, candidates(simple), least):
+            yield _refit(simple, [every[name]])
+
+    return add_terms(best, extended, lambda simple, rich: simple.bic() - rich.bic())
 
 
 def _drop_if_unsupported(best: Solution, name: str) -> Solution:
@@ -383,37 +397,38 @@ def _base_terms(record: Record) -> list[str]:
     """Name the terms to begin with: what every motor has, as far as the channels can tell, and any load."""
     names = ["J", "coulomb", "load_constant", "noise_voltage", "load_walk"]
     if record.recorded[0]:
-        names += ["R", "L", "B", "brush_drop", "offset_current", "noise_current"]
+        names += ["R", "L", "B", "brush_drop", "brush_knee", "offset_current", "noise_current"]
     if record.recorded[1]:
         names += ["K", "offset_speed", "noise_speed"]
     return names
 
 
-def _initial_fits(record: Record) -> list[Solution]:
-    """Fit the first terms, once for each variant of the voltage that may be true."""
+def _first_fit(record: Record, without: Collection[str]) -> Solution:
+    """Fit the first terms under every way in which the voltage may be held; return the best."""
     few = []
     for behaved in _voltage_variants(record):
-        initial = initial_problems(behaved)[:_MOST_TRIED]
+        initial = initial_problems(behaved, without)[:_MOST_TRIED]
         tried = [problem.solve(theta, most=_FEW_EVALUATIONS) for problem, theta in initial]
         few += sorted(tried, key=lambda solution: solution.misfit)[:1]
     if not few:
         raise UnusableError("no motor is found in the record: voltage, current and speed do not go together")
     ahead = min(solution.misfit for solution in few)
-    n_readings = few[0].problem.count
-    fits = [_refit(solution, []) for solution in few if solution.misfit - ahead < _HOPELESS * n_readings]
-    best = min(solution.misfit for solution in fits)
-    return [solution for solution in fits if solution.misfit - best < _ALTERNATIVE * n_readings]
+    close = [solution for solution in few if solution.misfit - ahead < _HOPELESS * solution.problem.count]
+    return min((_refit(solution, []) for solution in close), key=lambda solution: solution.misfit)
 
 
-def initial_problems(record: Record) -> list[tuple[Problem, FloatArray]]:
+def initial_problems(record: Record, without: Collection[str] = ()) -> list[tuple[Problem, FloatArray]]:
     """Return problems and initial unknowns out of regressions, smallest prediction errors first."""
-    problems = [_initial_problem(record, values) for values in initial_values(record)]
+    problems = [_initial_problem(record, values, without) for values in initial_values(record)]
     return sorted(problems, key=lambda pair: float(np.sum(pair[0].residuals(pair[1]) ** 2)))
 
 
-def _initial_problem(record: Record, values: FloatArray) -> tuple[Problem, FloatArray]:
+def _initial_problem(
+    record: Record, values: FloatArray, without: Collection[str]
+) -> tuple[Problem, FloatArray]:
     every = terms(record, values)
-    problem = Problem(record, values, tuple(every[name] for name in _base_terms(record)))
+    free = tuple(every[name] for name in _base_terms(record) if name not in without)
+    problem = Problem(record, values, free, tuple(without))
     known = values.copy()
     theta = np.zeros(len(problem.free))
     for n, term in enumerate(problem.free):
@@ -429,16 +444,3 @@ def _refit(before: Solution, added: list[Term]) -> Solution:
     problem = before.problem.with_terms(added)
     begin = np.concatenate([before.theta, [0.0 if term.is_log else 1e-3 for term in added]])
     return problem.solve(begin)
-
-
-def _add_best_term(best: Solution) -> Solution | None:
-    """Fit with the one more term that the evidence wants most; None unless it is strong."""
-    every = best.problem.available_terms
-    tested = [(test.chi_square, name) for name, test in score_tests(best, every, candidates(best)).items()]
-    for chi_square, name in sorted(tested, reverse=True):
-        if chi_square < math.log(best.problem.count) + STRONG_EVIDENCE:
-            return None
-        trial = _refit(best, [every[name]])
-        if trial.bic() < best.bic() - STRONG_EVIDENCE:
-            return trial
-    return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -36,8 +36,8 @@ _SAME_LINE = 2.0  # bins of a spectrum
 _UNITS_FULL = {
     "R": "ohm", "L": "H", "K": "V s/rad", "J": "kg m2", "B": "N m s/rad", "coulomb": "N m", "brush_drop": "V",
     "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
-    "heating": "K/J", "cooling": "1/s", "sensor_lag": "s", "speed_lag": "s", "delay": "samples", "drag": "N m",
-    "brush_knee": "A", "gear_loss": "of the torque", "stribeck": "of coulomb", "coulomb_knee": "rad/s",
+    "sensor_lag": "s", "speed_lag": "s", "drag": "N m", "brush_knee": "A", "stribeck": "of coulomb",
+    "coulomb_knee": "rad/s", "supply_resistance": "ohm",
 }  # fmt: skip
 _UNITS_CURRENT = _UNITS_FULL | {
     "J": "A s/V", "B": "A/V", "coulomb": "A", "load_constant": "A", "load_square": "A/V2", "drag": "A",
@@ -90,7 +90,6 @@ class OperationFit:
         quantities: of the motor, undetermined ones included.
         covariance: of the unknowns that are no noises, shape (p, p), in their units.
         expected: current and speed of the free run under the voltage, shape (n, 2).
-        warmth_k: warming of the winding since the begin, shape (n,).
         r2_current, r2_speed: share of the variance that the free run explains; None where not used.
         notes: what the record cannot tell, in sentences.
     """
@@ -100,7 +99,6 @@ class OperationFit:
     quantities: tuple[Quantity, ...]
     covariance: FloatArray
     expected: FloatArray
-    warmth_k: FloatArray
     r2_current: float | None
     r2_speed: float | None
     notes: tuple[str, ...]
@@ -157,18 +155,22 @@ def without_lines(solution: Solution, record: Record) -> tuple[Record, tuple[Per
 
 
 @on_one_thread
-def identify_record(record: Record) -> OperationFit:
+def identify_record(record: Record, without: Collection[str] = ()) -> OperationFit:
     """Fit one motor to a record.
+
+    Args:
+        record: what is fitted.
+        without: names of terms that the model must not have.
 
     Raises:
         UnusableError: no motor explains it.
     """
-    solution = fit(record)
+    solution = fit(record, without)
     record, lines = without_lines(solution, record)
     # Its terms may have stood for the lines.
-    operation = _operation_fit(fit(record) if lines else solution, lines)
+    operation = _operation_fit(fit(record, without) if lines else solution, lines)
     if operation.r2_current is not None and operation.r2_current < _CURRENT_TELLS and record.recorded[1]:
-        operation = _operation_fit(fit(record.only(current=False, speed=True)))
+        operation = _operation_fit(fit(record.only(current=False, speed=True), without))
     _refuse_poor_fit(operation)
     return operation
 
@@ -200,7 +202,6 @@ def _refuse_poor_fit(operation: OperationFit) -> None:
 def _operation_fit(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> OperationFit:
     record = solution.problem.record
     spread = covariance(solution)
-    filtered, free = solution.free
     r2 = solution.explained()
     quantities = tuple(_quantities(solution, spread))
     return OperationFit(
@@ -208,8 +209,7 @@ def _operation_fit(solution: Solution, lines: tuple[PeriodicLine, ...] = ()) -> 
         solution=solution,
         quantities=quantities,
         covariance=spread,
-        expected=free[:, 2:4],
-        warmth_k=filtered[:, 5],
+        expected=solution.free[1][:, 2:4],
         r2_current=r2[0],
         r2_speed=r2[1],
         notes=tuple(_notes(record, solution, quantities, lines)),

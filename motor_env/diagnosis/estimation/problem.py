@@ -39,11 +39,13 @@ class Problem:
         record: what is fitted.
         known: values of what is not fitted, shape (parameter_index.N_VALUES,).
         free: the terms that are.
+        without: names of terms that no model may have.
     """
 
     record: Record
     known: FloatArray
     free: tuple[Term, ...]
+    without: tuple[str, ...] = ()
 
     def values(self, theta: FloatArray) -> FloatArray:
         """Return physical values and noises."""
@@ -88,7 +90,8 @@ class Problem:
     @cached_property
     def available_terms(self) -> dict[str, Term]:
         """All terms that a model of the record can have, by name."""
-        return terms(self.record, self.known)
+        every = terms(self.record, self.known).items()
+        return {name: term for name, term in every if name not in self.without}
 
     @cached_property
     def count(self) -> int:

@@ -31,6 +31,7 @@ from motor_env.diagnosis.estimation.parameter_index import (
     OFFSET_I,
     ONSET,
     RISE,
+    SOURCE,
     ZONE,
     R,
 )
@@ -65,6 +66,7 @@ class Record:
         shunt_ohm: resistance in series with the motor.
         rectified_a: noise of a current sensor that shows none below 0; None for any other.
         beside: orthonormal shapes in the current that are fitted beside the motor, shape (n, m); None for none.
+        brush_drop_v: voltage of the brushes by the motor's file: a fit allows for as much.
     """
 
     dt_s: float
@@ -79,6 +81,7 @@ class Record:
     shunt_ohm: float = 0.0
     rectified_a: float | None = None
     beside: FloatArray | None = None
+    brush_drop_v: float = 0.0
 
     @property
     def is_start(self) -> bool:
@@ -135,7 +138,7 @@ class Record:
         """Return the voltage at begin and end of the interval that ends at each sample, shape (n, 2).
 
         Args:
-            delay: of the voltage behind its log, in samples, -1 .. 1.
+            delay: of a start's voltage behind its log, in samples.
         """
         if self.is_start:
             whole = round(delay)
@@ -144,7 +147,7 @@ class Record:
             mean[1:] = mean[:-1] + (0.5 - (delay - whole)) * np.diff(mean)
             mean[0] = self.voltage_v[0]
             return np.stack([mean, mean], axis=1)
-        now, before = _shifted(self.voltage_v, delay), _shifted(self.voltage_v, 1.0 + delay)
+        now, before = self.voltage_v, np.append(self.voltage_v[:1], self.voltage_v[:-1])
         pairs = {"held": (before, before), "straight": (before, now), "late": (now, now)}
         return np.ascontiguousarray(np.stack(pairs[self.hold], axis=1))
 
@@ -175,10 +178,10 @@ class Record:
         self, values: FloatArray, *, learn: bool = True, load: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Do `predict` for several vectors of values, shape (m, N_VALUES)."""
-        out, p = np.zeros((len(values), len(self.voltage_v), 6)), values.copy()
+        out, p = np.zeros((len(values), len(self.voltage_v), 5)), values.copy()
         if load is not None:
             out[:, :, 4] += load
-        p[:, R] += self.shunt_ohm
+        p[:, R] += self.shunt_ohm + p[:, SOURCE]
         keys = [row[_OF_SUPPLY].tobytes() for row in p]
         supplies: dict[bytes, tuple[FloatArray, FloatArray, float]] = {}
         for key, row in zip(keys, p, strict=True):
@@ -290,9 +293,3 @@ def rectified_mean(current: FloatArray, noise_a: float) -> FloatArray:
     z = np.clip(current / noise_a, -40.0, 40.0)
     mean: FloatArray = current * ndtr(z) + noise_a * np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi)
     return mean
-
-
-def _shifted(values: FloatArray, samples: float) -> FloatArray:
-    places = np.arange(len(values), dtype=np.float64)
-    shifted: FloatArray = values if samples == 0.0 else np.interp(places - samples, places, values)
-    return shifted

@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.estimation.record import Record
-from motor_env.motor.parameters import COPPER_PER_KELVIN, FloatArray
+from motor_env.motor.parameters import FloatArray
 
 LONGEST_CURRENT_LAG_S = 0.01
 LONGEST_SPEED_LAG_S = 0.1
@@ -18,7 +16,6 @@ _WIDEST = 12.0  # of a logarithm
 _OFFSET_PRIOR = 0.003
 _CURVE_PRIOR_SD = 1.5
 _SEEN_LAG = 0.5  # of an interval
-_FASTEST_K_PER_S = 10.0  # at the stall power: 20 W in 8 g of copper are 7 K/s
 _LARGEST_DEAD_ZONE = 0.35  # of the current's span: what hides more is no sensor
 _KNEE_PRIOR, _STRIBECK_PRIOR = 0.01, 0.2  # of the largest current or speed; of the dry friction
 _LARGEST_DROP = 0.4  # of the largest voltage: under few volts brushes take less
@@ -39,8 +36,6 @@ PHYSICAL_BOUNDS = {
     "brush_knee": PhysicalBound(
         0.5, "of the largest current", "a contact's resistance falls with it (Holm 1967)"
     ),
-    "heating": PhysicalBound(150.0, "K in the record", "insulation of class H bears 180 degrees (IEC 60085)"),
-    "gear_loss": PhysicalBound(0.5, "of the torque", "a gear that loses half holds itself"),
 }
 """By term; of the brush drop above HIGH_SUPPLY_V, too. Frictions and a fan take power, and are never below 0."""
 HIGH_SUPPLY_V = 60.0
@@ -94,20 +89,11 @@ def terms(
     ohm, constant, dt = start[index.R], start[index.K], record.dt_s
     amps = max(amps, 1e-3 * volts / ohm) if record.recorded[0] else volts / ohm
     speed = max(speed, 1e-3 * volts / constant) if record.recorded[1] else volts / constant
-    torque, power = constant * amps, ohm * float(np.nanmean(record.readings[:, 0] ** 2)) + 1e-300
-    reach, hot = 0.5 * record.duration_s / dt, 10.0 / (power * record.duration_s)
-    drop, knee, warming, gear = (
-        PHYSICAL_BOUNDS[name]
-        for name in (
-            "brush_drop_high" if volts > HIGH_SUPPLY_V else "brush_drop",
-            "brush_knee",
-            "heating",
-            "gear_loss",
-        )
-    )
+    torque, reach = constant * amps, 0.5 * record.duration_s / dt
+    drop = PHYSICAL_BOUNDS["brush_drop_high" if volts > HIGH_SUPPLY_V else "brush_drop"]
+    drop = drop._replace(most=max(drop.most, record.brush_drop_v))
+    knee = PHYSICAL_BOUNDS["brush_knee"]
     largest = min(drop.most / volts, _LARGEST_DROP)
-    # A constant resistance warms so much where copper's, which grows, warms to the bound.
-    hottest = 0.1 * math.log1p(COPPER_PER_KELVIN * warming.most) / COPPER_PER_KELVIN
     every = [
         Term("R", index.R, ohm, -5.0, 5.0, is_log=True),
         Term("L", index.L, ohm * dt, 0.0, reach),
@@ -124,27 +110,25 @@ def terms(
             prior_sd=0.1,
             bound=drop if largest < _LARGEST_DROP else None,
         ),
-        Term("brush_knee", index.KNEE, amps, 0.0, knee.most, prior_sd=_KNEE_PRIOR, bound=knee),
+        Term(
+            "brush_knee",
+            index.KNEE,
+            amps,
+            0.0,
+            knee.most,
+            prior_sd=_KNEE_PRIOR,
+            usual=_KNEE_PRIOR,
+            bound=knee,
+        ),
         Term("stribeck", index.STRIBECK, 1.0, 0.0, 2.0, prior_sd=_STRIBECK_PRIOR),
         Term("coulomb_knee", index.SLIDING, speed, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
-        Term("gear_loss", index.GEAR, 1.0, 0.0, gear.most, usual=0.1, bound=gear),
         Term("load_constant", index.LOAD, torque, -2.0, 2.0, prior_sd=0.3, usual=0.3),
         Term("load_square", index.SQUARE, torque / speed**2, 0.0, 20.0, usual=0.3),
         Term("offset_current", index.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),
         Term("offset_speed", index.OFFSET_W, speed, -0.1, 0.1, prior_sd=_OFFSET_PRIOR),
-        Term(
-            "heating",
-            index.HEATING,
-            hot,
-            0.0,
-            hottest,
-            prior_sd=_FASTEST_K_PER_S * ohm / (volts**2 * hot),
-            bound=warming,
-        ),
-        Term("cooling", index.COOLING, 1.0 / record.duration_s, 0.0, 300.0),
+        Term("supply_resistance", index.SOURCE, ohm, 0.0, 1.0, usual=0.1),
         Term("sensor_lag", index.LAG_I, dt, 0.0, min(LONGEST_CURRENT_LAG_S / dt, reach), slope_at=_SEEN_LAG),
         Term("speed_lag", index.LAG_W, dt, 0.0, min(LONGEST_SPEED_LAG_S / dt, reach)),
-        Term("delay", index.DELAY, 1.0, -1.0, 1.0),
         Term(
             "noise_current", index.NOISE_I, start[index.NOISE_I], _least(record, 0, start), 5.0, is_log=True
         ),
@@ -165,6 +149,7 @@ def terms(
             Term("sensor_lag", index.LAG_I, dt, 0.0, reach, usual=2.0),
             Term("speed_lag", index.LAG_W, dt, 0.0, reach, usual=2.0),
             Term("onset", index.ONSET, dt, -1.0, 1.0),
+            Term("delay", index.DELAY, 1.0, -1.0, 1.0),
             Term("supply_ramp", index.RISE, dt, 0.0, 2.0 * reach),
             Term("dead_zone", index.ZONE, amps, 0.0, _LARGEST_DEAD_ZONE, usual=0.15),
         ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,11 +20,12 @@ _BRUSHES = 0.04  # of the largest voltage
 _KNEES = {0.1: 1.0, 1.0: 2.0}
 """Share of the largest current at which half of the brushes' voltage is there: that voltage over the usual."""
 _SAG = 0.05  # of the supply's voltage, at the largest current
+_LARGEST_EFFECT = 3.0  # over its usual size: brushes do not lose the whole voltage
 _GEAR = 0.07
 """Share of the motor's torque that a gear usually takes."""
 _CONVERTED = math.sqrt(0.5 * (1.0 / 12.0 + 0.25))
 """Error of a converter in steps (rms): it rounds, or cuts off."""
-_CANDIDATES = ("gear_loss", "load_constant", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
+_CANDIDATES = ("load_constant", "load_square", "sensor_lag", "speed_lag", "supply_resistance")
 _WIDEST = 1e3
 _ANYTHING_LOG_SD = 3.0
 _PARTS = 20  # of a record, whose scores are compared
@@ -54,21 +55,19 @@ class ScoreTest:
 
 def candidates(best: Solution) -> list[str]:
     """Name the terms that a record may tell and the model lacks."""
-    recorded, names = best.problem.record.recorded, best.problem.names
-    left = [name for name in _CANDIDATES if name not in names]
-    if "heating" in names and "cooling" not in names:
-        left.append("cooling")
+    recorded, every = best.problem.record.recorded, best.problem.available_terms
+    left = [name for name in _CANDIDATES if name in every and name not in best.problem.names]
     if not recorded[0]:
-        left = [name for name in left if name not in {"sensor_lag", "heating", "cooling", "load_square"}]
+        left = [name for name in left if name not in {"sensor_lag", "load_square", "supply_resistance"}]
     if not recorded[1]:
         left = [name for name in left if name != "speed_lag"]
-    if not recorded.all():  # one of them alone cannot tell it from other friction
-        left = [name for name in left if name != "gear_loss"]
+    if best.problem.record.hold != "held":  # else it has sagged when it is read
+        left = [name for name in left if name != "supply_resistance"]
     return left
 
 
 def score_tests(
-    best: Solution, every: dict[str, Term], tested: Sequence[str], sizes: Sequence[float] = ()
+    best: Solution, every: Mapping[str, Term], tested: Sequence[str], sizes: Sequence[float] = ()
 ) -> dict[str, ScoreTest]:
     """Test terms without fitting them (score tests).
 
@@ -128,10 +127,9 @@ def unmodelled_effects(best: Solution) -> list[ScoreTest]:
     if not record.recorded[0]:
         return []
     lacked = [_with_brush_resistance(best, *usual) for usual in _KNEES.items()]
-    if "gear_loss" not in best.names:
-        geared = problem.known.copy()
-        geared[index.GEAR] = _GEAR
-        lacked.append(replace(problem, known=geared))
+    geared = problem.known.copy()
+    geared[index.GEAR] = _GEAR
+    lacked.append(replace(problem, known=geared))
     return _unit_size_tests(best, lacked)
 
 
@@ -215,7 +213,8 @@ def covariance(best: Solution) -> FloatArray:
         # A size of 1 is believed; the record settles this share of it.
         known = 1.0 / (1.0 + test.sd**2)
         moves = test.moves[chosen]
-        total += ((known * test.value) ** 2 + 1.0 - known) * np.outer(moves, moves)
+        size = min(abs(known * test.value), _LARGEST_EFFECT)
+        total += (size**2 + 1.0 - known) * np.outer(moves, moves)
     for test in quantisation_effects(best):
         # It follows no law that the record could settle.
         total += np.outer(test.moves[chosen], test.moves[chosen])

@@ -31,7 +31,7 @@ from motor_env.diagnosis.estimation.operation_fit import WindowFit, fit_window, 
 from motor_env.diagnosis.estimation.preprocessing import at_terminals, from_recordings
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.estimation.starts.start_identification import NUISANCES, identify, identify_best
-from motor_env.diagnosis.operation.window_baseline import effective_speed, values_without_warming
+from motor_env.diagnosis.operation.window_baseline import effective_speed
 from motor_env.diagnosis.operation.windows import averaged, rms_volts, with_drag_over_speed
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import Recording, describe_reading, recording_of
@@ -130,7 +130,7 @@ def fit_record(reading: Reading, path: Path) -> InitialFit:
     return InitialFit(
         names=fitted.solution.names,
         quantities=NAMES,
-        values=tuple(values_without_warming(fitted.solution).tolist()),
+        values=tuple(fitted.solution.values.tolist()),
         hold=fitted.record.hold,
         speed_rad_s=effective_speed(fitted),
         rms_volts=rms_volts(log),
@@ -223,7 +223,7 @@ def _record(path: Path) -> str:
 _LOADS = ("load_constant", "load_square", "load_walk")
 _DRY = (0.0, 0.35, 0.7, 1.0)  # shares of dry friction that are tried
 _MOST_TRIED = 12  # records
-_NOT_COMMON = [index.HEATING, index.COOLING, index.WALK, index.LOAD, index.SQUARE]
+_NOT_COMMON = [index.WALK, index.LOAD, index.SQUARE]
 
 
 @dataclass(frozen=True, slots=True)

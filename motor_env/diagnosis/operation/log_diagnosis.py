@@ -19,7 +19,6 @@ from motor_env.diagnosis.operation.window_baseline import (
     choose_window_terms,
     effective_speed,
     turns_one_way,
-    values_without_warming,
     window_length_s,
 )
 from motor_env.diagnosis.operation.windows import (
@@ -105,7 +104,7 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
     """
     with suppress(UnusableError):
         joint = identify_record(from_recordings([whole]))
-        physical = values_without_warming(joint.solution)
+        physical = joint.solution.values
         drag = viscous(physical, effective_speed(joint))
         logs = np.log([*physical[[index.R, index.K, index.J]], drag])
         spread = judge.reference.log_covariance + np.diag(np.square(_COARSE))
@@ -142,11 +141,12 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
         return judge_of(motor.healthy, motor.name, temperature_c)
     needed_columns(recording)  # refuse before the slow fit of the whole log
     settles_s = float(np.mean(motor.parameters.mechanical_time_constant_s))
-    joint = identify_record(_enough(from_recordings([recording]), settles_s))
+    record = replace(from_recordings([recording]), brush_drop_v=motor.brush_drop_v)
+    joint = identify_record(_enough(record, settles_s))
     if not joint.record.recorded.all():
         raise UnusableError(NEEDED)
     window_s, speed = window_length_s([recording], _WINDOWS, _SHORTEST * settles_s), effective_speed(joint)
-    physical, terms = values_without_warming(joint.solution), joint.solution.names
+    physical, terms = joint.solution.values, joint.solution.names
     if set(LOAD) & set(terms):
         records = []
         for part in windows_of(recording, window_s)[:_WINDOWS]:

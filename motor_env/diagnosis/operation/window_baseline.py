@@ -20,7 +20,6 @@ from motor_env.diagnosis.estimation.operation_fit import (
     without_load,
 )
 from motor_env.diagnosis.estimation.preprocessing import MOST, from_recordings
-from motor_env.diagnosis.estimation.problem import Solution
 from motor_env.diagnosis.estimation.record import Record
 from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.operation.sequential_monitor import checked_calibration
@@ -159,10 +158,10 @@ def choose_window_terms(
     Without reversals any braking torque counts as friction, since only its shape near standstill could separate a load.
     Otherwise a load is a term if windows determine it.
     """
-    physical, terms = values_without_warming(joint.solution), joint.solution.names
+    physical, terms = joint.solution.values, joint.solution.names
     one_way, own = turns_one_way(joint), tuple(name for name in terms if name not in LOAD)
     if one_way and own != terms:
-        physical = values_without_warming(without_load(joint.solution, float(np.mean(joint.expected[:, 1]))))
+        physical = without_load(joint.solution, float(np.mean(joint.expected[:, 1]))).values
         terms = tuple(name for name in terms if name != "load_constant")
     if not one_way and not steady:
         with_load = (*own, *LOAD)
@@ -207,10 +206,3 @@ def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> flo
     return sum(
         float(deviations @ np.linalg.solve(spread, deviations)) / len(NAMES) for deviations, spread in pairs
     )
-
-
-def values_without_warming(joint: Solution) -> FloatArray:
-    """Return the joint fit's physical values without warming: each window has its own temperature."""
-    physical = joint.values
-    physical[[index.HEATING, index.COOLING]] = 0.0
-    return physical

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from motor_env.diagnosis.estimation import parameter_index as index
-from motor_env.diagnosis.estimation.model_selection import STRONG_EVIDENCE
+from motor_env.diagnosis.estimation.model_selection import STRONG_EVIDENCE, add_terms, promising
 from motor_env.diagnosis.estimation.problem import Problem, Solution
 from motor_env.diagnosis.estimation.starts.start_fit import UNTOLD_LOG_SD, StartFit, record_of
 from motor_env.diagnosis.estimation.starts.start_prior import CURVE, StartPrior, start_prior
@@ -19,7 +19,6 @@ from motor_env.diagnosis.estimation.uncertainty import (
     model_error,
     normalised,
     sandwich,
-    score_tests,
     supply_effects,
 )
 from motor_env.diagnosis.readers.noise import constant_lines, hum_frequencies
@@ -230,36 +229,33 @@ def identify_best(
     best = identify(start, constant=constant, typical=typical)
     start = best.start
     knows_inductance = any(name in (typical or {}) for name in ("L", "L/V"))
-    while True:
-        applicable = [
+    every = start_prior(start, constant, typical).available_terms
+
+    def extended(simple: StartFit) -> Iterator[StartFit]:
+        if simple.start.is_coupled:  # no fault is named then
+            return
+        behind = behind_capacitor(simple, constant=constant, typical=typical)
+        if behind is not None:
+            yield behind
+        names = [
             name
             for name in candidates
-            if name not in best.model
-            and _is_applicable(name, start, best.model, knows_inductance=knows_inductance)
+            if name not in simple.model
+            and _is_applicable(name, start, simple.model, knows_inductance=knows_inductance)
         ]
-        every = start_prior(start, constant, typical).available_terms
-        scored = [name for name in applicable if name not in _UNSCORED]
-        if best.inductance_deviation**2 <= _PROMISING:  # a score test, far cheaper than a fit
-            tests = score_tests(best.solution, every, scored, SCORED_SIZES)
-            scored = [name for name, test in tests.items() if test.chi_square > _PROMISING]
-        trials = [
-            identify(start, (*best.model, name), constant=constant, typical=typical, simpler=best)
-            for name in applicable
-            if name in scored or name in _UNSCORED
-        ]
-        richer = max(trials, key=lambda trial: evidence(best, trial), default=None)
-        gain = 0.0 if richer is None else evidence(best, richer)
-        behind = behind_capacitor(best, gain, constant=constant, typical=typical)
-        if behind is not None:
-            return behind
-        if richer is None or gain < STRONG_EVIDENCE:
-            return best
-        best = richer
+        scored = [name for name in names if name not in _UNSCORED]
+        if simple.inductance_deviation**2 <= _PROMISING:  # a score test, far cheaper than a fit
+            scored = promising(simple.solution, every, scored, _PROMISING, SCORED_SIZES)
+        for name in names:
+            if name in scored or name in _UNSCORED:
+                model = (*simple.model, name)
+                yield identify(start, model, constant=constant, typical=typical, simpler=simple)
+
+    return add_terms(best, extended, evidence)
 
 
 def behind_capacitor(
     fit: StartFit,
-    least_gain: float = 0.0,
     *,
     constant: float | None = None,
     typical: Mapping[str, float] | None = None,
@@ -271,7 +267,6 @@ def behind_capacitor(
 
     Args:
         fit: with a probe that is coupled directly.
-        least_gain: of evidence.
         constant: see `identify`.
         typical: see `identify`.
     """
@@ -283,7 +278,7 @@ def behind_capacitor(
     behind = identify(start, fit.model, constant=constant, typical=typical)
     low, high = COUPLINGS_PER_S
     is_one = low < (behind.coupling_per_s or 0.0) < high
-    return behind if is_one and likelihood_gain(fit, behind) > max(least_gain, _CERTAIN) else None
+    return behind if is_one and likelihood_gain(fit, behind) > _CERTAIN else None
 
 
 def likelihood_gain(before: StartFit, after: StartFit) -> float:

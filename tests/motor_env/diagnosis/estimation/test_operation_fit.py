@@ -12,7 +12,7 @@ import pytest
 from operation_simulator import SWITCHES, Motor, draw_motor, simulate
 
 from motor_env import Recording, read_recording
-from motor_env.diagnosis.estimation import model_selection
+from motor_env.diagnosis.estimation import model_selection, parameter_index as index
 from motor_env.diagnosis.estimation.operation_fit import OperationFit, _refuse_poor_fit, identify_operation
 from motor_env.diagnosis.readers.recording import UnusableError
 
@@ -101,6 +101,16 @@ def test_more_than_brushes_can_take_is_said_and_makes_the_resistance_less_certai
     assert found.quantity("R").log_sd > 1.2 * identify_operation([recording]).quantity("R").log_sd
 
 
+def test_a_supply_that_sags_within_a_sample_is_told_from_the_motor() -> None:
+    """Of a tenth of its resistance. Its voltage is read before the current that it then gives."""
+    rng = np.random.default_rng([78, 1])
+    motor = replace(draw_motor(rng), drop=0.0)
+    found = identify_operation([simulate(motor, "reversals", rng, samples=2000, supply_ohm=0.1 * motor.ohm)])
+    assert found.quantity("supply_resistance").value == pytest.approx(0.1 * motor.ohm, rel=0.1)
+    for name, true in (("R", motor.ohm), ("K", motor.constant), ("J", motor.inertia)):
+        assert found.quantity(name).value == pytest.approx(true, rel=5e-3)
+
+
 def test_current_alone_tells_ratios() -> None:
     motor, recording = work(4, "reversals")
     found = identify_operation([replace(recording, speed_rad_s=None)])
@@ -177,6 +187,25 @@ def test_a_current_that_is_all_noise_is_said_to_tell_nothing() -> None:
 
 @real
 @pytest.mark.long
+def test_a_motor_that_was_measured_on_the_bench() -> None:
+    """Alone and behind its gear; with the rotor locked, and a lever (raphaelcasimir/kord-stk)."""
+    fits = [recorded(f"bench_measured/axem_{name}.csv") for name in ("alone", "gear")]
+    for name, (least, most), (low, high) in (
+        ("R", (0.55, 0.80), (0.60, 0.75)),
+        ("K", (0.027, 0.0325), (0.028, 0.031)),
+    ):
+        found = [fit.quantity(name) for fit in fits]
+        assert all(least < one.value < most and one.low < high and one.high > low for one in found)
+        assert max(one.low for one in found) < min(one.high for one in found)
+    assert all(fit.r2_current is not None and fit.r2_current >= 0.99 for fit in fits)
+    p = fits[0].solution.values
+    for amps, volts in ((2.34, 2.49), (4.68, 3.99), (9.14, 7.01)):
+        shown = p[index.R] * amps + p[index.DROP] * amps / math.hypot(amps, p[index.KNEE])
+        assert shown == pytest.approx(volts, rel=0.15)
+
+
+@real
+@pytest.mark.long
 def test_a_growing_square_wave() -> None:
     found = recorded("aalborg/square_growing.csv")
     assert found.r2_current is not None
@@ -196,7 +225,7 @@ def test_a_controller_of_a_coarse_current_makes_no_certain_resistance() -> None:
     ("notes", "reason"),
     [
         ((), "its voltage hardly moves"),
-        (("heating is the largest that physics allows (150 K)", "other"), "heating is the largest"),
+        (("brush_drop is the largest that physics allows (1.5 V)", "other"), "brush_drop is the largest"),
     ],
 )
 def test_what_is_not_determined_says_which_term_is_at_its_bound(notes: tuple[str, ...], reason: str) -> None:

@@ -134,13 +134,6 @@ def test_innovations_of_the_right_model_are_white_and_of_unit_size() -> None:
     assert abs(np.corrcoef(white[1:, 0], white[:-1, 0])[0, 1]) < 0.06
 
 
-def test_warmth_follows_the_heat_of_the_winding() -> None:
-    p = values(COULOMB=0.004, HEATING=5.0, COOLING=0.5)
-    n = 4000
-    warm = plain(n, np.full(n, 0.2)).predict(p, learn=False)[0][-1, 5]
-    assert warm == pytest.approx(5.0 * 2.0 * 0.01 / 0.5 * (1.0 - np.exp(-0.5 * n * DT_S)), rel=0.01)
-
-
 @pytest.mark.parametrize("is_logged_as_none", [False, True])
 def test_a_speed_that_falls_without_current_is_an_open_circuit(is_logged_as_none: bool) -> None:
     rng = np.random.default_rng(2)
@@ -287,6 +280,8 @@ def begun(p: FloatArray, record: Record, volts: float) -> tuple[FloatArray, Floa
 
 def textbook_filter(p: FloatArray, record: Record) -> Filter:
     k, n, volts = index, len(record.voltage_v), record.between(p[index.DELAY])
+    p = p.copy()
+    p[k.R] += p[k.SOURCE]  # behind a supply that held its voltage at the last sample
     (f, g), after = interval(p, record.dt_s), record.dt_s * np.ones(n)
     x, cov = begun(p, record, volts[0, 1])
     switched = -1
@@ -303,6 +298,7 @@ def textbook_filter(p: FloatArray, record: Record) -> Filter:
                 x, cov = np.zeros(5), np.zeros((5, 5))
             now_f, now_g = (f, g) if step != switched else interval(p, after[step])
             before, now = volts[step]
+            now_f = now_f + p[k.SOURCE] * np.outer(now_g[:, 0], np.eye(5)[0])
             x = now_f @ x + now_g @ [before, now - before, p[k.LOAD]]
             noise = p[k.NOISE_V] ** 2 * np.outer(now_g[:, 0], now_g[:, 0])
             noise += p[k.NOISE_T] ** 2 * np.outer(now_g[:, 2], now_g[:, 2])
@@ -324,7 +320,7 @@ def textbook_filter(p: FloatArray, record: Record) -> Filter:
     "given",
     [
         {},
-        {"NOISE_V": 0.05, "DELAY": 0.3},
+        {"NOISE_V": 0.05, "SOURCE": 0.4},
         {"NOISE_T": 0.01},
         {"NOISE_V": 0.02, "NOISE_T": 0.01, "WALK": 0.03},
         {"NOISE_V": 0.02, "NOISE_T": 0.01, "WALK": 0.03, "LAG_I": 1.5e-3, "LAG_W": 4e-3},
@@ -541,18 +537,3 @@ def test_dry_friction_is_larger_at_low_speed(speed: float, part: float) -> None:
         marks = np.array([ekf.BEGIN, 0.0, ekf.BEGIN, 0.0, 0.0])
         record = Record(DT_S, volts, np.tile([i, speed], (5, 1)), np.ones(2), marks)
         assert record.predict(p, learn=False)[0][4, 2:4] == pytest.approx([i, speed], rel=1e-3)
-
-
-def test_a_warm_motor_is_another_linear_motor() -> None:
-    """By the winding's heat it is 30 K warmer at once: R, K and friction have their temperature coefficients."""
-    p = values(HEATING=30.0 / (DT_S * 2.0 * 0.5**2), COULOMB=0.002)
-    readings = np.tile([0.5, 100.0], (2, 1))
-    record = Record(DT_S, np.full(2, 5.0), readings, np.ones(2), np.eye(1, 2)[0])
-    out = record.predict(p, learn=False)[0]
-    assert out[1, 5] == pytest.approx(30.0)
-    m = exact_step(p, DT_S, 30.0)
-    expected = m @ [0.5, 100.0, 5.0, 0.0, 0.002 * (1.0 - 0.003 * 30.0)]
-    assert out[1, 2:4] == pytest.approx(expected, rel=1e-9)
-    p[index.HEATING] *= 35.0 / 30.0  # between two temperatures of the table
-    expected = 0.5 * (m + exact_step(p, DT_S, 40.0)) @ [0.5, 100.0, 5.0, 0.0, 0.002 * (1.0 - 0.003 * 35.0)]
-    assert record.predict(p, learn=False)[0][1, 2:4] == pytest.approx(expected, rel=1e-9)

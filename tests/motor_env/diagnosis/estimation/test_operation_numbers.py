@@ -59,7 +59,7 @@ from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.diagnosis.readers.regime import RegimeDecision
 from motor_env.diagnosis.readers.start import Circuit
 from motor_env.diagnosis.verdict.healthy_motor import motor_of_log
-from motor_env.motor.parameters import COPPER_PER_KELVIN, FloatArray
+from motor_env.motor.parameters import FloatArray
 
 
 @pytest.fixture(scope="module")
@@ -72,15 +72,13 @@ def small() -> Solution:
 def test_the_voltage_between_samples_by_hand() -> None:
     record = plain(4, np.array([1.0, 2.0, 4.0, 8.0]))
     pairs = {
-        ("held", 0.0): [[1, 1], [1, 1], [2, 2], [4, 4]],
-        ("late", 0.0): [[1, 1], [2, 2], [4, 4], [8, 8]],
-        ("straight", 0.0): [[1, 1], [1, 2], [2, 4], [4, 8]],
-        ("straight", 0.25): [[1, 1], [1, 1.75], [1.75, 3.5], [3.5, 7]],
-        ("late", -0.5): [[1.5, 1.5], [3, 3], [6, 6], [8, 8]],
+        "held": [[1, 1], [1, 1], [2, 2], [4, 4]],
+        "late": [[1, 1], [2, 2], [4, 4], [8, 8]],
+        "straight": [[1, 1], [1, 2], [2, 4], [4, 8]],
     }
-    for (hold, delay), expected in pairs.items():
+    for hold, expected in pairs.items():
         held = replace(record, hold=cast("Hold", hold))
-        np.testing.assert_allclose(held.between(delay), np.array(expected))
+        np.testing.assert_allclose(held.between(), np.array(expected))
 
 
 def test_parts_of_a_record_by_hand() -> None:
@@ -236,10 +234,10 @@ def test_units_of_the_unknowns() -> None:
     torque, second = 0.03 * 3.0, 500 * DT_S
     units = {
         "R": 2.0, "L": 2.0 * DT_S, "K": 0.03, "J": 4e-6, "B": torque / 200.0, "coulomb": torque, "brush_drop": 12.0,
-        "gear_loss": 1.0, "brush_knee": 3.0, "stribeck": 1.0, "coulomb_knee": 200.0, "load_constant": torque,
+        "brush_knee": 3.0, "stribeck": 1.0, "coulomb_knee": 200.0, "load_constant": torque,
         "load_square": torque / 200.0**2, "offset_current": 3.0, "offset_speed": 200.0,
-        "heating": 10.0 / (2.0 * 1.5**2 * second), "cooling": 1.0 / second, "sensor_lag": DT_S, "speed_lag": DT_S,
-        "delay": 1.0, "noise_current": 0.01, "noise_speed": 0.2, "noise_voltage": 0.036,
+        "supply_resistance": 2.0, "sensor_lag": DT_S, "speed_lag": DT_S, "noise_current": 0.01,
+        "noise_speed": 0.2, "noise_voltage": 0.036,
         "noise_torque": 0.01 * torque, "load_walk": 0.05 * torque / math.sqrt(second),
     }  # fmt: skip
     assert {name: term.unit for name, term in every.items()} == pytest.approx(units)
@@ -247,27 +245,22 @@ def test_units_of_the_unknowns() -> None:
     assert beliefs == pytest.approx({
         "brush_drop": 0.1, "brush_knee": 0.01, "stribeck": 0.2, "coulomb_knee": 0.01, "load_constant": 0.3,
         "offset_current": 0.003, "offset_speed": 0.003,
-        "heating": (10.0 / (12.0**2 / 2.0)) / units["heating"],  # 10 K a second at the stall power
     })  # fmt: skip
     usual = {name: term.usual for name, term in every.items() if term.usual != 1.0}
-    assert usual == {"gear_loss": 0.1, "load_constant": 0.3, "load_square": 0.3}
+    assert usual == {"load_constant": 0.3, "load_square": 0.3, "supply_resistance": 0.1}
     reach = 0.5 * second / DT_S
     bounds = {
         "R": (-5.0, 5.0), "L": (0.0, reach), "K": (-5.0, 5.0), "J": (-7.0, 7.0), "B": (0.0, 20.0),
-        "coulomb": (0.0, 0.9), "gear_loss": (0.0, 0.5), "brush_drop": (0.0, 1.5 / 12.0),
+        "coulomb": (0.0, 0.9), "brush_drop": (0.0, 1.5 / 12.0),
         "brush_knee": (0.0, 0.5), "stribeck": (0.0, 2.0),
         "coulomb_knee": (0.0, 0.05), "load_constant": (-2.0, 2.0), "load_square": (0.0, 20.0),
         "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1),
-        "heating": (0.0, every["heating"].high), "cooling": (0.0, 300.0),
+        "supply_resistance": (0.0, 1.0),
         "sensor_lag": (0.0, 5.0), "speed_lag": (0.0, 50.0),  # 10 ms and 0.1 s
-        "delay": (-1.0, 1.0), "noise_current": (-5.0, 5.0), "noise_speed": (-5.0, 5.0),
+        "noise_current": (-5.0, 5.0), "noise_speed": (-5.0, 5.0),
         "noise_voltage": (-6.0, 4.0), "noise_torque": (-6.0, 4.0), "load_walk": (-6.0, 6.0),
     }  # fmt: skip
     assert {name: (term.low, term.high) for name, term in every.items()} == bounds
-    # 10 K times this, of a constant resistance, are 150 K where it grows with them.
-    assert math.expm1(COPPER_PER_KELVIN * 10.0 * every["heating"].high) == pytest.approx(
-        COPPER_PER_KELVIN * 150.0
-    )
     assert every["R"].value(0.3) == pytest.approx(2.0 * math.exp(0.3))
     assert every["L"].value(0.3) == pytest.approx(0.3 * 2.0 * DT_S)
     alone = terms(record.only(current=False, speed=True), values(), (12.0, 3.0, 200.0))
@@ -285,6 +278,8 @@ def test_brushes_take_no_more_than_physics_allows(volts: float, most_v: float) -
     term = terms(plain(500), values(), (volts, 3.0, 200.0))["brush_drop"]
     assert term.value(term.high) == pytest.approx(most_v)
     assert (None if term.bound is None else term.bound.most) == (None if volts == 2.0 else most_v)
+    stated = terms(replace(plain(500), brush_drop_v=3.0), values(), (volts, 3.0, 200.0))["brush_drop"]
+    assert stated.value(stated.high) == pytest.approx(min(3.0, 0.4 * volts))
 
 
 @pytest.mark.parametrize(
@@ -377,12 +372,19 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     base = small.problem.residuals(small.theta)
     jacobian = small.problem.jacobian(small.theta, base)
     variance = float(base @ base) / small.problem.count
-    tested = ("gear_loss", "load_square", "heating", "sensor_lag", "speed_lag", "delay")
+    tested = ("load_square", "sensor_lag", "speed_lag", "supply_resistance")
     assert score_tests(small, every, ()) == {}
     assert set(candidates(small)) == set(tested)
-    for of in ({"current": True, "speed": False}, {"current": False, "speed": True}):
-        alone = replace(small, problem=replace(small.problem, record=small.problem.record.only(**of)))
-        assert "gear_loss" not in candidates(alone)
+    for change, lacking in (
+        ({"hold": "late"}, {"supply_resistance"}),
+        ({"recorded": np.array([1.0, 0.0])}, {"speed_lag"}),
+        ({"recorded": np.array([0.0, 1.0])}, {"load_square", "sensor_lag", "supply_resistance"}),
+    ):
+        other = replace(small.problem, record=replace(small.problem.record, **change))
+        assert set(candidates(replace(small, problem=other))) == set(tested) - lacking
+    assert "sensor_lag" not in candidates(
+        replace(small, problem=replace(small.problem, without=("sensor_lag",)))
+    )
     found = score_tests(small, every, tested)
     assert set(found) == set(tested)
     for name, test in found.items():
@@ -454,15 +456,17 @@ def test_a_term_is_taken_where_the_evidence_is_strong(
         (border - 0.01, 9.0, False),
     ):
         tests = {
-            "delay": ScoreTest(score, 1.0, 0.1, np.zeros(4)),
+            "sensor_lag": ScoreTest(score, 1.0, 0.1, np.zeros(4)),
             "speed_lag": ScoreTest(1.0, 1.0, 0.1, np.zeros(4)),
         }
-        monkeypatch.setattr(fitting, "score_tests", lambda *_, tests=tests: tests)
+        monkeypatch.setattr(
+            fitting, "score_tests", lambda best, *_, tests=tests: {} if "sensor_lag" in best.names else tests
+        )
         better[0] = gain
         refits.clear()
-        found = fitting._add_best_term(small)
-        assert (found is not None and found.names[-1] == "delay") is is_taken
-        assert refits == (["delay"] if score > border else [])
+        found = fitting._grown(small)
+        assert (found.names[-1] == "sensor_lag") is is_taken
+        assert refits == (["sensor_lag"] if score > border else [])
 
 
 def walked(rho: float, n: int = 600) -> Line:
@@ -515,8 +519,8 @@ def test_errors_of_residuals_that_remember_are_those_of_newey_and_west(rho: floa
 def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     line = walked(0.0)
     theta = least_squares(line)
-    tests = {"delay": ScoreTest(4.0, 0.5, 0.2, np.array([0.1, -0.3, 9.0]))}
-    line.available_terms["delay"] = cast("Any", SimpleNamespace(usual=0.6))
+    tests = {"sensor_lag": ScoreTest(4.0, 0.5, 0.2, np.array([0.1, -0.3, 9.0]))}
+    line.available_terms["sensor_lag"] = cast("Any", SimpleNamespace(usual=0.6))
     best = SimpleNamespace(
         problem=line, theta=theta, alternative_optima=(), misfit=10.0, free=(None, np.zeros((600, 4)))
     )
@@ -541,14 +545,14 @@ def test_what_was_left_out_and_other_optima_widen_the_errors(monkeypatch: pytest
     np.testing.assert_allclose(added, np.diag(shares * [0.04, 0.01]), rtol=1e-7, atol=1e-12)
     # What no term says is believed to be of size 1; the record settles a share of it.
     best.alternative_optima = ()
-    monkeypatch.setattr(uncertainty, "unmodelled_effects", lambda _: [tests["delay"]])
+    monkeypatch.setattr(uncertainty, "unmodelled_effects", lambda _: [tests["sensor_lag"]])
     added = uncertainty.covariance(cast("Any", best)) - without
     settled = 1.0 / (1.0 + 0.2**2)
     size = (settled * 0.5) ** 2 + settled * 0.2**2
     np.testing.assert_allclose(added, size * np.outer([0.1, -0.3], [0.1, -0.3]), rtol=1e-7, atol=1e-12)
     # What rounding moves counts in full, and what follows the unknowns throughout.
     monkeypatch.setattr(uncertainty, "unmodelled_effects", lambda _: [])
-    monkeypatch.setattr(uncertainty, "quantisation_effects", lambda _: [tests["delay"]])
+    monkeypatch.setattr(uncertainty, "quantisation_effects", lambda _: [tests["sensor_lag"]])
     monkeypatch.setattr(uncertainty, "_systematic_covariance", lambda *_: np.diag([0.02, 0.03]))
     added = uncertainty.covariance(cast("Any", best)) - without
     moved = np.outer([0.1, -0.3], [0.1, -0.3]) + np.diag([0.02, 0.03])
@@ -869,7 +873,6 @@ def test_text_json_and_motor_file_say_the_same(identified: OperationFit) -> None
         assert (f"{one.low:.4g} to {one.high:.4g}" if one.is_determined else "not determined") in line
     assert told["model"] == list(identified.model)
     assert (told["r2_current"], told["r2_speed"]) == identified.solution.explained()
-    assert told["warmth_k"] == identified.warmth_k.max()
     assert told["voltage"] == identified.record.hold
     assert told["taken_for"] == {"regime": "operation", "why": "as asked"}
     units = {
@@ -897,9 +900,6 @@ def test_text_json_and_motor_file_say_the_same(identified: OperationFit) -> None
     assert (motor.coulomb_friction_n_m, motor.brush_drop_v) == (p[index.COULOMB], p[index.DROP])
     assert (motor.current_noise_a, motor.speed_noise_rad_s) == (p[index.NOISE_I], p[index.NOISE_W])
     assert motor.nominal_voltage_v == identified.record.peaks[0]
-    warm = replace(identified, warmth_k=np.array([0.0, 12.4]))
-    assert "the winding warms by up to 12 K" in known(warm).text()
-    assert "warms" not in known(replace(identified, warmth_k=np.array([0.49]))).text()
 
 
 def test_only_what_a_motor_can_be_is_told(identified: OperationFit) -> None:

@@ -337,7 +337,7 @@ def test_a_simple_start_is_run_as_any_other(
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("KNEE", 0.1), ("SLIDING", 5.0), ("STRIBECK", 0.3), ("GEAR", 0.1), ("HEATING", 5.0)]
+    ("name", "value"), [("KNEE", 0.1), ("SLIDING", 5.0), ("STRIBECK", 0.3), ("GEAR", 0.1), ("SOURCE", 0.1)]
 )
 def test_what_bends_a_start_is_not_left_out(name: str, value: float) -> None:
     volts = np.repeat([0.0, 9.0, -9.0, 0.0], 100)

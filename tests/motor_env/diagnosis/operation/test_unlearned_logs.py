@@ -62,7 +62,6 @@ def true_fit(record: Record) -> Any:
     told = [index.R, index.L, index.K, index.J, index.B]
     values[told] = P.resistance_ohm, P.inductance_h, K, P.inertia_kg_m2, P.viscous_friction_n_m_s_per_rad
     values[[index.NOISE_I, index.NOISE_W, index.NOISE_V]] = 0.02, 1.0, 0.005
-    values[[index.HEATING, index.COOLING]] = 3.0, 0.1
     return SimpleNamespace(
         record=SimpleNamespace(recorded=np.ones(2), hold="late"),
         solution=SimpleNamespace(values=values, names=TERMS),
@@ -164,6 +163,18 @@ def test_the_fit_of_the_whole_log_tells_how_its_windows_are_fitted(monkeypatch: 
         assert said(log(HALF_WAY), motor) == ["healthy"] * 2 + ["bearing"] * 2
 
 
+def test_a_motor_file_may_allow_for_more_brush_drop(monkeypatch: pytest.MonkeyPatch) -> None:
+    allowed: list[float] = []
+
+    def fit(record: Record) -> Any:
+        allowed.append(record.brush_drop_v)
+        return true_fit(record)
+
+    monkeypatch.setattr(log_diagnosis, "identify_record", fit)
+    judge_for(log(), replace(SHEET, brush_drop_v=3.0))
+    assert allowed == [3.0]
+
+
 @pytest.mark.usefixtures("quick")
 def test_the_reference_of_a_log_by_hand() -> None:
     """R, K and J are the file's; the drag over the effective speed is its friction, where all of it is viscous."""
@@ -176,7 +187,6 @@ def test_the_reference_of_a_log_by_hand() -> None:
     speed = float(np.sqrt(np.mean(np.square(np.asarray(log().speed_rad_s)))))
     assert (taught.window_s, taught.speed_rad_s, taught.dt_s) == pytest.approx((0.8, speed, DT_S))
     assert (taught.terms, taught.hold, taught.rms_volts, taught.calibration) == (TERMS, "late", None, None)
-    assert taught.physical[index.HEATING] == taught.physical[index.COOLING] == 0.0
     heavy = P.scaled(inertia_kg_m2=10.0)  # a window lasts 40 of its mechanical time constants
     window_s = judge_for(log(), replace(SHEET, parameters=heavy)).windows.window_s
     assert window_s == pytest.approx(40.0 * float(np.mean(heavy.mechanical_time_constant_s)))

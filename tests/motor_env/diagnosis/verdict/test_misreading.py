@@ -138,10 +138,8 @@ def test_a_whole_log_that_was_read_wrongly_need_not_fit_to_a_percent(
     read[[index.R, index.K, index.J]] = 1.02 * motor["R"], motor["K"] / by, 0.97 * motor["J"] / by**2
     read[index.B] = friction * motor["B"] / by**2
     monkeypatch.setattr(judging, "from_recordings", lambda _: None)
-    monkeypatch.setattr(
-        judging, "identify_record", lambda _: SimpleNamespace(solution=None, expected=np.ones((2, 2)))
-    )
-    monkeypatch.setattr(judging, "values_without_warming", lambda _: read)
+    joint = SimpleNamespace(solution=SimpleNamespace(values=read), expected=np.ones((2, 2)))
+    monkeypatch.setattr(judging, "identify_record", lambda _: joint)
     log: Any = Recording(Path("log"), np.arange(2.0), np.zeros(2))
     said = Judgement(Verdict.OTHER, (BEYOND_WEAR,))
     (found,) = judging._as_a_whole([said], log, WindowJudge(windows, reference))
