@@ -2,10 +2,12 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browser import opened
 from made_results import RECIPE, TASK, answer, decisions, made_results
 
 # Reaches in: the page is drawn from results made by hand, in the types that the other rooms give it.
@@ -258,3 +260,16 @@ def test_a_sweep_is_drawn_by_size_and_by_noise(
     alone = page.sweep_section(plan, [at(0.02, 200)])
     assert alone["learning"] == alone["noise"] == []
     assert len(alone["settings"]) == 1
+
+
+def test_the_page_in_a_browser(made: tuple[Any, Results], tmp_path: Path) -> None:
+    plan, result = made
+    page.write_results(plan, [result], tmp_path)
+    names = "[...document.querySelectorAll('table.sortable tbody')[0].rows].map((row) => row.cells[0].textContent)"
+    with opened((tmp_path / "report.html").as_uri()) as browser:
+        assert browser.value("document.querySelectorAll('svg').length") >= 3
+        before = browser.value(names)
+        browser.click("table.sortable th button")
+        assert browser.value(names) == sorted(before, key=str.lower)
+        browser.click("table.sortable th button")
+        assert browser.value(names) == sorted(before, key=str.lower, reverse=True)

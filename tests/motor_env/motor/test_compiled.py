@@ -7,7 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from motor_env.motor import compiled
 
 NO_FOLDER = "import numba.core.caching as c; c.CacheImpl._locator_classes = []\n"
 NOTICE = "numba's cache cannot be read or written: compiling without it\n"
@@ -48,6 +51,35 @@ def test_a_damaged_cache_is_made_anew(tmp_path: Path) -> None:
         assert (damaged.stdout, damaged.stderr) == (whole.stdout, NOTICE)
     again = run(PROGRAM, tmp_path)
     assert (again.stdout, again.stderr) == (whole.stdout, "")
+
+
+@pytest.mark.parametrize("can_link_only", [False, True])
+def test_parts_give_the_same_whether_they_are_only_linked_or_made_machine_code(
+    can_link_only: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if can_link_only and not compiled._CAN_LINK_ONLY:
+        pytest.skip("numba's inner parts have changed: parts are compiled as numba does")
+    monkeypatch.setattr(compiled, "_CAN_LINK_ONLY", can_link_only)
+
+    @compiled.njit(is_part=True)
+    def inner(value: float) -> float:
+        return np.exp(value) + 1.0
+
+    @compiled.njit(is_part=True, forceinline=True)
+    def part(value: float) -> float:
+        return inner(value) / 3.0
+
+    @compiled.njit()
+    def total(values: np.ndarray) -> float:
+        sum_ = 0.0
+        for value in values:
+            sum_ += part(value)
+        return sum_
+
+    values = np.linspace(-1.0, 1.0, 7)
+    assert total(values) == sum(((np.exp(values) + 1.0) / 3.0).tolist())
+    (made,) = part.overloads.values()
+    assert bool(made.library.get_pointer_to_function(made.fndesc.llvm_func_name)) is not can_link_only
 
 
 SOURCES = {

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from browser import opened
 from scipy.stats import f as fisher, t as student_t
 
 from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
@@ -118,6 +119,17 @@ def test_table_json_and_page_say_the_same(found: FleetDiagnosis) -> None:
     assert page.count('class="sister"') == 7 * len(found.quantities)
     assert "http" not in page.replace("http://www.w3.org", "")
     assert f"<p>{first}</p>" in page
+
+
+def test_the_page_in_a_browser(found: FleetDiagnosis, tmp_path: Path) -> None:
+    (tmp_path / "fleet.html").write_text(found.page(), encoding="utf-8")
+    with opened((tmp_path / "fleet.html").as_uri()) as browser:
+        assert browser.value("document.querySelectorAll('table tr').length") == 1 + len(found.units)
+        assert browser.value("document.querySelector('td').textContent") == "3 left"
+        heights = (
+            "[...document.querySelectorAll('svg .odd')].map((dot) => dot.getBoundingClientRect().height)"
+        )
+        assert all(height > 0.0 for height in browser.value(heights))
 
 
 def test_other_changes_beside_the_fault_are_not_denied(found: FleetDiagnosis) -> None:

@@ -1,7 +1,6 @@
 """Where lines come from: a serial port (a pty), MQTT (a real mosquitto), a growing file."""
 
 import os
-import shutil
 import socket
 import subprocess
 import time
@@ -14,6 +13,7 @@ from types import SimpleNamespace
 
 import hostile
 import pytest
+from real_parts import installed
 
 from motor_env import InputError
 from motor_env.diagnosis.streaming import sources
@@ -244,9 +244,7 @@ def test_a_serial_port_and_its_cable() -> None:
 def broker(tmp_path: Path) -> list[str]:
     """Command that starts a mosquitto, and its port."""
     pytest.importorskip("paho.mqtt", reason="paho-mqtt is not installed")
-    program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
-    if program is None:
-        pytest.skip("mosquitto is not installed")
+    program = installed("mosquitto", package="mosquitto")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import opened
 from judged_by_hand import SHEET, start
 
 from motor_env import Diagnosis, Fault, FaultKind, Verdict, diagnose
@@ -110,3 +111,14 @@ def test_a_page_shows_hostile_names_as_text() -> None:
     assert "<script>" not in html
     assert "<b>read" not in html
     assert "Nothing to compare with" in html
+
+
+def test_the_page_in_a_browser(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(page(judged("bearing")), encoding="utf-8")
+    with opened((tmp_path / "page.html").as_uri()) as browser:
+        assert browser.value("document.querySelector('h1').innerText").startswith("More friction")
+        shown = "document.querySelector('details pre').checkVisibility()"
+        assert not browser.value(shown)
+        browser.click("details summary")
+        browser.wait(shown)
+        assert browser.value("document.documentElement.scrollWidth <= window.innerWidth")
