@@ -7,6 +7,7 @@ from pathlib import Path
 
 import film
 import numpy as np
+import residual_worth
 import rules
 import trust
 from PIL import Image
@@ -71,6 +72,12 @@ def test_the_charts_of_the_trust_page_are_those_of_the_kept_figures() -> None:
     assert {name: (IMAGES / name).read_text(encoding="utf-8") for name in charts} == charts
 
 
+def test_the_learning_curves_are_those_of_the_kept_trainings(tmp_path: Path) -> None:
+    residual_worth.draw(tmp_path / "curves.svg")
+    drawn = (tmp_path / "curves.svg").read_text(encoding="utf-8")
+    assert drawn == residual_worth.PICTURE.read_text(encoding="utf-8")
+
+
 def test_every_picture_is_shown_and_has_a_test() -> None:
     """Those of the paper are held by the golden results of tests/motor_env."""
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
@@ -80,7 +87,7 @@ def test_every_picture_is_shown_and_has_a_test() -> None:
     of_the_paper = {name for name in kept if name.startswith(("figure_", "error_covariance"))}
     assert kept - of_the_paper == {
         *("hero.png", "rooms.svg", "verdict.svg", "probe-agent.gif", "fleet.svg"),
-        *("rules_delay.svg", "other-roc.svg", "early-verdicts.svg"),
+        *("rules_delay.svg", "other-roc.svg", "early-verdicts.svg", "residual-worth.svg"),
     }
 
 
