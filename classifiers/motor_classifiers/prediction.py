@@ -286,7 +286,7 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
     except UnusableError as error:
         return Prediction(UNDECIDED, reason=str(error))
     (prediction,) = predictions(model, recipe, case)
-    if any(kind.is_sensor for kind in recipe.kinds):  # such starts have no detector
+    if recipe.recovering or any(kind.is_sensor for kind in recipe.kinds):  # such starts have no detector
         return prediction
     shift = str(_detector(recipe, _noise_range(model)).likely_shift(case)[0])
     if not shift:

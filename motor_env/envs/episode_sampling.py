@@ -339,7 +339,8 @@ def draw_turn(task: TaskNumbers, lanes: Lanes, n: int) -> float:
     if log_stay == 0.0:
         return NEVER
     u = random_uniforms(_RECOVERY, turn >> 2, lanes.words, n)[turn & 3]
-    return 1.0 + math.floor(math.log(u) / log_stay)
+    lasts: float = 1.0 + math.floor(math.log(u) / log_stay)
+    return lasts
 
 
 @inlined

@@ -266,14 +266,12 @@ class Recipe:
             "healthy_starts need a healthy class among the classes",
         )
         require(self.motor.batch_shape == (), f"motor of recipe {self.name} must be one motor, got a batch")
-        stays = all(
-            part.recovery is None or not part.kind.motor_powers
-            for fault_class in self.classes
-            for part in fault_class.parts
-            if part.kind is not None
-        )
+        moved = [
+            part for c in self.classes for part in c.parts if part.kind is not None and part.kind.motor_powers
+        ]
         require(
-            stays or self.field is None, "a fault of the motor cannot have a recovery beside a table field"
+            self.field is None or all(part.recovery is None for part in moved),
+            "a fault of the motor cannot have a recovery beside a table field",
         )
         for surroundings in (self.field, *(shift.field for shift in self.shifts)):
             if surroundings is not None:
@@ -356,6 +354,11 @@ class Recipe:
             f"recipe {self.name} has a voltage of its own in each case, and no step of the supply, which this needs",
         )
 
+    @property
+    def recovering(self) -> tuple[str, ...]:
+        """Names of its classes with a fault that recovers."""
+        return tuple(c.name for c in self.classes if any(part.recovery is not None for part in c.parts))
+
     def require_motor_faults(self) -> None:
         """Raise `ValueError` for failed sensors, and for faults that recover."""
         failed = [kind for kind in self.kinds if kind.is_sensor]
@@ -363,9 +366,9 @@ class Recipe:
             not failed,
             f"recipe {self.name} must have faults of motors alone for this, got {', '.join(failed)}",
         )
-        recover = [c.name for c in self.classes for part in c.parts if part.recovery is not None]
         require(
-            not recover, f"recipe {self.name} must have faults that stay for this, got {', '.join(recover)}"
+            not self.recovering,
+            f"recipe {self.name} must have faults that stay for this, got {', '.join(self.recovering)}",
         )
 
     def shifted(self, name: str) -> Recipe:
