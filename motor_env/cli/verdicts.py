@@ -226,7 +226,8 @@ def diagnose(
     if has_folder and not json_:
         chosen = measurement.chosen.options
         found = trend_of(outcomes, chosen["voltage_v"], columns=chosen["columns"])
-        print("trend:", "fewer than three starts that can be used" if found is None else f"\n{found.text()}")
+        none = "no trend: fewer than three files hold one start that can be used"
+        print(none if found is None else f"trends of the starts:\n{printable(found.text())}")
     measurement.keep()
     return int(console.worst(outcome.status for outcome in outcomes))
 

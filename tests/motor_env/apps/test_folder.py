@@ -31,7 +31,7 @@ def test_each_start_of_a_folder_has_a_verdict_and_a_trend_follows(
     assert main(["diagnose", str(folder), "--motor", motor]) == 1
     told = capsys.readouterr().out
     assert told.count(": bearing +31%") == 3
-    assert "3 estimates" in told.partition("trend:")[2] or "R" in told.partition("trend:")[2]
+    assert "K^2/J" in told.partition("trends of the starts:\n")[2]
     assert main(["diagnose", str(folder), "--motor", motor, "--json"]) == 1
     assert len(json.loads(capsys.readouterr().out)) == 3
     (folder / "3.csv").write_text("nonsense")
