@@ -409,7 +409,7 @@ _LEAST_GAIN_BY_SHEET, _LEAST_GAIN = -6.0, 6.0  # -2 log likelihood
 
 
 def check_coupling(judgement: Judgement, constant: float | None = None) -> Judgement:
-    """Judge a piece whose friction alone fell, or beside its resistance: no fault lowers friction.
+    """Judge a piece that no fault explains, and whose friction fell alone, or beside its resistance: none lowers it.
 
     Over the time constant s an AC coupling lowers B/J by 1/s. A machine may have lost its load, so there a start must
     tell the coupling; a data sheet is of a motor that has none to lose, so there the recording need only allow it.
@@ -417,7 +417,8 @@ def check_coupling(judgement: Judgement, constant: float | None = None) -> Judge
     fit, reference = judgement.identified, judgement.reference
     moved = {change.name[0]: change for change in judgement.changes if change.significant}
     down = moved.get("B")
-    if reference is None or down is None or down.ratio > 1.0 or moved.keys() & set("KJ"):
+    is_unexplained = judgement.verdict is Verdict.OTHER and not moved.keys() & set("KJ")
+    if reference is None or down is None or down.ratio > 1.0 or not is_unexplained:
         return judgement
     usual, gain = {name.removesuffix("/V"): value for name, value in reference.values.items()}, 0.0
     rate = (usual["B/J"] if "B/J" in usual else usual["B"] / usual["J"]) * (1.0 - down.ratio)
