@@ -158,9 +158,7 @@ def _constants(si: Mapping[str, float]) -> dict[str, float]:
         induced = max(volts - si[_R] * si["no_load_current_a"], 1e-6 * volts)
         found["a no-load point where (V - R i0) / w0 is {:.4g} V s/rad"] = induced / si["no_load_speed_rad_s"]
     if {"stall_torque_n_m", "stall_current_a"} <= si.keys():
-        found["a stall torque over the stall current of {:.4g} N m/A"] = (
-            si["stall_torque_n_m"] / si["stall_current_a"]
-        )
+        found["a stall torque over current of {:.4g} N m/A"] = si["stall_torque_n_m"] / si["stall_current_a"]
     return found
 
 

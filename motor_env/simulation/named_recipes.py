@@ -115,8 +115,7 @@ def _two_digits(value: float) -> float:
 def _spread(motor: Motor) -> Spread:
     require_told(motor)
     std = tolerance_std(motor.tolerance)
-    # The usual tolerance of friction from a no-load current is wider than what can be drawn.
-    usual = motor.usual_tolerances
+    usual = motor.usual_tolerances  # that of friction from a no-load current is wider than what can be drawn
     values = {name: min(std[name], LARGEST_SPREAD) if name in usual else std[name] for name in FACTORS}
     if motor.healthy is not None:
         values = _learned_spread(motor.healthy, values["supply"])

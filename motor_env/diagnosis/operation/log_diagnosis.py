@@ -154,9 +154,8 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
                 records.append(replace(from_recordings([part]), hold=joint.record.hold))
         if records:
             physical, terms, _ = choose_window_terms(records, joint)
-    inertia = replace(motor.parameters, inertia_kg_m2=float(physical[index.J]))
     reference = reference_of(
-        motor.with_guesses_of(inertia),
+        motor.with_guesses_of(replace(motor.parameters, inertia_kg_m2=float(physical[index.J]))),
         NAMES,
         are_starts=False,
         temperature_c=temperature_c,

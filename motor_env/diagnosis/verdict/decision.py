@@ -34,7 +34,6 @@ from motor_env.diagnosis.verdict.hypotheses import (
     form_hypotheses,
     is_separable,
     joint_share,
-    name_of,
     probabilities,
     severity_density,
     severity_of,
@@ -152,9 +151,9 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         noisy = _check_noise(healthy, fit, reference, limits.noise_z)
         if noisy is healthy or found.fault_kind is None or found.fault_kind.is_sensor:
             return found
-        reasons = (reason.replace(NOTHING_ELSE, "") for reason in found.reasons)
-        noise = noisy.reasons[0].removeprefix(_AS_EXPECTED)
-        return replace(found, reasons=(*reasons, noise), also=(*found.also, noisy))
+        reasons = [reason.replace(NOTHING_ELSE, "") for reason in found.reasons]
+        reasons.append(noisy.reasons[0].removeprefix(_AS_EXPECTED))
+        return replace(found, reasons=tuple(reasons), also=(*found.also, noisy))
     # The scatter of healthy pieces includes loads and the model's error: neither is a defect of this piece.
     own = (fit.white_covariance if reference.includes_fit_error else fit.log_covariance)[np.ix_(rows, rows)]
     by_all, by_piece = (
@@ -280,7 +279,7 @@ def _find_pair(
         return any(c.excludes_healthy and slope * (c.ratio - 1.0) > 0.0 for c, slope in rows)
 
     limit = -float(stdtrit(difference.degrees_of_freedom, _FALSE_SECOND / max(len(faults) - 1, 1)))
-    pairs = []
+    pairs = {}
     for kinds in combinations([fault.kind for fault in faults], 2):
         pair = [] if kinds[0].verdict == kinds[1].verdict else explain_by(difference, kinds)
         if (
@@ -291,12 +290,12 @@ def _find_pair(
             and all(map(shows, pair))
             and all(is_separable(difference, one, other) for one, other in (kinds, kinds[::-1]))
         ):
-            pairs.append(sorted(pair, key=lambda fault: -fault.z))
+            pairs["+".join(kinds)] = sorted(pair, key=lambda fault: -fault.z)
     probability = probabilities(difference, faults, pairs)
-    best = max(pairs, key=lambda pair: probability[name_of(pair)], default=[])
-    if not best or (kind is None and probability[name_of(best)] < SECOND_PRIOR * probability["other"]):
+    best = max(pairs, key=lambda name: probability[name], default="")
+    if not best or (kind is None and probability[best] < SECOND_PRIOR * probability["other"]):
         return None
-    return best, probability
+    return pairs[best], probability
 
 
 def _name_faults(

@@ -8,7 +8,7 @@ possible cause of the drag is a hypothesis of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, reduce
 from typing import ClassVar, Literal, NamedTuple
@@ -203,9 +203,7 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
     )
 
 
-def covariance_with_faults(
-    difference: Difference, kinds: Sequence[FaultKind], steps: FloatArray
-) -> FloatArray:
+def faulty_covariance(difference: Difference, kinds: Sequence[FaultKind], steps: FloatArray) -> FloatArray:
     """Return the covariance in the presence of faults, shape (n, n).
 
     The model error of each parameter grows with the squared step. An unmodelled lag is fitted as L, in proportion to R.
@@ -217,12 +215,10 @@ def covariance_with_faults(
     return np.asarray(difference.covariance + parameters * variances @ parameters.T, dtype=np.float64)
 
 
-def residual_p_value(
-    difference: Difference, moved: FloatArray, covariance: FloatArray, faults: int = 1
-) -> float:
-    """Return the p-value of what a number of faults leaves unexplained."""
+def residual_p_value(difference: Difference, moved: FloatArray, covariance: FloatArray, n: int = 1) -> float:
+    """Return the p-value of what n faults leave unexplained."""
     rest = difference.log_ratios - moved
-    return difference.p_value(float(rest @ np.linalg.solve(covariance, rest)), len(rest) - faults)
+    return difference.p_value(float(rest @ np.linalg.solve(covariance, rest)), len(rest) - n)
 
 
 def explain(difference: Difference, kinds: tuple[FaultKind, ...] | None = None) -> list[Explanation]:
@@ -240,12 +236,12 @@ def explain_by(difference: Difference, kinds: Sequence[FaultKind]) -> list[Expla
     steps, sds = fit_steps(directions, difference.inverse, difference.log_ratios)
     if not np.isfinite(sds).all():
         return []
-    covariance = covariance_with_faults(difference, kinds, steps)
+    covariance = faulty_covariance(difference, kinds, steps)
     p_left_over = residual_p_value(difference, directions @ steps, covariance, len(kinds))
     faults = []
     for n, kind in enumerate(kinds):
         others = [k for k in range(len(kinds)) if k != n]
-        beside = covariance_with_faults(difference, [kinds[k] for k in others], steps[others])
+        beside = faulty_covariance(difference, [kinds[k] for k in others], steps[others])
         own, sds = fit_steps(directions, _inverse(beside), difference.log_ratios)
         step, sd = float(own[n]), float(sds[n])
         faults.append(Explanation(kind, step / sd, step, sd, p_left_over, directions[:, n], covariance))
@@ -256,15 +252,13 @@ def _inverse(matrix: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
-def fit_steps(
-    directions: FloatArray, inverse: FloatArray, log_ratios: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def fit_steps(directions: FloatArray, inverse: FloatArray, logs: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return steps along one or two directions, and their standard deviations: infinite if they are not told apart."""
     information = directions.T @ inverse @ directions
     if np.linalg.det(information) <= (1.0 - _ALONG**2) * np.prod(np.diag(information)):
         return np.zeros(len(information)), np.full(len(information), np.inf)
     spread = _inverse(information)
-    return spread @ directions.T @ inverse @ log_ratios, np.sqrt(np.diag(spread))
+    return spread @ directions.T @ inverse @ logs, np.sqrt(np.diag(spread))
 
 
 def is_separable(difference: Difference, kind: FaultKind, beside: FaultKind | None = None) -> bool:
@@ -348,9 +342,9 @@ def _log_density(points: FloatArray, covariance: FloatArray, freedom: int) -> Fl
 
 
 def probabilities(
-    difference: Difference, faults: list[Explanation], pairs: Sequence[list[Explanation]] = ()
+    difference: Difference, faults: list[Explanation], pairs: Mapping[str, list[Explanation]] | None = None
 ) -> dict[str, float]:
-    """Return the posterior probabilities of `healthy`, of each fault by its kind, of pairs by both, and of `other`.
+    """Return the posterior probabilities of `healthy`, of each fault by its kind, of pairs, and of `other`.
 
     Beforehand a faulty motor has a second fault as often as any motor has a fault.
     """
@@ -362,15 +356,10 @@ def probabilities(
     logs["other"] = float(_log_density(log_ratios, covariance + _OTHER_PRIOR**2 * np.eye(n), freedom))
     healthy, faulty = math.log(_HEALTHY_PRIOR), math.log((1.0 - _HEALTHY_PRIOR) / (len(logs) - 1))
     logs = {name: log + (healthy if name == "healthy" else faulty) for name, log in logs.items()}
-    for pair in pairs:
-        logs[name_of(pair)] = _log_evidence(log_ratios, pair, freedom) + faulty + math.log(SECOND_PRIOR)
+    for name, pair in (pairs or {}).items():
+        logs[name] = _log_evidence(log_ratios, pair, freedom) + faulty + math.log(SECOND_PRIOR)
     total = float(np.logaddexp.reduce(list(logs.values())))
     return {name: math.exp(log - total) for name, log in logs.items()}
-
-
-def name_of(faults: Sequence[Explanation]) -> str:
-    """Return the name of faults at once among the probabilities."""
-    return "+".join(fault.kind for fault in faults)
 
 
 def severity_density(steps: Floats) -> FloatArray:

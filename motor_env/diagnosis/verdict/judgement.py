@@ -140,17 +140,12 @@ class Judgement:
 
 def describe_findings(kinds: Sequence[FaultKind], changes: Sequence[Change]) -> Iterator[str]:
     """Describe what faults moved and where to look, and what moved that they do not move, by its interval."""
-    powers = [fault_direction(kind) for kind in kinds]
-    beside = [
-        change
-        for change in changes
-        if change.excludes_healthy
-        and not any(kind.is_sensor for kind in kinds)
-        and not np.any(np.array(powers) @ matrix((change.name,)).T)
-    ]
+    powers, of_sensor = np.array([fault_direction(k) for k in kinds]), any(k.is_sensor for k in kinds)
+    moved = [change for change in changes if change.excludes_healthy and not of_sensor]
+    beside = [change for change in moved if not np.any(powers @ matrix((change.name,)).T)]
     for kind in kinds:
         what, colon, where = kind.finding.partition(":")
-        alone = len(kinds) == 1 and not beside and not kind.is_sensor
+        alone = len(kinds) == 1 and not beside and not of_sensor
         yield f"{what}{NOTHING_ELSE if alone else ''}{colon}{where}"
     for change in beside:
         yield (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from motor_env.diagnosis.verdict.report_text import as_text, describe_r2, warnin
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
-T = TypeVar("T")
 KIND_TEXTS = {
     "bearing": "more friction",
     "winding_contact": "more winding resistance",
@@ -193,8 +192,9 @@ def page(diagnosis: JudgedRecording) -> str:
     fit, expected = decisive.identified, reference_current(decisive)
     tone = "bad" if verdict.is_fault else "good" if verdict is Verdict.HEALTHY else "unsure"
     faults = (decisive, *decisive.also)
-    texts = [_text_of(VERDICT_TEXTS, fault) or (str(fault.verdict).capitalize(),) for fault in faults]
-    runs_on = [_text_of(RUN_ON_TEXTS, fault) or "" for fault in faults]
+    names = [fault.kind if fault.kind in VERDICT_TEXTS else fault.verdict for fault in faults]
+    texts = [VERDICT_TEXTS.get(name, (str(name).capitalize(),)) for name in names]
+    runs_on = [RUN_ON_TEXTS.get(f.kind or f.verdict) or RUN_ON_TEXTS.get(f.verdict, "") for f in faults]
     sure = "" if diagnosis.confidence is None else f"{diagnosis.confidence:.0%} sure"
     current, residual = ("", "") if fit is None else _currents(fit, expected, is_fault=verdict.is_fault)
     return render(
@@ -224,11 +224,6 @@ def page(diagnosis: JudgedRecording) -> str:
         ],
         expert=printable(as_text(diagnosis, verbose=True)),
     )
-
-
-def _text_of(texts: Mapping[Verdict | FaultKind, T], fault: Judgement) -> T | None:
-    """Return the text of a fault's kind, or of its verdict."""
-    return texts.get(fault.kind or fault.verdict) or texts.get(fault.verdict)
 
 
 def page_of_fits(

@@ -177,7 +177,7 @@ def test_a_sheet_of_a_shop(tmp_path: Path) -> None:
         ("no_load_current_ma", "no_load_current_a", "no_load_current_a = 26.3 looks like no_load_current_ma"),
         ("torque_constant_mnm", "torque_constant_n_m", "23.5 looks like torque_constant_mnm_per_a"),
         ("speed_constant_rpm_per_v = 406.0", "speed_constant_rpm_per_v = 0.406", "looks like speed_constant_krpm"),
-        ("[motor]", "[motor]\nstall_current_a = 5.5\nstall_torque_n_m = 1.29", "stall torque over the stall current"),
+        ("[motor]", "[motor]\nstall_current_a = 5.5\nstall_torque_n_m = 1.29", "stall torque over current"),
     ],
 )  # fmt: skip
 def test_points_that_contradict_the_constants_are_refused(
