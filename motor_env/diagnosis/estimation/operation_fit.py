@@ -37,6 +37,7 @@ _UNITS_FULL = {
     "R": "ohm", "L": "H", "K": "V s/rad", "J": "kg m2", "B": "N m s/rad", "coulomb": "N m", "brush_drop": "V",
     "load_constant": "N m", "load_square": "N m s2/rad2", "offset_current": "A", "offset_speed": "rad/s",
     "sensor_lag": "s", "speed_lag": "s", "drag": "N m", "brush_knee": "A", "stribeck": "of coulomb",
+    "gear_loss": "of the torque",
     "coulomb_knee": "rad/s", "supply_resistance": "ohm",
 }  # fmt: skip
 _UNITS_CURRENT = _UNITS_FULL | {

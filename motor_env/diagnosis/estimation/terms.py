@@ -36,6 +36,7 @@ PHYSICAL_BOUNDS = {
     "brush_knee": PhysicalBound(
         0.5, "of the largest current", "a contact's resistance falls with it (Holm 1967)"
     ),
+    "gear_loss": PhysicalBound(0.5, "of the torque", "a gear that loses half holds itself"),
 }
 """By term; of the brush drop above HIGH_SUPPLY_V, too. Frictions and a fan take power, and are never below 0."""
 HIGH_SUPPLY_V = 60.0
@@ -92,7 +93,7 @@ def terms(
     torque, reach = constant * amps, 0.5 * record.duration_s / dt
     drop = PHYSICAL_BOUNDS["brush_drop_high" if volts > HIGH_SUPPLY_V else "brush_drop"]
     drop = drop._replace(most=max(drop.most, record.brush_drop_v))
-    knee = PHYSICAL_BOUNDS["brush_knee"]
+    knee, gear = PHYSICAL_BOUNDS["brush_knee"], PHYSICAL_BOUNDS["gear_loss"]
     largest = min(drop.most / volts, _LARGEST_DROP)
     every = [
         Term("R", index.R, ohm, -5.0, 5.0, is_log=True),
@@ -122,6 +123,7 @@ def terms(
         ),
         Term("stribeck", index.STRIBECK, 1.0, 0.0, 2.0, prior_sd=_STRIBECK_PRIOR),
         Term("coulomb_knee", index.SLIDING, speed, 0.0, 0.05, prior_sd=_KNEE_PRIOR),
+        Term("gear_loss", index.GEAR, 1.0, 0.0, gear.most, usual=0.1, bound=gear),
         Term("load_constant", index.LOAD, torque, -2.0, 2.0, prior_sd=0.3, usual=0.3),
         Term("load_square", index.SQUARE, torque / speed**2, 0.0, 20.0, usual=0.3),
         Term("offset_current", index.OFFSET_I, amps, -0.2, 0.2, prior_sd=_OFFSET_PRIOR),

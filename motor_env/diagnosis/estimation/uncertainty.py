@@ -25,7 +25,7 @@ _GEAR = 0.07
 """Share of the motor's torque that a gear usually takes."""
 _CONVERTED = math.sqrt(0.5 * (1.0 / 12.0 + 0.25))
 """Error of a converter in steps (rms): it rounds, or cuts off."""
-_CANDIDATES = ("load_constant", "load_square", "sensor_lag", "speed_lag", "supply_resistance")
+_CANDIDATES = ("gear_loss", "load_constant", "load_square", "sensor_lag", "speed_lag", "supply_resistance")
 _WIDEST = 1e3
 _ANYTHING_LOG_SD = 3.0
 _PARTS = 20  # of a record, whose scores are compared
@@ -61,6 +61,8 @@ def candidates(best: Solution) -> list[str]:
         left = [name for name in left if name not in {"sensor_lag", "load_square", "supply_resistance"}]
     if not recorded[1]:
         left = [name for name in left if name != "speed_lag"]
+    if not recorded.all():  # one of them alone cannot tell it from other friction
+        left = [name for name in left if name != "gear_loss"]
     if best.problem.record.hold != "held":  # else it has sagged when it is read
         left = [name for name in left if name != "supply_resistance"]
     return left
@@ -127,9 +129,10 @@ def unmodelled_effects(best: Solution) -> list[ScoreTest]:
     if not record.recorded[0]:
         return []
     lacked = [_with_brush_resistance(best, *usual) for usual in _KNEES.items()]
-    geared = problem.known.copy()
-    geared[index.GEAR] = _GEAR
-    lacked.append(replace(problem, known=geared))
+    if "gear_loss" not in best.names:
+        geared = problem.known.copy()
+        geared[index.GEAR] = _GEAR
+        lacked.append(replace(problem, known=geared))
     return _unit_size_tests(best, lacked)
 
 

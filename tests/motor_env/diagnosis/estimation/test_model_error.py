@@ -120,6 +120,9 @@ def lossy(gear: float = 0.0, brushes: float = 0.0, noise: float = 1.0, knee: flo
 @pytest.mark.parametrize(("gear", "brushes"), [(0.0, 0.0), (0.035, 0.0), (0.0, 0.04)])
 def test_what_real_motors_have_is_found_at_its_size(gear: float, brushes: float) -> None:
     found = unmodelled_effects(solution(lossy(gear, brushes), LOGS, values()))
+    assert (
+        len(unmodelled_effects(solution(lossy(gear, brushes), [*LOGS, "gear_loss"], values()))) == 2
+    )  # of the brushes
     sizes = [(test.value, test.sd) for test in (found[0], found[2])]
     for (value, sd), true in zip(sizes, (brushes / 0.04, gear / 0.07), strict=True):
         assert sd < 0.2

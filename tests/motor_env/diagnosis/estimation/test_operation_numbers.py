@@ -234,7 +234,7 @@ def test_units_of_the_unknowns() -> None:
     torque, second = 0.03 * 3.0, 500 * DT_S
     units = {
         "R": 2.0, "L": 2.0 * DT_S, "K": 0.03, "J": 4e-6, "B": torque / 200.0, "coulomb": torque, "brush_drop": 12.0,
-        "brush_knee": 3.0, "stribeck": 1.0, "coulomb_knee": 200.0, "load_constant": torque,
+        "gear_loss": 1.0, "brush_knee": 3.0, "stribeck": 1.0, "coulomb_knee": 200.0, "load_constant": torque,
         "load_square": torque / 200.0**2, "offset_current": 3.0, "offset_speed": 200.0,
         "supply_resistance": 2.0, "sensor_lag": DT_S, "speed_lag": DT_S, "noise_current": 0.01,
         "noise_speed": 0.2, "noise_voltage": 0.036,
@@ -247,11 +247,17 @@ def test_units_of_the_unknowns() -> None:
         "offset_current": 0.003, "offset_speed": 0.003,
     })  # fmt: skip
     usual = {name: term.usual for name, term in every.items() if term.usual != 1.0}
-    assert usual == {"load_constant": 0.3, "load_square": 0.3, "supply_resistance": 0.1}
+    assert usual == {
+        "brush_knee": 0.01,
+        "gear_loss": 0.1,
+        "load_constant": 0.3,
+        "load_square": 0.3,
+        "supply_resistance": 0.1,
+    }
     reach = 0.5 * second / DT_S
     bounds = {
         "R": (-5.0, 5.0), "L": (0.0, reach), "K": (-5.0, 5.0), "J": (-7.0, 7.0), "B": (0.0, 20.0),
-        "coulomb": (0.0, 0.9), "brush_drop": (0.0, 1.5 / 12.0),
+        "coulomb": (0.0, 0.9), "gear_loss": (0.0, 0.5), "brush_drop": (0.0, 1.5 / 12.0),
         "brush_knee": (0.0, 0.5), "stribeck": (0.0, 2.0),
         "coulomb_knee": (0.0, 0.05), "load_constant": (-2.0, 2.0), "load_square": (0.0, 20.0),
         "offset_current": (-0.2, 0.2), "offset_speed": (-0.1, 0.1),
@@ -372,13 +378,13 @@ def test_a_score_test_is_one_step_of_the_richer_fit(small: Solution) -> None:
     base = small.problem.residuals(small.theta)
     jacobian = small.problem.jacobian(small.theta, base)
     variance = float(base @ base) / small.problem.count
-    tested = ("load_square", "sensor_lag", "speed_lag", "supply_resistance")
+    tested = ("gear_loss", "load_square", "sensor_lag", "speed_lag", "supply_resistance")
     assert score_tests(small, every, ()) == {}
     assert set(candidates(small)) == set(tested)
     for change, lacking in (
         ({"hold": "late"}, {"supply_resistance"}),
-        ({"recorded": np.array([1.0, 0.0])}, {"speed_lag"}),
-        ({"recorded": np.array([0.0, 1.0])}, {"load_square", "sensor_lag", "supply_resistance"}),
+        ({"recorded": np.array([1.0, 0.0])}, {"gear_loss", "speed_lag"}),
+        ({"recorded": np.array([0.0, 1.0])}, {"gear_loss", "load_square", "sensor_lag", "supply_resistance"}),
     ):
         other = replace(small.problem, record=replace(small.problem.record, **change))
         assert set(candidates(replace(small, problem=other))) == set(tested) - lacking

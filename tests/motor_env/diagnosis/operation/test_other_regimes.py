@@ -49,18 +49,17 @@ def commissioned(geared: SimulatedMotor) -> Healthy:
     return replace(healthy, windows=replace(healthy.windows, alike=0.12))
 
 
-def test_intervals_allow_for_the_loss_of_a_gear(geared: SimulatedMotor) -> None:
-    """Friction and inertia take its place."""
+def test_the_loss_of_a_gear_is_found(geared: SimulatedMotor) -> None:
+    """Without it friction and inertia take its place."""
     rng = np.random.default_rng(4)
     log = simulate(geared, "reversals", rng, samples=2400, dt_s=0.1 * geared.mechanical_s)
     found = identify_operation([log])
-    for name, true in (
-        ("R", geared.ohm),
-        ("K", geared.constant),
-        ("J", geared.inertia),
-        ("coulomb", geared.coulomb),
-    ):
-        assert found.quantity(name).low < true < found.quantity(name).high
+    loss = found.quantity("gear_loss")
+    assert loss.unit == "of the torque"
+    assert loss.low < geared.further.gear < loss.high
+    assert loss.log_sd < 0.15
+    assert found.quantity("J").value == pytest.approx(geared.inertia, rel=0.01)
+    assert found.quantity("coulomb").value == pytest.approx(geared.coulomb, rel=0.1)
 
 
 QUANTITIES = ("voltage_v", "current_a", "speed_rad_s")

@@ -630,7 +630,7 @@ def test_a_load_is_unknown_in_windows_that_tell_it_from_friction(monkeypatch: py
         (0.2, 5.0, False),  # it turns back for more than a twentieth of its turns
     ],
 )
-@pytest.mark.parametrize("load", ["load_constant", "load_walk", "sensor_lag"])
+@pytest.mark.parametrize("load", ["load_constant", "load_walk", "gear_loss"])
 @pytest.mark.parametrize("steady", [False, True])
 def test_a_load_that_nothing_tells_from_friction_is_a_part_of_it(
     monkeypatch: pytest.MonkeyPatch,
@@ -646,7 +646,7 @@ def test_a_load_that_nothing_tells_from_friction_is_a_part_of_it(
     lesson.values[[index.COULOMB, index.LOAD, index.WALK]] = 3e-4, 2e-4, 9.0
     found = learn_windows([recording(3100)], 0.5, steady=steady)[0].windows
     assert found is not None
-    had_load = load != "sensor_lag"
+    had_load = load != "gear_loss"
     assert lesson.again == ([45.0 - 0.5 * back] if again and had_load else [])  # the mean speed
     np.testing.assert_allclose(
         found.physical[[index.COULOMB, index.LOAD]], [7e-4, 0.0] if again and had_load else [3e-4, 2e-4]
