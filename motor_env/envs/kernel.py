@@ -40,7 +40,7 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
     What a failed sensor reads too much is a part of its noise v.
 
     `kept` is 0 on the first sample of a step, 1 after that. `with_speed` (there is a speed sensor), `full` (the voltage
-    may move, or a bank follows) and `failing` (sensors may fail) are literals at each call, so the compiler leaves out
+    may move, or a bank follows) and `failing` (sensors may fail) are constants at each call, so the compiler leaves out
     what is not needed.
     """
     x0, x1 = s.current[j], s.speed[j]

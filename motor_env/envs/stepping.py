@@ -70,8 +70,9 @@ T11 = Model._fields.index("t11")
 @compiled
 def _advance_failing(s: Block, p: Constants, kept: float, width: int) -> None:
     """Advance a block whose sensors may fail: a function of its own, for beside it the other loops would be slower."""
+    yes = np.bool_(True)
     for j in range(width):  # without a speed sensor its gains are 0
-        kernel.advance(s, j, p, kept, True, True, True)
+        kernel.advance(s, j, p, kept, yes, yes, yes)
 
 
 @inlined
@@ -87,22 +88,26 @@ def _lay_normals(s: Block, p: Constants, row: int, width: int) -> None:
 
 @inlined
 def _advance_all(s: Block, p: Constants, kept: float, width: int) -> None:
-    """Advance a block by a sample; four loops, each without what it does not need."""
+    """Advance a block by a sample; four loops, each without what it does not need.
+
+    What a loop leaves out are constants, but no literals: numba would compile the equations once for each.
+    """
+    yes, no = np.bool_(True), np.bool_(False)
     if p.failing > 0.0:
         _advance_failing(s, p, kept, width)
     elif p.full > 0.0:
         if p.c1 > 0.0:
             for j in range(width):
-                kernel.advance(s, j, p, kept, True, True, False)
+                kernel.advance(s, j, p, kept, yes, yes, no)
         else:
             for j in range(width):
-                kernel.advance(s, j, p, kept, False, True, False)
+                kernel.advance(s, j, p, kept, no, yes, no)
     elif p.c1 > 0.0:
         for j in range(width):
-            kernel.advance(s, j, p, kept, True, False, False)
+            kernel.advance(s, j, p, kept, yes, no, no)
     else:
         for j in range(width):
-            kernel.advance(s, j, p, kept, False, False, False)
+            kernel.advance(s, j, p, kept, no, no, no)
 
 
 @inlined
@@ -150,7 +155,7 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
         s.rows[f, j] = 0.0
     onset = draw_episode(task, lanes, n)
     s.onset[j] = s.next_change[j] = onset
-    set_motor(s, j, task, lanes, n, 0)
+    set_motor(s, j, task, lanes, n, np.int64(0))
     begin_state(s, j, task, lanes, n)
     current, speed = s.current[j], s.speed[j]
     error_current, error_speed = s.error_current[j], s.error_speed[j]
@@ -173,7 +178,7 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
 def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays: Any) -> None:
     """Begin the next episodes of the lanes in the mask."""
     task, lanes = unpack_task(numbers, prior), Lanes(*arrays)
-    row = lanes.marks[layout.ROW, 0]
+    row = np.int64(lanes.marks[layout.ROW, 0])  # as in a step, so that a begin is compiled once
     for n in range(mask.shape[0]):
         if mask[n]:
             _begin_lane(block_of(lanes.state, n // LANES), n % LANES, task, lanes, n, row)

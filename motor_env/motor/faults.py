@@ -353,12 +353,7 @@ class Fault:
         if growth_s and math.isinf(onset_s):
             raise ValueError(f"growth_s must be 0 for a fault that is always there, got {growth_s:g}")
         if changes_s is not None:
-            changes_s = np.asarray(changes_s, dtype=np.float64)
-            shape = changes_s.shape[:-1]
-            require(
-                changes_s.ndim > 0 and shape == np.shape(severity),
-                f"changes_s must have shape (*severity.shape, n_changes), got {changes_s.shape}",
-            )
+            changes_s = real("changes_s", changes_s, (*np.shape(severity), "n_changes"))
             ascends = bool((changes_s[..., 1:] >= changes_s[..., :-1]).all() and (changes_s >= onset_s).all())
             require(ascends, "changes_s must ascend from onset_s on")
         values = (kind, severity, onset_s, growth_s, source, changes_s)

@@ -583,6 +583,18 @@ ROWS = [
         also=(1.0, -0.1, [0.1, 2.0]),
     ),
     Row.of("Fault", "onset_s", lambda v: Fault(FaultKind.BEARING, 0.1, v), 0.01, "inf", "-inf", "huge"),
+    Row.of(
+        "Fault",
+        "changes_s",
+        lambda v: Fault(FaultKind.BEARING, 0.1, changes_s=v),
+        np.array([0.1, 0.2]),
+        "one short",
+        "inf",
+        "huge",
+        "empty",
+        "empty list",
+        also=([0.2, 0.1],),
+    ),
     Row.of("Fault", "growth_s", lambda v: Fault(FaultKind.BEARING, 0.1, 0.0, v), 0.01),
     Row.of(
         "Fault",

@@ -40,7 +40,7 @@ TASKS: dict[str, tuple[str, dict[str, Any]]] = {
         {"recipe": "hard", "drive": "speed_loop", "energy_cost_per_j": 0.7, "mean_onset_s": 0.0},
     ),
     "a loose contact that grows": failing("winding_contact", 0.3, growth_s=0.005, growth_levels=4),
-    "a sensor that drifts": failing("current_drift", 0.3),
+    "a sensor that drifts, beside a bank": ("motor_env/ProbeInstant-v0", failing("current_drift", 0.3)[1]),
     "a sensor that repeats itself": failing("speed_stuck", 1.0, drive="speed_loop"),
 }
 
