@@ -1,7 +1,7 @@
 """What the Kalman filter's residual buys an agent: PPO that sees it, and PPO that sees raw measurements alone.
 
-python benchmarks/residual_worth.py                       # the table of what is kept, and its picture
-python benchmarks/residual_worth.py --train               # trains what is missing first: hours of one core
+python benchmarks/residual_worth.py             # the table of what is kept, and its picture
+python benchmarks/residual_worth.py --train     # trains what is missing first; all of it takes 20 minutes of one core
 python benchmarks/residual_worth.py --train --only Monitor --variants raw --variants stacked --seeds 0
 
 Each training is a file of its own, `results/reference/ID/VARIANT-SEED.json`, written when it is done: begun anew, the
@@ -224,7 +224,7 @@ def main(
     """Train what is missing, print the table, draw the picture.
 
     Args:
-        train: takes hours; without it nothing is trained.
+        train: without it nothing is trained.
         only: ids that contain this.
         variants: of ppo (features of the filter), raw, stacked, recurrent.
         seeds: of the trainings; of the recurrent agents the first three.

@@ -116,7 +116,11 @@ def cells(row: Row) -> list[str]:
 def page_table(name: str) -> str:
     """What is kept of a benchmark."""
     kept = json.loads(KEPT.read_bytes()) if KEPT.is_file() else []
-    shown = ([*cells(row)[:4], f"{row['ratio']:.2g}"] for row in kept if row["bench"] == name)
+    shown = (
+        [row["name"], *(f"{float(f'{row[who]:.3g}'):,.0f}" for who in ("ours", "peer")), *cells(row)[3:5]]
+        for row in kept
+        if row["bench"] == name
+    )
     return table(("what", "ours a second", "peer a second", "peer", "ratio"), shown)
 
 
