@@ -7,17 +7,16 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from motor_env.common.console import ExitStatus, json_text, printable, worst
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.file_verdicts import Outcome, diagnose_files
-from motor_env.diagnosis.prognosis.trend_report import Trends, date_of, trend
+from motor_env.diagnosis.prognosis.trend_report import DateSource, Trends, date_of, trend
 from motor_env.diagnosis.readers.tables import ENDINGS
 from motor_env.motor.data_sheet import load_motor
 
-FEWEST_STARTS = 3
-"""Starts that a trend needs."""
+_FEWEST_STARTS = 3
 _PAUSE_S = 0.5
 
 
@@ -25,17 +24,11 @@ def recordings_in(paths: Iterable[Path]) -> list[Path]:
     """Return files as they are given, and those of folders whose endings are those of recordings, by name.
 
     Raises:
-        InputError: a folder holds none.
+        InputError: there is none.
     """
-    found: list[Path] = []
-    for path in paths:
-        if not path.is_dir():
-            found.append(path)
-            continue
-        files = _files(path)
-        if not files:
-            raise InputError(f"{path}: holds no recording (a file that ends with {', '.join(ENDINGS)})")
-        found += files
+    found = [file for path in paths for file in (_files(path) if path.is_dir() else [path])]
+    if not found:
+        raise InputError(f"the folder holds no recording: no file that ends with {', '.join(ENDINGS)}")
     return found
 
 
@@ -48,15 +41,12 @@ def _files(folder: Path) -> list[Path]:
 
 
 def trend_of(outcomes: Sequence[Outcome], voltage_v: float | None = None, **reading: Any) -> Trends | None:
-    """Find the trends of the starts that were judged, by the dates in their names, else in their order.
+    """Find the trends of the starts that were judged, by the dates in their names, else in their order; else None.
 
     Args:
         outcomes: of the recordings of one motor, in the order of time.
         voltage_v: level of the supply where none was recorded.
         reading: of `trend`: how the files are read.
-
-    Returns:
-        None for fewer than three starts that can be used.
     """
     starts = [
         outcome.path
@@ -66,12 +56,10 @@ def trend_of(outcomes: Sequence[Outcome], voltage_v: float | None = None, **read
         and len(outcome.diagnosis.pieces) == 1
         and outcome.diagnosis.verdict.status in (ExitStatus.HEALTHY, ExitStatus.FAULT)
     ]
-    is_dated = all(date_of(path.name) is not None for path in starts)
-    date: Literal["name", "order"] = "name" if is_dated else "order"
-    with suppress(InputError):
-        return (
-            trend(starts, voltage_v=voltage_v, date=date, **reading) if len(starts) >= FEWEST_STARTS else None
-        )
+    date: DateSource = "order" if None in [date_of(path.name) for path in starts] else "name"
+    if len(starts) >= _FEWEST_STARTS:
+        with suppress(InputError):
+            return trend(starts, voltage_v=voltage_v, date=date, **reading)
     return None
 
 
@@ -118,19 +106,13 @@ def watch_folder(motor: Path, folder: Path, *, follow: bool) -> int:
 
 
 def _event(outcome: Outcome) -> dict[str, Any]:
-    judged = outcome.diagnosis
     event: dict[str, Any] = {"file": str(outcome.path), "event": "recording"}
-    if judged is None:
+    if (judged := outcome.diagnosis) is None:
         return event | {"verdict": "unusable", "reason": outcome.error}
-    kind = None if judged.kind is None else str(judged.kind)
+    kind = {} if judged.kind is None else {"kind": str(judged.kind)}
     ratios = {change.name: round(change.ratio, 4) for change in judged.decisive.changes}
-    event |= {
-        "verdict": str(judged.verdict),
-        "kind": kind,
-        "reason": judged.decisive.reasons[0],
-        "ratios": ratios,
-    }
-    return {name: value for name, value in event.items() if value not in (None, {})}
+    told = {"verdict": str(judged.verdict), **kind, "reason": judged.decisive.reasons[0]}
+    return event | told | ({"ratios": ratios} if ratios else {})
 
 
 def _print(event: dict[str, Any]) -> None:

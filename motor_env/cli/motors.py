@@ -224,11 +224,7 @@ def _commission_fleet(
 
 
 def _require_motor_file(output: Path) -> None:
-    """Refuse to write over a file that is no motor's, before the long work.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Refuse by an `InputError` to write over a file that is no motor's, before the long work."""
     from motor_env.motor.data_sheet import load_motor
 
     if output.exists():

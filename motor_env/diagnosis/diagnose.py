@@ -60,10 +60,7 @@ from motor_env.motor.model import steady_state
 
 _ANOTHER_ORDER = math.log(1.5)
 _LEAST = 0.05  # of the voltage behind the brushes, and of the speed: lower bound for any motor file
-_NOTHING = (
-    "there is nothing to compare with: give a motor file (--motor), or healthy recordings (--healthy), from which also"
-    " `motor-env commission` learns one"
-)
+_NOTHING = "there is nothing to compare with: give --motor or --healthy, or learn one by motor-env commission"
 _PER_VOLT = (
     "the motor file was commissioned without a voltage, and this recording has one: leave it out"
     " (--column voltage=none, no --voltage), or commission with it"

@@ -141,16 +141,14 @@ def _take_stray(rows: list[list[str]], counts: list[int]) -> list[str]:
     last = max(n for n, count in enumerate(counts) if count >= typical)
     first = next(n for n, count in enumerate(counts) if count >= typical)
     width = int(np.quantile([len(_filled(row)) for row in rows[first : last + 1]], 0.9))
-    below = (
-        [] if len(rows) - last > _FEWEST_ROWS else [cell for row in rows[last + 1 :] for cell in row if cell]
-    )
-    beside = [cell for row in rows[first : last + 1] for cell in row[width:] if cell]
-    if below or len(rows) - last <= _FEWEST_ROWS:
+    beside, stray = [cell for row in rows[first : last + 1] for cell in row[width:] if cell], []
+    if len(rows) - last <= _FEWEST_ROWS:
+        stray = [cell for row in rows[last + 1 :] for cell in row if cell]
         del rows[last + 1 :]
     if len(beside) < _FEWEST_ROWS:
         rows[first : last + 1] = [row[:width] for row in rows[first : last + 1]]
-        below += beside
-    return below
+        stray += beside
+    return stray
 
 
 def _filled(row: list[str]) -> list[str]:

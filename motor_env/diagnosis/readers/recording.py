@@ -155,20 +155,17 @@ def without_lone_outliers(
 
     In a start the peak of the current may be one sample: see `noise.outlier_samples`.
     """
-    outliers = {
-        name: lone
-        for name in names
-        if getattr(recording, name) is not None and (lone := lone_outliers(getattr(recording, name))).any()
-    }
-    changed: dict[str, Any] = {
-        name: np.where(lone, np.nan, getattr(recording, name)) for name, lone in outliers.items()
-    }
-    notes = [
-        f"{name} of {getattr(recording, name)[np.argmax(lone)]:.4g} at {recording.time_s[np.argmax(lone)]:.6g} s"
-        for name, lone in outliers.items()
-    ]
-    words = [f"lone outliers count as missing: {', '.join(notes)}"] * bool(notes)
-    return replace(recording, **changed, columns=(*recording.columns[:-1], *words, *recording.columns[-1:]))
+    changed: dict[str, Any] = {}
+    notes = []
+    for name in names:
+        values = getattr(recording, name)
+        if values is not None and (lone := lone_outliers(values)).any():
+            changed[name], k = np.where(lone, np.nan, values), int(np.argmax(lone))
+            notes.append(f"{name} of {values[k]:.4g} at {recording.time_s[k]:.6g} s")
+    if not changed:
+        return recording
+    words = f"lone outliers count as missing: {', '.join(notes)}"
+    return replace(recording, **changed, columns=(*recording.columns[:-1], words, *recording.columns[-1:]))
 
 
 def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[str]:

@@ -290,7 +290,7 @@ def test_names_and_sizes_of_files_end_where_they_say(tmp_path: Path) -> None:
     assert uploads.keep("motor", "m.csv", own) == {"name": "m.csv", "reference": "own motor", "healthy": 19}
     uploads.healthy = [tmp_path] * 20
     with pytest.raises(InputError, match="at most 20 healthy starts"):
-        uploads.keep("motor", "m.toml", own)
+        uploads.keep("healthy", "h.csv", own)
     uploads.clear()
     for port in (-1, 65_536):
         with pytest.raises(InputError, match=f"port must lie in 0 .. 65535, got {port}"):
