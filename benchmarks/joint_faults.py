@@ -1,7 +1,7 @@
 """Two faults at once: are both named, and is a second one named where there is none (docs/results/recordings.md)?
 
-python benchmarks/joint_faults.py --motors 60     # eight minutes of one core
-python benchmarks/joint_faults.py --motors 60 --single     # single faults alone
+python benchmarks/joint_faults.py --motors 24     # three minutes of one core
+python benchmarks/joint_faults.py --single --motors 24     # single faults alone
 
 Each motor has a start with each fault. Those of random_motors.py are judged by five healthy starts and by their data
 sheet. Those of loaded_starts.py share no line with the package, and are judged by five healthy starts: half of them
@@ -107,7 +107,7 @@ def rows(counts: Counts, faults: dict[str, dict[str, float]]) -> Iterator[list[s
             yield [name, by[0], words_of(said)]
 
 
-def main(*, motors: int = 60, seed: int = 0, single: bool = False, how: How = HERE) -> None:
+def main(*, motors: int = 24, seed: int = 0, single: bool = False, how: How = HERE) -> None:
     """Judge motors and keep the table.
 
     Args:
