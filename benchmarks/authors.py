@@ -67,7 +67,7 @@ def main(*, every: int = 1) -> None:
     """
     if "MOTOR_ENV_RECORDINGS" not in os.environ:
         sys.exit("MOTOR_ENV_RECORDINGS does not name the folder of the recordings")
-    header = ["recording", "quantity", "its authors", "identified", "95 % interval"]
+    header = ["recording", "quantity", "its authors", "identified", "interval"]
     keep_table("recordings", "authors", header, rows(Path(os.environ["MOTOR_ENV_RECORDINGS"]), every))
 
 

@@ -214,7 +214,9 @@ def _smallest_model(record: Record, without: Collection[str] = ()) -> Solution:
     if len(record.voltage_v) > 2 * SELECTION_SAMPLES:
         return _refit_to_all_samples(_smallest_model(record.sample(SELECTION_SAMPLES), without), record)
     best = _select_terms(_first_fit(record, without))
-    return _grown(_with_shape_parameters(best)).escape_local_minimum()
+    # A load that walks may have stood for the shape of friction.
+    shaped = _drop_if_unsupported(_with_shape_parameters(best), "load_walk", STRONG_EVIDENCE)
+    return _grown(shaped).escape_local_minimum()
 
 
 def _with_timing_alternatives(best: Solution) -> Solution:
@@ -380,11 +382,11 @@ def _grown(best: Solution) -> Solution:
     return add_terms(best, extended, lambda simple, rich: simple.bic() - rich.bic())
 
 
-def _drop_if_unsupported(best: Solution, name: str) -> Solution:
+def _drop_if_unsupported(best: Solution, name: str, least: float = 0.0) -> Solution:
     if name not in best.names:
         return best
     trial = _refit(_remove_terms(best, (name,)), [])
-    return trial if trial.bic() < best.bic() else best
+    return trial if trial.bic() < best.bic() + least else best
 
 
 def _remove_terms(best: Solution, names: Collection[str]) -> Solution:
