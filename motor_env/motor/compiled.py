@@ -190,8 +190,8 @@ class _LinkedCode(JITCodeLibrary):
 class _PartCompiler(Compiler):
     """numba's compiler, but for the machine code: a part has no entry of its own."""
 
-    def __init__(self, typingctx: Any, targetctx: Any, library: Any, *rest: Any) -> None:
-        super().__init__(typingctx, targetctx, library, *rest)
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         context = self.state.targetctx
         self.state.library = _LinkedCode(context.codegen(), "part")
         context.get_executable = lambda library, fndesc, env: make_function(

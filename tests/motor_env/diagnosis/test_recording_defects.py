@@ -97,7 +97,7 @@ def test_hum_hides_no_friction(hertz: float, size_a: float, begin_s: float) -> N
     silent, humming = (fit.start for fit in fits if fit is not None)
     assert silent.hum_hz == ()
     assert humming.hum_hz == pytest.approx([hertz], abs=0.2)
-    assert np.hypot(*humming.sizes) == pytest.approx(size_a, abs=0.003)
+    assert math.hypot(*humming.sizes) == pytest.approx(size_a, abs=0.003)
     assert humming.is_hum_of_supply is (begin_s > 0.0)
 
 
