@@ -66,9 +66,9 @@ def begin_noise(s: Block, words: WordArray, n: int, row: int, channels: int) -> 
     The first, one a channel, belong to the measurement of the initial state.
     """
     j = n % LANES
-    first: tuple[np.float32, ...] = four_normals(0, words, n)
+    first: tuple[np.float32, ...] = four_normals(np.int64(0), words, n)
     beyond = channels + ROWS - row  # the first normal that the next refill gives
-    second = four_normals(1, words, n) if beyond >= ROWS else first
+    second = four_normals(np.int64(1), words, n) if beyond >= ROWS else first
     for place in range(row, ROWS):
         q = channels + place - row
         s.noise[place, j] = first[q] if q < ROWS else second[q - ROWS]

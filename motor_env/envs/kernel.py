@@ -27,7 +27,7 @@ def advance(s: Block, j: int, p: Constants, kept: float, with_speed: bool, full:
     The filter does not know what a speed loop adds to the voltage, d: it is a part of m.
 
     `kept` is 0 on the first sample of a step, 1 after that. `with_speed` (there is a speed sensor) and `full` (the
-    voltage may move, or a bank follows) are literals at each call, so the compiler leaves out what is not needed.
+    voltage may move, or a bank follows) are constants at each call, so the compiler leaves out what is not needed.
     """
     x0, x1 = s.current[j], s.speed[j]
     m0 = s.m00[j] * x0 + s.m01[j] * x1 + s.d0[j]

@@ -58,8 +58,10 @@ T11 = Model._fields.index("t11")
 def _advance_all(s: Block, p: Constants, row: int, kept: float, width: int) -> None:
     """Advance a block by a sample; four loops, each without what it does not need.
 
-    The normals are copied to a fixed row, so that the compiler knows that nothing written overlaps them.
+    The normals are copied to a fixed row, so that the compiler knows that nothing written overlaps them. What a loop
+    leaves out are constants, but no literals: numba would compile the equations once for each.
     """
+    yes, no = np.bool_(True), np.bool_(False)
     speed_row = row + int(p.n_channels) - 1
     for j in range(width):
         s.normal_current[j] = s.noise[row, j]
@@ -69,16 +71,16 @@ def _advance_all(s: Block, p: Constants, row: int, kept: float, width: int) -> N
     if p.full > 0.0:
         if p.c1 > 0.0:
             for j in range(width):
-                kernel.advance(s, j, p, kept, True, True)
+                kernel.advance(s, j, p, kept, yes, yes)
         else:
             for j in range(width):
-                kernel.advance(s, j, p, kept, False, True)
+                kernel.advance(s, j, p, kept, no, yes)
     elif p.c1 > 0.0:
         for j in range(width):
-            kernel.advance(s, j, p, kept, True, False)
+            kernel.advance(s, j, p, kept, yes, no)
     else:
         for j in range(width):
-            kernel.advance(s, j, p, kept, False, False)
+            kernel.advance(s, j, p, kept, no, no)
 
 
 @inlined
@@ -125,7 +127,7 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
         s.rows[f, j] = 0.0
     onset = draw_episode(task, lanes, n)
     s.onset[j] = s.next_change[j] = onset
-    set_motor(s, j, task, lanes, n, 0)
+    set_motor(s, j, task, lanes, n, np.int64(0))
     begin_state(s, j, task, lanes, n)
     current, speed = s.current[j], s.speed[j]
     error_current, error_speed = s.error_current[j], s.error_speed[j]
@@ -148,7 +150,7 @@ def _begin_lane(s: Block, j: int, task: TaskNumbers, lanes: Lanes, n: int, row: 
 def begin_lanes(mask: BoolArray, numbers: FloatArray, prior: FloatArray, *arrays: Any) -> None:
     """Begin the next episodes of the lanes in the mask."""
     task, lanes = unpack_task(numbers, prior), Lanes(*arrays)
-    row = lanes.marks[layout.ROW, 0]
+    row = np.int64(lanes.marks[layout.ROW, 0])  # as in a step, so that a begin is compiled once
     for n in range(mask.shape[0]):
         if mask[n]:
             _begin_lane(block_of(lanes.state, n // LANES), n % LANES, task, lanes, n, row)
