@@ -70,7 +70,7 @@ def test_agents_of_raw_currents_learn_no_more_than_the_clock_on_a_probe() -> Non
     envs = reference_scores.vector("Probe-v0", reference_scores.AGENT_EPISODES)
     by_clock = returns_of(envs, Late(4, 54), reference_scores.AGENT_SEED).mean()
     assert f"{by_clock:+.2f}" == "-0.29"
-    for variant in ("raw", "stacked"):
+    for variant in ("raw", "stacked", "recurrent"):
         kept = [one["return"] for one in residual_worth.kept("Probe-v0", variant)]
         assert max(kept) < by_clock + 0.05
 
