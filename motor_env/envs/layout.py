@@ -297,7 +297,13 @@ class Lanes(NamedTuple):
 def pack_task(task: TaskNumbers, precision: str) -> tuple[FloatArray, FloatArray]:
     """Pack a task into the two arrays with which a compiled step is called."""
     parts = [task.constants, task.bank.ravel(), task.features.ravel(), task.motors.ravel()]
-    return np.concatenate(parts).astype(precision), np.concatenate([task.prior, task.classes.ravel()])
+    numbers = np.concatenate(parts)
+    largest = float(np.abs(numbers[np.isfinite(numbers)]).max())
+    require(
+        largest <= np.finfo(precision).max,
+        f"motor, supply and sensor must suit a step in {precision}: its numbers would reach {largest:.3g}",
+    )
+    return numbers.astype(precision), np.concatenate([task.prior, task.classes.ravel()])
 
 
 @inlined

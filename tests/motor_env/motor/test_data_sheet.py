@@ -11,6 +11,8 @@ from hostile import refused
 from motor_env import PAPER_MOTOR, InputError, Motor, cli, load_motor
 from motor_env.motor.data_sheet import Tolerance, save_motor, usable_parameters
 from motor_env.motor.healthy import Healthy, ScoreCalibration, Starts, Windows
+
+# Reaches in: what a sheet lacks is said where a recipe is made of it.
 from motor_env.simulation.named_recipes import motor_recipe
 from motor_env.simulation.recipes import LARGEST_SPREAD
 

@@ -161,9 +161,11 @@ def hides_inductance(model: Sequence[str]) -> bool:
 
 
 def expanded_terms(model: Sequence[str]) -> tuple[str, ...]:
-    """Return the terms of a model by name: a supply curve has several, and brushes a drop and its knee."""
-    parts = {"supply_curve": CURVE, "brush_drop": ("brush_drop", "brush_knee")}
-    return tuple(part for name in model for part in parts.get(name, (name,)))
+    """Return the terms of a model by name: a supply curve has several.
+
+    Brushes have no knee here: beside a motor that stands, it would explain the noise of a measured voltage.
+    """
+    return tuple(part for name in model for part in (CURVE if name == "supply_curve" else (name,)))
 
 
 def start_prior(start: Start, constant: float | None, typical: Mapping[str, float] | None) -> StartPrior:

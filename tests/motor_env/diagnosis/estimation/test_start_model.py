@@ -296,7 +296,7 @@ def test_many_motors_at_once_are_each_alone(noise_v: float) -> None:
         alone = [record.predict(one) for one in each]
         np.testing.assert_array_equal(tables, [table for table, _ in alone])
         np.testing.assert_array_equal(logs, [one for _, one in alone])
-        assert len({table.tobytes() for table in tables}) >= 6
+        assert len({table.tobytes() for table in tables}) >= (4 if record is log else 6)  # a log has no delay
 
 
 @pytest.mark.parametrize("from_rest", [True, False])
