@@ -300,7 +300,7 @@ def pack_task(task: TaskNumbers, precision: str) -> tuple[FloatArray, FloatArray
     numbers = np.concatenate(parts)
     largest = float(np.abs(numbers[np.isfinite(numbers)]).max())
     require(
-        largest <= np.finfo(precision).max,
+        largest <= float(np.finfo(precision).max),
         f"motor, supply and sensor must suit a step in {precision}: its numbers would reach {largest:.3g}",
     )
     return numbers.astype(precision), np.concatenate([task.prior, task.classes.ravel()])

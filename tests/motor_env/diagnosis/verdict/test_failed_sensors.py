@@ -190,7 +190,8 @@ def test_friction_that_falls_is_a_probes(
     current = simulate_states(motor, voltage_v, dt_s)[:, 0]
     current = current if tau_s == math.inf else high_pass(current, tau_s, dt_s)
     current = current + 0.01 * np.random.default_rng(3).standard_normal(len(current))
-    found = diagnose(Recording(Path("start"), dt_s * np.arange(len(current)), current, voltage_v), SHEET)
+    time_s: FloatArray = dt_s * np.arange(len(current), dtype=float)
+    found = diagnose(Recording(Path("start"), time_s, current, voltage_v), SHEET)
     assert found.verdict is verdict
     assert any(words in reason for reason in found.reasons)
 
