@@ -177,6 +177,8 @@ def test_trend_ends_with_1_where_a_limit_matters(
     assert printed.out == f"{' '.join(states)}\n{out}\n"
     assert printed.err == "motor-env: a note\n"
     assert out.read_text() == "<page>"
+    (tmp_path / "a.csv").write_text("1\n")
+    assert main([*command, "--out", str(tmp_path / "a.csv")]) == 2
     assert (given["level"], given["reference_count"], given["voltage_v"]) == (0.7, 5, 12.0)
     assert (given["limits"], given["date"]) == ({"R": (0.9, 1.1)}, "name")
 
