@@ -51,7 +51,8 @@ def trend_of(outcomes: Sequence[Outcome], voltage_v: float | None = None, **read
     starts = [
         outcome.path
         for outcome in outcomes
-        if outcome.diagnosis is not None
+        if outcome.path.exists()  # else it is gone since
+        and outcome.diagnosis is not None
         and outcome.diagnosis.taken.regime == "start"
         and len(outcome.diagnosis.pieces) == 1
         and outcome.diagnosis.verdict.status in (ExitStatus.HEALTHY, ExitStatus.FAULT)

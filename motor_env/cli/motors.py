@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -46,6 +47,8 @@ def identify(
         motor: Motor file of `commission --fleet`: what the recordings hardly tell is as in the sisters.
         json_: Print one array with one object a start, and one for all logs of a motor at work.
     """
+    if output is not None:
+        _require_motor_file(output)
     if motor is not None:
         options.refuse("--motor", torque_constant=torque_constant, out=out)
         return _identify_with_fleet(files, motor, output, measurement, regime=regime, name=name, json_=json_)
@@ -60,7 +63,9 @@ def identify(
         periods_per_turn=measurement.ripple_periods_per_turn,
     )
     if output is not None and (result.logs or result.usable):
-        save_motor(result.motor(name), output)
+        identified = result.motor(name)
+        _say_kept(output)
+        save_motor(identified, output)
     if out is not None:
         write_text(out / "identify.html", result.page())
     options.show(json_, result.to_json, result.text)
@@ -85,6 +90,7 @@ def _identify_with_fleet(
     result = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
     rows = unit_quantities(result)
     if output is not None:
+        _say_kept(output)
         save_motor(result, output)
     lines = [
         f"{_recordings(files, '')} beside the sisters of {motor}; 95 % intervals",
@@ -238,6 +244,12 @@ def _kept(output: Path) -> str:
     """Keep a motor file that is to be replaced, and say where; nothing where there is none."""
     if not output.exists():
         return ""
-    kept = output.with_name(f"{output.name}.before")
+    names = (f"{output.name}.before{number}" for number in ("", *range(2, 1000)))
+    kept = next(path for path in map(output.with_name, names) if not path.exists())
     output.replace(kept)
     return f"; the motor file that was there is now {kept}"
+
+
+def _say_kept(output: Path) -> None:
+    if before := _kept(output):
+        print(f"motor-env: {printable(f'{output}{before}')}", file=sys.stderr)

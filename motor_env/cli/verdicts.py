@@ -267,6 +267,8 @@ def trend(
     from motor_env.diagnosis.prognosis.trend import parse_limits
     from motor_env.diagnosis.prognosis.trend_report import trend as trends_of
 
+    if out.exists() and out.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{out}: is there, and is no page; give another --out")
     chosen = reading.chosen
     with console.working("reading") as say:
         result = trends_of(

@@ -15,6 +15,7 @@ from motor_env.common.errors import InputError, require_options, require_several
 from motor_env.diagnosis.diagnose import explain_unusable
 from motor_env.diagnosis.estimation.preprocessing import at_terminals
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
+from motor_env.diagnosis.estimation.starts.start_identification import behind_capacitor
 from motor_env.diagnosis.operation.window_baseline import learn_windows
 from motor_env.diagnosis.readers.headers import ColumnChoice
 from motor_env.diagnosis.readers.recording import (
@@ -299,7 +300,8 @@ def fit_starts(
     if len({fit.quantity_names for fit in fits}) > 1:
         raise InputError(f"the healthy {word}s hold different columns; give such that agree")
     for number, part in enumerate(starts):
-        reason = explain_unusable(fits[number]) or explain_outlier(fits, number)
+        fit = behind_capacitor(fits[number], constant=constant) or fits[number]
+        reason = explain_unusable(fit) or explain_outlier(fits, number)
         if reason is not None:
             raise InputError(f"{part.path}: a healthy {word} cannot be used: {reason}")
     reason = explain_disagreement(fits)

@@ -83,9 +83,11 @@ def load_profile(path: Path) -> Profile:
 
 
 def save_profile(profile: Profile, path: Path) -> None:
-    """Write a profile as TOML.
+    """Write a profile as TOML, also over another profile.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the file cannot be written, or is there and is no profile.
     """
+    if path.exists():
+        load_profile(path)
     write_text(path, toml_text(asdict(profile), {}))

@@ -190,7 +190,7 @@ def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[s
 
 def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: tuple[str, ...]) -> Recording:
     """Check the time axis and even it out."""
-    time = columns["time"]
+    stated = time = columns["time"]
     if abs(time[0]) > _LATEST_BEGIN_S:
         notes, time = (*notes, f"time counts from {time[0]:.10g} s"), time - time[0]
         columns = columns | {"time": time}
@@ -210,7 +210,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
         bad = int(np.argmax(steps <= 0.0)) + 1
         raise InputError(
             f"{path}, {table.where} {table.lines[bad]}: the column time_s must rise,"
-            f" got {time[bad]:.10g} after {time[bad - 1]:.10g}; where the rows lie evenly, say --sampling-rate HZ"
+            f" got {stated[bad]:.10g} after {stated[bad - 1]:.10g}; where the rows lie evenly, say --sampling-rate HZ"
         )
     if not _SHORTEST_STEP_S <= float(np.median(steps)) <= _LONGEST_STEP_S:
         raise InputError(f"{path}: samples {np.median(steps):.3g} s apart are no recording of a motor")

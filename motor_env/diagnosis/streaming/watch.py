@@ -292,7 +292,7 @@ class Watch:
                 return
             step = sample[0] - last[0]
             if step <= 0.0:
-                yield self._restart_window("time_jump", f"{-step:.6g} s back")
+                yield self._restart_window("time_jump", f"{abs(step):.6g} s back")
             elif step > _GAP_STEPS * self._timing.dt_s:
                 yield self._restart_window("gap", f"{step:.6g} s without a sample")
             else:
@@ -469,7 +469,8 @@ def _load_healthy(motor: Path) -> Healthy:
 
 def _windows_of(motor: Motor) -> Healthy:
     if motor.healthy is None or motor.healthy.windows is None:
-        origin = "is a data sheet" if motor.healthy is None else "was learned from starts"
+        bare = "is a data sheet" if motor.kind == "data_sheet" else "was identified, not commissioned"
+        origin = bare if motor.healthy is None else "was learned from starts"
         raise InputError(
             f"{motor.name}: {origin}; watching a motor at work needs one learned from logs:"
             " motor-env commission log1.csv log2.csv -o motor.toml"

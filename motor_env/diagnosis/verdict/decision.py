@@ -67,6 +67,7 @@ _MACHINE, _MACHINE_LOG_SD = 5.0, 1.0  # its drag over the motor's own: the media
 _BY_MACHINE = {("J", True), ("B", True), ("K^2/J", False), ("B/J", True), ("B/J", False)}
 _FALSE_SECOND = 0.01  # rate at which a second fault is named beside a single one
 _AS_EXPECTED = "the parameters are as expected, but "
+_LEAST_SEEN = 0.25  # of a fault's step, in a quantity as it was fitted
 _NAMED = 2.0  # standard deviations of a fault that names an alarm of several pieces
 
 
@@ -182,7 +183,8 @@ def _explain_alarm(
     """
 
     def suffices(fault: Explanation) -> bool:
-        return fault.z > limit and fault.p_left_over > rate and is_separable(first.difference, fault.kind)
+        is_told = fault.z > limit and fault.p_left_over > rate and _is_in_table(fault, healthy.changes)
+        return is_told and is_separable(first.difference, fault.kind)
 
     def as_fitted(difference: Difference, faults: list[Explanation]) -> list[Explanation]:
         """Explain what was fitted by the same faults, not what is linearised in the temperature."""
@@ -257,6 +259,16 @@ def _describe_warming(
     word = "warmer" if kelvin > 0.0 else "colder"
     return (
         f"the motor is some {abs(kelvin):.0f} K {word} than when it was healthy: that explains its R, K and friction",
+    )
+
+
+def _is_in_table(fault: Explanation, changes: tuple[Change, ...]) -> bool:
+    """Whether a quantity moved with the fault, or may have, not only beside what the temperature does."""
+    rows = zip(changes, fault.direction.tolist(), strict=True)
+    return any(
+        c.verdict == "undecided" or math.log(c.ratio) / slope > _LEAST_SEEN * fault.step
+        for c, slope in rows
+        if slope
     )
 
 

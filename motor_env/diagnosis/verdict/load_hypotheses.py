@@ -71,8 +71,11 @@ def _response(fit: StartFit, load: str, inverse: FloatArray) -> FloatArray | Non
     """
     free, textbook, motor = _free_parameters(fit), _simulate(fit, np.zeros(5)), np.zeros(5)
     for _ in range(_ROUNDS):
-        motor[free] -= inverse @ (_simulate(fit, motor, load) - textbook)
-        if not np.abs(motor).max() < _FARTHEST:
+        apart = _simulate(fit, motor, load) - textbook
+        if not np.isfinite(apart).all():
+            return None
+        motor[free] -= inverse @ apart
+        if np.abs(motor).max() >= _FARTHEST:
             return None
     healthy = _simulate(fit, motor, load)
     moved = [_simulate(fit, motor + step, load) for step in _STEP * np.eye(5)[:_FRICTION]]

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from motor_env import InputError
-from motor_env.apps.folder import appearing, recordings_in
+from motor_env.apps.folder import appearing, recordings_in, trend_of
 from motor_env.cli import main
+from motor_env.diagnosis.file_verdicts import diagnose_files
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -45,6 +46,16 @@ def test_each_start_of_a_folder_has_a_verdict_and_a_trend_follows(
     assert [event["event"] for event in events[:4]] == [*3 * ["recording"], "trend"]
     assert main(["watch", motor, str(folder), "--state", "s.json"]) == 2
     assert "--state does not go with a folder" in capsys.readouterr().err
+
+
+def test_a_start_that_is_gone_does_not_take_the_trend_of_the_others_along(folder: Path) -> None:
+    starts = [folder / "0.csv", *recordings_in([folder])]
+    starts[0].write_bytes(starts[1].read_bytes())
+    outcomes = diagnose_files(starts, motor=str(EXAMPLES / "motor.toml"))
+    starts[0].unlink()
+    assert trend_of(outcomes) is not None
+    starts[1].unlink()
+    assert trend_of(outcomes) is None
 
 
 def test_a_recording_is_judged_once_it_grows_no_more(folder: Path) -> None:

@@ -177,6 +177,8 @@ def test_trend_ends_with_1_where_a_limit_matters(
     assert printed.out == f"{' '.join(states)}\n{out}\n"
     assert printed.err == "motor-env: a note\n"
     assert out.read_text() == "<page>"
+    (tmp_path / "a.csv").write_text("1\n")
+    assert main([*command, "--out", str(tmp_path / "a.csv")]) == 2
     assert (given["level"], given["reference_count"], given["voltage_v"]) == (0.7, 5, 12.0)
     assert (given["limits"], given["date"]) == ({"R": (0.9, 1.1)}, "name")
 
@@ -220,18 +222,25 @@ def test_export_c_hands_on_what_was_asked_for(
     assert exported["steps"] == (0.01, None, None)
 
 
-def test_commission_writes_over_no_other_file_and_keeps_the_motor_of_before(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("command", ["commission", "identify"])
+def test_no_other_file_is_written_over_and_each_motor_of_before_is_kept(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, motor = tmp_path / "log.csv", tmp_path / "motor.toml"
     log.write_text("time_s,current_a\n")
-    assert main(["commission", "a.csv", "-o", str(log)]) == 2
+    assert main([command, "a.csv", "-o", str(log)]) == 2
     assert "is there, and is no motor file" in capsys.readouterr().err
     assert motors._kept(motor) == ""
-    text = (Path(__file__).parents[3] / "examples" / "motor.toml").read_text()
-    motor.write_text(text)
-    assert motors._kept(motor).endswith(f"now {tmp_path / 'motor.toml.before'}")
-    assert (motor.exists(), (tmp_path / "motor.toml.before").read_text()) == (False, text)
+    capture = Path(__file__).parents[3] / "examples" / "startup_capture.csv"
+    text = (capture.parent / "motor.toml").read_text()
+    for name in ("motor.toml.before", "motor.toml.before2"):
+        motor.write_text(text)
+        if command == "identify":
+            assert main([command, str(capture), "-o", str(motor)]) == 0
+            assert f"is now {tmp_path / name}" in capsys.readouterr().err
+        else:
+            assert motors._kept(motor).endswith(f"now {tmp_path / name}")
+        assert (motor.exists(), (tmp_path / name).read_text()) == (command == "identify", text)
 
 
 @pytest.mark.parametrize(

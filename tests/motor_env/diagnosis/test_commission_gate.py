@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recording_csv import write_recording
+from scipy.signal import lfilter
 from simulated_captures import DEFECTS, captures
 
 from motor_env import PAPER_MOTOR, Recording
@@ -83,6 +84,20 @@ def test_a_log_without_a_speed_is_undecided(
         in said
     )
     assert "\n  taken for a motor at work (" in said
+
+
+def test_starts_of_a_probe_that_is_coupled_are_no_healthy_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All alike, so that none is an outlier: their friction is 0."""
+    kept = 0.05 / (0.05 + DT_S)  # a high pass of 0.05 s
+    coupled = [
+        replace(start, current_a=lfilter([kept, -kept], [1.0, -kept], start.current_a), speed_rad_s=None)
+        for start in captures(DEFECTS["none"], (), PAPER_MOTOR, 5, 3)
+    ]
+    files = [write_recording(tmp_path / f"{n}.csv", start) for n, start in enumerate(coupled)]
+    assert main(["commission", *files, "-o", str(tmp_path / "motor.toml")]) == 2
+    assert "0.csv: a healthy start cannot be used: the current is AC-coupled" in capsys.readouterr().err
 
 
 def test_a_start_that_no_motor_explains_is_named(

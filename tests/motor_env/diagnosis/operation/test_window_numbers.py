@@ -395,6 +395,9 @@ def test_warmth_widens_what_is_healthy() -> None:
     assert decided(ratios, covariance, 0.01, 1e3).verdict.is_fault
     assert decided(ratios, covariance, 0.01, 1e3, 15.0).verdict == "healthy"
     assert decided(ratios, covariance, 0.01, 1e3, 2.0).verdict.is_fault
+    # A colder motor with more resistance would have that K; but its R is that of the healthy one.
+    off, wider = np.array([0.0, 0.04, 0.0, 0.0]), np.diag([0.01, 0.01, 0.01, 0.05]) ** 2 / 2.0
+    assert decided(off, wider, 0.01, 30.0, 15.0).verdict == "other"
     np.testing.assert_array_equal(hypotheses._linearise_warming(ratios, spread(4), WARMTH, 0.0), ratios)
     # At most 100 K are taken for warmth when logarithms are straightened.
     tight = np.diag([1e-5, 1e-5, 1.0, 1e-5]) ** 2

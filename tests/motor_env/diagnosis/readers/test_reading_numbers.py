@@ -834,8 +834,12 @@ def test_the_supply_of_a_start() -> None:
 
 def test_a_profile_is_kept_and_what_is_said_counts_more(tmp_path: Path) -> None:
     kept = Profile(("current=CH1:mA", "voltage=none"), 5e3, 12.0, 0.25, 1e-4)
-    save_profile(kept, tmp_path / "p.toml")
-    assert load_profile(tmp_path / "p.toml") == kept
+    (tmp_path / "log.csv").write_text("time_s,current_a\n")
+    with pytest.raises(InputError, match=r"log\.csv: "):
+        save_profile(kept, tmp_path / "log.csv")
+    for _ in range(2):
+        save_profile(kept, tmp_path / "p.toml")
+        assert load_profile(tmp_path / "p.toml") == kept
     over = Profile(("current=CH2*10",), voltage=24.0).over(kept)
     assert over == Profile(("voltage=none", "current=CH2*10"), 5e3, 24.0, 0.25, 1e-4)
     options = kept.options

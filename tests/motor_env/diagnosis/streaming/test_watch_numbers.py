@@ -157,7 +157,7 @@ def test_a_pause_of_more_than_twenty_intervals_is_a_gap(judge: Judge) -> None:
     (event,) = watched([*samples(50), *samples(50, 46.0)])
     assert (event.kind, event.text) == ("time_jump", "0.003 s back")
     (event,) = watched([*samples(50), *samples(50, 49.0)])
-    assert event.kind == "time_jump"
+    assert (event.kind, event.text) == ("time_jump", "0 s back")
     assert judge.given == []
     assert [e.kind for e in watched([*samples(90), *samples(101, 500.0)])] == ["gap", "window"]
 
@@ -371,12 +371,18 @@ def test_the_command_reads_keeps_and_ends_with_its_status(
     assert json.loads(state.read_text())["counts"] == {"window healthy": 1, "window bearing": 1}
     assert main([*run[:2], "--follow"]) == 2
     assert "--follow needs a log" in capsys.readouterr().err
-    for taught in (None, replace(TAUGHT, windows=None, starts=Starts(-3.0, 0.1))):
-        monkeypatch.setattr(
-            watching, "load_motor", lambda _, taught=taught: SimpleNamespace(name="m", healthy=taught)
-        )
+    starts = replace(TAUGHT, windows=None, starts=Starts(-3.0, 0.1))
+    for kind, taught, origin in (
+        ("data_sheet", None, "is a data sheet"),
+        ("identified", None, "was identified"),
+        ("commissioned", starts, "was learned from starts"),
+    ):
+        known = SimpleNamespace(name="m", kind=kind, healthy=taught)
+        monkeypatch.setattr(watching, "load_motor", lambda _, known=known: known)
         assert main(run) == 2
-        assert "learned from logs: motor-env commission log1.csv log2.csv -o" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert f"m: {origin}" in said
+        assert "learned from logs: motor-env commission log1.csv log2.csv -o" in said
 
 
 def test_columns_that_the_user_names_count_more_than_those_that_were_kept(
