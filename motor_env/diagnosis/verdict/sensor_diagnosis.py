@@ -406,26 +406,31 @@ _LIKE_COUPLED = (
     "a probe that is AC-coupled (a high pass of about {:.2g} s) shows this: set it to DC, and record again"
 )
 _LEAST_GAIN_BY_SHEET, _LEAST_GAIN = -6.0, 6.0  # -2 log likelihood
+_OWN_DRAG = 0.1  # of the drag of a motor in its machine: it keeps more than that without its load
 
 
 def check_coupling(judgement: Judgement, constant: float | None = None) -> Judgement:
     """Judge a piece that no fault explains, and whose friction fell alone, or beside its resistance: none lowers it.
 
     Over the time constant s an AC coupling lowers B/J by 1/s. A machine may have lost its load, so there a start must
-    tell the coupling; a data sheet is of a motor that has none to lose, so there the recording need only allow it.
+    tell the coupling. A data sheet is of a motor that has none to lose, and no motor loses nearly all of its drag:
+    there the recording need only allow it.
     """
     fit, reference = judgement.identified, judgement.reference
-    moved = {change.name[0]: change for change in judgement.changes if change.significant}
-    down = moved.get("B")
-    is_unexplained = judgement.verdict is Verdict.OTHER and not moved.keys() & set("KJ")
-    if reference is None or down is None or down.ratio > 1.0 or not is_unexplained:
+    moved = {change.name[0] for change in judgement.changes if change.significant}
+    down = next((c for c in judgement.changes if c.name[0] == "B" and c.high < 1.0), None)
+    if reference is None or down is None:
+        return judgement
+    is_gone = judgement.verdict is Verdict.HEALTHY and down.ratio < _OWN_DRAG  # too little to be told
+    if not is_gone and (judgement.verdict is not Verdict.OTHER or "B" not in moved or moved & set("KJ")):
         return judgement
     usual, gain = {name.removesuffix("/V"): value for name, value in reference.values.items()}, 0.0
     rate = (usual["B/J"] if "B/J" in usual else usual["B"] / usual["J"]) * (1.0 - down.ratio)
     if fit is not None:
         direct = replace(fit.start, current_a=fit.start.current_a + rate * fit.start.charge_a_s)
         gain = likelihood_gain(fit, identify(direct, fit.model, constant=constant, typical=reference.values))
-    if gain < (_LEAST_GAIN if reference.is_taught else _LEAST_GAIN_BY_SHEET):
+    may_lose_load = reference.is_taught and down.ratio > _OWN_DRAG
+    if gain < (_LEAST_GAIN if may_lose_load else _LEAST_GAIN_BY_SHEET):
         return replace(judgement, reasons=(*judgement.reasons, _LIKE_COUPLED.format(1.0 / rate)))
     why = f"{down.name} is down by {1.0 - down.ratio:.0%}, and no fault lowers friction"
     unusable = judgement.as_other(why, _LIKE_COUPLED.format(1.0 / rate))

@@ -184,16 +184,30 @@ def test_friction_that_falls_is_a_probes(
     friction: float, tau_s: float, seconds: float, verdict: Verdict, words: str
 ) -> None:
     """A start whose level stays for longer than the time constant is of a motor with less friction."""
-    motor = replace(PAPER_MOTOR, viscous_friction_n_m_s_per_rad=friction * 1.2e-6)
-    dt_s = 2e-4
-    voltage_v = np.where(dt_s * np.arange(seconds / dt_s) >= 0.02, 12.0, 0.0)
-    current = simulate_states(motor, voltage_v, dt_s)[:, 0]
-    current = current if tau_s == math.inf else high_pass(current, tau_s, dt_s)
-    current = current + 0.01 * np.random.default_rng(3).standard_normal(len(current))
-    time_s: FloatArray = dt_s * np.arange(len(current), dtype=float)
-    found = diagnose(Recording(Path("start"), time_s, current, voltage_v), SHEET)
+    found = diagnose(start_behind(friction, tau_s, seconds), SHEET)
     assert found.verdict is verdict
     assert any(words in reason for reason in found.reasons)
+
+
+def start_behind(friction: float, tau_s: float, seconds: float, seed: int = 3) -> Recording:
+    """A start with a share of the usual friction, seen through a probe that is coupled by a capacitor."""
+    motor = replace(PAPER_MOTOR, viscous_friction_n_m_s_per_rad=friction * 1.2e-6)
+    dt_s = 2e-4
+    time_s: FloatArray = dt_s * np.arange(round(seconds / dt_s), dtype=float)
+    voltage_v = np.where(time_s >= 0.02, 12.0, 0.0)
+    current = simulate_states(motor, voltage_v, dt_s)[:, 0]
+    current = current if tau_s == math.inf else high_pass(current, tau_s, dt_s)
+    current = current + 0.01 * np.random.default_rng(seed).standard_normal(len(current))
+    return Recording(Path(f"start{seed}"), time_s, current, voltage_v)
+
+
+@pytest.mark.parametrize(("friction", "tau_s"), [(0.9, 1.0), (1.8, 0.5), (1.8, 1.0)])
+def test_a_machine_without_its_load_keeps_drag_of_its_own(friction: float, tau_s: float) -> None:
+    """Half the drag may be a lost load; where hardly any is left, or too little to be told, it is a probe's."""
+    taught = commission([start_behind(friction, math.inf, 0.3, seed) for seed in (4, 5, 6)]).motor
+    assert diagnose(start_behind(friction, tau_s, 0.3), taught).verdict is Verdict.UNUSABLE
+    assert diagnose(start_behind(friction, math.inf, 0.3), taught).verdict is Verdict.HEALTHY
+    assert diagnose(start_behind(0.5 * friction, math.inf, 4.0), taught).verdict is not Verdict.UNUSABLE
 
 
 def test_an_encoder_of_few_edges_is_not_clipped() -> None:
