@@ -36,14 +36,11 @@ SEEDS, TUNING_SEED, AGENT_SEED = tuple(range(1, 11)), 100, 77
 STEPS, POINTS, N_ENVS, AGENT_EPISODES = 300_000, 10, 8, 500
 TRIVIAL_EPISODES = 250
 FEWEST = 3  # trainings of which an interval says anything
-LEARNERS = ("ppo", "dqn", "sac", "long")
+LEARNERS = ("ppo", "dqn")
 POLICIES = ("random", "trivial", "textbook", "best", "bound")
 METHODS = (*POLICIES, *LEARNERS)
-LEARNABLE, LONG, LONG_SEEDS = ("Monitor-v0", "Probe-v0", "Drive-v0"), 1_000_000, 3
-"""Ids where PPO is also trained for longer (`long`), how long, and how often."""
-OFF_POLICY = {"Probe-v0": "dqn", "Drive-v0": "dqn", "DriveControl-v0": "sac"}
-"""Where another algorithm than PPO is tried, too, and which."""
-OTHERS = {"long": "PPO, a million steps:", "dqn": "DQN", "sac": "SAC"}
+DQN_IDS = ("Probe-v0", "Drive-v0")
+"""Where another algorithm than PPO is tried, too."""
 Result = dict[str, Any]
 
 
@@ -128,9 +125,7 @@ def scored(name: str, label: str, make: Callable[[Any], Player], options: Any, e
 
 def wanted(name: str, method: str) -> bool:
     """Whether this is part of the table."""
-    if method == "long":
-        return name in LEARNABLE
-    return method not in ("dqn", "sac") or OFF_POLICY.get(name) == method
+    return method != "dqn" or name in DQN_IDS
 
 
 def trained(name: str, learner: str, seed: int) -> Result:
@@ -144,14 +139,13 @@ def trained(name: str, learner: str, seed: int) -> Result:
     torch.set_num_threads(1)
     envs = StableBaselinesVecEnv(vector(name, N_ENVS, autoreset_mode="SameStep"))
     envs.seed(1000 + seed)
-    algorithm, steps = ("PPO", LONG) if learner == "long" else (learner.upper(), STEPS)
-    quick = algorithm == "PPO" and isinstance(envs.action_space, gym.spaces.Discrete)
-    learner_type = QuickPPO if quick else getattr(stable_baselines3, algorithm)
+    quick = learner == "ppo" and isinstance(envs.action_space, gym.spaces.Discrete)
+    learner_type = QuickPPO if quick else getattr(stable_baselines3, learner.upper())
     model = learner_type("MlpPolicy", envs, seed=seed, device="cpu")
     test, curve = vector(name, AGENT_EPISODES), []
     begun, rollout = time.process_time(), getattr(model, "n_steps", 1) * N_ENVS
-    rollouts = -(-steps // rollout)
-    for part in np.diff(np.linspace(0, rollouts, POINTS * steps // STEPS + 1).astype(int)):
+    rollouts = -(-STEPS // rollout)
+    for part in np.diff(np.linspace(0, rollouts, POINTS + 1).astype(int)):
         model.learn(int(part) * rollout, reset_num_timesteps=False)
         mean, half = interval(returns_of(test, Agent(model), AGENT_SEED))
         curve.append({"steps": model.num_timesteps, "return": mean, "half_width": half})
@@ -234,8 +228,7 @@ def cells_of(name: str) -> tuple[list[str], list[str]]:
     found = kept(name)
     policies = [cell(found.get(method)) for method in POLICIES]
     learned = {method: runs([each["return"] for each in found.get(method, [])]) for method in LEARNERS}
-    other = " ".join(f"{label} {learned[method]}" for method, label in OTHERS.items() if learned[method])
-    return policies, [cell(found.get("best")), learned["ppo"], other]
+    return policies, [cell(found.get("best")), *learned.values()]
 
 
 def table() -> str:
@@ -243,7 +236,7 @@ def table() -> str:
     names = [spec.removeprefix("motor_env/") for spec in gym.registry if spec.startswith("motor_env/")]
     heads = (
         ["id", "random", "always", "textbook", "best known", "no policy exceeds"],
-        ["id", "best known", "PPO, defaults", "more trainings, defaults"],
+        ["id", "best known", "PPO, defaults", "DQN, defaults"],
     )
     cells = {f"[{name}](environments/{page_of(name)})": cells_of(name) for name in names}
     return "\n\n".join(
@@ -270,7 +263,7 @@ def main(
     for name in REFERENCES:
         for method in methods:
             learns = method in LEARNERS
-            for seed in (seeds[:LONG_SEEDS] if method == "long" else seeds) if learns else (0,):
+            for seed in seeds if learns else (0,):
                 path = RESULTS / name / (f"{method}-{seed}.json" if learns else f"{method}.json")
                 if show or not wanted(name, method) or only not in name or path.exists():
                     continue
