@@ -8,6 +8,8 @@ import pytest
 from motor_env import InputError
 from motor_env.apps.folder import appearing, recordings_in, trend_of
 from motor_env.cli import main
+
+# Reaches in: a file that is gone since it was seen is refused there.
 from motor_env.diagnosis.file_verdicts import diagnose_files
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
