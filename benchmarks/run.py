@@ -116,11 +116,13 @@ def cells(row: Row) -> list[str]:
 def page_table(name: str) -> str:
     """What is kept of a benchmark."""
     kept = json.loads(KEPT.read_bytes()) if KEPT.is_file() else []
-    shown = (
+    shown = [
         [row["name"], *(f"{float(f'{row[who]:.3g}'):,.0f}" for who in ("ours", "peer")), *cells(row)[3:5]]
         for row in kept
         if row["bench"] == name
-    )
+    ]
+    if not shown:
+        return "Not measured yet: `make bench BENCH_ARGS=--keep` does so."
     return table(("what", "ours a second", "peer a second", "peer", "ratio"), shown)
 
 
