@@ -122,7 +122,7 @@ def page_table(name: str) -> str:
         if row["bench"] == name
     ]
     if not shown:
-        return "Not measured yet: `make bench BENCH_ARGS=--keep` does so."
+        return "Not measured yet."
     return table(("what", "ours a second", "peer a second", "peer", "ratio"), shown)
 
 

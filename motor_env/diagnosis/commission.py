@@ -37,7 +37,7 @@ from motor_env.diagnosis.verdict.healthy_spread import (
 )
 from motor_env.diagnosis.verdict.hypotheses import Fitted
 from motor_env.diagnosis.verdict.report_text import UNITS, describe_friction_share
-from motor_env.diagnosis.verdict.sensor_diagnosis import learn_signs
+from motor_env.diagnosis.verdict.sensor_diagnosis import explain_coupling, learn_signs
 from motor_env.motor.data_sheet import Motor, lines as lines_of
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
@@ -228,6 +228,9 @@ def commission(
                 raise InputError(f"--{option} belongs to starts, and these are logs of a motor at work")
         try:
             whole = [at_terminals(recording, voltage_v, circuit) for recording in read]
+            for log in whole:
+                if (reason := explain_coupling(log)) is not None:
+                    raise InputError(f"{log.path}: a healthy log cannot be used: {reason}")
             healthy, windows = learn_windows(whole, window_s, steady=steady)
         except UnusableError as error:
             raise InputError(f"the logs cannot be used: {error}") from None

@@ -232,8 +232,20 @@ def _motor_runs_on(
     return speed is not None and bool(np.ptp(speed[first:]) > _MOVES * np.ptp(speed))
 
 
+def explain_coupling(recording: Recording) -> str | None:
+    """Explain that the current of a log is AC-coupled; None where nothing says so."""
+    record = _record_channels(recording, None)
+    return None if record is None else _explain_coupled(record)
+
+
 def _check_coupled(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
-    """Find a current that lacks its charge over a time constant s: V = K w + R (i + charge / s), for any load."""
+    """Find a current behind a capacitor."""
+    reason = _explain_coupled(record)
+    return None if reason is None else Judgement(Verdict.UNUSABLE, (reason,))
+
+
+def _explain_coupled(record: ChannelRecord) -> str | None:
+    """Explain that a current lacks its charge over a time constant s: V = K w + R (i + charge / s), for any load."""
     n, block = len(record.voltage_v), max(round(_BLOCK_S / record.dt_s), 1)
     if record.current_a is None or record.speed_rad_s is None or n < _FEWEST * block:
         return None
@@ -246,7 +258,7 @@ def _check_coupled(record: ChannelRecord, expected: ChannelRecord, physical: Flo
     is_told = 0.0 < left < _CLEARLY * direct and 2.0 * len(volts) * np.log(direct / left) > _CERTAIN
     if not (is_told and COUPLINGS_PER_S[0] < rate < COUPLINGS_PER_S[1]):
         return None
-    return Judgement(Verdict.UNUSABLE, (AC_COUPLED.format(1.0 / rate),))
+    return AC_COUPLED.format(1.0 / rate)
 
 
 def _check_swapped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
