@@ -322,8 +322,8 @@ class Fault:
         onset_s: time from the supply's step to the onset; the fault acts in intervals that begin at or after it.
         growth_s: time over which the severity rises linearly from 0; 0 for an abrupt fault.
         noise_source: for kinds that change the noise only.
-        changes_s: times at which it ends and returns in turn, ascending, shape (*severity.shape, n_changes); with
-            each return it grows anew. None: it stays.
+        changes_s: times at which it ends and returns in turn, ascending, shape of the severity and then n_changes;
+            with each return it grows anew. None: it stays.
 
     Raises:
         ValueError: a severity out of range, times that are no numbers or of another shape, or growth without an onset.
