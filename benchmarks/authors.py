@@ -27,7 +27,7 @@ AUTHORS = {
 GEAR = 9.69  # of the robots, whose speed is that of the wheel
 
 
-def told(path: Path, regime: str = "auto") -> dict[str, tuple[float, float, float]]:
+def identified(path: Path, regime: str = "auto") -> dict[str, tuple[float, float, float]]:
     """Value and interval of each quantity that a recording tells; none where no motor explains it."""
     try:
         rows = identify(path, regime=regime).parameters
@@ -40,12 +40,12 @@ def rows(folder: Path, every: int) -> Iterator[list[str]]:
     """Rows of the table; of the fleet the median, at the motor's own shaft, and half of all robots about it."""
     for name, says in AUTHORS.items():
         if not (folder / name).is_dir():
-            found = told(folder / f"{name}.csv")
+            found = identified(folder / f"{name}.csv")
             for quantity, said in says.items():
                 value, low, high = found[quantity]
                 yield [name, quantity, said, f"{value:.3g}", f"{low:.3g} to {high:.3g}"]
             continue
-        fits = [told(path, "operation") for path in sorted((folder / name).glob("*.csv"))[::every]]
+        fits = [identified(path, "operation") for path in sorted((folder / name).glob("*.csv"))[::every]]
         for quantity, said in says.items():
             at_motor = {"K": GEAR, "J": GEAR**2}.get(quantity, 1.0)
             values = [fit[quantity][0] / at_motor for fit in fits if {"R", "K", "J"} <= fit.keys()]

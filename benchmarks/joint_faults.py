@@ -85,7 +85,7 @@ def judge(number: int, seed: int, faults: dict[str, dict[str, float]]) -> Said:
     return [((by, r.path.name), named(diagnose(r, motor))) for by, motor, r in pairs]
 
 
-def _right(found: set[str], truth: set[str]) -> str:
+def match_of(found: set[str], truth: set[str]) -> str:
     """How what is named agrees with the truth; empty if nothing of it is named."""
     if found == truth:
         return "right"
@@ -103,7 +103,7 @@ def rows(counts: Counts, faults: dict[str, dict[str, float]]) -> Iterator[list[s
             said = Counter[str]()
             for words, n in one.items():
                 found = set(words.split(" + "))
-                said[_right(found, truth) or words] += n
+                said[match_of(found, truth) or words] += n
             yield [name, by[0], words_of(said)]
 
 

@@ -63,7 +63,7 @@ def truth(motor: Motor, found: OperationFit) -> dict[str, float]:
     return {name: math.log(value) for name, value in true.items()}
 
 
-def told(found: OperationFit) -> dict[str, list[float]]:
+def determined(found: OperationFit) -> dict[str, list[float]]:
     """Logarithms of value and interval of each quantity that a fit determines."""
     return {
         one.name.split("/")[0]: [math.log(max(x, 1e-300)) for x in (one.value, one.low, one.high)]
@@ -82,7 +82,7 @@ def gain(without: Sequence[float], having: Sequence[float]) -> float:
     return 100.0 * math.expm1(float(np.mean(np.log(without)) - np.mean(np.log(having))))
 
 
-def one(job: tuple[str, Any]) -> dict[str, Any]:
+def fit_with_and_without(job: tuple[str, Any]) -> dict[str, Any]:
     """What is chosen in a record, and the fits without each of it."""
     kind, of = job
     row: dict[str, Any] = {"kind": kind, "case": str(of), "without": {}}
@@ -96,14 +96,17 @@ def one(job: tuple[str, Any]) -> dict[str, Any]:
         motor, log = twin(*of) if kind == "twins" else (None, at_terminals(read_recording(of)))
         record = from_recordings([log])
         found = identify_record(record)
-        row |= {"told": told(found), "true": {} if motor is None else truth(motor, found)}
+        row |= {"told": determined(found), "true": {} if motor is None else truth(motor, found)}
         for name in (name for name in found.solution.names if name not in ALWAYS):
             try:
                 less = identify_record(record, (name,))
             except UnusableError as error:
                 row["without"][name] = {"error": str(error)}
                 continue
-            row["without"][name] = {"gain": gain(unexplained(less), unexplained(found)), "told": told(less)}
+            row["without"][name] = {
+                "gain": gain(unexplained(less), unexplained(found)),
+                "told": determined(less),
+            }
     except UnusableError as error:
         row["error"] = str(error)
     return row
@@ -176,7 +179,7 @@ def main(*, twins: int = 8, seed: int = 78, workers: int = 1, rows: Path | None 
         rows: file of a JSON line a record; those that it holds are not fitted again.
     """
     every = {(kind, str(of)): (kind, of) for kind, of in jobs(seed, twins)}
-    known = kept_rows(one, every, lambda row: (row["kind"], row["case"]), workers, rows)
+    known = kept_rows(fit_with_and_without, every, lambda row: (row["kind"], row["case"]), workers, rows)
     failed = [(row["case"], row["error"]) for row in known if "error" in row]
     print(f"\n{len(known)} records, {len(failed)} not fitted", *failed, sep="\n  ")
     counts: defaultdict[str, int] = defaultdict(int)

@@ -112,8 +112,8 @@ def _event(outcome: Outcome) -> dict[str, Any]:
         return event | {"verdict": "unusable", "reason": outcome.error}
     kind = {} if judged.kind is None else {"kind": str(judged.kind)}
     ratios = {change.name: round(change.ratio, 4) for change in judged.decisive.changes}
-    told = {"verdict": str(judged.verdict), **kind, "reason": judged.decisive.reasons[0]}
-    return event | told | ({"ratios": ratios} if ratios else {})
+    event |= {"verdict": str(judged.verdict), **kind, "reason": judged.decisive.reasons[0]}
+    return event | ({"ratios": ratios} if ratios else {})
 
 
 def _print(event: dict[str, Any]) -> None:

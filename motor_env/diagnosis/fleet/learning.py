@@ -332,7 +332,7 @@ def unit_quantities(motor: Motor) -> dict[str, dict[str, Any]]:
     """
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was learned
-    assert healthy.fleet is not None  # noqa: S101
+    assert healthy.fleet is not None  # noqa: S101  # it was learned from a fleet
     return intervals(healthy, np.maximum(healthy.log_covariance - healthy.fleet.log_within, 0.0), 0.05)
 
 
