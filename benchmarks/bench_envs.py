@@ -25,6 +25,7 @@ ROWS = 500
 DECLARES = {"waits": 0.001, "6 % ends": 0.064, "random": None}
 """Probability that an agent declares something; None: every action is as likely as any other."""
 BASE, HARD = "motor_env/MonitorInstant-v0", "hard"
+MONITOR, SENSOR = "motor_env/Monitor-v0", "motor_env/MonitorSensor-v0"
 PROBE, DRIVE, MAINTAIN = "motor_env/ProbeInstant-v0", "motor_env/DriveControl-v0", "motor_env/Maintain-v0"
 MADE: dict[str, tuple[str, dict[str, Any]]] = {HARD: (BASE, {"recipe": "hard"})}
 """What is no id of its own."""
@@ -53,10 +54,14 @@ TABLE = (
     Row(BASE, "6 % ends", 1, 1.7),
     Row(BASE, "random", 1, 0.7),
     Row(BASE, "waits", 1, 15.0, peer="gem"),
+    Row(MONITOR, "waits", 4096, 0.7, title="Monitor-v0 (20 samples a step)"),
+    Row(MONITOR, "6 % ends", 4096, 0.7, title="Monitor-v0 (20 samples a step)"),
+    Row(SENSOR, "6 % ends", 4096, 0.3, title="MonitorSensor-v0 (20 samples a step)"),
+    Row(MONITOR, "waits", 1, 1.6, title="Monitor-v0 (20 samples a step)"),
     Row(PROBE, "waits", 1, 0.5, title="ProbeInstant-v0 (20 samples a step)"),
     Row(DRIVE, "waits", 4096, 0.5, title="DriveControl-v0"),
     Row(DRIVE, "6 % ends", 4096, 0.2, title="DriveControl-v0"),
-    Row(DRIVE, "waits", 1, 1.2, title="DriveControl-v0"),
+    Row(DRIVE, "waits", 1, 0.5, title="DriveControl-v0"),
     Row(MAINTAIN, "waits", 4096, 0.25, title="Maintain-v0"),
     Row(MAINTAIN, "random", 4096, 0.24, title="Maintain-v0"),
     Row(MAINTAIN, "waits", 1, 1.0, title="Maintain-v0"),

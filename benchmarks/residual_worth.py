@@ -1,7 +1,7 @@
 """What the Kalman filter's residual buys an agent: PPO that sees it, and PPO that sees raw measurements alone.
 
 python benchmarks/residual_worth.py             # the table of what is kept, and its picture
-python benchmarks/residual_worth.py --train     # trains what is missing first; all of it takes 20 minutes of one core
+python benchmarks/residual_worth.py --train     # trains what is missing first; all of it takes an hour of one core
 python benchmarks/residual_worth.py --train --only Monitor --variants raw --variants stacked --seeds 0
 
 Each training is a file of its own, `results/reference/ID/VARIANT-SEED.json`, written when it is done: begun anew, the
@@ -39,7 +39,6 @@ from motor_env.motor.parameters import FloatArray
 IDS = ("Monitor-v0", "Probe-v0")
 SEEDS = {"ppo": 5, "raw": 5, "stacked": 5, "recurrent": 3}
 """What an agent sees, and how many are trained."""
-RECURRENT_STEPS = 50_000  # a step of theirs takes twenty times as long
 STACKED, RAW = 8, ("measured_current", "voltage", "time")
 NAMES = {
     "ppo": ("features of the filter", COLOUR["healthy"]),
@@ -135,14 +134,13 @@ def trained(name: str, variant: str, seed: int) -> reference.Result:
     envs = environments(name, variant, reference.N_ENVS)
     test = environments(name, variant, reference.AGENT_EPISODES, held_out=True)
     envs.unwrapped.seed(seed)
-    steps = RECURRENT_STEPS if variant == "recurrent" else reference.STEPS
     model: Any = (
         RecurrentPPO(QuickRecurrentPolicy, envs, seed=seed, device="cpu")
         if variant == "recurrent"
         else QuickPPO("MlpPolicy", envs, seed=seed, device="cpu")
     )
     begun, curve, rollout = time.process_time(), [], model.n_steps * reference.N_ENVS
-    rollouts = -(-steps // rollout)
+    rollouts = -(-reference.STEPS // rollout)
     for part in np.diff(np.linspace(0, rollouts, reference.POINTS + 1).astype(int)):
         model.learn(int(part) * rollout, reset_num_timesteps=False)
         sync_envs_normalization(envs, test)

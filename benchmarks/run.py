@@ -109,7 +109,8 @@ def measure_apart(name: str) -> list[Row] | None:
 def cells(row: Row) -> list[str]:
     """A row of the table."""
     rates = (f"{row['ours']:.3g}", f"{row['peer']:.3g}", row["peer_name"])
-    ratio = (f"{row['ratio']:.3g} x", f"{row['bar']:g} x", "holds" if row["holds"] else "MISSED")
+    rounded = float(f"{row['ratio']:.3g}")
+    ratio = (f"{rounded:,g} x", f"{row['bar']:g} x", "holds" if row["holds"] else "MISSED")
     return [row["name"], *rates, *ratio]
 
 
