@@ -162,10 +162,12 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         for spread in (own if reference.includes_fit_error else hypothesis.difference.covariance, own)
     )
     undecided = tuple(_describe_undecided(by_all, by_piece, reference.source))
-    if len(undecided) == len(_CHECKED_FAULTS):
-        return replace(healthy, verdict=Verdict.UNUSABLE, reasons=undecided, severity=None, confidence=None)
-    healthy = replace(healthy, reasons=(*healthy.reasons, *undecided))
-    return _check_noise(healthy, fit, reference, limits.noise_z)
+    if all(change.verdict == "undecided" for change in healthy.changes):
+        undecided = ("the recording determines no quantity: a doubling of any would not show", *undecided)
+    elif len(undecided) < len(_CHECKED_FAULTS):
+        healthy = replace(healthy, reasons=(*healthy.reasons, *undecided))
+        return _check_noise(healthy, fit, reference, limits.noise_z)
+    return replace(healthy, verdict=Verdict.UNUSABLE, reasons=undecided, severity=None, confidence=None)
 
 
 def _explain_alarm(
