@@ -69,12 +69,13 @@ def generate(
         dry_run: Print what would be written, write nothing.
     """
     require_extra("pyarrow", "datasets")
-    from motor_datasets.folder import generate_dataset, seconds_per_case
-    from motor_datasets.generate import make_plan
-    from motor_datasets.manifest import folder_of
-    from motor_env.motor.data_sheet import load_motor, usable_parameters
-    from motor_env.motor.parameters import Channel
-    from motor_env.simulation.named_recipes import changed_recipe, load_recipe
+    with console.working("loading"):
+        from motor_datasets.folder import generate_dataset, seconds_per_case
+        from motor_datasets.generate import make_plan
+        from motor_datasets.manifest import folder_of
+        from motor_env.motor.data_sheet import load_motor, usable_parameters
+        from motor_env.motor.parameters import Channel
+        from motor_env.simulation.named_recipes import changed_recipe, load_recipe
 
     chosen = changed_recipe(
         load_recipe(recipe),

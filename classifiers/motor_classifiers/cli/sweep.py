@@ -10,7 +10,7 @@ from rich.console import Console
 
 from motor_classifiers.scoring.benchmark import AnswerStore, Plan, Unit, run_plan, units
 from motor_classifiers.scoring.score import Results
-from motor_env.common.console import progress_bar
+from motor_env.common.console import working
 from motor_env.common.errors import InputError
 from motor_env.common.files import replacing
 
@@ -96,7 +96,7 @@ def run_with_progress(plan: Plan, store: AnswerStore) -> tuple[Results, ...]:
         if not errors.is_terminal:
             errors.print(f"{sentence}{' (known)' if known else ''}", soft_wrap=True, highlight=False)
 
-    with progress_bar(sum(unit.seconds for unit in todo), "starting") as update:
+    with working("starting", sum(unit.seconds for unit in todo)) as update:
         return run_plan(plan, store, step)
 
 
