@@ -140,7 +140,8 @@ class FaultClass:
                 f"severity of {self.kind} must be a share of at most {LARGEST_SEVERITY:g} (0.15 is 15 %), "
                 f"got {self.largest_severity:g}",
             )
-            also: Any = self.also if isinstance(self.also, tuple | list) else (self.also,)
+            also: Any = self.also
+            also = also if isinstance(also, tuple | list) else (also,)
             same: dict[str, Any] = {"severity": self.severity, "severity_to": self.severity_to}
             joint = tuple(
                 FaultClass(FaultKind(each), **same) if isinstance(each, str) else each for each in also

@@ -218,9 +218,9 @@ def test_a_motor_that_does_not_turn_or_says_too_little_is_refused(tmp_path: Path
 
 def test_a_drive_takes_a_motor_file(tmp_path: Path) -> None:
     fast = own_motor(tmp_path, constant=25.0)
-    assert gym.make("motor_env/Drive-v0", motor=fast).unwrapped.options.motor == load_motor(fast).parameters
+    assert DriveEnv(motor=fast).options.motor == load_motor(fast).parameters
     with pytest.raises(ValueError, match="the profile must be one that the motor can follow"):
-        gym.make("motor_env/Drive-v0", motor=own_motor(tmp_path))
+        DriveEnv(motor=own_motor(tmp_path))
 
 
 def test_an_unknown_option_is_named_and_the_known_ones_listed() -> None:
