@@ -91,12 +91,14 @@ def run_with_progress(plan: Plan, store: AnswerStore) -> tuple[Results, ...]:
         nonlocal begun, before
         begun += 1
         sentence = f"{begun} of {len(todo)}: {unit.name} on {unit.task.title}"
-        update(advance=before, description=sentence)
+        update(advance=before)
         before = unit.seconds
-        if not errors.is_terminal:
+        if errors.is_terminal:
+            update(description=sentence)
+        else:
             errors.print(f"{sentence}{' (known)' if known else ''}", soft_wrap=True, highlight=False)
 
-    with working("starting", sum(unit.seconds for unit in todo)) as update:
+    with working("judging", sum(unit.seconds for unit in todo)) as update:
         return run_plan(plan, store, step)
 
 
