@@ -18,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help setup hand lint types imports lines words unit test test-long benchmark peers peers-anew bench docs pictures format constraints clean distclean
+.PHONY: help setup hand lint types imports lines words unit test test-long benchmark peers peers-anew bench docs pictures pages notebooks format constraints clean distclean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -100,6 +100,12 @@ docs: $(DOCS_READY) ## build the documentation into docs/_build/html; warnings a
 pictures: $(READY) ## draw the screens and films of the documentation anew
 	$(BIN)/python docs/make_pictures.py
 
+pages: $(READY) ## write the pages of the environments anew
+	$(BIN)/python docs/environment_pages.py
+
+notebooks: $(DOCS_READY) ## run the notebooks of the documentation anew
+	$(BIN)/python docs/make_notebooks.py
+
 format: $(READY) ## let ruff format and fix what it can
 	$(BIN)/python -m ruff format
 	$(BIN)/python -m ruff check --fix
@@ -118,7 +124,7 @@ constraints: $(PINS_READY) ## pin all dependencies anew: constraints.txt and ben
 	rm -f constraints.txt.bak benchmarks/constraints.txt.bak
 
 clean: ## remove caches and built files; out/ and the environments stay
-	rm -rf build dist docs/_build docs/api docs/environments .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .coverage htmlcov
+	rm -rf build dist docs/_build docs/api .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache .coverage htmlcov
 	find . -path './.venv*' -prune -o -name __pycache__ -type d -exec rm -rf {} +
 
 distclean: clean ## the same and the environments

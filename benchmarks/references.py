@@ -43,7 +43,7 @@ def decide(name: str, recipe: Recipe, train: Dataset, test: Dataset, n_reference
     model = make_method(name, recipe, SEED)
     if name == ESTIMATE:
         model.set_params(n_references=n_references, with_severity=False)
-    decided = METHODS[name].train(model, train.X, train.class_name).predict(test.X)
+    decided = model.fit(train.X, train.class_name).predict(test.X)
     names = {class_name: n for n, class_name in enumerate(recipe.class_names)}
     return np.array([names[class_name] for class_name in decided.tolist()])
 

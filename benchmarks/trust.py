@@ -68,7 +68,7 @@ def network(recipe: Recipe) -> PosteriorNetwork:
 def trained(name: str, recipe: Recipe, count: int) -> BaseEstimator:
     """A method of the benchmark, trained on so many starts."""
     train = cases(recipe, TRAIN, count)
-    return METHODS[name].train(make_method(name, recipe, SEED), train.X, train.class_name)
+    return make_method(name, recipe, SEED).fit(train.X, train.class_name)
 
 
 def _moved() -> Iterable[tuple[Recipe, dict[str, Recipe]]]:

@@ -41,7 +41,7 @@ def parts_of(text: str) -> tuple[int, int, int]:
 def group_of(page: Path) -> str:
     """The group that a page counts for."""
     if page.parent.name in MADE:
-        return "made by the build"
+        return "made by commands"
     if page.name in APART:
         return "apart"
     if page.parent.name == "notebooks":

@@ -5,11 +5,9 @@ from importlib.metadata import version as installed_version
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
-from gallery import write_gallery  # they lie beside this file
-from site_pages import write_pages
+from api_pages import write_pages  # it lies beside this file
 
 write_pages()
-write_gallery(Path(__file__).parent / "environments")
 
 project = "motor-env"
 author = "The motor-env contributors"
@@ -18,7 +16,7 @@ release = version = installed_version("motor-env")
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "notebooks/*.ipynb"]  # whose pages beside them are run
 
 myst_enable_extensions = ["colon_fence", "deflist", "substitution"]
 # Where the project lies: [project.urls] of pyproject.toml, which has them from the first release on.

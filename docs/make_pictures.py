@@ -1,7 +1,4 @@
-"""Draws the screens that the documentation shows: `make pictures`. tests/test_pictures.py says when one is stale.
-
-Screens of the environments' own pages are drawn at every build of the site, by site_pages.py.
-"""
+"""Draws the screens that the documentation shows: `make pictures`. tests/test_pictures.py says when one is stale."""
 
 import json
 import re

@@ -21,6 +21,10 @@ os.environ.setdefault("HF_HUB_OFFLINE", "1")
 import pytest  # noqa: E402
 from hypothesis import settings  # noqa: E402
 
+from motor_env.common import console  # noqa: E402
+
+console.PATIENCE_S = 1e6  # what is printed does not depend on how busy the machine is
+
 # HYPOTHESIS_PROFILE=explore looks for new examples; the default repeats the same ones everywhere.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 settings.register_profile("explore", deadline=None, max_examples=1000)

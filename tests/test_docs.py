@@ -9,6 +9,7 @@ commands run in this process: to start one for each would take most of the time.
 
 import doctest
 import importlib
+import json
 import re
 import runpy
 import shlex
@@ -27,9 +28,17 @@ from motor_env.cli import main as env
 PROGRAMS = {"motor-env": env, "motor-datasets": datasets, "motor-classifiers": classifiers}
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-MADE_BY_THE_BUILD = [DOCS / "_build", DOCS / "api", DOCS / "environments"]
-PAGES = sorted(page for page in DOCS.rglob("*.md") if not set(page.parents) & set(MADE_BY_THE_BUILD))
-WITH_README = [ROOT / "README.md", ROOT / "motor_env" / "README.md", *PAGES]
+MADE_BY_THE_BUILD = [DOCS / "_build", DOCS / "api"]  # git ignores them
+ENVIRONMENTS = sorted(
+    (DOCS / "environments").glob("*.md")
+)  # tests/test_pictures.py: they are made by a command
+PAGES = sorted(
+    page
+    for page in DOCS.rglob("*.md")
+    if page not in ENVIRONMENTS and not set(page.parents) & set(MADE_BY_THE_BUILD)
+)
+READMES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md", "motor_env/README.md")]
+LINKING = [*READMES, *PAGES, *ENVIRONMENTS]
 FENCE = re.compile(
     r"^(?:<!-- (?P<mark>[^>\n]*) -->\n\n?)?^```(?P<language>\w*|\{code-cell\} ipython3)\n"
     r"(?:---\n.*?^---\n)?(?P<code>.*?)^```$",
@@ -127,6 +136,24 @@ def test_page_runs(
     assert [line for line in shown(page) if line.rstrip() not in printed_so_far] == []
 
 
+@pytest.mark.parametrize("page", sorted((DOCS / "notebooks").glob("*.md")), ids=name)
+def test_the_notebooks_with_output_have_the_cells_of_today(page: Path) -> None:
+    """`make notebooks` runs them anew."""
+    text = re.sub(r"\A---\n.*?^---\n", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    code = [block["code"] for block in FENCE.finditer(text)]
+    prose = FENCE.sub("\0", text).split("\0")
+    cells = json.loads(page.with_suffix(".ipynb").read_text(encoding="utf-8"))["cells"]
+    kept = {
+        kind: ["".join(cell["source"]).strip() for cell in cells if cell["cell_type"] == kind]
+        for kind in ("code", "markdown")
+    }
+    assert kept == {
+        "code": [each.strip() for each in code],
+        "markdown": [each.strip() for each in prose if each.strip()],
+    }
+    assert sum("image/png" in output.get("data", {}) for cell in cells for output in cell.get("outputs", []))
+
+
 @pytest.mark.parametrize(
     "module",
     [
@@ -165,15 +192,12 @@ def test_every_page_of_the_api_reference_has_an_example() -> None:
     assert [page for page in pages if ">>>" not in (importlib.import_module(page).__doc__ or "")] == []
 
 
-@pytest.mark.parametrize("page", WITH_README, ids=name)
-def test_links_and_pictures_exist(page: Path) -> None:
+@pytest.mark.parametrize("page", LINKING, ids=name)
+def test_links_and_pictures_lead_to_what_a_clone_holds(page: Path) -> None:
     text = re.sub(r"```.*?```|`[^`\n]*`|\$[^$\n]*\$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     targets = [link.split("#")[0] for link in LINK.findall(text)]
-    # The build of the site checks links to the pages that it makes.
-    there = [page.parent / target for target in targets if target]
-    assert [
-        path for path in there if not path.exists() and path.resolve().parent not in MADE_BY_THE_BUILD
-    ] == []
+    there = [(page.parent / target).resolve() for target in targets if target]
+    assert [path for path in there if not path.exists() or set(path.parents) & set(MADE_BY_THE_BUILD)] == []
 
 
 def test_files_that_the_design_names_exist() -> None:
@@ -183,7 +207,7 @@ def test_files_that_the_design_names_exist() -> None:
     assert [file for file in files if not (ROOT / file).exists()] == []
 
 
-@pytest.mark.parametrize("page", WITH_README, ids=name)
+@pytest.mark.parametrize("page", LINKING, ids=name)
 def test_pictures_have_alternative_text(page: Path) -> None:
     assert re.findall(r"!\[\s*\]\([^)]*\)", page.read_text(encoding="utf-8")) == []
 

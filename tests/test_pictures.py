@@ -78,6 +78,20 @@ def test_the_learning_curves_are_those_of_the_kept_trainings(tmp_path: Path) -> 
     assert drawn == residual_worth.PICTURE.read_text(encoding="utf-8")
 
 
+def test_the_pages_of_the_environments_are_those_of_today(tmp_path: Path) -> None:
+    """`make pages` writes them anew: specification, options, scores, screens, learning curves."""
+    import_module("environment_pages").write_pages(tmp_path)
+    pages = ROOT / "docs" / "environments"
+    assert {path.name for path in pages.iterdir()} == {path.name for path in tmp_path.iterdir()}
+    for drawn in tmp_path.glob("*.md"):
+        assert (pages / drawn.name).read_text(encoding="utf-8") == drawn.read_text(encoding="utf-8"), (
+            "make pages"
+        )
+    for path in tmp_path.glob("*.png"):
+        with Image.open(pages / path.name) as kept, Image.open(path) as drawn:
+            assert far_off(kept, drawn) < 0.001, f"make pages: {path.name}"
+
+
 def test_every_picture_is_shown_and_has_a_test() -> None:
     """Those of the paper are held by the golden results of tests/motor_env."""
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]

@@ -41,7 +41,7 @@ SHARED = {
 IN_EVERY_FAMILY = {"kernel", "kernels", "options"}
 """Names that several modules of `motor_env` may have: each family has one."""
 REACHES_IN = "# Reaches in: "
-PAGES = importlib.import_module("site_pages")
+PAGES = importlib.import_module("api_pages")
 COMPILED = ("njit", "vectorize", "compiled", "inlined")
 
 

@@ -94,8 +94,9 @@ LICENSE = "https://spdx.org/licenses/MIT.html"
 """Licence of generated data: that of the package."""
 
 _TERMS = (
-    "citeAs column extract field fileObject fileProperty fileSet format includes isLiveDataset jsonPath key md5"
-    " parentField path recordSet references regex repeated replace separator source subField transform"
+    "citeAs column equivalentProperty extract field fileObject fileProperty fileSet format includes isLiveDataset"
+    " jsonPath key md5 parentField path recordSet references regex repeated replace samplingRate separator source"
+    " subField transform"
 )
 _CONTEXT: dict[str, Any] = {
     "@language": "en",

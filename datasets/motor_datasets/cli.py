@@ -34,6 +34,7 @@ def generate(
     duration_s: float | None = None,
     quiet_s: float | None = None,
     current_noise_a: float | None = None,
+    speed_noise_rad_s: float | None = None,
     channels: str | None = None,
     motor: str | None = None,
     workers: console.Whole | None = None,
@@ -49,7 +50,8 @@ def generate(
     Args:
         recipe: What is sampled: paper (noise only), bench (tolerances), bench-full (all fault kinds), field (dry
             friction, temperature, supply, load, sensor errors), operation (motors at work: another voltage, which is a
-            channel, and load in each case), or a recipe TOML.
+            channel, and load in each case), easy, medium, hard, small, sensor (those of the environments), or a recipe
+            TOML.
         cases: Number of transients.
         seed: Random seed, 0 .. 2^64 - 1.
         out: New folder, or a URL such as s3://bucket/prefix. An existing one is never overwritten.
@@ -57,6 +59,7 @@ def generate(
         duration_s: Time recorded after the step of the supply.
         quiet_s: Time recorded before the step, on top of the duration.
         current_noise_a: Standard deviation of a current sample.
+        speed_noise_rad_s: Standard deviation of a speed sample, with --channels current,speed.
         channels: Measured channels, comma between: current, or current,speed.
         motor: Catalogue name (paper), or a motor TOML.
         workers: Processes that write; one by default, of a Dask cluster all.
@@ -66,12 +69,13 @@ def generate(
         dry_run: Print what would be written, write nothing.
     """
     require_extra("pyarrow", "datasets")
-    from motor_datasets.folder import generate_dataset, seconds_per_case
-    from motor_datasets.generate import make_plan
-    from motor_datasets.manifest import folder_of
-    from motor_env.motor.data_sheet import load_motor, usable_parameters
-    from motor_env.motor.parameters import Channel
-    from motor_env.simulation.named_recipes import changed_recipe, load_recipe
+    with console.working("loading"):
+        from motor_datasets.folder import generate_dataset, seconds_per_case
+        from motor_datasets.generate import make_plan
+        from motor_datasets.manifest import folder_of
+        from motor_env.motor.data_sheet import load_motor, usable_parameters
+        from motor_env.motor.parameters import Channel
+        from motor_env.simulation.named_recipes import changed_recipe, load_recipe
 
     chosen = changed_recipe(
         load_recipe(recipe),
@@ -79,6 +83,7 @@ def generate(
         duration_s=duration_s,
         quiet_s=quiet_s,
         current_noise_a=current_noise_a,
+        speed_noise_rad_s=speed_noise_rad_s,
         channels=tuple(channels.split(",")) if channels is not None else None,
     )
     if motor is not None:
@@ -142,7 +147,8 @@ def verify(folder: str, /, *, json_: bool = False) -> int:
     require_extra("pyarrow", "datasets")
     from motor_datasets.manifest import folder_of, problems
 
-    defects = problems(folder_of(folder))
+    with console.working(f"checking {folder}"):
+        defects = problems(folder_of(folder))
     if json_:
         print(console.json_text(defects))
     else:
@@ -195,8 +201,9 @@ def export(folder: str, file: Path, /, *, split: str | None = None) -> int:
     require_extra("pyarrow", "datasets")
     from motor_datasets.loaders import export as export_arrays, load
 
-    dataset = load(folder, split)
-    export_arrays(dataset, file)
+    with console.working(f"writing {file}"):
+        dataset = load(folder, split)
+        export_arrays(dataset, file)
     print(f"wrote {len(dataset)} cases: {file}")
     return 0
 
@@ -229,7 +236,7 @@ def _progress(cases: int) -> Iterator[Callable[[int], None]]:
             count = f"{task.completed:.0f} / {task.total:.0f} cases"
             return Text(count if rate is None else f"{count}, {rate:.0f} a second")
 
-    with console.progress_bar(cases, "", Rate()) as update:
+    with console.working("writing cases", cases, Rate()) as update:
         yield lambda count: update(advance=count)
 
 

@@ -23,7 +23,7 @@ from motor_env.motor.compiled import without_notice
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.model import State
 from motor_env.motor.parameters import PAPER_MOTOR, FloatArray
-from motor_env.simulation.named_recipes import RECIPES
+from motor_env.simulation.named_recipes import load_recipe
 from motor_env.simulation.sampling import draw, measure_draw
 from motor_env.simulation.simulate import simulate_states
 
@@ -48,8 +48,8 @@ def _play_policies() -> None:
 
 
 def _draw_recipes() -> None:
-    """Draw three cases of each named recipe, and compute what classifiers ask of them."""
-    for recipe in RECIPES.values():
+    """Draw three cases of each recipe of data sets, and compute what classifiers ask of them."""
+    for recipe in map(load_recipe, ("paper", "bench", "bench-full", "field", "operation")):
         measured = measure_draw(draw(recipe, 0, np.arange(3)), recipe, 0)
         if recipe.duty is not None:
             work_features(recipe, measured.astype(np.float64))

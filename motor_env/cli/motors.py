@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from motor_env.cli import options
-from motor_env.common.console import ExitStatus, printable
+from motor_env.common.console import ExitStatus, printable, working
 from motor_env.common.errors import InputError
 from motor_env.common.files import write_text
 
@@ -52,16 +52,17 @@ def identify(
     if motor is not None:
         options.refuse("--motor", torque_constant=torque_constant, out=out)
         return _identify_with_fleet(files, motor, output, measurement, regime=regime, name=name, json_=json_)
-    from motor_env.diagnosis.identification import identify as fitted
-    from motor_env.motor.data_sheet import save_motor
+    with working(f"fitting {_recordings(files, '')}"):
+        from motor_env.diagnosis.identification import identify as fitted
+        from motor_env.motor.data_sheet import save_motor
 
-    result = fitted(
-        files,
-        **measurement.options,
-        regime=regime,
-        constant=torque_constant,
-        periods_per_turn=measurement.ripple_periods_per_turn,
-    )
+        result = fitted(
+            files,
+            **measurement.options,
+            regime=regime,
+            constant=torque_constant,
+            periods_per_turn=measurement.ripple_periods_per_turn,
+        )
     if output is not None and (result.logs or result.usable):
         identified = result.motor(name)
         _say_kept(output)
@@ -84,10 +85,11 @@ def _identify_with_fleet(
     json_: bool,
 ) -> int:
     """Run `identify` with a fleet's motor file as the prior."""
-    from motor_env.diagnosis.fleet.learning import unit_quantities, update_unit
-    from motor_env.motor.data_sheet import load_motor, save_motor
+    with working(f"fitting {_recordings(files, '')}"):
+        from motor_env.diagnosis.fleet.learning import unit_quantities, update_unit
+        from motor_env.motor.data_sheet import load_motor, save_motor
 
-    result = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
+        result = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
     rows = unit_quantities(result)
     if output is not None:
         _say_kept(output)
@@ -173,21 +175,22 @@ def commission(
     else:
         if sisters.group is not None:
             raise InputError("--group goes with --fleet")
-        from motor_env.diagnosis.commission import commission as learned
-        from motor_env.motor.data_sheet import save_motor
+        with working(f"learning from {_recordings(files, 'healthy ')}"):
+            from motor_env.diagnosis.commission import commission as learned
+            from motor_env.motor.data_sheet import save_motor
 
-        result = learned(
-            files,
-            name,
-            false_alarm_rate=false_alarm_rate,
-            temperature_c=temperature_c,
-            regime=regime,
-            window_s=window,
-            steady=steady,
-            **measurement.options,
-            constant=torque_constant,
-            no_load_current_a=no_load_current,
-        )
+            result = learned(
+                files,
+                name,
+                false_alarm_rate=false_alarm_rate,
+                temperature_c=temperature_c,
+                regime=regime,
+                window_s=window,
+                steady=steady,
+                **measurement.options,
+                constant=torque_constant,
+                no_load_current_a=no_load_current,
+            )
         before = _kept(output)
         save_motor(result.motor, output)
         if out is not None:
@@ -215,7 +218,8 @@ def _commission_fleet(
     from motor_env.motor.data_sheet import load_motor, save_motor
 
     if motor is not None:
-        learned = update_unit(files, load_motor(motor), name, reading=reading)
+        with working(f"fitting {_recordings(files, 'own ')}"):
+            learned = update_unit(files, load_motor(motor), name, reading=reading)
         read = [(path, read_recording(path, reading.columns).columns) for path in files]
         text = "\n".join(
             [f"{_recordings(files, 'own ')} beside the sisters of {motor}", *describe_reading(read)]

@@ -158,7 +158,7 @@ class FleetOptions:
         from motor_env.diagnosis.fleet.fits import processes
 
         with (
-            console.progress_bar(2 * len(files), "fitting") as advance,
+            console.working("fitting", 2 * len(files)) as update,
             processes(self.workers, self.scheduler) as each,
         ):
             yield {
@@ -166,7 +166,7 @@ class FleetOptions:
                 "reading": reading,
                 "each": each,
                 "kept": self.kept,
-                "progress": lambda _: advance(advance=1),
+                "progress": lambda _: update(advance=1),
             }
 
 

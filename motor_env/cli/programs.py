@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Literal
 
@@ -19,10 +20,10 @@ def reproduce(*, out: Path, json_: bool = False) -> int:
         out: Folder for index.html, paper.md, reproduce.json and images/. One with files of others is refused.
         json_: Print what stands in reproduce.json.
     """
-    from motor_env.apps import reproduce as paper
+    with console.working("computing the paper's numbers") as update:
+        from motor_env.apps import reproduce as paper
 
-    with console.working("computing the paper's numbers") as say:
-        result = paper.reproduce(out, progress=lambda figure: say(f"drawing {figure.name}"))
+        result = paper.reproduce(out, progress=lambda figure: update(description=f"drawing {figure.name}"))
     counts = f"{len(result['figures'])} figures and {len(result['numbers'])} numbers"
     show(json_, lambda: result, lambda: f"{counts}: {out / 'index.html'}")
     return 0
@@ -73,6 +74,7 @@ def warm_up() -> int:
     """
     from motor_env.apps import warming
 
+    print("compiling: a minute or two", file=sys.stderr, flush=True)
     seconds = warming.warm_up(said=lambda part, took: print(f"{took:6.1f} s  {part}", flush=True))
     print(f"{sum(seconds.values()):6.1f} s  all; nothing is compiled from now on")
     return 0

@@ -196,13 +196,13 @@ def diagnose(
         return int(result.status)
     if sisters.group is not None:
         raise InputError("--group goes with --fleet")
-    from motor_env.apps.folder import recordings_in, trend_of
-    from motor_env.diagnosis.file_verdicts import diagnose_files
+    has_folder = any(path.is_dir() for path in files)
+    with console.working("reading") as update:
+        from motor_env.apps.folder import recordings_in, trend_of
+        from motor_env.diagnosis.file_verdicts import diagnose_files
 
-    has_folder, files = any(path.is_dir() for path in files), recordings_in(files)
-    with console.working("reading") as say:
         outcomes = diagnose_files(
-            files,
+            recordings_in(files),
             motor=motor,
             healthy=healthy or (),
             false_alarm_rate=false_alarm_rate,
@@ -211,7 +211,7 @@ def diagnose(
             temperature_c=temperature_c,
             regime=regime,
             **measurement.options,
-            progress=lambda path: say(f"diagnosing {path}"),
+            progress=lambda path: update(description=printable(f"diagnosing {path}")),
         )
     for outcome in outcomes:
         if outcome.error is not None:
@@ -264,13 +264,14 @@ def trend(
         json_: Print one array with one object a quantity.
     """
     from motor_env.common.files import write_text
-    from motor_env.diagnosis.prognosis.trend import parse_limits
-    from motor_env.diagnosis.prognosis.trend_report import trend as trends_of
 
     if out.exists() and out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: is there, and is no page; give another --out")
-    chosen = reading.chosen
-    with console.working("reading") as say:
+    with console.working("reading") as update:
+        from motor_env.diagnosis.prognosis.trend import parse_limits
+        from motor_env.diagnosis.prognosis.trend_report import trend as trends_of
+
+        chosen = reading.chosen
         result = trends_of(
             paths,
             parse_limits(limit or ()),
@@ -279,7 +280,7 @@ def trend(
             columns=chosen.options["columns"],
             date=date,
             reference_count=reference_count,
-            progress=lambda path: say(f"fitting {path}"),
+            progress=lambda path: update(description=printable(f"fitting {path}")),
         )
     write_text(out, result.page())
     for note in result.notes:

@@ -8,9 +8,11 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from pathlib import Path
@@ -123,17 +125,74 @@ def printable(text: str) -> str:
     )
 
 
+PATIENCE_S, LATER_S = 1.0, 10.0
+"""Without a terminal: when somebody who waits is told what for, and when again; from then on ever more rarely."""
+
+
 @contextmanager
-def working(words: str) -> Iterator[Callable[[object], None]]:
-    """Show on a terminal what is worked on; yield the function that changes this line."""
+def working(
+    words: str, total: float | None = None, *columns: ProgressColumn
+) -> Iterator[Callable[..., None]]:
+    """Tell on standard error what is worked on and how far it is: by a bar on a terminal, elsewhere by lines.
+
+    Yields:
+        Function that takes `advance`, `completed`, `total` or `description`.
+    """
     if not sys.stderr.isatty():
-        yield lambda now: None
+        with _told(_Work(words, total)) as update:
+            yield update
         return
     from rich.console import Console
-    from rich.text import Text
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    with Console(stderr=True).status(words) as status:
-        yield lambda now: status.update(Text(printable(str(now))))
+    text = TextColumn("{task.description}", markup=False)
+    usual = (text, BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*usual, *columns, console=Console(stderr=True)) as bar:
+        yield partial(bar.update, bar.add_task(words, total=total))
+
+
+@dataclass
+class _Work:
+    """What is worked on, and how far it is."""
+
+    description: str
+    total: float | None
+    completed: float = 0.0
+    begin_s: float | None = None
+
+    def update(self, advance: float = 0.0, **changes: Any) -> None:
+        if self.begin_s is None:
+            self.begin_s = time.monotonic()
+        for name, value in changes.items():
+            setattr(self, name, value)
+        self.completed += advance
+
+    @property
+    def line(self) -> str:
+        if self.begin_s is None or not self.total or not self.completed:
+            return f"{self.description} ..."
+        left_s = (time.monotonic() - self.begin_s) * (self.total / self.completed - 1.0)
+        return f"{self.description} ... {self.completed / self.total:.0%}, about {left_s:.0f} s left"
+
+
+@contextmanager
+def _told(work: _Work) -> Iterator[Callable[..., None]]:
+    """Tell of work by lines on standard error until it is done."""
+    done = threading.Event()
+
+    def tell() -> None:
+        wait_s = PATIENCE_S
+        while not done.wait(wait_s):
+            print(work.line, file=sys.stderr, flush=True)
+            wait_s = max(2.0 * wait_s, LATER_S)
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield work.update
+    finally:
+        done.set()
+        teller.join()
 
 
 _NO_ROOM = ("failed to map segment", "allocate memory")  # of a library, as the loader says it
@@ -148,22 +207,6 @@ def _sentence(error: Exception) -> str | None:
     if isinstance(error, MemoryError) or any(words in str(error) for words in _NO_ROOM):
         return f"there is too little memory ({' '.join(str(error).split()) or 'no room left'})"
     return str(error) if isinstance(error, ValueError | OSError) else None
-
-
-@contextmanager
-def progress_bar(total: float | None, text: str, *columns: ProgressColumn) -> Iterator[Callable[..., None]]:
-    """Show a progress bar on standard error, only on a terminal.
-
-    Yields:
-        Function that takes `advance`, `completed`, `total` or `description`.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    errors = Console(stderr=True)
-    usual = (TextColumn("{task.description}"), BarColumn(30), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*usual, *columns, console=errors, disable=not errors.is_terminal) as bar:
-        yield partial(bar.update, bar.add_task(text, total=total))
 
 
 def json_text(value: Any, *, indent: int | None = 1) -> str:

@@ -84,11 +84,19 @@ class ProbeEnv(MotorEnv):
     | 4 | choose winding |
 
     ## Observation Space
-    As in `MonitorEnv`, and the evidence for each kind of fault that changes the motor:
+    Those of `MonitorEnv`, and the evidence for each kind of fault that changes the motor:
 
     | Num | Observation | Meaning | Min | Max |
     |---|---|---|---|---|
-    | 0 to 8 | | those of `MonitorEnv` | | |
+    | 0 | `measured_current` | what the sensor reads, in units of the stall current | -3 | 3 |
+    | 1 | `estimated_current` | what the filter holds it for | -3 | 3 |
+    | 2 | `estimated_speed` | the same of the speed, in units of the ideal no-load speed | -3 | 3 |
+    | 3 | `innovation_current` | read minus expected, whitened: sum over the step / root of its samples | -10 | 10 |
+    | 4 | `fast_current` | its exponentially weighted mean over 1 ms, scaled to a standard deviation of 1 | -10 | 10 |
+    | 5 | `slow_current` | the same over 10 ms | -10 | 10 |
+    | 6 | `excess` | how far its power exceeds that of noise, over 10 ms, scaled in the same way | -10 | 10 |
+    | 7 | `voltage` | of the last step, in units of the supply's | -3 | 3 |
+    | 8 | `time` | share of the horizon that has passed | 0 | 1 |
     | 9 | `evidence_bearing` | CUSUM of the log-likelihood ratio of the kind's smallest fault, over 10 | -10 | 10 |
     | 10 | `evidence_winding_contact` | the same | -10 | 10 |
 
@@ -149,7 +157,21 @@ class ProbeContinuousEnv(MotorEnv):
     | 2 | above 0.5, and above the other kinds: choose winding | -1 | 1 |
 
     ## Observation Space
-    As in `ProbeEnv`.
+    Those of `ProbeEnv`:
+
+    | Num | Observation | Meaning | Min | Max |
+    |---|---|---|---|---|
+    | 0 | `measured_current` | what the sensor reads, in units of the stall current | -3 | 3 |
+    | 1 | `estimated_current` | what the filter holds it for | -3 | 3 |
+    | 2 | `estimated_speed` | the same of the speed, in units of the ideal no-load speed | -3 | 3 |
+    | 3 | `innovation_current` | read minus expected, whitened: sum over the step / root of its samples | -10 | 10 |
+    | 4 | `fast_current` | its exponentially weighted mean over 1 ms, scaled to a standard deviation of 1 | -10 | 10 |
+    | 5 | `slow_current` | the same over 10 ms | -10 | 10 |
+    | 6 | `excess` | how far its power exceeds that of noise, over 10 ms, scaled in the same way | -10 | 10 |
+    | 7 | `voltage` | of the last step, in units of the supply's | -3 | 3 |
+    | 8 | `time` | share of the horizon that has passed | 0 | 1 |
+    | 9 | `evidence_bearing` | CUSUM of the log-likelihood ratio of the kind's smallest fault, over 10 | -10 | 10 |
+    | 10 | `evidence_winding_contact` | the same | -10 | 10 |
 
     ## Rewards
     As in `ProbeEnv`.

@@ -1,4 +1,4 @@
-"""Options of Monitor and what all environments' options share; the recipes easy, medium, hard, small and sensor."""
+"""Options of Monitor, and what the options of all environments share."""
 
 from __future__ import annotations
 
@@ -13,97 +13,35 @@ import numpy as np
 
 from motor_env.common.arrays import shown
 from motor_env.common.errors import UnknownOptionError
-from motor_env.motor.faults import FaultKind
+from motor_env.motor.data_sheet import Motor, load_motor, usable_parameters
 from motor_env.motor.parameters import (
     CATALOGUE,
     PAPER_MOTOR,
     Channel,
     FloatArray,
     MotorParameters,
-    SensorParameters,
     SupplyParameters,
     require,
     require_numbers,
     require_positive,
 )
-from motor_env.simulation.named_recipes import RECIPES
-from motor_env.simulation.recipes import PAPER_CLASSES, FaultClass, Recipe, Spread
+from motor_env.motor.toml_files import from_dict
+from motor_env.simulation.named_recipes import load_recipe, motor_recipe
+from motor_env.simulation.recipes import Recipe
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
-
-
-EASY = Recipe(
-    name="easy",
-    classes=(FaultClass(weight=2.0), PAPER_CLASSES[2], PAPER_CLASSES[4]),
-    sensor=SensorParameters(current_noise_a=0.005),
-)
-"""Large faults, a good sensor, a motor known exactly."""
-
-MEDIUM = Recipe(
-    name="medium",
-    classes=(FaultClass(weight=4.0), *PAPER_CLASSES[1:]),
-)
-"""The paper's fault levels at 20 mA of noise, a motor known exactly."""
-
-HARD = Recipe(
-    name="hard",
-    spread=Spread(supply=0.01, resistance=0.003, constants=0.002, inertia=0.002, friction=0.002),
-    classes=(
-        FaultClass(weight=6.0),
-        *PAPER_CLASSES[1:3],
-        FaultClass(FaultKind.WINDING_CONTACT, 0.05),
-        FaultClass(FaultKind.WINDING_CONTACT, 0.10),
-        FaultClass(FaultKind.WINDING_SHORT, 0.05),
-        FaultClass(FaultKind.NOISE, 0.5),
-    ),
-)
-"""Smaller faults of more kinds, on a motor known as well as commissioning allows and a supply known to 1 %."""
-
-SMALL = Recipe(
-    name="small",
-    classes=(
-        FaultClass(weight=3.0),
-        FaultClass(FaultKind.WINDING_CONTACT, 0.005),
-        FaultClass(FaultKind.WINDING_CONTACT, 0.01),
-        FaultClass(FaultKind.WINDING_CONTACT, 0.02),
-        FaultClass(FaultKind.WINDING_CONTACT, 0.03),
-        FaultClass(FaultKind.BEARING, 0.25, weight=2.0),
-    ),
-    sensor=SensorParameters(current_noise_a=0.01),
-)
-"""Winding faults of 0.5 to 3 %, which only a moving voltage shows, and a bearing fault."""
-
-SENSOR = Recipe(
-    name="sensor",
-    classes=(
-        FaultClass(weight=10.0),
-        *PAPER_CLASSES[1:3],
-        *(FaultClass(FaultKind.WINDING_CONTACT, severity) for severity in (0.02, 0.05, 0.10)),
-        FaultClass(FaultKind("current_gain"), 0.02),
-        FaultClass(FaultKind("current_offset"), 0.001),  # 0.3 standard deviations of the noise
-        FaultClass(FaultKind("current_drift"), 0.02),  # 0.1 A/s
-        FaultClass(FaultKind("speed_gain"), 0.001),
-        FaultClass(FaultKind("speed_drift"), 0.02),  # 10 rad/s2
-    ),
-    sensor=SensorParameters((Channel.CURRENT, Channel.SPEED)),
-)
-"""Faults of a motor and of its two sensors, so small that the other quantity has to tell which of them it is."""
-
-TASKS = {recipe.name: recipe for recipe in (EASY, MEDIUM, HARD, SMALL, SENSOR)}
 
 
 def described(kind: type[Any], value: Any) -> Any:
     """Recipe or motor from the dictionary that an EnvSpec's JSON makes of it; anything else as it is."""
     if not isinstance(value, Mapping) or not value:
         return value
-    from motor_env.motor.toml_files import from_dict
-
     return from_dict(kind, value, kind.__name__)
 
 
 def task_recipe(recipe: Any) -> Recipe:
-    """Recipe by name (easy, medium, hard, small, sensor, or a named recipe of the package), TOML file or dictionary.
+    """Recipe by name or TOML file, as `load_recipe` finds it, or from its dictionary.
 
     Raises:
         ValueError: no such recipe or file, or it is not a recipe.
@@ -113,20 +51,28 @@ def task_recipe(recipe: Any) -> Recipe:
         isinstance(recipe, Recipe | str | Path),
         f"recipe must be a name, a TOML file or a Recipe, got {shown(recipe)}",
     )
-    if isinstance(recipe, Recipe):
-        return recipe
-    name = str(recipe)
-    if name in TASKS:
-        return TASKS[name]
-    if name.endswith(".toml"):
-        from motor_env.simulation.named_recipes import load_recipe
+    return recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
 
-        return load_recipe(recipe)
+
+def linear_motor(motor: Any, *, needs_speed: bool) -> Motor:
+    """Motor of the catalogue or of a TOML file that an environment can simulate; what it assumes is warned of.
+
+    Raises:
+        ValueError: no such motor, it is not linear, or it says too little.
+    """
     require(
-        name in RECIPES,
-        f"recipe must be one of {', '.join([*TASKS, *RECIPES])}, or a TOML file, got {name!r}",
+        isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {shown(motor)}"
     )
-    return RECIPES[name]
+    read = load_motor(motor)
+    for name in ("coulomb_friction_n_m", "brush_drop_v"):
+        require(
+            getattr(read, name) == 0.0,
+            f"{motor}: an environment's motor is linear, so {name} must be 0, got {getattr(read, name):g}",
+        )
+    usable_parameters(read, needs_speed=needs_speed)
+    for note in () if read.assumed else read.notes:
+        warnings.warn(f"{motor}: {note}", stacklevel=2)
+    return read
 
 
 def with_motor(recipe: Recipe, motor: Any) -> Recipe:
@@ -138,26 +84,10 @@ def with_motor(recipe: Recipe, motor: Any) -> Recipe:
     motor = described(MotorParameters, motor)
     if isinstance(motor, MotorParameters):
         return replace(recipe, motor=motor)
-    require(
-        isinstance(motor, str | Path), f"motor must be a name, a TOML file or parameters, got {shown(motor)}"
-    )
-    from motor_env.motor.data_sheet import load_motor
-
-    read = load_motor(motor)
-    for name in ("coulomb_friction_n_m", "brush_drop_v"):
-        require(
-            getattr(read, name) == 0.0,
-            f"{motor}: an environment's motor is linear, so {name} must be 0, got {getattr(read, name):g}",
-        )
+    read = linear_motor(motor, needs_speed=Channel.SPEED in recipe.sensor.channels)
     if str(motor) in CATALOGUE:
         return replace(recipe, motor=read.parameters)
-    from motor_env.motor.data_sheet import usable_parameters
-    from motor_env.simulation.named_recipes import motor_recipe
-
     require(read.nominal_voltage_v is not None, f"{motor}: motor.nominal_voltage_v is missing")
-    usable_parameters(read, needs_speed=Channel.SPEED in recipe.sensor.channels)
-    for note in () if read.assumed else read.notes:
-        warnings.warn(f"{motor}: {note}", stacklevel=2)
     own = motor_recipe(read, timing=recipe.timing, classes=recipe.classes)
     return replace(recipe, motor=own.motor, supply=own.supply, sensor=own.sensor, spread=own.spread)
 
@@ -229,8 +159,7 @@ class MonitorOptions:
 
     Attributes:
         recipe: nominal motor, tolerances, faults and their weights, sensor, sampling rate: a `Recipe`, its TOML file,
-            its dictionary in an EnvSpec's JSON, or a name (easy, medium, hard, small, sensor, or of
-            `simulation.named_recipes`).
+            its dictionary in an EnvSpec's JSON, or a name of `simulation.named_recipes`, as easy, medium or hard.
         motor: in place of the recipe's nominal motor: a motor's TOML file, which also gives supply, noise and
             tolerances; a name of the catalogue, or `MotorParameters`; None: the recipe's motor.
         horizon_s: length of an episode.

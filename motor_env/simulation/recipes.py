@@ -108,7 +108,7 @@ class FaultClass:
         severity: its level, or the smallest where `severity_to` is given.
         weight: how often it is drawn, relative to the others.
         severity_to: the largest severity, drawn uniformly; None for one level.
-        also: joint faults that come with it; their weights are ignored.
+        also: joint faults that come with it; of one that is as severe, its kind is enough. Their weights are ignored.
         recovery: how long it acts and pauses; None: it stays. The first time begins with the record, or at the onset.
 
     Raises:
@@ -140,6 +140,15 @@ class FaultClass:
                 f"severity of {self.kind} must be a share of at most {LARGEST_SEVERITY:g} (0.15 is 15 %), "
                 f"got {self.largest_severity:g}",
             )
+            also: Any = self.also
+            also = also if isinstance(also, tuple | list) else (also,)
+            same: dict[str, Any] = {"severity": self.severity, "severity_to": self.severity_to}
+            joint = tuple(
+                FaultClass(FaultKind(each), **same) if isinstance(each, str) else each for each in also
+            )
+            for each in joint:
+                instance("also", each, FaultClass)
+            object.__setattr__(self, "also", joint)
         if self.severity_to is not None:
             require(
                 self.severity_to > self.severity,

@@ -10,7 +10,7 @@ from hostile import json_of
 from safetensors.numpy import load, save
 from sklearn.base import BaseEstimator
 
-from motor_classifiers import METHODS, make_method, save_model
+from motor_classifiers import make_method, save_model
 
 # Reaches in: files are forged under the entry in which the description of a model stands.
 from motor_classifiers.model_files.persistence import FORMAT
@@ -30,7 +30,7 @@ QUICK: dict[str, dict[str, Any]] = {
 def fitted(name: str) -> BaseEstimator:
     """A method that was fitted to a few starts."""
     model = make_method(name, RECIPE, 0).set_params(**QUICK.get(name, {}))
-    return METHODS[name].train(model, TRAIN.X, TRAIN.class_name)
+    return model.fit(TRAIN.X, TRAIN.class_name)
 
 
 def file_of(model: BaseEstimator, name: str) -> bytes:

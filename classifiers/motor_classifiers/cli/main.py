@@ -31,12 +31,13 @@ def task(name: str, /, *, out: Path) -> int:
     from motor_env.common.files import replacing, write_text
 
     chosen = load_task(name)
-    test = chosen.test()
-    arrays: dict[str, dict[str, Any]] = {"train": chosen.training_arrays(), "test": {"X": test.X}}
-    for part, content in arrays.items():
-        with replacing(out / f"{part}.npz") as temporary:
-            np.savez(temporary, allow_pickle=False, **content)
-    write_text(out / "task.json", json.dumps(task_facts(chosen), indent=1) + "\n")
+    with console.working("drawing the starts of the task"):
+        test = chosen.test()
+        arrays: dict[str, dict[str, Any]] = {"train": chosen.training_arrays(), "test": {"X": test.X}}
+        for part, content in arrays.items():
+            with replacing(out / f"{part}.npz") as temporary:
+                np.savez(temporary, allow_pickle=False, **content)
+        write_text(out / "task.json", json.dumps(task_facts(chosen), indent=1) + "\n")
     print(f"{chosen.title}: {chosen.n_train} starts to learn from, {len(test.X)} cases to answer: {out}")
     return 0
 
@@ -55,7 +56,8 @@ def score(task: str, answers: Path, /, *, json_: bool = False) -> int:
     from motor_classifiers.scoring.frozen_tasks import load_task, read_answers, score_answers
 
     asked = load_task(task)
-    scored = score_answers(asked, read_answers(answers, asked))
+    with console.working("scoring the answers"):
+        scored = score_answers(asked, read_answers(answers, asked))
     if json_:
         print(json.dumps(scored, indent=1))
         return 0
@@ -82,6 +84,8 @@ app = App(
 def _require_extras() -> None:
     for module in ("sklearn", "torch", "skops", "safetensors", "pyarrow"):
         require_extra(module, "classifiers")
+    with console.working("loading the learning libraries"):
+        from motor_classifiers.estimators import methods  # noqa: F401  # and torch and scikit-learn with it
 
 
 @app.command
@@ -172,14 +176,12 @@ def evaluate(
         json_: Print the scores as JSON.
     """
     _require_extras()
-    from rich.console import Console
-
     from motor_classifiers.model_files.persistence import load_model
     from motor_classifiers.scoring.results import evaluate_model, evaluation_lines
     from motor_datasets.loaders import load
 
     fitted, recipe, method = load_model(model)
-    with Console(stderr=True).status("judging"):
+    with console.working(f"judging {dataset}"):
         scored = evaluate_model(fitted, recipe, load(dataset, split), seed)
     if json_:
         print(
@@ -234,7 +236,8 @@ def predict(
     statuses: list[console.ExitStatus] = []
     for path in files:
         try:
-            predictions, second = predict_file(fitted, recipe, path, split, healthy)
+            with console.working(console.printable(f"judging {path}")):
+                predictions, second = predict_file(fitted, recipe, path, split, healthy)
         except InputError as error:
             print(f"motor-classifiers: {error}", file=sys.stderr)
             rows.append({"file": str(path), "verdict": UNDECIDED, "error": str(error)})
@@ -265,8 +268,6 @@ def export(model: Path | None = None, /, *, out: Annotated[Path, Parameter(alias
     _require_extras()
     for module in ("onnx", "onnxscript"):
         require_extra(module, "onnx")
-    from rich.console import Console
-
     from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
     from motor_classifiers.model_files.onnx_export import export_onnx
     from motor_classifiers.model_files.persistence import PRETRAINED, load_model
@@ -277,7 +278,7 @@ def export(model: Path | None = None, /, *, out: Annotated[Path, Parameter(alias
     fitted, recipe, method = load_model(path)
     if not isinstance(fitted, PosteriorNetwork):
         raise InputError(f"{path}: holds {method}; only a posterior-network becomes an ONNX graph")
-    with Console(stderr=True).status("exporting"):
+    with console.working("exporting"):
         export_onnx(fitted, recipe, out)
     print(f"transients of shape (cases, {len(recipe.sensor.channels)}, {recipe.timing.n_samples}): {out}")
     return 0

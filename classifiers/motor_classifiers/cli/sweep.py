@@ -10,7 +10,7 @@ from rich.console import Console
 
 from motor_classifiers.scoring.benchmark import AnswerStore, Plan, Unit, run_plan, units
 from motor_classifiers.scoring.score import Results
-from motor_env.common.console import progress_bar
+from motor_env.common.console import working
 from motor_env.common.errors import InputError
 from motor_env.common.files import replacing
 
@@ -91,12 +91,14 @@ def run_with_progress(plan: Plan, store: AnswerStore) -> tuple[Results, ...]:
         nonlocal begun, before
         begun += 1
         sentence = f"{begun} of {len(todo)}: {unit.name} on {unit.task.title}"
-        update(advance=before, description=sentence)
+        update(advance=before)
         before = unit.seconds
-        if not errors.is_terminal:
+        if errors.is_terminal:
+            update(description=sentence)
+        else:
             errors.print(f"{sentence}{' (known)' if known else ''}", soft_wrap=True, highlight=False)
 
-    with progress_bar(sum(unit.seconds for unit in todo), "starting") as update:
+    with working("judging", sum(unit.seconds for unit in todo)) as update:
         return run_plan(plan, store, step)
 
 

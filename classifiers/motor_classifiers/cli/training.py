@@ -6,14 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from motor_classifiers.cli.sweep import numbers
 from motor_classifiers.estimators.methods import find_method, model_input
 from motor_classifiers.estimators.networks.posterior_network import UNKNOWN_NOISE, PosteriorNetwork
 from motor_classifiers.model_files.persistence import check_saveable, save_model
 from motor_datasets.loaders import load
-from motor_env.common.console import progress_bar
+from motor_env.common.console import working
 from motor_env.common.errors import InputError
 from motor_env.motor.data_sheet import Motor, load_motor, usable_parameters
 from motor_env.motor.faults import FaultKind
@@ -24,12 +22,12 @@ from motor_env.simulation.recipes import FaultClass, Recipe
 
 def train_on_dataset(dataset: str, method: str, seed: int, out: Path) -> dict[str, Any]:
     """Train a method on the training split of a data set, write it, and summarise."""
-    cases = load(dataset, "train")
-    chosen = find_method(method)
-    model = chosen.make(cases.recipe, seed)
-    check_saveable(model)
-    with Console(stderr=True).status(f"training {method} on {len(cases)} starts"):
-        chosen.train(model, model_input(model, cases.X), cases.class_name)
+    with working(f"training {method} on {dataset}"):
+        cases = load(dataset, "train")
+        chosen = find_method(method)
+        model = chosen.make(cases.recipe, seed)
+        check_saveable(model)
+        model.fit(model_input(model, cases.X), cases.class_name)
         save_model(model, cases.recipe, method, out)
     return {"method": method, "n_train": len(cases), "out": str(out)}
 
@@ -76,10 +74,10 @@ def train_on_stream(
 ) -> dict[str, Any]:
     """Train a network on a recipe's stream, write it, and summarise."""
     parameters = {} if steps is None else {"steps": steps}
-    with progress_bar(None, f"training a network for {recipe.name}") as update:
+    with working(f"training a network for {recipe.name}") as update:
         model = PosteriorNetwork.from_recipe(
             recipe,
-            on_step=lambda done, total: update(completed=done, total=total),
+            on_step=lambda seen, total: update(completed=seen, total=total),
             noise_range=noise_range,
             random_state=seed,
             **parameters,

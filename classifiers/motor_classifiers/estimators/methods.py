@@ -54,10 +54,6 @@ class Method:
     seconds: float
     from_stream: bool = False
 
-    def train(self, model: BaseEstimator, X: Any, y: Any) -> BaseEstimator:
-        """Fit an estimator of this method: on the recipe's stream where it has one, else on the given cases."""
-        return model.fit_stream() if self.from_stream else model.fit(X, y)
-
 
 METHODS: dict[str, Method] = {}
 """Every method by name, in the order of the tables."""
@@ -209,7 +205,7 @@ AT_WORK = (
 
 
 def make_method(name: str, recipe: Recipe, random_state: int) -> BaseEstimator:
-    """Unfitted scikit-learn estimator of a method, by its name.
+    """Unfitted scikit-learn estimator of a method, by its name; its `fit` trains what the benchmark's tables train.
 
     Raises:
         ValueError: no such method; the sentence lists those that exist.

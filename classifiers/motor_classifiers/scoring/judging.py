@@ -142,9 +142,7 @@ def judge(name: str, task: ClassTask, random_state: int | None = None) -> Answer
     if method.from_stream:
         unfitted.set_params(with_severity=False)  # only probabilities are asked for
     with threadpool_limits(1):
-        model, training = with_cost(
-            lambda: method.train(unfitted, model_input(unfitted, train.X), train.class_name)
-        )
+        model, training = with_cost(lambda: unfitted.fit(model_input(unfitted, train.X), train.class_name))
         probabilities, inference = with_cost(lambda: answer_of(model, task.recipe, X))
         if inference.seconds < _LONG_ENOUGH_S:
             again = min(

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from motor_env.common.arrays import shown
-from motor_env.envs.options import described, settle_choice, settle_numbers
+from motor_env.envs.options import described, linear_motor, settle_choice, settle_numbers
 from motor_env.motor.faults import HEALTHY, FaultKind
 from motor_env.motor.model import load_torque
 from motor_env.motor.parameters import (
@@ -38,7 +39,8 @@ class DriveOptions:
     """Options of a drive in SI units; the defaults are those of Drive-v0. Costs in the reward's own unit.
 
     Attributes:
-        motor: nominal motor; the paper's.
+        motor: nominal motor: `MotorParameters`, a name of the catalogue, or a motor's TOML file, of which only the
+            parameters count.
         current_noise_a: standard deviation of the measured current, read once a step.
         speed_noise_rad_s: the same of the speed.
         period_s: sampling period, in which voltage and load are held.
@@ -128,10 +130,10 @@ class DriveOptions:
 
     def __post_init__(self) -> None:
         settle_numbers(self)
-        object.__setattr__(self, "motor", described(MotorParameters, self.motor))
-        require(
-            isinstance(self.motor, MotorParameters), f"motor must be MotorParameters, got {shown(self.motor)}"
-        )
+        motor: Any = described(MotorParameters, self.motor)
+        if not isinstance(motor, MotorParameters):
+            motor = linear_motor(motor, needs_speed=True).parameters
+        object.__setattr__(self, "motor", motor)
         for field in fields(self):
             values = getattr(self, field.name)
             if field.name in ("motor", "control", "steps_per_decision"):

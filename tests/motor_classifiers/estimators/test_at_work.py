@@ -42,4 +42,4 @@ def test_what_needs_a_step_says_so(name: str) -> None:
     cases = generate_arrays(OPERATION, 1, 40)
     method = METHODS[name]
     with pytest.raises(ValueError, match="recipe operation has a voltage of its own in each case"):
-        method.train(method.make(OPERATION, 0), cases.X, cases.class_name)
+        method.make(OPERATION, 0).fit(cases.X, cases.class_name)

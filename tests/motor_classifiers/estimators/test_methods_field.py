@@ -82,9 +82,8 @@ def test_two_channels_are_two_channels() -> None:
 
 def test_a_method_with_a_stream_does_not_look_at_the_given_starts() -> None:
     few = PosteriorNetwork(RECIPE, steps=5, batch_size=64, random_state=1)
-    method = METHODS["posterior-network"]
     first, other = (
-        method.train(clone(few), cases.X, cases.class_name).predict_proba(TEST.X) for cases in (TRAIN, TEST)
+        clone(few).fit(cases.X, cases.class_name).predict_proba(TEST.X) for cases in (TRAIN, TEST)
     )
     np.testing.assert_array_equal(first, other)
 

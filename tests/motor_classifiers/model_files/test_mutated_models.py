@@ -32,7 +32,7 @@ from saved_models import QUICK, RECIPE, TEST, TRAIN, content, head_of, with_head
 from sklearn.linear_model import LogisticRegression
 from sklearn.pipeline import make_pipeline
 
-from motor_classifiers import METHODS, ResidualProjection, load_model, make_method, save_model
+from motor_classifiers import ResidualProjection, load_model, make_method, save_model
 from motor_datasets import generate_arrays
 
 # Reaches in: bombs are larger than what is read.
@@ -149,6 +149,6 @@ def test_models_of_two_classes_come_back(name: str, tmp_path: Path) -> None:
     """Their parts are of other types than those of more classes."""
     train = generate_arrays(TWO, 1, 100)
     model = make_method(name, TWO, 0).set_params(**QUICK.get(name, {}))
-    save_model(METHODS[name].train(model, train.X, train.class_name), TWO, name, tmp_path / "model")
+    save_model(model.fit(train.X, train.class_name), TWO, name, tmp_path / "model")
     loaded = load_model(tmp_path / "model")[0]
     np.testing.assert_array_equal(loaded.predict_proba(TEST.X), model.predict_proba(TEST.X))

@@ -1,6 +1,7 @@
 """The frame of the commands: exit statuses, one sentence for bad input."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -142,6 +143,24 @@ def test_sigterm_interrupts_as_ctrl_c_does() -> None:
         command = [sys.executable, "-c", code.replace("AGAIN", again)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (143, "tool: interrupted\n")
+
+
+def test_whoever_waits_without_a_terminal_is_told_what_for_and_how_long(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with console.working("reading"):
+        pass
+    assert capsys.readouterr().err == ""  # it was done before anybody lost patience
+    monkeypatch.setattr(console, "PATIENCE_S", 0.01)
+    monkeypatch.setattr(console, "LATER_S", 0.01)
+    said = ""
+    with console.working("reading", 4.0) as update:
+        while "\n" not in said:
+            said += capsys.readouterr().err
+        assert said.startswith("reading ...\n")
+        update(advance=1.0, description="fitting b.csv")
+        while not re.search("fitting b\\.csv \\.\\.\\. 25%, about \\d+ s left\n", said):
+            said += capsys.readouterr().err
 
 
 def test_what_steers_a_terminal_is_shown_as_text() -> None:

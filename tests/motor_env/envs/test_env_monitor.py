@@ -18,12 +18,12 @@ from motor_env import (
     Timing,
     discretize,
     draw,
+    load_recipe,
     run_filter,
     simulate_states,
 )
 from motor_env.envs import MonitorEnv, MonitorVectorEnv
 from motor_env.envs.layout import LANES, block_type
-from motor_env.envs.options import MEDIUM
 from motor_env.envs.setup import converged_gain
 from motor_env.envs.single import Info
 
@@ -36,7 +36,7 @@ from motor_env.simulation.random_streams import Stream, normals, uniforms
 from motor_env.simulation.recipes import FaultClass, Recovery, Spread
 from motor_env.simulation.sampling import measure_draw
 
-WAIT = 0
+WAIT, MEDIUM = 0, load_recipe("medium")
 INSTANT: dict[str, Any] = {"samples_per_step": 1, "confirm_steps": 1}
 
 # To compile the steps of a vector in double precision, which nobody gets unasked, takes fifteen seconds.

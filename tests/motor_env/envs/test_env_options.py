@@ -12,7 +12,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from motor_env import Channel, MotorParameters, Recipe, SensorParameters, SupplyParameters, Timing
+from motor_env import (
+    Channel,
+    MotorParameters,
+    Recipe,
+    SensorParameters,
+    SupplyParameters,
+    Timing,
+    load_motor,
+    load_recipe,
+)
 from motor_env.envs import (
     DriveEnv,
     DriveOptions,
@@ -26,7 +35,6 @@ from motor_env.envs import (
     ProbeEnv,
     ProbeOptions,
 )
-from motor_env.envs.options import TASKS
 
 POSITIVE = st.floats(-4.0, 2.0).map(lambda exponent: 10.0**exponent)
 MOTORS = st.builds(MotorParameters, *[POSITIVE] * 5, viscous_friction_n_m_s_per_rad=POSITIVE | st.just(0.0))
@@ -42,7 +50,7 @@ def recipe_of(
     """A recipe of any motor, sensor, sampling rate and supply."""
     sensor = SensorParameters(channels=channels, current_noise_a=0.02, speed_noise_rad_s=0.5)
     return replace(
-        TASKS["hard"],
+        load_recipe("hard"),
         name="any",
         motor=motor,
         sensor=sensor,
@@ -206,6 +214,13 @@ def test_a_motor_that_does_not_turn_or_says_too_little_is_refused(tmp_path: Path
         MonitorEnv(motor=own_motor(tmp_path, voltage=""))
     with pytest.warns(UserWarning, match="K is a guess"):
         MonitorEnv(motor=own_motor(tmp_path, before='notes = ["K is a guess"]\n'))
+
+
+def test_a_drive_takes_a_motor_file(tmp_path: Path) -> None:
+    fast = own_motor(tmp_path, constant=25.0)
+    assert DriveEnv(motor=fast).options.motor == load_motor(fast).parameters
+    with pytest.raises(ValueError, match="the profile must be one that the motor can follow"):
+        DriveEnv(motor=own_motor(tmp_path))
 
 
 def test_an_unknown_option_is_named_and_the_known_ones_listed() -> None:

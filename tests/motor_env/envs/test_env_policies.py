@@ -12,7 +12,7 @@ from best_policies import LookAhead, RatioTest
 from bounds import LOG_ODDS, PROBABILITY, declared_worth, look_matrix, silent_worth
 from scipy.stats import norm
 
-from motor_env import Cusum, FaultKind, Recipe, discretize
+from motor_env import Cusum, FaultKind, Recipe, discretize, load_recipe
 from motor_env.envs import (
     BankPolicy,
     BayesPolicy,
@@ -33,7 +33,6 @@ from motor_env.envs import (
     score,
     sweep,
 )
-from motor_env.envs.options import EASY, HARD, MEDIUM, SENSOR, SMALL
 from motor_env.envs.policies.evaluation import Runs, interval, joined
 from motor_env.envs.policies.fault_posterior import final_worth, worth
 from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop, signatures
@@ -44,6 +43,7 @@ from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass
 
+EASY, MEDIUM, HARD, SMALL, SENSOR = map(load_recipe, ("easy", "medium", "hard", "small", "sensor"))
 INSTANT, PROBED = (gym.spec(f"motor_env/{name}Instant-v0").kwargs for name in ("Monitor", "Probe"))
 MONITOR: dict[str, Any] = {"recipe": "easy", "horizon_s": 0.05, "observe": baseline_features(EASY), **INSTANT}
 PROBE: dict[str, Any] = {"recipe": "small", "horizon_s": 0.1, **PROBED}

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from single_lanes import assert_lanes_are_single, follow
 
-from motor_env import Fault, discretize, draw
+from motor_env import Fault, discretize, draw, load_recipe
 from motor_env.envs import (
     MonitorEnv,
     MonitorVectorEnv,
@@ -25,7 +25,6 @@ from motor_env.envs import (
     ProbeVectorEnv,
     layout,
 )
-from motor_env.envs.options import TASKS
 from motor_env.motor.faults import BUILT_IN_KINDS, FaultKind, apply_faults
 from motor_env.simulation.recipes import FaultClass
 
@@ -261,7 +260,7 @@ def test_actions_that_do_not_exist_are_refused(actions: NDArray[Any], sentence: 
 def test_episodes_are_the_draws_of_the_simulation(recipe: str, growth_s: float, precision: str) -> None:
     """The compiled drawing, `draw` of the recipe and `discretize` give the same numbers, to the last bit."""
     ranges = (FaultClass(), *(FaultClass(kind, 0.05, severity_to=0.3) for kind in BUILT_IN_KINDS))
-    task = TASKS.get(recipe) or replace(TASKS["hard"], classes=ranges)
+    task = replace(load_recipe("hard"), classes=ranges) if recipe == "ranges" else load_recipe(recipe)
     envs = MonitorVectorEnv(
         200, recipe=task, growth_s=growth_s, precision=precision, mean_onset_s=0.0, **INSTANT
     )
@@ -310,7 +309,7 @@ def test_vector_infos_carry_what_single_infos_carry(name: str, mode: str) -> Non
 
 
 def test_a_severity_that_is_drawn_is_told_too() -> None:
-    ranges = replace(TASKS["hard"], classes=(FaultClass(FaultKind.BEARING, 0.05, severity_to=0.3),))
+    ranges = replace(load_recipe("hard"), classes=(FaultClass(FaultKind.BEARING, 0.05, severity_to=0.3),))
     told = MonitorVectorEnv(5, recipe=ranges).reset(seed=1)[1]["severity"]
     alone = [MonitorEnv(recipe=ranges).reset(seed=1, options={"index": n})[1]["severity"] for n in range(5)]
     assert told.tolist() == alone

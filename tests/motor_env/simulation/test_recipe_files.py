@@ -18,6 +18,7 @@ sampling_rate_hz = 2000
 quiet_s = 0.02
 [sensor]
 channels = ["current", "speed"]
+speed_noise_rad_s = 0.5
 [field]
 temperature_rise_k = [0.0, 30.0]
 missing_fraction = 0.01
@@ -49,11 +50,14 @@ def test_a_file_changes_what_it_names(tmp_path: Path) -> None:
     assert recipe.timing.sampling_rate_hz == 2000.0
     assert recipe.timing.duration_s == RECIPES["bench"].timing.duration_s
     assert recipe.sensor.channels == (Channel.CURRENT, Channel.SPEED)
+    assert recipe.sensor.speed_noise_rad_s == 0.5
     assert recipe.class_names == ("healthy", "bearing+noise_50")
     assert recipe.classes[1].also[0].kind is FaultKind.NOISE
     hot = recipe.shifted("hot").field
     assert hot is not None
     assert hot.temperature_rise_k == (40.0, 60.0)
+    (tmp_path / "easier.toml").write_text("base = 'medium'\nsensor.current_noise_a = 0.005")
+    assert load_recipe(tmp_path / "easier.toml").classes == load_recipe("medium").classes
 
 
 def test_a_missing_file_is_said(tmp_path: Path) -> None:

@@ -61,6 +61,11 @@ FROZEN = {
     "bench-full": ("8a7ef59b3a23e9b4", 8, [3.2619183, 4.9620605, 1.6983169]),
     "field": ("6977fb6748f31fb6", 3, [0.1481445, 4.5364256, 1.6736329]),
     "operation": ("ac7be3c93e273e73", 4, [0.0959815, 0.8619019, 0.3125657]),
+    "easy": ("156330e298a0e668", 2, [2.9952447, 4.0614142, 1.7098843]),
+    "medium": ("fd52708709a2eb4e", 4, [3.0060611, 4.0834160, 1.7064046]),
+    "hard": ("103432301de2d83f", 6, [3.2622778, 4.9616222, 1.6689738]),
+    "small": ("ea5e9003807beb84", 5, [3.2974813, 5.0107884, 1.6883935]),
+    "sensor": ("8caac7cfc3da7333", 9, [3.3046918, 5.0254264, 1.6839156]),
 }
 """Of each named recipe: digest of its dictionary, and the class and three currents of one case, written in 2026.
 
@@ -182,6 +187,8 @@ def test_refusals() -> None:
         FaultClass(FaultKind.BEARING, 0.2, severity_to=0.2)
     with pytest.raises(ValueError, match="joint faults must be of different kinds"):
         FaultClass(FaultKind.BEARING, 0.2, also=(FaultClass(FaultKind.BEARING, 0.1),))
+    with pytest.raises(TypeError, match="also must be of type FaultClass, got 3"):
+        FaultClass(FaultKind.BEARING, 0.2, also=3)  # type: ignore[arg-type]  # what is refused
     Spread(friction=0.14)
     with pytest.raises(ValueError, match=r"spread of friction must be <= 0\.14, got 0\.2"):
         Spread(friction=0.2)
@@ -189,6 +196,13 @@ def test_refusals() -> None:
         Recipe("none", classes=())
     with pytest.raises(ValueError, match="motor of recipe many must be one motor, got a batch"):
         Recipe("many", motor=PAPER_MOTOR.scaled(resistance_ohm=np.ones(2)))
+
+
+def test_a_joint_fault_that_is_as_severe_is_named_by_its_kind() -> None:
+    also: Any = "winding_contact"
+    named = FaultClass(FaultKind.BEARING, 0.1, severity_to=0.3, also=also)
+    assert named.also == (FaultClass(FaultKind.WINDING_CONTACT, 0.1, severity_to=0.3),)
+    assert named == FaultClass(FaultKind.BEARING, 0.1, severity_to=0.3, also=(also,))
 
 
 def test_no_factor_can_reach_zero_at_the_largest_spread() -> None:

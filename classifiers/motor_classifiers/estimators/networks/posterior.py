@@ -48,7 +48,7 @@ class Posterior(nn.Module):
         batch_size: int,
         learning_rate: float,
         weight_decay: float = 0.0,
-        on_step: OnStep = lambda: None,
+        on_step: OnStep = lambda count: None,
     ) -> None:
         """Minimise the mean loss by AdamW, the rate falling along a cosine (Loshchilov & Hutter 2019).
 
@@ -62,7 +62,7 @@ class Posterior(nn.Module):
             batch_size: cases of a batch; the last ones are four times as large.
             learning_rate: highest rate.
             weight_decay: of AdamW.
-            on_step: called after each step.
+            on_step: called after each step with the cases of its batch.
         """
         network = self.network
         initialise(network, generator)
@@ -76,9 +76,9 @@ class Posterior(nn.Module):
             falling = 0.5 * (1.0 + math.cos(math.pi * step / steps))
             return learning_rate * min(1.0, step / _WARM_UP) * falling
 
-        def after() -> None:
+        def after(count: int) -> None:
             average.update_parameters(network)
-            on_step()
+            on_step(count)
 
         many = batch_schedule(batches, batch_size, steps)
         train(network, many, loss, LambdaLR(optimiser, rate), on_step=after)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, asdict, dataclass, replace
-from itertools import count
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -56,7 +55,7 @@ UNKNOWN_NOISE = (0.15, 5.0)
 """Factors on the recipe's noise between which a network for a motor file reads the noise off the start."""
 
 Progress = Callable[[int, int], object]
-"""Called with the steps done and all steps."""
+"""Called with the starts seen and all starts."""
 
 
 class SeverityEstimate(NamedTuple):
@@ -79,11 +78,11 @@ class SeverityEstimate(NamedTuple):
 class PosteriorNetwork(LogitClassifier):
     """The amortised posterior of a recipe behind scikit-learn's interface.
 
-    `PosteriorNetwork.from_recipe(recipe)` learns from fresh cases that the recipe draws, classes and severities; `fit`
-    learns the classes alone, from the cases that it is given.
+    With a recipe it learns from fresh cases that the recipe draws, classes and severities: `from_recipe(recipe)`, and
+    `fit`, which only checks the cases that it is given. Without one `fit` learns the classes alone, from these cases.
 
     Args:
-        recipe: the motor, its nuisances, faults and sensor; without one, `fit` takes the directions from its cases.
+        recipe: the motor, its nuisances, faults and sensor; without one, `fit` learns from its cases.
         n_components: directions of the signal that the network sees; None for all along which the starts of the recipe
             differ by a tenth of the noise or more, at least 10 and at most 32.
         steps: batches seen by each of the two networks.
@@ -96,10 +95,10 @@ class PosteriorNetwork(LogitClassifier):
     Attributes:
         classes_: labels: all classes of the recipe, or those of the given cases.
         posterior_: torch module, from flattened cases to the logits of `classes_`.
-        severity_: torch module, from flattened cases to the densities of the severities; None after `fit`, or where
-            none was asked for.
+        severity_: torch module, from flattened cases to the densities of the severities; None without a recipe, or
+            where none was asked for.
         severity_priors_: kinds and ranges of the severities, in the order of the module; empty where there is none.
-        n_drawn_: starts drawn for the training; not after `fit`.
+        n_drawn_: starts drawn for the training; not without a recipe.
     """
 
     recipe: Recipe | None = None
@@ -117,13 +116,13 @@ class PosteriorNetwork(LogitClassifier):
 
     @classmethod
     def from_recipe(
-        cls, recipe: Recipe, *, on_step: Progress = lambda done, total: None, **parameters: Any
+        cls, recipe: Recipe, *, on_step: Progress = lambda seen, total: None, **parameters: Any
     ) -> Self:
         """Train a network on the recipe's stream of cases.
 
         Args:
             recipe: the motor, its nuisances, faults and sensor.
-            on_step: called with the steps done and all steps, after each.
+            on_step: called after each step, with the starts seen and all starts.
             parameters: of the constructor.
 
         Raises:
@@ -132,21 +131,21 @@ class PosteriorNetwork(LogitClassifier):
         return cls(recipe, **parameters).fit_stream(on_step)
 
     def fit(self, X: Any, y: Any) -> Self:
-        """Train on the given cases, in random batches; no severity is learned.
+        """Train on the stream of the recipe; without one, on the given cases, in random batches.
 
         Raises:
             ValueError: fewer than two classes, labels that the recipe does not know, or shapes that do not fit.
         """
         self._check_training()
         flat, labels = labelled_cases(self, X, y)
-        if self.recipe is None:
-            space = SignalSpace.from_cases(flat, self.n_components)
-        else:
+        if self.recipe is not None:
+            self.recipe.require_step()
             starts = split_starts(flat, self.recipe).shape[1]
             wanted = 1 + self.n_references
             require(starts == wanted, f"a case must be {wanted} starts, got {starts}")
             check_classes(self.recipe, self.classes_)
-            space = self._space(self.recipe)
+            return self.fit_stream()
+        space = SignalSpace.from_cases(flat, self.n_components)
         posterior = Posterior(space, n_hidden=self.n_hidden, n_layers=self.n_layers, n_out=len(self.classes_))
         generator = torch.Generator().manual_seed(seed_of(self.random_state))
         targets = torch.from_numpy(labels)
@@ -172,11 +171,11 @@ class PosteriorNetwork(LogitClassifier):
         self.severity_priors_: tuple[SeverityPrior, ...] = ()
         return self
 
-    def fit_stream(self, on_step: Progress = lambda done, total: None) -> Self:
+    def fit_stream(self, on_step: Progress = lambda seen, total: None) -> Self:
         """Train on fresh cases of the recipe.
 
         Args:
-            on_step: called with the steps done and all steps, after each.
+            on_step: called after each step, with the starts seen and all starts.
 
         Raises:
             ValueError: no recipe, a recipe with fewer than two classes, or a noise range that does not fit.
@@ -196,12 +195,14 @@ class PosteriorNetwork(LogitClassifier):
             kinds = torch.from_numpy(batch.class_index)
             return torch.stack([kinds.float(), torch.from_numpy(batch.severity).float() / tops[kinds]], dim=1)
 
-        n_networks, done = 1 + self.with_severity, count(1)
-        self.n_drawn_ = n_networks * total_cases(self.batch_size, self.steps)
+        seen = 0
+        self.n_drawn_ = (1 + self.with_severity) * total_cases(self.batch_size, self.steps)
         seed = _OWN_SEEDS + _SEEDS_OF_ONE * seed_of(self.random_state)
 
-        def after_step() -> None:
-            on_step(next(done), n_networks * self.steps)
+        def after_step(count: int) -> None:
+            nonlocal seen
+            seen += count
+            on_step(seen, self.n_drawn_)
 
         with one_thread():
             self.posterior_ = self._train_posterior(

@@ -13,7 +13,8 @@ from torch.optim.lr_scheduler import LRScheduler
 
 Batch = tuple[torch.Tensor, torch.Tensor]
 Loss = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
-OnStep = Callable[[], object]
+OnStep = Callable[[int], object]
+"""Called after a step with the cases of its batch."""
 
 _LARGEST_SEED = 2**31 - 1
 
@@ -54,7 +55,7 @@ def train(
     loss: Loss,
     schedule: LRScheduler,
     *,
-    on_step: OnStep = lambda: None,
+    on_step: OnStep = lambda count: None,
 ) -> None:
     """Take one step of the optimiser for each batch.
 
@@ -63,7 +64,7 @@ def train(
         batches: inputs and targets; they end when the training ends.
         loss: from outputs and targets to a number.
         schedule: of the learning rate; its optimiser is the one that steps.
-        on_step: called after each step.
+        on_step: called after each step with the cases of its batch.
     """
     network.train()
     for inputs, targets in batches:
@@ -71,5 +72,5 @@ def train(
         loss(network(inputs), targets).backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         schedule.optimizer.step()
         schedule.step()
-        on_step()
+        on_step(len(targets))
     network.eval()

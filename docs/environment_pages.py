@@ -1,24 +1,22 @@
-"""Writes the pages of the site that follow from the code: one for each family of ids and each group of public names.
+"""Writes the pages of the environments, docs/environments: `make pages`. tests/test_pictures.py says when one is stale.
 
-`conf.py` calls `write_pages` when the site is built; nothing of it is kept in the repository.
+A page for each family of ids, from the docstring of its class, its options and its spaces; and one with all ids.
 """
 
-import ast
 import dataclasses
 import inspect
 import json
 import re
-from importlib import import_module
-from itertools import groupby, pairwise
+import shutil
 from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import matplotlib.image
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from matplotlib import pyplot as plt
+from PIL import Image
 
 import motor_env
 from motor_env.envs import Lqg, MonitorOptions
@@ -27,7 +25,6 @@ from motor_env.envs.stepping import DECLARE_ABOVE
 DOCS = Path(__file__).parent
 RESULTS = DOCS.parent / "benchmarks" / "results" / "reference"
 FAMILIES = ("Monitor-v0", "Probe-v0", "Drive-v0", "Maintain-v0")
-PACKAGES = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
 FEATURES = {
     "measured": "what the sensor reads",
     "estimated": "what the Kalman filter of the healthy motor expects it to be",
@@ -39,30 +36,12 @@ FEATURES = {
     "time": "share of the horizon that has passed",
     "evidence": "a CUSUM of the log-likelihood ratio of the smallest fault of this kind, divided by 10; never below 0",
 }
-WORDS = {
-    "DriveEnv": FEATURES
-    | {
-        "slow": "weighted mean of the innovation over the last 0.3 s, scaled to a standard deviation of 1",
-        "estimated_load": "load beyond the known one, as the filter of the healthy motor estimates it",
-        "estimated_temperature": "rise of temperature that a healthy winding would have, as a share of the limit",
-        "scale": "share of the profile that is asked for now",
-        "profile": "scaled profile so many steps ahead, in units of the top speed",
-    }
-}
-"""Where the numbers of an environment mean something else."""
 LEVELS = (
     ("trivial", "always", "tab:red"),
     ("textbook", "textbook", "tab:orange"),
     ("best", "best known", "tab:green"),
 )
 """Scores beside the learning curves: file, column of the table of reference scores, colour."""
-
-
-API_HEAD = """# All public names
-
-Each group has a page with an example, every argument and every method.
-What is not listed here is private and may change.
-"""
 
 
 def table(head: list[str], rows: list[list[object]]) -> str:
@@ -103,17 +82,14 @@ def options_table(options: Any) -> str:
 
 
 def observation_table(env: Any) -> str:
-    """Every number of an observation; what it is, where the docstring does not say it name by name."""
+    """Every number of an observation."""
     space, names = env.observation_space, env.observed
-    words = WORDS.get(type(env).__name__, FEATURES)
-    texts = [words.get(name, words.get(name.split("_")[0], "")) for name in names]
+    texts = [FEATURES.get(name.split("_")[0], "") for name in names]
     rows = [
         [n, f"`{name}`", texts[n], f"{space.low[n]:.4g}", f"{space.high[n]:.4g}"]
         for n, name in enumerate(names)
     ]
-    said = any(row[2] for row in rows)
-    head = ["", "name", "what it is", "least", "most"]
-    return table(*([head, rows] if said else [head[:2] + head[3:], [row[:2] + row[3:] for row in rows]]))
+    return table(["", "name", "what it is", "least", "most"], rows)
 
 
 def action_table(env: Any) -> str:
@@ -196,7 +172,7 @@ def picture(spec: EnvSpec, path: Path) -> None:
     env.close()
 
 
-def curves(name: str) -> str:
+def curves(name: str, folder: Path) -> str:
     """Draw the learning curves that are kept of an id beside its other scores; their picture, if there are any."""
     kept = RESULTS / name
     runs = [json.loads(each.read_text(encoding="utf-8"))["curve"] for each in sorted(kept.glob("ppo-*.json"))]
@@ -211,7 +187,7 @@ def curves(name: str) -> str:
         axes.axhline(level, color=colour, linestyle="--", linewidth=1.2, label=word)
     axes.set(xlabel="steps of training", ylabel="mean return")
     figure.legend(loc="outside right upper", frameon=False)
-    figure.savefig(DOCS / "environments" / f"{name}-curve.png", dpi=110)
+    figure.savefig(folder / f"{name}-curve.png", dpi=110)
     plt.close(figure)
     return f"![Learning curves of PPO with its defaults on {name}, a line a seed]({name}-curve.png)"
 
@@ -260,7 +236,7 @@ def differences(spec: EnvSpec) -> str:
     return ", ".join(f"`{key}={value!r}`" for key, value in spec.kwargs.items()) or "continuous actions"
 
 
-def variant(spec: EnvSpec, base: Any) -> list[str]:
+def variant(spec: EnvSpec, base: Any, folder: Path) -> list[str]:
     """What an id has that the first of its family has not."""
     env, name = gym.make(spec.id).unwrapped, spec.id.split("/")[1]
     watched = isinstance(env.options, MonitorOptions)
@@ -273,10 +249,10 @@ def variant(spec: EnvSpec, base: Any) -> list[str]:
     known = tables_of(base)
     for heading, made in tables_of(env).items():
         parts += [f"**{heading}**", made] if made and made != known.get(heading) else []
-    return [*parts, curves(name)]
+    return [*parts, curves(name, folder)]
 
 
-def family_page(name: str, specs: list[EnvSpec]) -> str:
+def family_page(name: str, specs: list[EnvSpec], folder: Path) -> str:
     """The specification of an id: what its class's docstring says, its numbers, and what its variants change."""
     (first,) = [spec for spec in specs if spec.id == f"motor_env/{name}"]
     others = [spec for spec in specs if spec is not first]
@@ -306,121 +282,91 @@ def family_page(name: str, specs: list[EnvSpec]) -> str:
         "## Options",
         "Any of them by name in `gym.make`; all are checked, and a wrong value is named.",
         options_table(env.options),
-        *(part for spec in others for part in variant(spec, env)),
+        *(part for spec in others for part in variant(spec, env, folder)),
         "## Scores",
         "All ids beside each other, and what the columns mean: [reference scores](../reference-scores.md).",
         score_rows([spec.id.split("/")[1] for spec in [first, *others]]),
-        curves(name),
+        curves(name, folder),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def stub_of(package: ModuleType) -> Path:
-    """The file that lists a package's public names."""
-    return Path(str(package.__file__)).with_suffix(".pyi")
+WIDTH_PX = 240
+TRIALS, SEED = 64, 1
+HEAD = f"""# All ids at a glance
+
+In the order in which an agent should try them. *Steps at random* is the mean length of {TRIALS} episodes of random
+actions: it shows how soon a careless agent ends one. What scores where: [reference scores](../reference-scores.md).
+
+| id | | an episode, at most | steps at random | actions | observed | `reward_threshold` |
+|---|---|---|---|---|---|---|
+"""
 
 
-def homes(stub: Path) -> dict[str, str]:
-    """Public names and the modules, relative to the package, that define them."""
-    tree = ast.parse(stub.read_text(encoding="utf-8"))
-    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-    return {alias.name: str(node.module) for node in imports for alias in node.names}
+def horizon(env: Any) -> tuple[int, str]:
+    """The largest number of steps, and what a step is in time."""
+    options = env.options
+    if hasattr(options, "days"):
+        return int(options.days), "a day"
+    if hasattr(options, "steps_per_decision"):
+        step_s = options.period_s * options.steps_per_decision
+        return options.n_steps // options.steps_per_decision, f"{1000 * step_s:g} ms"
+    return options.n_steps, f"{1000 * options.dt_s * options.samples_per_step:g} ms"
 
 
-def summary(package: ModuleType, name: str, home: str) -> str:
-    """First sentence of what a name's docstring says; a constant's docstring is the string below it."""
-    thing = getattr(package, name)
-    text = (
-        thing.__doc__
-        if callable(thing)
-        else constant_docstring(import_module(f"{package.__name__}.{home}"), name)
-    )
-    return " ".join((text or "").strip().split("\n\n")[0].split()).replace("|", "\\|")
+def random_length(env: Any) -> float:
+    """Mean number of steps of an episode of random actions."""
+    env.reset(seed=SEED)
+    env.action_space.seed(SEED)
+    steps = 0
+    for _ in range(TRIALS):
+        over = False
+        while not over:
+            over = env.step(env.action_space.sample())[2]
+            steps += 1
+        env.reset()
+    return steps / TRIALS
 
 
-def constant_docstring(module: ModuleType, name: str) -> str:
-    """The string that stands below an assignment."""
-    body = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8")).body
-    for node, after in pairwise(body):
-        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
-        named = any(isinstance(target, ast.Name) and target.id == name for target in targets)
-        if named and isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
-            return str(after.value.value)
-    return ""
+def row(spec: EnvSpec, folder: Path) -> str:
+    """An id in the table of all; its small picture goes beside the screen."""
+    env: Any = gym.make(spec.id).unwrapped
+    name, (most, step) = spec.id.split("/")[1], horizon(env)
+    with Image.open(folder / f"{name}.png") as screen:
+        small = screen.convert("RGB").resize((WIDTH_PX, WIDTH_PX * screen.height // screen.width))
+    small.save(folder / f"{name}-small.png")
+    space = env.action_space
+    family = next(each for each in FAMILIES if name.startswith(each.removesuffix("-v0")))
+    page = f"{family}.md" if name == family else f"{family}.md#{name.lower()}"
+    cells = [
+        f"[{name}]({page})",
+        f"[![Screen of {name}]({name}-small.png)]({page})",
+        f"{most:,} steps of {step}",
+        f"{random_length(env):.0f}",
+        f"{space.n} to choose from" if hasattr(space, "n") else f"{space.shape[0]} numbers",
+        f"{env.observation_space.shape[0]} numbers",
+        f"{spec.reward_threshold:+.3f}",
+    ]
+    return "| " + " | ".join(cells) + " |\n"
 
 
-class PublicName(NamedTuple):
-    """A name that a user imports: where it is described, its path, what it stands for, and what is said of it."""
-
-    page: str
-    path: str
-    thing: Any
-    said: str
-
-
-def public_names() -> list[PublicName]:
-    """All of them, page by page."""
-    listed = []
-    for package in map(import_module, PACKAGES):
-        for name, home in homes(stub_of(package)).items():
-            room = home.split(".")[0] if package is motor_env else ""
-            page, path = f"{package.__name__}.{room}".rstrip("."), f"{package.__name__}.{name}"
-            listed.append(PublicName(page, path, getattr(package, name), summary(package, name, home)))
-    return sorted(
-        listed, key=lambda each: (not each.page.startswith("motor_env"), each.page, each.path.lower())
-    )
-
-
-def directive(each: PublicName, paths: dict[int, str]) -> str:
-    """What makes autodoc describe one public name; `paths` has the path of each by its `id`."""
-    if not isinstance(each.thing, type):
-        return (
-            f".. autofunction:: {each.path}\n"
-            if callable(each.thing)
-            else f".. py:data:: {each.path}\n\n   {each.said}\n"
-        )
-    ancestors = each.thing.__mro__[1:]
-    above = {member for ancestor in ancestors for member in vars(ancestor)}
-    hidden = sorted({*getattr(each.thing, "_fields", ()), *(above & set(vars(each.thing)))})
-    hidden = [member for member in hidden if not member.startswith("_")]
-    left_out = f"   :exclude-members: {', '.join(hidden)}\n" if hidden else ""
-    base = next((paths[id(ancestor)] for ancestor in ancestors if id(ancestor) in paths), None)
-    shared = f"\n   More methods: see `~{base}`.\n" if base else ""
-    return f".. autoclass:: {each.path}\n   :members:\n{left_out}{shared}"
-
-
-def api_pages() -> dict[str, str]:
-    """A page for each room that has public names, and one that lists them all."""
-    names = public_names()
-    paths = {id(each.thing): each.path for each in names}
-    pages, groups = {}, []
-    for page, members in groupby(names, key=lambda each: each.page):
-        of_page = list(members)
-        body = "\n".join(
-            [f".. automodule:: {page}\n   :no-members:\n", *(directive(each, paths) for each in of_page)]
-        )
-        pages[page] = f"# {page}\n\n```{{eval-rst}}\n{body}```\n"
-        rows = [[f"{{py:obj}}`~{each.path}`", each.said] for each in of_page]
-        purpose = re.split(r"\.\s", inspect.getdoc(import_module(page)) or "")[0]
-        package = of_page[0].path.rpartition(".")[0]
-        head = f"## [{page}]({page}.md)\n\n{purpose}. Import from `{package}`.\n"
-        groups.append(f"{head}\n{table(['name', 'what it is'], rows)}\n")
-    tree = "\n".join(["```{toctree}", ":hidden:", "", *pages, "```\n"])
-    return pages | {"index": "\n".join([API_HEAD, *groups, tree])}
-
-
-def write_pages() -> None:
-    """Write all pages into docs/environments/ and docs/api/."""
-    environments, api = DOCS / "environments", DOCS / "api"
-    for folder in (environments, api):
-        folder.mkdir(exist_ok=True)
-        for old in folder.iterdir():
-            old.unlink()
+def write_pages(folder: Path) -> None:
+    """Write all pages and their pictures into an empty folder."""
     ours = [spec for spec in gym.registry.values() if spec.namespace == "motor_env"]
     for spec in ours:
-        picture(spec, environments / f"{spec.id.split('/')[1]}.png")
+        picture(spec, folder / f"{spec.id.split('/')[1]}.png")
     for name in FAMILIES:
         family = [spec for spec in ours if spec.id.startswith(f"motor_env/{name.removesuffix('-v0')}")]
-        (environments / f"{name}.md").write_text(family_page(name, family), encoding="utf-8")
-    for module, text in api_pages().items():
-        (api / f"{module}.md").write_text(text, encoding="utf-8")
+        (folder / f"{name}.md").write_text(family_page(name, family, folder), encoding="utf-8")
+    (folder / "all.md").write_text(HEAD + "".join(row(spec, folder) for spec in ours), encoding="utf-8")
+    for path in folder.glob("*.png"):
+        with Image.open(path) as drawn:
+            few = drawn.convert("RGB").quantize(64)
+        few.save(path, optimize=True)
+
+
+if __name__ == "__main__":
+    environments = DOCS / "environments"
+    shutil.rmtree(environments, ignore_errors=True)
+    environments.mkdir()
+    write_pages(environments)
