@@ -201,7 +201,7 @@ def pages() -> dict[Path, str]:
     parts.setdefault(DOCS / "trust.md", {}).update(
         {name: table(*made) for name, made in trust_tables(trust).items()}
     )
-    parts.setdefault(DOCS / "limits.md", {}).update(
+    parts.setdefault(DOCS / "best-possible.md", {}).update(
         {"field": field_table(), "operation": field_table("operation")}
     )
     parts[DOCS / "reference-scores.md"] = {"reference": reference_scores.table()}

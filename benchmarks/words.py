@@ -19,7 +19,10 @@ PACKAGES = ("motor_env", "datasets/motor_datasets", "classifiers/motor_classifie
 BESIDE = ("README.md", "CONTRIBUTING.md", "SECURITY.md")
 MADE = ("api", "environments")
 LIMITS = {"by hand": 19_000, "results": 6_000}
-APART = ("fleet.md", "trend.md", "reference-scores.md", "calibration.md")
+APART = (
+    *("fleet.md", "fleet-power.md", "trend.md", "remaining-life.md"),
+    *("reference-scores.md", "calibrated-probabilities.md"),
+)
 """Pages that are counted apart."""
 
 
