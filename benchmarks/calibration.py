@@ -1,7 +1,7 @@
 """Ranks of the truth in the posteriors with simultaneous bands, and coverage by class and by severity.
 
-`python benchmarks/calibration.py [--networks NAME ...]`: the two tables of
-docs/calibrated-probabilities.md. Networks that are not there are trained first: four minutes for `field`, half a minute for each other one.
+`python benchmarks/calibration.py [--networks NAME ...]`: the two tables of docs/calibrated-probabilities.md. Networks
+that are not there are trained first: four minutes for `field`, half a minute for each other one.
 """
 
 from __future__ import annotations
