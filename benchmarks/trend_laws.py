@@ -179,7 +179,9 @@ def main(*, histories: int = 400, seed: int = 5, how: How = HERE) -> None:
         "called close",
         "of those beyond 80 % of the way",
     )
-    keep_table("remaining-life", "laws", header, (row(cell, count) for cell, count in counts.by(0, 1).items()))
+    keep_table(
+        "remaining-life", "laws", header, (row(cell, count) for cell, count in counts.by(0, 1).items())
+    )
 
 
 if __name__ == "__main__":
