@@ -47,7 +47,7 @@ class DrawnTask(ABC):
     Attributes:
         title: what is asked, for a person.
         metric: what the mean cost is called; smaller is better.
-        bracket: between which the best possible lies on average, where it is not known case by case (docs/best-possible.md).
+        bracket: around the mean of the best possible, where that is not known case by case (docs/best-possible.md).
         recipe: what motors are drawn from.
         n_train: starts to learn from; no motor of theirs is judged.
     """
