@@ -47,7 +47,7 @@ def generate(
     Example: motor-datasets generate bench --cases 4000 --seed 1 --out out/bench
 
     Args:
-        recipe: What is sampled: paper (noise only), bench (tolerances), bench-full (all fault kinds), field (dry
+        recipe: Recipe of the motors: paper (noise only), bench (tolerances), bench-full (all fault kinds), field (dry
             friction, temperature, supply, load, sensor errors), operation (motors at work: another voltage, which is a
             channel, and load in each case), or a recipe TOML.
         cases: Number of transients.
@@ -59,11 +59,11 @@ def generate(
         current_noise_a: Standard deviation of a current sample.
         channels: Measured channels, comma between: current, or current,speed.
         motor: Catalogue name (paper), or a motor TOML.
-        workers: Processes that write; one by default, of a Dask cluster all.
+        workers: Number of processes that write; one by default, with a Dask cluster all of its workers.
         scheduler: Address of a Dask scheduler whose workers write, such as tcp://10.0.0.1:8786.
-        resume: Finish what an interrupted generation began.
+        resume: Finish an interrupted generation.
         json_: Print a summary as JSON.
-        dry_run: Print what would be written, write nothing.
+        dry_run: Print what would be written, and write nothing.
     """
     require_extra("pyarrow", "datasets")
     from motor_datasets.folder import generate_dataset, seconds_per_case
@@ -152,13 +152,13 @@ def verify(folder: str, /, *, json_: bool = False) -> int:
 
 @app.command
 def describe(recipe: str, /, *, picture: Path | None = None, seed: console.Whole = 0) -> int:
-    """Print what a recipe, or the recipe of a data set, samples, and draw a sheet of examples.
+    """Print the priors and columns of a recipe, or of a data set's recipe, and draw examples.
 
     Example: motor-datasets describe field --picture out/field.png
 
     Args:
         recipe: Name of a recipe, a recipe TOML, or the folder or URL of a data set.
-        picture: PNG or SVG to draw examples to.
+        picture: PNG or SVG file for the examples.
         seed: Random seed of the examples.
     """
     from motor_datasets.card import describe, draw_sheet
