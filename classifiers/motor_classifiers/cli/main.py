@@ -325,8 +325,8 @@ def benchmark(
         duration_s: Time recorded after the step of the supply.
         channels: Measured channels: current, or current,speed.
         peers: File with stored answers of other packages' classifiers; refused if its starts are others.
-        fresh: Have all answers of a sweep again.
-        dry_run: Only tell what would be run, and about how long it takes.
+        fresh: Compute all answers of a sweep again.
+        dry_run: Print what would be run, and about how long it takes; run nothing.
         json_: Print the content of results.json.
     """
     _require_extras()
