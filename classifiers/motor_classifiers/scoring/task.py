@@ -224,7 +224,7 @@ def judged_cases(recipe: Recipe, first: int, count: int, per_motor: int | None =
     """
     starts, healthy = recipe.starts_per_motor, recipe.healthy_starts
     if healthy == starts:
-        raise InputError(f"all starts of recipe {recipe.name} are healthy ones: nothing to tell")
+        raise InputError(f"all starts of recipe {recipe.name} are healthy ones: nothing to classify")
     judged = np.arange(healthy, starts)[:per_motor]
     motors = np.arange(-(-count // len(judged)))[:, None] + -(-first // starts)
     return (motors * starts + judged).ravel()[:count]

@@ -185,7 +185,7 @@ def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[s
         for words, paths in files.items()
     ]
     left = len(lines) - _MOST_READINGS
-    return [*lines[:_MOST_READINGS], *([f"  read: in {left} more ways"] * (left > 0))]
+    return [*lines[:_MOST_READINGS], *([f"  read: other files in {left} more ways"] * (left > 0))]
 
 
 def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: tuple[str, ...]) -> Recording:

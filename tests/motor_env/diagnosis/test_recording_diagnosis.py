@@ -243,7 +243,7 @@ def test_real_starts_are_fitted(
     assert fit.r2_current >= r2
     assert abs(fit.lag_one) <= largest_correlation
     if file.endswith("F0000.csv"):
-        assert "a wild sample of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
+        assert "an outlier of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
 
 
 @needs_recordings

@@ -230,7 +230,7 @@ def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPat
                       log_covariance=np.eye(4))  # fmt: skip
     found = diagnose(log(), replace(SHEET, healthy=healthy))
     assert (found.verdict, found.of) == ("unusable", 1)
-    assert found.reasons[0].startswith("sheet does not tell R, K, J, B")
+    assert found.reasons[0].startswith("sheet does not give R, K, J, B")
 
     def unseen(record: Record) -> Any:
         fit = true_fit(record)

@@ -133,7 +133,7 @@ def test_only_windows_that_tell_all_four_have_a_judge() -> None:
     as_starts = replace(HEALTHY, windows=None, starts=Starts(log_noise=0.0, log_noise_sd=0.1))
     fewer = replace(HEALTHY, quantities=NAMES[:3], values=np.ones(3), log_covariance=np.eye(3))
     for healthy in (as_starts, fewer):
-        with pytest.raises(UnusableError, match="healthy pieces of it do not tell R, K, J, B of windows"):
+        with pytest.raises(UnusableError, match="healthy recordings of it do not give R, K, J, B of windows"):
             judge_of(healthy, "it")
 
 
