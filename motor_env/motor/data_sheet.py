@@ -197,7 +197,8 @@ def _to_motor(file: _File, given: Collection[str]) -> Motor:
     if guessed:
         notes.append(
             f"the sheet does not give {' and '.join(guessed)}: a recording's own value counts, and no change"
-            " of it shows; motor-env commission start1.csv start2.csv start3.csv -o motor.toml learns all from healthy starts"
+            " of it shows;"
+            " motor-env commission start1.csv start2.csv start3.csv -o motor.toml learns all from healthy starts"
         )
     unknown = [key for key in file.assumed if key not in numbers]
     require(not unknown, f"assumed.{', '.join(unknown)} is no value of the table motor")
