@@ -241,7 +241,7 @@ def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
     Raises:
         ValueError: the belief is of a batch of motors.
     """
-    require(kalman.model.transition.ndim == 2, "schedule needs the belief of one motor, got a batch")
+    require(kalman.model.transition.ndim == 2, "schedule needs a filter of one motor, got a batch")
     rows = schedules(kalman, np.zeros((1, n_samples, len(kalman.observation)), dtype=np.bool_))
     return Schedule(rows.gain[0], rows.innovation_covariance[0], rows.covariance[0], rows.held_from)
 
