@@ -158,7 +158,7 @@ def test_what_cannot_be_compared_says_why(
         with pytest.raises(UnusableError, match=reason):
             aligned_case(given, RECIPE)
     both = replace(RECIPE, sensor=replace(RECIPE.sensor, channels=(Channel.CURRENT, Channel.SPEED)))
-    with pytest.raises(UnusableError, match="wants the speed, which was not recorded"):
+    with pytest.raises(UnusableError, match="needs the speed, which was not recorded"):
         aligned_case(given, both)
 
 
@@ -195,7 +195,7 @@ def test_at_equal_rates_the_residual_is_put_on_the_fitted_start(
     if not fits:
         monkeypatch.setattr(prediction, "_check_comparable", lambda *_: None)
         with pytest.raises(
-            UnusableError, match=f"wants {timing.quiet_s:g} s before the start and {timing.duration_s:g} s"
+            UnusableError, match=f"needs {timing.quiet_s:g} s before the start and {timing.duration_s:g} s"
         ):
             aligned_case(recording(1_000.0, 140), recipe)
         return

@@ -150,7 +150,9 @@ def test_without_a_voltage_only_ratios_are_told_and_the_sheet_is_no_reference() 
     np.testing.assert_allclose(fit.values[0], 2.18 / 12.0, rtol=0.05)
     compared = diagnose(recording, replace(MOTOR, nominal_voltage_v=None))
     assert compared.verdict is Verdict.NO_REFERENCE
-    assert compared.reasons[0].startswith("this recording tells R/V, L/V, K^2/(J V), B/J, and the reference")
+    assert compared.reasons[0].startswith(
+        "this recording determines R/V, L/V, K^2/(J V), B/J, and the reference"
+    )
 
 
 def test_a_capture_without_a_start_is_unusable_and_never_healthy() -> None:

@@ -238,7 +238,7 @@ def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPat
         return fit
 
     monkeypatch.setattr(log_diagnosis, "identify_record", unseen)
-    with pytest.raises(UnusableError, match="only where voltage, current and speed"):
+    with pytest.raises(UnusableError, match="only if voltage, current and speed"):
         judge_for(log(), SHEET)
 
 
