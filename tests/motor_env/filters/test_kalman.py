@@ -406,5 +406,5 @@ def test_bad_measurements_are_refused_in_one_sentence() -> None:
     )
     with pytest.raises(ValueError, match="the filter must be of 1 or 2 motors, got 3"):
         run_filter(batch, np.zeros((2, 1, 10)), np.zeros(10))
-    with pytest.raises(ValueError, match="belief of one motor"):
+    with pytest.raises(ValueError, match="filter of one motor"):
         schedule(batch, 10)
