@@ -60,7 +60,7 @@ def rows(folder: Path, every: int) -> Iterator[list[str]]:
 
 
 def main(*, every: int = 1) -> None:
-    """Identify the motors and keep the table of docs/results/recordings.md.
+    """Identify the motors and keep the table of docs/results/verdicts.md.
 
     Args:
         every: of the fleet each so many-th record.
@@ -68,7 +68,7 @@ def main(*, every: int = 1) -> None:
     if "MOTOR_ENV_RECORDINGS" not in os.environ:
         sys.exit("MOTOR_ENV_RECORDINGS does not name the folder of the recordings")
     header = ["recording", "quantity", "its authors", "identified", "interval"]
-    keep_table("recordings", "authors", header, rows(Path(os.environ["MOTOR_ENV_RECORDINGS"]), every))
+    keep_table("verdicts", "authors", header, rows(Path(os.environ["MOTOR_ENV_RECORDINGS"]), every))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Ranks of the truth in the posteriors with simultaneous bands, and coverage by class and by severity.
 
-`python benchmarks/calibration.py [--networks NAME ...]`: the two tables of docs/calibration.md. Networks that are not
-there are trained first: four minutes for `field`, half a minute for each other one.
+`python benchmarks/calibration.py [--networks NAME ...]`: the two tables of docs/calibrated-probabilities.md. Networks
+that are not there are trained first: four minutes for `field`, half a minute for each other one.
 """
 
 from __future__ import annotations
@@ -110,13 +110,14 @@ def main(*, networks: tuple[str, ...] = NETWORKS, cases: int = 2_000) -> None:
     for one in posteriors:
         check = rank_check(one.ranks, ERROR / len(posteriors))
         rows.append((one.name, str(len(one.ranks)), f"{check.largest:.4f}", "yes" if check.inside else "no"))
-    keep_table("calibration", "ranks", ("posterior", "starts", "largest distance", "within its band"), rows)
+    header = ("posterior", "starts", "largest distance", "within its band")
+    keep_table("calibrated-probabilities", "ranks", header, rows)
     covered = (
         (one.name, part, f"{100.0 * share:.1f} %")
         for one in posteriors
         for part, share in one.covered.items()
     )
-    keep_table("calibration", "coverage", ("posterior", "truth", "90 % sets hold it"), covered)
+    keep_table("calibrated-probabilities", "coverage", ("posterior", "truth", "90 % sets hold it"), covered)
 
 
 if __name__ == "__main__":

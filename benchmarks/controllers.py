@@ -220,7 +220,7 @@ def measure(chip: Chip, arithmetic: str, *, n_channels: int = 1) -> Measured:
 
 
 def main() -> None:
-    """Measure the sizes and keep the table of docs/results/embedded.md."""
+    """Measure the sizes and keep the table of docs/results/exported-c.md."""
     found = (
         measure(chip, arithmetic, n_channels=n_channels)
         for chip in CHIPS
@@ -228,7 +228,7 @@ def main() -> None:
         for n_channels in (1, 2)
     )
     rows = ([*map(str, sizes), f"{instructions:.0f}"] for *sizes, instructions in found)
-    keep_table("embedded", "sizes", HEADER, rows)
+    keep_table("exported-c", "sizes", HEADER, rows)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Verdicts on simulated captures, each with one defect of real ones: the table of docs/results/recordings.md.
+"""Verdicts on simulated captures, each with one defect of real ones: the table of docs/results/verdicts.md.
 
 python benchmarks/defects.py --starts 60     # four minutes of one core
 """
@@ -75,7 +75,7 @@ def main(
     each = partial(judge, names=tuple(defect), starts=starts, seed=seed)
     counts = counted(each, len(CASES) * len(defect), how, of=of)
     header = ("defect", "healthy", "bearing +25 %", "contact +25 %", "noticed")
-    keep_table("recordings", "defects", header, (row(name, counts) for name in defect))
+    keep_table("verdicts", "defects", header, (row(name, counts) for name in defect))
 
 
 if __name__ == "__main__":

@@ -179,7 +179,7 @@ def main(*, healthy: int = 3000, sick: int = 300, workers: int = 1) -> None:
         "bearing, own alone",
         "winding, own alone",
     ]
-    keep_table("fleet", "own", header, smallest_faults(100))
+    keep_table("fleet-power", "own", header, smallest_faults(100))
     alarms = []
     found = defaultdict[str, list[str]](list)
     with ProcessPoolExecutor(workers) as pool:
@@ -197,10 +197,10 @@ def main(*, healthy: int = 3000, sick: int = 300, workers: int = 1) -> None:
             for fault, row in zip(faults(), by_fault / by_fault[:, :1], strict=True):
                 found[fault.name].append(f"{row[1]:.2f} of {row[2]:.2f}")
             print(alarms[-1], file=sys.stderr, flush=True)
-    keep_table("fleet", "alarms", ["motors", "sick", "judged", "false alarms", "±", "oracle"], alarms)
+    keep_table("fleet-power", "alarms", ["motors", "sick", "judged", "false alarms", "±", "oracle"], alarms)
     header = [f"{size}, {share:.0%}" for size, share in FLEETS]
     shown = ([fault, *cells] for fault, cells in found.items() if not fault.endswith(NOT_SHOWN))
-    keep_table("fleet", "power", ["fault", *header], shown)
+    keep_table("fleet-power", "power", ["fault", *header], shown)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Two faults at once: are both named, and is a second one named where there is none (docs/results/recordings.md)?
+"""Two faults at once: are both named, and is a second one named where there is none (docs/results/verdicts.md)?
 
 python benchmarks/joint_faults.py --motors 24     # three minutes of one core
 python benchmarks/joint_faults.py --single --motors 24     # single faults alone
@@ -122,7 +122,7 @@ def main(*, motors: int = 24, seed: int = 0, single: bool = False, how: How = HE
     )
     name = "single faults" if single else "joint faults"
     keep_table(
-        "recordings", name, ("one start with", "motors, judged by", "what is named"), rows(counts, faults)
+        "verdicts", name, ("one start with", "motors, judged by", "what is named"), rows(counts, faults)
     )
 
 

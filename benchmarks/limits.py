@@ -1,4 +1,4 @@
-"""What can be known at best from the starts of a recipe: the tables of docs/limits.md.
+"""What can be known at best from the starts of a recipe: the tables of docs/best-possible.md.
 
 `python benchmarks/limits.py [CASES]`: 20,000 cases, some seven minutes. Each figure is an average over the recipe's own
 cases of what the exact posterior expects: no rule does better on average. The truth is drawn here, and only scored;
@@ -270,17 +270,17 @@ def bounds() -> Iterable[Iterable[str]]:
 
 def main(n_cases: int = 20_000) -> None:
     """Make all tables."""
-    keep_table("limits", "bounds", ("noise", "R", "B"), bounds())
-    keep_table("limits", "accuracy", ("rate", "noise", "limit", "hits"), accuracy(n_cases))
-    keep_table("limits", "variants", ("setting", "limit"), variants(n_cases))
-    keep_table("limits", "early", ("seen", "limit"), early(n_cases))
+    keep_table("best-possible", "bounds", ("noise", "R", "B"), bounds())
+    keep_table("best-possible", "accuracy", ("rate", "noise", "limit", "hits"), accuracy(n_cases))
+    keep_table("best-possible", "variants", ("setting", "limit"), variants(n_cases))
+    keep_table("best-possible", "early", ("seen", "limit"), early(n_cases))
     keep_table(
-        "limits",
+        "best-possible",
         "severity",
         ("kind", "rate", "noise", "expected", "measured", "coverage"),
         severity(max(n_cases // 10, 100)),
     )
-    keep_table("limits", "tests", ("recipe", "fault", "false alarms", "power"), power(n_cases))
+    keep_table("best-possible", "tests", ("recipe", "fault", "false alarms", "power"), power(n_cases))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Verdicts on starts under a load that scatters, of warmer motors behind a resistance (docs/results/recordings.md).
+"""Verdicts on starts under a load that scatters, of warmer motors behind a resistance (docs/results/verdicts.md).
 
 python benchmarks/loaded_starts.py --motors 216     # four minutes of one core
 python benchmarks/loaded_starts.py --motors 108 --other-physics --rows out/starts_other_physics.jsonl
@@ -139,7 +139,7 @@ def main(*, motors: int = 216, seed: int = 0, other_physics: bool = False, how: 
     counts = counted(partial(judge, seed=seed, other_physics=other_physics), motors, how, of=of)
     header = ("one start with", "load", "starts", "verdicts where it shows", "elsewhere")
     name = "loaded-starts-other-physics" if other_physics else "loaded-starts"
-    keep_table("recordings", name, header, rows(counts))
+    keep_table("verdicts", name, header, rows(counts))
 
 
 if __name__ == "__main__":

@@ -136,7 +136,7 @@ def cells_by(rows: list[dict[str, Any]], key: str) -> Iterator[list[str]]:
 
 
 def main(*, records: int = 100, seed: int = 0, workers: int = 1, rows: Path | None = None) -> None:
-    """Fit the records and keep the tables of docs/results/operation.md.
+    """Fit the records and keep the tables of docs/results/motors-at-work.md.
 
     Args:
         records: number of random motors.
@@ -149,7 +149,7 @@ def main(*, records: int = 100, seed: int = 0, workers: int = 1, rows: Path | No
     failed = [row for row in known if "error" in row]
     print(f"\n{len(known)} records, {len(failed)} not fitted", *failed, sep="\n  ")
     for key in ("profile", "quantity"):
-        keep_table("operation", key, [key, *HEADER], cells_by(known, key))
+        keep_table("motors-at-work", key, [key, *HEADER], cells_by(known, key))
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ def main(*, choices: int = 252, seed: int = 7, how: How = HERE) -> None:
         ["good starts, others than the five", str(good.total()), str(good["fault"])],
         ["bad starts", str(bad.total()), str(bad["fault"])],
     ]
-    keep_table("recordings", "production line", ("starts", "judged", "alarms"), rows)
+    keep_table("verdicts", "production line", ("starts", "judged", "alarms"), rows)
 
 
 if __name__ == "__main__":

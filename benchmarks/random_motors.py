@@ -1,4 +1,4 @@
-"""Verdicts on motors of all sizes, each known by five healthy starts, or by a data sheet (docs/results/recordings.md).
+"""Verdicts on motors of all sizes, each known by five healthy starts, or by a data sheet (docs/results/verdicts.md).
 
 python benchmarks/random_motors.py --motors 60     # two minutes of one core
 """
@@ -152,7 +152,7 @@ def main(*, motors: int = 60, seed: int = 0, how: How = HERE) -> None:
     """
     counts = counted(partial(judge, seed=seed), motors, how, of={"seed": seed})
     rows = ([name, *(words_of(counts[(name, by)]) for by in (BY_STARTS, BY_SHEET))] for name in CHANGES)
-    keep_table("recordings", "random motors", ("one start with", BY_STARTS, BY_SHEET), rows)
+    keep_table("verdicts", "random motors", ("one start with", BY_STARTS, BY_SHEET), rows)
 
 
 if __name__ == "__main__":

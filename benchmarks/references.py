@@ -1,4 +1,4 @@
-"""Every method given k = 0, 1, 3 healthy starts of the same motor: the tables of docs/references.md.
+"""Every method given k = 0, 1, 3 healthy starts of the same motor: the tables of docs/healthy-starts.md.
 
 `python benchmarks/references.py --rate-hz 10000` prints each cell as it comes; `--method` takes some of them. Aeon's
 classifiers join in where `make peers` has set up their environment.
@@ -99,7 +99,7 @@ def keep(names: list[str], rate_hz: float, n_train: int, n_test: int) -> None:
             row = rows.setdefault(name, [])
             row += [""] * (column - len(row)) + [cell]
     header = (f"{rate_hz / 1e3:g} kHz", *(f"k = {k}" for k in COUNTS))
-    keep_table("references", f"{rate_hz:g}-hz", header, ([name, *cells] for name, cells in rows.items()))
+    keep_table("healthy-starts", f"{rate_hz:g}-hz", header, ([name, *cells] for name, cells in rows.items()))
 
 
 def main(

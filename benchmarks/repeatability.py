@@ -146,7 +146,7 @@ def main(*, motors: int = 40, seed: int = 0, workers: int = 1, rows: Path | None
     shown = [[name, *cells([row for row in known if row["set"] == name])] for name in sets]
     if of_real:
         shown.append(["all real", *cells(of_real)])
-    keep_table("operation", "repeats", ["set", *HEADER], shown)
+    keep_table("motors-at-work", "repeats", ["set", *HEADER], shown)
 
 
 if __name__ == "__main__":

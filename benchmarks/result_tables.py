@@ -185,7 +185,10 @@ def speed_tables() -> dict[str, str]:
 def pages() -> dict[Path, str]:
     """The pages with their tables made anew."""
     parts = {
-        README: {"results": readme_table()},
+        README: {
+            "results": readme_table(),
+            "speed": speed.page_table("envs", "MonitorInstant-v0, vector of 4096"),
+        },
         DOCS / "benchmark.md": {
             "default": default_table(),
             "noise": noise_table(),
@@ -198,10 +201,10 @@ def pages() -> dict[Path, str]:
             name: table(one["header"], one["rows"]) for name, one in tables.items()
         }
     trust = json.loads((FOLDER / "results" / "trust.json").read_bytes())
-    parts.setdefault(DOCS / "trust.md", {}).update(
+    parts.setdefault(DOCS / "trust-method.md", {}).update(
         {name: table(*made) for name, made in trust_tables(trust).items()}
     )
-    parts.setdefault(DOCS / "limits.md", {}).update(
+    parts.setdefault(DOCS / "best-possible.md", {}).update(
         {"field": field_table(), "operation": field_table("operation")}
     )
     parts[DOCS / "reference-scores.md"] = {"reference": reference_scores.table()}

@@ -114,13 +114,13 @@ def cells(row: Row) -> list[str]:
     return [row["name"], *rates, *ratio]
 
 
-def page_table(name: str) -> str:
-    """What is kept of a benchmark."""
+def page_table(name: str, rows_of: str = "") -> str:
+    """What is kept of a benchmark, or only of what `rows_of` begins the name of."""
     kept = json.loads(KEPT.read_bytes()) if KEPT.is_file() else []
     shown = [
         [row["name"], *(f"{float(f'{row[who]:.3g}'):,.0f}" for who in ("ours", "peer")), *cells(row)[3:5]]
         for row in kept
-        if row["bench"] == name
+        if row["bench"] == name and row["name"].startswith(rows_of)
     ]
     if not shown:
         return "Not measured yet."

@@ -5,7 +5,7 @@
     python benchmarks/running_windows.py --motors 30 --other-physics --every-drive
     python benchmarks/running_windows.py --motors 12 --other-physics --one-way
 
-Four tables of docs/results/operation.md. Random motors and profiles from the
+Four tables of docs/results/motors-at-work.md. Random motors and profiles from the
 independent simulator in operation_simulator.py, with speed and without a load. Each is commissioned by 10 windows of 40
 mechanical time constants, and judged by records of 3, at one false alarm in 100. With other physics the motors have all
 of its SWITCHES, and are judged in other profiles, under other controllers, too, severe faults in the own one alone.
@@ -143,7 +143,7 @@ def main(
     one_way: bool = False,
     how: How = HERE,
 ) -> None:
-    """Judge motors and keep the table of docs/results/operation.md.
+    """Judge motors and keep the table of docs/results/motors-at-work.md.
 
     Args:
         motors: how many, of all profiles in turn.
@@ -167,7 +167,7 @@ def main(
     unders = LOADED if one_way else tuple(UNDER if other_physics else OWN)
     named = [f"load: {under}" if one_way else under for under in unders]
     keep_table(
-        "operation", "_".join(("windows", *chosen)), ("changed", "right", *named), rows(counts, unders)
+        "motors-at-work", "_".join(("windows", *chosen)), ("changed", "right", *named), rows(counts, unders)
     )
 
 

@@ -109,7 +109,7 @@ DEFECTS: dict[str, Defect] = {
     "onset between samples": Defect(effects=Effects(delay_s=0.00006)),
     "negative times": Defect(reshape=lambda time_s, current_a, _: (time_s - 7.5, current_a)),
     "reversed": Defect(reshape=lambda time_s, current_a, _: (time_s, -current_a)),
-    "a wild sample": Defect("wild", reshape=_spike),
+    "a wild sample": Defect("outlier", reshape=_spike),
     "no quiet part": Defect(quiet_s=0.0),
     "no start": Defect(reshape=lambda time_s, current_a, _: (time_s, current_a - current_a), judged=False),
     "mains hum": Defect("hum of the mains", reshape=_hum),

@@ -170,7 +170,7 @@ def held(rows: list[dict[str, Any]]) -> Iterator[list[str]]:
 
 
 def main(*, twins: int = 8, seed: int = 78, workers: int = 1, rows: Path | None = None) -> None:
-    """Fit all with and without each term, and keep the tables of docs/results/operation.md.
+    """Fit all with and without each term, and keep the tables of docs/results/motors-at-work.md.
 
     Args:
         twins: number of simulated logs.
@@ -187,8 +187,8 @@ def main(*, twins: int = 8, seed: int = 78, workers: int = 1, rows: Path | None 
         for name in row["without"]:
             counts[name] += 1
     ordered = sorted(counts, key=lambda name: (-counts[name], name))
-    keep_table("operation", "terms", HEADER, (cells(known, name) for name in ordered))
-    keep_table("operation", "drops", ["brushes take", "twins", *QUANTITIES.values()], held(known))
+    keep_table("motors-at-work", "terms", HEADER, (cells(known, name) for name in ordered))
+    keep_table("motors-at-work", "drops", ["brushes take", "twins", *QUANTITIES.values()], held(known))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What is said of a wearing motor under laws of wear that the model has and lacks: the table of docs/results/trend.md.
+"""Trends of a motor whose law of wear the model has, or lacks: the table of docs/results/remaining-life.md.
 
 python benchmarks/trend_laws.py --histories 400     # two minutes of one core
 
@@ -179,7 +179,9 @@ def main(*, histories: int = 400, seed: int = 5, how: How = HERE) -> None:
         "called close",
         "of those beyond 80 % of the way",
     )
-    keep_table("trend", "laws", header, (row(cell, count) for cell, count in counts.by(0, 1).items()))
+    keep_table(
+        "remaining-life", "laws", header, (row(cell, count) for cell, count in counts.by(0, 1).items())
+    )
 
 
 if __name__ == "__main__":

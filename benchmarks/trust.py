@@ -1,4 +1,4 @@
-"""Figures, tables and charts of docs/trust.md: `python benchmarks/trust.py [PART...]`.
+"""Figures, tables and charts of docs/trust-method.md: `python benchmarks/trust.py [PART...]`.
 
 `sets` and `figures` are kept in benchmarks/results/trust.json, `shifts` and `powers` among the tables; `charts` draws
 what is kept.
@@ -318,9 +318,9 @@ def main(*part: Literal["sets", "figures", "shifts", "powers", "charts"], cases:
     if "figures" in part or not part:
         keep_figures(with_sets=False)
     if "shifts" in part or not part:
-        keep_table("trust", "shifts", OF_SHIFTS, shifts(cases // 10))
+        keep_table("trust-method", "shifts", OF_SHIFTS, shifts(cases // 10))
     if "powers" in part or not part:
-        keep_table("trust", "powers", OF_POWERS, powers(cases))
+        keep_table("trust-method", "powers", OF_POWERS, powers(cases))
     if "charts" in part or not part:
         for name, markup in kept_charts():
             (IMAGES / name).write_text(markup, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""How far to trust a verdict in the benchmark's setting: the figures of docs/trust.md, measured by trust.py.
+"""How far to trust a verdict in the benchmark's setting: the figures of docs/trust-method.md, measured by trust.py.
 
 Sets that hold the truth, unknown faults, severities, early verdicts beside sequential rules, and other conditions.
 """

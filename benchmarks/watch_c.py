@@ -231,7 +231,7 @@ def delays(codes: dict[str, Compiled], rng: np.random.Generator, drive: str) -> 
 
 
 def main(*, hours: float = 50.0) -> None:
-    """Count alarms, measure delays, and keep the tables of docs/results/embedded.md."""
+    """Count alarms, measure delays, and keep the tables of docs/results/exported-c.md."""
     # Each part has its own random numbers.
     counting, *driving = (np.random.default_rng([77, 19, part]) for part in (0, 2, 3))
     with tempfile.TemporaryDirectory() as name:
@@ -243,10 +243,10 @@ def main(*, hours: float = 50.0) -> None:
         }
         rules = {rule: exported(folder / rule, "fixed", RATES["hour"], RULES[rule]) for rule in RULES}
         keep_table(
-            "embedded", "false alarms", ("monitor", *ALARM_HEADER), false_alarms(codes, hours, counting)
+            "exported-c", "false alarms", ("monitor", *ALARM_HEADER), false_alarms(codes, hours, counting)
         )
         keep_table(
-            "embedded",
+            "exported-c",
             "delays",
             ("duty cycle", "fault", "the best CUSUM", "bank", "`--shift 0.5`", "bank over best"),
             (row for drive, rng in zip(DRIVES, driving, strict=True) for row in delays(rules, rng, drive)),

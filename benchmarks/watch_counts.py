@@ -253,8 +253,8 @@ def compared(runs: int) -> Iterator[tuple[str, float, list[str]]]:
 
 @app.command
 def delays(*, runs: int = 40) -> None:
-    """Measure the delays on the test bench and keep the table of docs/results/watch.md."""
-    keep_table("watch", "delays", DELAY_HEADER, (row for _, _, row in sorted(compared(runs))))
+    """Measure the delays on the test bench and keep the table of docs/results/watch-delay.md."""
+    keep_table("watch-delay", "delays", DELAY_HEADER, (row for _, _, row in sorted(compared(runs))))
 
 
 SHORT_WINDOW_S, SHORT_LEARN_S, DT_S = 20.0, 200.0, 0.01
@@ -313,7 +313,7 @@ def other_physics(
     workers: int = 1,
     rows: Path | None = None,
 ) -> None:
-    """Watch motors of other physics and keep the table of docs/results/operation.md.
+    """Watch motors of other physics and keep the table of docs/results/motors-at-work.md.
 
     Args:
         motors: number.
@@ -324,7 +324,7 @@ def other_physics(
     """
     jobs = {number: (seed, number, hours) for number in range(motors)}
     known = kept_rows(watched, jobs, lambda row: row["number"], workers, rows)
-    keep_table("operation", "watched", OTHER_HEADER, [counted_row(known)])
+    keep_table("motors-at-work", "watched", OTHER_HEADER, [counted_row(known)])
 
 
 if __name__ == "__main__":

@@ -72,7 +72,7 @@ def draw_rooms(path: Path) -> None:
             box = {"boxstyle": "round,pad=0.35", "facecolor": "white", "edgecolor": COLOUR["healthy"]}
             name = room.rpartition(".")[2]
             axes.text(x, y, name, ha="center", va="center", color=INK, fontsize=10, bbox=box)
-        for x, title in ((0.22, "the mission"), (0.72, "real motors: diagnosis")):
+        for x, title in ((0.22, "simulated motors"), (0.72, "recordings of real motors")):
             axes.text(x, 8.3, title, ha="center", va="center", color=QUIET, fontsize=11, fontstyle="italic")
         axes.set(xlim=(0, 1), ylim=(-0.5, 10.5))
         axes.set_axis_off()

@@ -18,8 +18,10 @@ import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 import words
+from PIL import Image, ImageChops
 
 from motor_classifiers.cli.main import main as classifiers
 from motor_datasets.cli import main as datasets
@@ -131,6 +133,10 @@ def test_page_runs(
             (folder / "docs" / page.parent.name).mkdir(parents=True)
             monkeypatch.chdir(folder / "docs" / page.parent.name)
         runpy.run_path(str(path))
+        for drawn in folder.glob("*.png"):  # a picture that the page draws is the one that it shows
+            with Image.open(drawn) as new, Image.open(DOCS / "images" / drawn.name) as kept:
+                apart = ImageChops.difference(new.convert("L"), kept.convert("L"))
+            assert np.mean(np.asarray(apart) > 60) < 0.001, f"{page}: draw {drawn.name} anew"
         plt.close("all")
         printed_so_far += capsys.readouterr().out
     assert [line for line in shown(page) if line.rstrip() not in printed_so_far] == []

@@ -100,7 +100,7 @@ def test_every_picture_is_shown_and_has_a_test() -> None:
     assert {name for name in kept if f"images/{name}" not in shown} == set()
     of_the_paper = {name for name in kept if name.startswith(("figure_", "error_covariance"))}
     assert kept - of_the_paper == {
-        *("hero.png", "rooms.svg", "verdict.svg", "probe-agent.gif", "fleet.svg"),
+        *("hero.png", "rooms.svg", "verdict.svg", "probe-agent.gif", "fleet.svg", "q-and-r.png"),
         *("rules_delay.svg", "other-roc.svg", "early-verdicts.svg", "residual-worth.svg"),
     }
 

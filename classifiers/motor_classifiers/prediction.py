@@ -106,7 +106,7 @@ def _moved_onto_a_sample(recording: Recording, recipe: Recipe) -> FloatArray:
     rows = np.arange(timing.n_samples) + step + 1 - timing.n_quiet
     if rows[0] < 0 or rows[-1] >= len(start.time_s):
         raise UnusableError(
-            f"the model wants {timing.quiet_s:g} s before the start and {timing.duration_s:g} s after it"
+            f"the model needs {timing.quiet_s:g} s before the start and {timing.duration_s:g} s after it"
         )
     voltage = start.level_v * (np.arange(timing.n_samples) >= timing.n_quiet)
     response = simulate_states(fitted.parameters, voltage, timing.dt_s)
@@ -120,16 +120,16 @@ def _moved_onto_a_sample(recording: Recording, recipe: Recipe) -> FloatArray:
 def _check_comparable(recording: Recording, recipe: Recipe, start: Alignment) -> None:
     timing = recipe.timing
     if Channel.SPEED in recipe.sensor.channels and recording.speed_rad_s is None:
-        raise UnusableError("the model wants the speed, which was not recorded")
+        raise UnusableError("the model needs the speed, which was not recorded")
     ratio = recording.dt_s / timing.dt_s
     if abs(ratio - 1.0) >= 1e-3 and ratio > _COARSEST_TO_INTERPOLATE:
         raise UnusableError(
-            f"sampled at {1.0 / recording.dt_s:.6g} Hz, the model wants {timing.sampling_rate_hz:g} Hz, or four times "
+            f"sampled at {1.0 / recording.dt_s:.6g} Hz, the model needs {timing.sampling_rate_hz:g} Hz, or four times "
             f"that and more; train it with --sampling-rate-hz {1.0 / recording.dt_s:.6g}"
         )
     left = float(recording.time_s[-1]) - start.onset_s
     if left < timing.duration_s - 0.5 * timing.dt_s:
-        raise UnusableError(f"{left:.3g} s after the start, the model wants {timing.duration_s:g} s")
+        raise UnusableError(f"{left:.3g} s after the start, the model needs {timing.duration_s:g} s")
     if recording.voltage_v is not None:
         level = float(np.median(np.abs(recording.voltage_v[start.onset_index + 1 :])))
         wanted = float(np.asarray(recipe.supply.voltage_v))
@@ -279,7 +279,7 @@ def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording
     references = model.n_features_in_ // values_of_start(recipe) - 1
     if references:
         return Prediction(
-            UNDECIDED, reason=f"the model wants {references} healthy starts of the same motor beside each"
+            UNDECIDED, reason=f"the model needs {references} healthy starts of the same motor beside each"
         )
     try:
         case = aligned_case(recording, recipe, _noise_range(model))

@@ -48,7 +48,7 @@ def generate(
     Example: motor-datasets generate bench --cases 4000 --seed 1 --out out/bench
 
     Args:
-        recipe: What is sampled: paper (noise only), bench (tolerances), bench-full (all fault kinds), field (dry
+        recipe: Recipe of the motors: paper (noise only), bench (tolerances), bench-full (all fault kinds), field (dry
             friction, temperature, supply, load, sensor errors), operation (motors at work: another voltage, which is a
             channel, and load in each case), easy, medium, hard, small, sensor (those of the environments), or a recipe
             TOML.
@@ -62,11 +62,11 @@ def generate(
         speed_noise_rad_s: Standard deviation of a speed sample, with --channels current,speed.
         channels: Measured channels, comma between: current, or current,speed.
         motor: Catalogue name (paper), or a motor TOML.
-        workers: Processes that write; one by default, of a Dask cluster all.
+        workers: Number of processes that write; one by default, with a Dask cluster all of its workers.
         scheduler: Address of a Dask scheduler whose workers write, such as tcp://10.0.0.1:8786.
-        resume: Finish what an interrupted generation began.
+        resume: Finish an interrupted generation.
         json_: Print a summary as JSON.
-        dry_run: Print what would be written, write nothing.
+        dry_run: Print what would be written, and write nothing.
     """
     require_extra("pyarrow", "datasets")
     with console.working("loading"):
@@ -158,13 +158,13 @@ def verify(folder: str, /, *, json_: bool = False) -> int:
 
 @app.command
 def describe(recipe: str, /, *, picture: Path | None = None, seed: console.Whole = 0) -> int:
-    """Print what a recipe, or the recipe of a data set, samples, and draw a sheet of examples.
+    """Print the priors and columns of a recipe, or of a data set's recipe, and draw examples.
 
     Example: motor-datasets describe field --picture out/field.png
 
     Args:
         recipe: Name of a recipe, a recipe TOML, or the folder or URL of a data set.
-        picture: PNG or SVG to draw examples to.
+        picture: PNG or SVG file for the examples.
         seed: Random seed of the examples.
     """
     from motor_datasets.card import describe, draw_sheet

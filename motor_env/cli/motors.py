@@ -29,7 +29,7 @@ def identify(
     motor: Path | None = None,
     json_: bool = False,
 ) -> int:
-    """Parameters of a motor from recorded starts or from logs of it at work, and the model that the evidence prefers.
+    """Estimate the parameters of a motor from recorded starts or logs, with the model that fits them best.
 
     Example: motor-env identify examples/startup_capture.csv -o out/motor.toml
 
@@ -41,11 +41,11 @@ def identify(
         output: Motor file to write (TOML).
         out: Folder for a page of the fits.
         measurement: How it was measured.
-        torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
+        torque_constant: In N m/A, if you know it and the speed was not recorded: the current does not determine it.
         name: Name of the motor in that file.
-        regime: start, operation, or auto: decided by what the voltage does.
-        motor: Motor file of `commission --fleet`: what the recordings hardly tell is as in the sisters.
-        json_: Print one array with one object a start, and one for all logs of a motor at work.
+        regime: start, operation, or auto: decided by the voltage.
+        motor: Motor file of `commission --fleet`: the other motors of its make supply what the recordings leave open.
+        json_: Print one array with one object per start, and one for all logs of a motor at work.
     """
     if output is not None:
         _require_motor_file(output)
@@ -137,24 +137,25 @@ def commission(
 
     Example: motor-env commission healthy_1.csv healthy_2.csv healthy_3.csv -o out/motor.toml
 
-    With --fleet the recordings are of sisters, motors of the same make, of which some may be faulty.
+    With --fleet the recordings are of motors of the same make (sisters), of which some may be faulty.
 
     Args:
         files: Healthy recordings of one motor: all starts, of which a file may hold several, or all logs.
         output: Motor file to write (TOML).
-        false_alarm_rate: For the intervals that are printed.
+        false_alarm_rate: Rate of false alarms for the printed intervals.
         out: Folder for a page: the spread of each quantity, and starts with their fits and residuals.
         measurement: How they were measured.
-        temperature_c: Temperature of the motor at these recordings, where known.
-        regime: start, operation (a motor at work), or auto: decided by what the voltage does.
+        temperature_c: Temperature of the motor in these recordings, if you know it.
+        regime: start, operation (a motor at work), or auto: decided by the voltage.
         window: Length in seconds of the windows into which logs are cut; a twentieth of all logs by default.
-        steady: For logs: only a fault moves this motor. Load, temperature and offsets stay, as on a test bench.
-        torque_constant: In N m/A, where known and the speed was not recorded: the current alone does not tell it.
-        no_load_current: In A, of the motor uncoupled from its load: tells its own friction from the load.
+        steady: For logs: load, temperature and offsets stay as they are, as on a test bench; only a fault changes the
+            motor.
+        torque_constant: In N m/A, if you know it and the speed was not recorded: the current does not determine it.
+        no_load_current: In A, of the motor without its load: separates its own friction from the load.
         name: Name of the motor in that file.
-        fleet: Each file is of another motor; learn how healthy sisters differ.
-        motor: Motor file of --fleet: one healthy recording of this motor is enough beside its sisters.
-        sisters: Which motors the files are of, with --fleet.
+        fleet: Each file holds another motor; learn how healthy motors of this make differ.
+        motor: Motor file of --fleet: with it one healthy recording of this motor is enough.
+        sisters: Which motors the files hold, with --fleet.
     """
     _require_motor_file(output)
     if fleet or motor is not None:

@@ -58,11 +58,11 @@ class Reading:
     """How the files are read.
 
     Attributes:
-        column: A column that its header does not tell, its unit or its scale (may be repeated): current=CH2:mA,
+        column: Which column holds a quantity, with its unit or scale (may be repeated): current=CH2:mA,
             "current=CH2*10-0.05" for 10 A/V and an offset of -0.05 A, voltage=none.
         sampling_rate: Samples a second, for files without a time.
-        profile: File of --save-profile; what is said here as well counts more.
-        save_profile: File (TOML) to keep these choices in for the next time.
+        profile: File of --save-profile; options on the command line override it.
+        save_profile: File (TOML) to which these choices are saved for the next time.
     """
 
     column: list[str] | None = None
@@ -98,9 +98,9 @@ class Measurement(Reading):
 
     Attributes:
         voltage: Level of the supply in volt, for recordings without a voltage.
-        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is taken off R.
-        sensor_lag: Time constant of the current sensor in seconds, where known; it is not fitted then.
-        start: Which start, counted from 1, where a file holds several; all of them without it.
+        shunt_ohm: Resistance in series with the motor (shunt, leads) in ohm; it is subtracted from R.
+        sensor_lag: Time constant of the current sensor in seconds, if you know it; otherwise it is fitted.
+        start: Number of the start to use, counted from 1, if a file holds several; all by default.
     """
 
     voltage: float | None = None
@@ -128,7 +128,7 @@ class StartMeasurement(Measurement):
     """How a file is read and the motor was measured, and what is known of its commutation ripple.
 
     Attributes:
-        ripple_periods_per_turn: Periods of the current's commutation ripple in a turn, for the true speed, K, J and B.
+        ripple_periods_per_turn: Periods of the commutation ripple in one turn; the ripple then gives speed, K, J and B.
     """
 
     ripple_periods_per_turn: float | None = None
@@ -137,14 +137,14 @@ class StartMeasurement(Measurement):
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """Which motors of a fleet the files are of, and where they are fitted.
+    """Which motors of a fleet the files hold, and where they are fitted.
 
     Attributes:
         group: For --fleet: a regular expression that reads machine, motor and repeat from a file's name, by named
             groups, such as `(?P<machine>[0-9]+)_(?P<motor>left|right)`.
-        workers: Processes, for --fleet.
+        workers: For --fleet: number of processes.
         scheduler: For --fleet: address of a Dask scheduler, whose workers fit instead.
-        kept: For --fleet: file that keeps the fits as they come. A fleet that was stopped goes on where it was.
+        kept: For --fleet: file in which each fit is stored at once, so that an interrupted call can continue.
     """
 
     group: str | None = None

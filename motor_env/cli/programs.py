@@ -12,13 +12,13 @@ from motor_env.common.errors import require_extra
 
 
 def reproduce(*, out: Path, json_: bool = False) -> int:
-    """Write the source paper's figures, its numbers beside ours, and where it is wrong.
+    """Write a page with the source paper's figures, its numbers beside ours, and its errors.
 
     Example: motor-env reproduce --out out/paper
 
     Args:
-        out: Folder for index.html, paper.md, reproduce.json and images/. One with files of others is refused.
-        json_: Print what stands in reproduce.json.
+        out: Folder for index.html, paper.md, reproduce.json and images/. A folder with other files is refused.
+        json_: Print the content of reproduce.json.
     """
     with console.working("computing the paper's numbers") as update:
         from motor_env.apps import reproduce as paper
@@ -30,14 +30,14 @@ def reproduce(*, out: Path, json_: bool = False) -> int:
 
 
 def lab(*, port: console.Whole = 0, no_browser: bool = False) -> int:
-    """A page in the browser: faults, noise and motor by sliders, residual, rule and verdict; drop a recording on it.
+    """Open a page in the browser: set faults and noise by sliders, see residual, rule and verdict, drop a recording.
 
     Example: motor-env lab
 
     It runs on this machine only (127.0.0.1), needs no network, and ends with Ctrl-C.
 
     Args:
-        port: Port to listen on; 0 takes a free one.
+        port: Port of the page; 0 takes a free one.
         no_browser: Do not open the page.
     """
     import webbrowser
@@ -53,12 +53,12 @@ def lab(*, port: console.Whole = 0, no_browser: bool = False) -> int:
 
 
 def examples(folder: Path = Path("examples")) -> int:
-    """Write the files that the documentation reads into a folder: a capture, a motor file, and scripts.
+    """Write the examples of the documentation into a folder: a capture, a motor file, and scripts.
 
     Example: motor-env examples
 
     Args:
-        folder: Where to; files of these names that are there already are kept.
+        folder: Folder to write to; existing files are kept.
     """
     from motor_env.common.files import write_examples
 
@@ -68,7 +68,7 @@ def examples(folder: Path = Path("examples")) -> int:
 
 
 def warm_up() -> int:
-    """Compile what commands and environments use for this machine, so that nothing has to wait for it later.
+    """Compile the commands and environments for this machine now, so that no later call waits for it.
 
     Example: motor-env warm-up
     """
@@ -88,16 +88,16 @@ def offline(
     episodes: console.Whole = 300,
     seed: console.Whole = 0,
 ) -> int:
-    """Write what a known policy does in an environment, as a Minari data set for learning offline.
+    """Record a known policy in an environment as a Minari data set, for offline reinforcement learning.
 
     Example: motor-env offline Monitor-v0 --behaviour mixed --out out/minari
 
     Args:
         task: Environment, such as Monitor-v0, Probe-v0 or Maintain-v0.
         out: Folder of the data sets, Minari's MINARI_DATASETS_PATH.
-        behaviour: Who acts: random, a textbook rule, the best policy known, or a third of the episodes each.
-        episodes: How many.
-        seed: Of the episodes.
+        behaviour: Policy: random, rule (a textbook rule), best (the best known), or mixed (a third of each).
+        episodes: Number of episodes.
+        seed: Random seed of the episodes.
     """
     require_extra("minari", "minari")  # before anything is compiled
     from motor_env.envs.offline_data import Behaviour, record

@@ -37,27 +37,26 @@ def watch(
     columns: str | None = None,
     baud: console.Whole = 1_000_000,
 ) -> int:
-    """Watch a motor at work: lines of CSV come in, a verdict on each window goes out as it ends.
+    """Watch a motor at work: read lines of CSV as they come, and print a verdict at the end of each window.
 
     Example: motor-env watch out/motor.toml log.csv --follow --state out/watch.json
 
-    On a terminal a screen is kept up to date; otherwise each event is a line of JSON. Exit status when the lines end or
-    with Ctrl-C: 0 all healthy, 1 any fault, 2 input that cannot be used, 3 no fault but a window that cannot be judged,
-    or none that was.
+    On a terminal it shows a screen; otherwise it prints each event as a line of JSON. Exit status when the lines end
+    or with Ctrl-C: 0 all healthy, 1 any fault, 2 input that cannot be used, 3 no fault, but a window could not be
+    judged, or there was none.
 
     Args:
         motor: Motor file that `commission` wrote from logs, or that --learn writes.
         source: A file, a folder of recordings, serial:/dev/ttyACM0, mqtt://host/topic; standard input without it.
-        false_alarms_per_year: Of a healthy motor that always runs.
-        state: File that keeps what was seen of this motor and source, so that a new start goes on where the last
-            window ended.
-        follow: Wait for lines that are appended to the file, or to the one that takes its place; for recordings that
-            appear in the folder.
-        learn: Where there is no motor file yet: so long the motor is healthy, and is learned from; seconds, or 10min.
-        window: Length of a window for --learn, in seconds, or 20s; a twentieth of it by default.
-        steady: For --learn: only a fault moves this motor. Load, temperature and offsets stay, as on a test bench.
-        columns: Names of the columns, such as time_s,voltage_v,current_a,speed_rad_s, where no line says them.
-        baud: Of the serial port.
+        false_alarms_per_year: How many false alarms a year you accept of a healthy motor that always runs.
+        state: File for the state of the watch, so that a new start continues after the last judged window.
+        follow: Wait for new lines in the file, or in the one that replaces it; for new recordings in a folder.
+        learn: If there is no motor file yet: how long to learn from the healthy motor first; seconds, or 10min.
+        window: Length of a window for --learn: seconds, or 20s; a twentieth of --learn by default.
+        steady: For --learn: load, temperature and offsets stay as they are, as on a test bench; only a fault changes
+            the motor.
+        columns: Names of the columns, such as time_s,voltage_v,current_a,speed_rad_s, if no line has them.
+        baud: Baud rate of the serial port.
     """
     if source is not None and Path(source).is_dir():
         from motor_env.apps.folder import watch_folder
@@ -95,25 +94,25 @@ def export_c(
     stuck_after: console.Whole = 100,
     name: str = "motor_monitor",
 ) -> int:
-    """Filter, rule and threshold for one motor as a C99 library for its controller, with CMake and Arduino files.
+    """Write filter, rule and threshold of one motor as a C99 library, with CMake and Arduino files.
 
     Example: motor-env export-c examples/motor.toml --rate-hz 1000 --out out/motor_monitor
 
     Args:
         motor: Motor file (TOML), or the name of a catalogue motor.
-        out: Folder of the library: a new or empty one, or one that export-c made.
+        out: Folder of the library: new, empty, or written by export-c before.
         rate_hz: Samples a second.
         voltage: Level of the supply in volt; by default the motor's nominal voltage.
-        shift: The only lasting shift that it looks for, in standard deviations of a sample; by default several.
-        false_alarms_per_year: Of this motor, healthy, exactly known and without load.
+        shift: Look only for a lasting shift of this size, in standard deviations of a sample; by default for several.
+        false_alarms_per_year: How many false alarms a year you accept of this motor, healthy and without load.
         arithmetic: fixed (whole numbers, for chips without a floating-point unit), or float.
         current_noise: Standard deviation of a current sample in ampere; by default that of the motor file.
-        speed_noise: Standard deviation of a speed sample in rad/s; speed is read where this is given.
-        current_count: What one count of a whole-number reading is worth, in ampere; by default a suitable power of ten.
-        speed_count: The same of the speed, in rad/s.
-        voltage_count: The same of the voltage, in volt.
-        stuck_after: So many equal readings in a row, while voltage is on, are a stuck sensor.
-        name: Of the library, and the first part of the names in it.
+        speed_noise: Standard deviation of a speed sample in rad/s; with it the library reads the speed, too.
+        current_count: Ampere for one count of the converter; by default a suitable power of ten.
+        speed_count: The same for the speed, in rad/s.
+        voltage_count: The same for the voltage, in volt.
+        stuck_after: How many equal readings in a row, with voltage on, mean a stuck sensor.
+        name: Name of the library, and the first part of the names in it.
     """
     from motor_env.diagnosis.embedded.monitor import CusumBank, monitor_of, sensor_of
     from motor_env.diagnosis.embedded.source import write_library
@@ -154,14 +153,14 @@ def diagnose(
     fleet: bool = False,
     sisters: FleetOptions = FLEET,
 ) -> int:
-    """Verdict on recordings: healthy, sensor, bearing, winding, magnet, noise, other, no_reference or unusable.
+    """Judge recordings: healthy, sensor, bearing, winding, magnet, noise, other, no_reference or unusable.
 
     Example: motor-env diagnose examples/startup_capture.csv --motor examples/motor.toml
 
-    A recording is one start, several, or a log of the motor at work, which is judged by windows. After those of a
-    folder comes the trend of its starts.
+    A recording holds starts, or a log of the motor at work, which is cut into windows. For a folder of starts the trend
+    follows.
 
-    With --fleet each file is of another motor of the same make, and each motor is judged by the others.
+    With --fleet each file holds another motor of the same make, and each motor is judged by the others.
 
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
@@ -171,15 +170,15 @@ def diagnose(
         motor: Motor file (TOML), or the name of a catalogue motor.
         healthy: Recordings of the healthy motor to compare with, after the option: --healthy A.csv B.csv C.csv
         false_alarm_rate: How often a healthy recording may be called faulty.
-        out: Folder for one HTML page a recording: verdict, what to do first, and what it rests on.
+        out: Folder for one HTML page per recording: the verdict, its reasons, and what to do first.
         measurement: How it was measured.
-        temperature_c: Temperature of the motor; it counts where `commission` was told one too.
-        regime: start, operation (a motor at work), or auto: decided by what the voltage does, and by what the motor was
-            commissioned on.
+        temperature_c: Temperature of the motor; used if `commission` had one, too.
+        regime: start, operation (a motor at work), or auto: decided by the voltage, and by the recordings of the
+            commissioning.
         verbose: Print how well model and filter fit, too.
-        json_: Print one array with one object a file, with --fleet one a motor.
-        fleet: Judge each motor by its sisters. Those of its own machine do not count.
-        sisters: Which motors the files are of, with --fleet.
+        json_: Print one array with one object per file, with --fleet per motor.
+        fleet: Judge each motor by the others of its make, except those of its own machine.
+        sisters: Which motors the files hold, with --fleet.
     """
     if fleet:
         beside = "--fleet, where sisters are the reference"
@@ -244,24 +243,24 @@ def trend(
     out: Path = Path("out/trend.html"),
     json_: bool = False,
 ) -> int:
-    """Trends of a motor's quantities over its starts, and the time to a limit where there is a trend.
+    """Find trends of a motor's quantities over its starts, and the time until a limit is reached.
 
     Example: motor-env trend recordings/ --limit B/J=1.5 --limit R=0.9,1.1
 
-    Exit status: 0 no trend, 1 a limit is reached, trended to or close, 2 input that cannot be used.
+    Exit status: 0 no trend, 1 a trend to a limit, or a limit that is close or reached, 2 input that cannot be used.
 
     Args:
         paths: A table of estimates (CSV or JSON), or a folder of recordings whose names hold a date.
         limit: Limits as factors on the mean of the first estimates, QUANTITY=FACTOR[,FACTOR]; by default
-            0.75,1.25, and none of L.
-        level: Probability that the interval of the remaining life holds.
+            0.75,1.25, and none for L.
+        level: Confidence level of the interval of the remaining life.
         voltage: Level of the supply in volt, for recordings without a voltage.
         reading: How the recordings are read.
         date: name (2026-01-31, 2026-01-31T11-00-14, Jan-31-2026_11-00-14), modified: the file's own date, or
-            order: as they are given, in a folder by name.
+            order: the order of the files, in a folder by name.
         reference_count: Number of first estimates whose mean is the reference.
         out: The page, one self-contained HTML file.
-        json_: Print one array with one object a quantity.
+        json_: Print one array with one object per quantity.
     """
     from motor_env.common.files import write_text
 

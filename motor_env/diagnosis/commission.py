@@ -127,7 +127,7 @@ class Commissioned:
             f"{healthy.pieces} healthy {piece}s{kind}; prediction interval of the next healthy {piece} {interval}",
             *interval_lines(self.parameters),
             *(
-                [f"  driven in {drives} ways: each window is compared with those that are driven alike"]
+                [f"  {drives} operating conditions: each window is compared with those of its own"]
                 if drives > 1
                 else []
             ),

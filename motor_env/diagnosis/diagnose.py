@@ -242,7 +242,7 @@ def judge_start(
         return Judgement(Verdict.OTHER if stands else Verdict.UNUSABLE, (trouble,), fit=fit)
     reason = ""
     if reference is None:
-        other = f"this recording tells {', '.join(fit.quantity_names)}, and the reference speaks of other quantities"
+        other = f"this recording determines {', '.join(fit.quantity_names)}, and the reference has other quantities"
         reason = _NOTHING if motor is None else other
     elif motor and motor.healthy and _is_per_volt(motor.healthy) and start.voltage_known:
         reason = _PER_VOLT
@@ -334,7 +334,9 @@ def explain_unusable(fit: StartFit) -> str | None:
             return f"no motor model explains the {name} (R2 {r2:.2f}; at least {least:.2g} is needed)"
     deviations = np.sqrt(np.diag(fit.log_covariance))
     if deviations.min() > UNTOLD_LOG_SD:
-        return "the recording is too short or too noisy: no quantity is known to a factor of e"
+        return (
+            "the recording is too short or too noisy: every quantity is uncertain by a factor of 2.7 or more"
+        )
     if deviations[0] > UNTOLD_LOG_SD:
-        return f"no start is seen: the recording does not tell {fit.quantity_names[0]} to a factor of e"
+        return f"no start is visible: {fit.quantity_names[0]} is uncertain by a factor of 2.7 or more"
     return None

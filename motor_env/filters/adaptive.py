@@ -89,7 +89,7 @@ def adaptive_filter(
     """
     require_belief(kalman)
     a, c = kalman.model.transition, kalman.observation
-    require(a.ndim == 2, "adaptive_filter needs the belief of one motor, got a batch")
+    require(a.ndim == 2, "adaptive_filter needs a filter of one motor, got a batch")
     measured, voltage = checked_series(measurements, voltage_v, len(c))
     memory = number("memory", memory, least=1.0)
     n_cases = len(measured)

@@ -18,7 +18,7 @@ from motor_env.motor.model import N_STATES, Input, propagate
 from motor_env.motor.parameters import FloatArray, require
 
 _TOO_LARGE = (
-    "the filter's state left the range of numbers: measurements, voltage_v or the belief are too large"
+    "the filter's state left the range of numbers: measurements, voltage_v or the filter is too large"
 )
 
 
@@ -83,7 +83,7 @@ def _series(
     transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
     require(
         len(transition) in (1, len(flat)),
-        f"the belief must be of 1 or {len(flat)} motors, got {len(transition)}",
+        f"the filter must be of 1 or {len(flat)} motors, got {len(transition)}",
     )
     nominal = np.empty((max(len(inputs), len(transition)), n_samples, N_STATES))
     gain = kalman.model.gain.reshape(-1, N_STATES, len(Input))
@@ -266,7 +266,8 @@ class FilterStream:
         self._transition = kalman.model.transition.reshape(-1, N_STATES, N_STATES)
         motors = len(self._transition)
         require(
-            motors in (1, n_streams), f"n_streams must be {motors} as the belief's motors, got {n_streams}"
+            motors in (1, n_streams),
+            f"n_streams must be {motors}, as many as the filter's motors, got {n_streams}",
         )
         self._gain = kalman.model.gain.reshape(-1, N_STATES, len(Input))
         self._state = np.tile(kalman.initial_state, (n_streams, 1))

@@ -21,7 +21,7 @@ from motor_env.motor.model import N_STATES, DiscreteModel, Input, discretize
 from motor_env.motor.parameters import SMALLEST, FloatArray, MotorParameters, SensorParameters, require
 
 DEFAULT_PROCESS_NOISE_STD = (1e-5, 1e-3)
-"""Process noise of the belief in [A, rad/s] an interval (the paper prints none); small, since it absorbs a fault."""
+"""Process noise of the filter in [A, rad/s] an interval (the paper prints none); small, since it absorbs a fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +85,15 @@ class KalmanFilter:
         initial_std: tuple[float, float] = (0.0, 0.0),
     ) -> Self:
         """Filter (Kalman 1960) for a motor believed to be `parameters`; of a batch, with a model for each case.
+
+        Args:
+            parameters: the motor that the filter assumes, usually the healthy one.
+            sensor: channels, and their noise: R is its square.
+            dt_s: sampling interval.
+            process_noise_std: standard deviations of what one interval adds to current and speed, in [A, rad/s]. Q has
+                their squares on its diagonal. Large ones hide a fault (docs/howto/set-q-and-r.md).
+            initial_state: current and speed before the first interval, in [A, rad/s].
+            initial_std: their standard deviations.
 
         Raises:
             ValueError: a sensor without noise, or what `KalmanFilter` refuses.
@@ -232,7 +241,7 @@ def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
     Raises:
         ValueError: the belief is of a batch of motors.
     """
-    require(kalman.model.transition.ndim == 2, "schedule needs the belief of one motor, got a batch")
+    require(kalman.model.transition.ndim == 2, "schedule needs a filter of one motor, got a batch")
     rows = schedules(kalman, np.zeros((1, n_samples, len(kalman.observation)), dtype=np.bool_))
     return Schedule(rows.gain[0], rows.innovation_covariance[0], rows.covariance[0], rows.held_from)
 

@@ -114,7 +114,7 @@ def _checked(result: FilterResult, n_channels: int, motors: tuple[int, ...]) -> 
     lead = covariance.shape[:-3]
     require(
         lead in ((), batch) and motors in ((), (1,), batch),
-        f"result must be of the belief's motors {motors}, got innovations of shape {innovation.shape} and covariances"
+        f"result must be of the filter's motors {motors}, got innovations of shape {innovation.shape} and covariances"
         f" of {covariance.shape}",
     )
     shapes = {

@@ -217,7 +217,7 @@ def inverse_information(information: FloatArray, names: tuple[str, ...]) -> Floa
     identifiable = seen and bool((np.linalg.eigvalsh(information / outer)[..., 0] > _OPEN_DIRECTION).all())
     require(
         identifiable,
-        f"free quantities {', '.join(names)} cannot all be told from these samples without a prior: "
+        f"free quantities {', '.join(names)} cannot all be determined from these samples without a prior: "
         "fix one, give a prior, or measure one channel more",
     )
     inverse: FloatArray = np.linalg.inv(information / outer) / outer

@@ -196,7 +196,8 @@ def _to_motor(file: _File, given: Collection[str]) -> Motor:
         notes.append("its friction is 0, which no motor has: is it unknown?")
     if guessed:
         notes.append(
-            f"the sheet does not tell {' and '.join(guessed)}: a recording's own counts, and no change of it shows;"
+            f"the sheet does not give {' and '.join(guessed)}: a recording's own value counts, and no change"
+            " of it shows;"
             " motor-env commission start1.csv start2.csv start3.csv -o motor.toml learns all from healthy starts"
         )
     unknown = [key for key in file.assumed if key not in numbers]
@@ -275,7 +276,7 @@ _TOLERANCE_OF = {"inductance_h": "inductance", "inertia_kg_m2": "inertia"}
 _MISSING = "a guess, as the sheet has none"
 _K = ("torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad")
 _J, _B, _V = "rotor_inertia_kg_m2", "viscous_friction_n_m_s_per_rad", "nominal_voltage_v"
-_GUESS = "a guess, 1/100 of the voltage: the current alone tells K^2/J and B/J, not K, J and B"
+_GUESS = "a guess, 1/100 of the voltage: the current alone determines K^2/J and B/J, not K, J and B"
 
 
 def assumptions(quantities: Sequence[str], *, has_voltage: bool) -> dict[str, str]:

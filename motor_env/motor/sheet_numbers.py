@@ -128,7 +128,7 @@ def _add_constants(si: dict[str, float], numbers: Mapping[str, float]) -> list[s
     require(
         one > 0.0,
         "motor.torque_constant_mnm_per_a (or motor.speed_constant_rpm_per_v) is missing, and neither a no-load point"
-        " with nominal_voltage_v nor stall_torque_n_m with stall_current_a tells it",
+        " with nominal_voltage_v nor stall_torque_n_m with stall_current_a gives it",
     )
     notes = []
     for other_words, other in others:

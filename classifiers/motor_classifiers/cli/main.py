@@ -16,7 +16,7 @@ from motor_env.common.errors import InputError, require_extra
 
 
 def task(name: str, /, *, out: Path) -> int:
-    """Write a frozen task: what it asks, labelled starts to learn from, and test cases without labels.
+    """Write a frozen task: its question, labelled training starts, and test cases without labels.
 
     Example: motor-classifiers task bench --out out/bench-task
 
@@ -48,8 +48,8 @@ def score(task: str, answers: Path, /, *, json_: bool = False) -> int:
     Example: motor-classifiers score bench out/answers.csv
 
     Args:
-        task: The task that is answered.
-        answers: CSV file: the column case, the row of the test case counted from 0, and those that task.json names.
+        task: Name of the task.
+        answers: CSV file: the column case (row of the test case, counted from 0), and the columns named in task.json.
         json_: Print the score as JSON.
     """
     require_extra("sklearn", "classifiers")
@@ -76,7 +76,7 @@ def score(task: str, answers: Path, /, *, json_: bool = False) -> int:
 
 app = App(
     name="motor-classifiers",
-    help="Learned opinions on a motor's start, and their benchmark.",
+    help="Train, score and use classifiers of a motor's starts.",
     version=__version__,
 )
 
@@ -106,26 +106,26 @@ def train(
     seed: console.Whole = 0,
     json_: bool = False,
 ) -> int:
-    """Train a network for a motor or a recipe on starts drawn without end, or a method on a data set.
+    """Train a network for a motor or a recipe on an endless stream of starts, or a method on a data set.
 
     Examples: motor-classifiers train --motor examples/motor.toml --out out/motor.model
 
     motor-classifiers train out/bench --method residual-qda --out out/qda.model
 
     Args:
-        dataset: Folder made by motor-datasets generate, or its URL: its training split is learned.
-        out: New file of the model. An existing one is never overwritten.
-        motor: Motor file (data sheet, identified or commissioned), or paper: its tolerances are the nuisances.
+        dataset: Folder made by motor-datasets generate, or its URL: the method learns its training split.
+        out: New file for the model. An existing one is never overwritten.
+        motor: Motor file (data sheet, identified or commissioned), or paper: motors vary by its tolerances.
         recipe: Recipe file, or the name of a recipe: bench, bench-full, paper or field.
         method: For a data set: a method of the benchmark, residual-qda by default; or FILE.py:NAME, your own.
         voltage: Level of the supply in volt; the motor file's by default.
         sampling_rate_hz: Samples a second; by default the recipe's, or a thousand samples for a motor.
         duration_s: Time after the step; by default the recipe's, or 25 mechanical time constants of the motor.
         current_noise_a: Standard deviation of a current sample; by default the recipe's, or the motor file's.
-        noise_range: Smallest and largest factor on that noise, with a comma between: the network then reads the
-            noise off each start. For a motor 0.15,5 by default.
-        steps: Batches seen by each of the two networks; 2500 by default.
-        seed: Random state.
+        noise_range: Smallest and largest factor on that noise, with a comma between: the network then estimates the
+            noise from each start. For a motor 0.15,5 by default.
+        steps: Training batches of each of the two networks; 2500 by default.
+        seed: Random seed.
         json_: Print a summary as JSON.
     """
     _require_extras()
@@ -172,7 +172,7 @@ def evaluate(
         model: File made by motor-classifiers train.
         dataset: Folder made by motor-datasets generate, or its URL (s3://..., https://...).
         split: train, validation or test.
-        seed: Of the bootstrap.
+        seed: Random seed of the bootstrap.
         json_: Print the scores as JSON.
     """
     _require_extras()
@@ -211,19 +211,17 @@ def predict(
 
     Exit status: 0 all healthy, 1 any fault, 2 a file that cannot be read, 3 no fault but some undecided.
 
-    The status is that of the model's prediction. A model knows the motors of its recipe and no others
-    (docs/classifiers.md); real motors, whose supply ramps and whose brushes drop a voltage, are better judged by the
-    diagnosis beside it.
+    The status is that of the model's prediction. A model knows only the motors of its recipe (docs/classifiers.md). For
+    real motors, whose supply ramps and whose brushes drop a voltage, trust the diagnosis beside it.
 
     Args:
         files: Recordings with columns time_s, current_a and, where measured, voltage_v and speed_rad_s; or folders
             of data sets.
         model: File made by motor-classifiers train; by default the network for the paper's motor that comes with
             the package.
-        motor: Motor file for the diagnosis, which then says what motor-env diagnose says; by default the recipe's
-            motor with its tolerances.
+        motor: Motor file for the diagnosis; by default the recipe's motor with its tolerances.
         split: Of data sets: train, validation or test; all by default.
-        json_: Print one array with one object a file or case.
+        json_: Print one array with one object per file or case.
     """
     _require_extras()
     from motor_classifiers.model_files.persistence import PRETRAINED, load_model
@@ -263,7 +261,7 @@ def export(model: Path | None = None, /, *, out: Annotated[Path, Parameter(alias
     Args:
         model: File made by motor-classifiers train --motor or --recipe; by default the network for the paper's motor
             that comes with the package.
-        out: New file of the graph. An existing one is never overwritten.
+        out: New file for the graph. An existing one is never overwritten.
     """
     _require_extras()
     for module in ("onnx", "onnxscript"):
@@ -308,30 +306,29 @@ def benchmark(
 
     Example: motor-classifiers benchmark --out out/benchmark
 
-    Where an option takes several values, commas stand between them: recipes, rates and noises are crossed, and
-    training sizes tried at the usual noise. Such a sweep can be interrupted: the same command goes on where it stopped.
+    Give several values with commas between them: recipes, rates and noises are crossed, and training sizes are tried at
+    the usual noise. Such a sweep can be interrupted: the same command continues it.
 
-    Exit status: 0 done, 1 a method scored significantly above the Bayes limit (then something leaks), 2 wrong use.
+    Exit status: 0 done, 1 a method scored significantly above the Bayes limit (labels have leaked), 2 wrong use.
 
     Args:
-        out: Folder for report.html, results.json and .csv, recipes.json; answers of a sweep stay below it.
+        out: Folder for report.html, results.json, results.csv, recipes.json, and the answers of a sweep.
         full: Sweep over all recipes, 1 and 10 kHz, 5, 20 and 100 mA, 200 to 8000 training starts: hours.
-        recipe: What motors are drawn from: bench, bench-full, paper, field or operation; several with commas.
-            Default bench.
+        recipe: Recipe of the motors: bench (the default), bench-full, paper, field or operation; several with commas.
         sampling_rate_hz: Samples a second; the recipe's by default.
         current_noise_a: Standard deviation of a current sample; the recipe's by default.
-        n_train: Starts to learn from, 2000 by default; the first of several is that of the sweep over rates and noises.
+        n_train: Number of training starts, 2000 by default; of several the first one is for all rates and noises.
         methods: Names with commas between; by default all, or all that take motors at work.
         with_: A method of your own beside them: FILE.py:NAME, a function of a recipe and a seed that returns an
             estimator, or the name of an entry point motor_classifiers.methods. May be given several times.
-        n_test: Starts to be judged on.
+        n_test: Number of test starts.
         seed: Random seed.
         duration_s: Time recorded after the step of the supply.
         channels: Measured channels: current, or current,speed.
-        peers: File of kept answers of other packages' classifiers; refused where they are to other starts.
-        fresh: Have all answers of a sweep again.
-        dry_run: Only tell what would be run, and about how long it takes.
-        json_: Print what stands in results.json.
+        peers: File with stored answers of other packages' classifiers; refused if its starts are others.
+        fresh: Compute all answers of a sweep again.
+        dry_run: Print what would be run, and about how long it takes; run nothing.
+        json_: Print the content of results.json.
     """
     _require_extras()
     from motor_classifiers.cli.sweep import (

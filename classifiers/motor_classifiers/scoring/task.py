@@ -47,7 +47,7 @@ class DrawnTask(ABC):
     Attributes:
         title: what is asked, for a person.
         metric: what the mean cost is called; smaller is better.
-        bracket: between which the best possible lies on average, where it is not known case by case (docs/limits.md).
+        bracket: around the mean of the best possible, where that is not known case by case (docs/best-possible.md).
         recipe: what motors are drawn from.
         n_train: starts to learn from; no motor of theirs is judged.
     """
@@ -224,7 +224,7 @@ def judged_cases(recipe: Recipe, first: int, count: int, per_motor: int | None =
     """
     starts, healthy = recipe.starts_per_motor, recipe.healthy_starts
     if healthy == starts:
-        raise InputError(f"all starts of recipe {recipe.name} are healthy ones: nothing to tell")
+        raise InputError(f"all starts of recipe {recipe.name} are healthy ones: nothing to classify")
     judged = np.arange(healthy, starts)[:per_motor]
     motors = np.arange(-(-count // len(judged)))[:, None] + -(-first // starts)
     return (motors * starts + judged).ravel()[:count]

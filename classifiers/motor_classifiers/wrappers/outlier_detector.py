@@ -251,8 +251,8 @@ OUTSIDE = "outside what I know"
 
 ADVICE = {
     "noise": "the sensor is noisier than in training: train for its noise",
-    "offset": "the sensor's offset is off: measure it before the start and take it off",
-    "gain": "the sensor's gain is off: calibrate it",
+    "offset": "the sensor's offset differs: measure it before the start and subtract it",
+    "gain": "the sensor's gain differs: calibrate it",
     "ramp": "the supply rises more slowly than in training: put `ramp_s` into the recipe",
     "warmth": "winding and magnets are warmer or colder than in training: measure the temperature, or wait",
     "load": "the motor drives a load: uncouple it, or put `load_ratio` into the recipe",

@@ -24,7 +24,7 @@ from motor_env.motor.compiled import on_one_thread
 from motor_env.motor.parameters import FloatArray
 
 FEWEST_STEPS = 0.2  # of the voltage's changes: where holes hide more, the best fit may be another motor's
-UNSEEN_STEPS = "how the current follows them is hardly seen, and with it the inductance"
+UNSEEN_STEPS = "the inductance is then hardly determined"
 _UNTOLD = 0.5
 _AT_BOUND, _LARGEST = 0.99, "is the largest that physics allows"
 _LONGEST_LAG_S = 0.2  # L/R of brushed motors, with a margin
@@ -281,17 +281,17 @@ def _notes(
 ) -> list[str]:
     values, sentences = solution.values, []
     if record.recorded[0] and not record.recorded[1]:
-        sentences.append("the current alone tells J/K^2 and B/K^2, not K, J and B")
+        sentences.append("the current alone determines J/K^2 and B/K^2, not K, J and B")
     if not record.recorded[0]:
         gain, lag = 1.0 / values[index.K], values[index.J] / values[index.K] ** 2
         dead = values[index.COULOMB] / values[index.K]
         sentences.append(
-            f"the current tells nothing: R, L and the friction are not determined; the speed alone gives"
+            f"the current is all noise: R, L and the friction are not determined; the speed alone gives"
             f" {gain:.4g} rad/s a volt, a dead voltage of {dead:.3g} V and a time constant of {lag:.3g} s"
         )
     sentences += [
         f"{term.name} {_LARGEST} ({term.bound.most:g} {term.bound.unit}: {term.bound.source}):"
-        " what no term says may stand behind it"
+        " an effect outside the model may be the cause"
         for term, theta in zip(solution.problem.free, solution.theta, strict=True)
         if term.bound is not None and theta > _AT_BOUND * term.high
     ]
@@ -307,7 +307,7 @@ def _notes(
     if lines:
         loudest = max(lines, key=lambda line: line.amplitude_a)
         where = f"{loudest.amplitude_a:.3g} A at {loudest.frequency_hz:.4g} Hz (or an alias of it)"
-        sentences.append(f"a ripple of {where} was taken off the current")
+        sentences.append(f"a ripple of {where} was subtracted from the current")
     if record.averaged > 1:
         sentences.append(f"{record.averaged} neighbouring samples were averaged into one")
     if record.share < 1.0:

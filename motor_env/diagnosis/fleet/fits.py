@@ -126,7 +126,7 @@ def fit_record(reading: Reading, path: Path) -> InitialFit:
     except REASONS as error:
         return InitialFit(str(error).removeprefix(f"{path}: "))
     if not fitted.record.recorded.all() or fitted.r2_current is None:
-        return InitialFit("the current tells no motor")
+        return InitialFit("the current determines no motor")
     return InitialFit(
         names=fitted.solution.names,
         quantities=NAMES,

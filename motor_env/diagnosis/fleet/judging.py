@@ -246,9 +246,7 @@ def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Fl
     population, units = fleet.population_without(machine), []
     for unit_id in dict.fromkeys(each for each in fleet.unit_of.values() if each.machine == machine):
         if unit_id.motor not in fleet.positions:
-            raise InputError(
-                f"no motor of the place {unit_id.motor} can be fitted: nothing judges {unit_id.name}"
-            )
+            raise InputError(f"no motor of the place {unit_id.motor} can be fitted to judge {unit_id.name}")
         own = [path for path, each in fleet.unit_of.items() if each == unit_id]
         motor = fleet.motor("a healthy one", population, unit_id.motor)
         records = {

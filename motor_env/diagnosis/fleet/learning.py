@@ -88,7 +88,7 @@ def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
     if not known or known - set(_GROUPS):
         raise InputError(f"--group must have named groups of {', '.join(_GROUPS)}, got {sorted(known)}")
     if not known & {"machine", "motor"}:
-        raise InputError("--group must have a group machine or motor: a repeat alone tells no motor")
+        raise InputError("--group must have a group machine or motor: a repeat alone names no motor")
     matched = []
     for path in files:
         match = pattern.search(path.stem)
@@ -379,7 +379,9 @@ def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
         raise InputError(f"{path}: a healthy record cannot be used: {diagnosis.reasons[0]}")
     names = fleet_motor.healthy.quantities if fleet_motor.healthy is not None else ()
     if any(fit.quantity_names != names for fit in fits):
-        raise InputError(f"{path}: its columns are not those of the sisters, which tell {', '.join(names)}")
+        raise InputError(
+            f"{path}: its columns are not those of the other motors, which give {', '.join(names)}"
+        )
     return fits
 
 

@@ -163,7 +163,7 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
     )
     if reference is None or reference.names != NAMES:
         raise UnusableError(
-            f"{motor.name} does not tell {', '.join(NAMES)}, which a motor at work is judged by"
+            f"{motor.name} does not give {', '.join(NAMES)}, by which a motor at work is judged"
         )
     windows = Windows(
         window_s=window_s,

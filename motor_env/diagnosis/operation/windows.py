@@ -34,7 +34,7 @@ from motor_env.motor.parameters import FloatArray
 ALIKE, FAR = 0.12, 3.0
 """Largest distance of two windows under one condition, see `condition_distance`; multiple beyond which no fault is
 reported."""
-NEEDED = "windows of a running motor are judged only where voltage, current and speed tell of it"
+NEEDED = "windows of a running motor are judged only if voltage, current and speed were recorded"
 _LEVELS, _HALVINGS = np.linspace(0.05, 0.95, 10), range(3, 10)
 
 
@@ -127,7 +127,7 @@ _SAME_STEP = 1.1  # times the commissioned interval
 CONDITION_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
 """Standard deviation of the logarithms of R, K, J and B under another condition, from unmodelled effects (stiction,
 gear, brushes)."""
-DRIVEN_OTHERWISE = "the motor is driven otherwise than when it was healthy"
+DRIVEN_OTHERWISE = "this operating condition was not commissioned"
 WARMTH = identifiable.warmth_direction(EXPONENTS)
 
 
@@ -311,7 +311,7 @@ class WindowJudge:
 
 def _as_unusable(judged: Judgement, reason: str) -> Judgement:
     """Judge a window under another condition unusable, with the reason that would hold under the commissioned one."""
-    why = f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
+    why = f"{DRIVEN_OTHERWISE}: commission it, too; under a commissioned one the verdict would be that"
     return replace(judged.as_other(f"{why} {reason}"), verdict=Verdict.UNUSABLE, confidence=None)
 
 
@@ -343,7 +343,7 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
 
     reference = reference_of(healthy)
     if healthy.windows is None or reference is None or reference.names != NAMES:
-        raise UnusableError(f"the healthy pieces of {motor} do not tell {', '.join(NAMES)} of windows")
+        raise UnusableError(f"the healthy recordings of {motor} do not give {', '.join(NAMES)} of windows")
     if len(healthy.windows.physical) != index.N_VALUES:
         raise InputError(
             f"{motor}: healthy.windows.physical must have {index.N_VALUES} values,"

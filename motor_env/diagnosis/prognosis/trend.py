@@ -237,7 +237,7 @@ def describe(forecast: Forecast, unit: str) -> str:
     """Describe the remaining life, or why none is given."""
     life, share = forecast.life, f"{100.0 * forecast.life.level:.0f} %"
     if forecast.withheld:
-        return f"no remaining life is told, for {forecast.withheld}"
+        return f"no remaining life is given: {forecast.withheld}"
     if math.isinf(life.high):
         return (
             f"not before {life.low:.3g} {unit} (lower end of the {share} interval; no upper end, "

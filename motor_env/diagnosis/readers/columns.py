@@ -321,7 +321,7 @@ def _unwrapped(time: Column) -> Column:
             ((top - most <= before) & (before < top)).all() for top in (size, 0.5 * size)
         )
         if is_on.all() and is_top:
-            words = f"{time.origin}, whose counter begins anew after {size:.10g} s: counted on"
+            words = f"{time.origin}, whose counter begins anew after {size:.10g} s: continued"
             return time._replace(values=values + size * np.append(0.0, np.cumsum(back)), origin=words)
     return time
 

@@ -185,7 +185,7 @@ def describe_reading(readings: Iterable[tuple[Path, tuple[str, ...]]]) -> list[s
         for words, paths in files.items()
     ]
     left = len(lines) - _MOST_READINGS
-    return [*lines[:_MOST_READINGS], *([f"  read: in {left} more ways"] * (left > 0))]
+    return [*lines[:_MOST_READINGS], *([f"  read: other files in {left} more ways"] * (left > 0))]
 
 
 def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: tuple[str, ...]) -> Recording:
@@ -201,7 +201,7 @@ def _recording(path: Path, table: Table, columns: dict[str, FloatArray], notes: 
         lines = [str(table.lines[k + 1]) for k in np.flatnonzero(anew)[:_MOST_READINGS].tolist()]
         notes = (
             *notes,
-            f"the clock begins anew in {table.where} {', '.join(lines)}: a new piece, with a hole before it",
+            f"the clock begins anew in {table.where} {', '.join(lines)}: a new part, after a gap",
         )
         on = _HOLE_STEPS * float(np.median(steps))
         time = time + np.append(0.0, np.cumsum(np.where(anew, on - steps, 0.0)))

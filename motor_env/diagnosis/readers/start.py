@@ -176,7 +176,7 @@ def prepare(recording: Recording, voltage_v: float | None = None, circuit: Circu
     if supply is not None:
         level, measured, sign = _supply(supply, sign, None if missing is None else missing[:, 0])
     if circuit is not None and circuit.shunt_ohm > 0.0 and not known:
-        raise UnusableError("a shunt in series can be taken off only where the voltage is known")
+        raise UnusableError("a shunt in series can be subtracted only where the voltage is known")
     speed = None
     if recording.speed_rad_s is not None and np.ptp(recording.speed_rad_s) > 0.0:
         speed = recording.speed_rad_s * (1.0 if mean_tail(recording.speed_rad_s) >= 0.0 else -1.0)

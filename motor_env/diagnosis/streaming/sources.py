@@ -40,7 +40,7 @@ class Notice:
 
 
 Piece = bytes | Notice
-SILENCE = Notice("silence", f"no line for {SILENCE_S:g} s: is the cable in?")
+SILENCE = Notice("silence", f"no line for {SILENCE_S:g} s: is the cable plugged in?")
 
 
 def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
@@ -146,8 +146,8 @@ def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece
             file.seek(min(at - len(before), os.fstat(file.fileno()).st_size))
             block = file.read(len(before) + _CHUNK)
             if not block.startswith(before):
-                words = f"{path} is not the file of before: read from its begin"
-                yield Notice(NEW_FILE, f"{words}; what stood behind byte {at} may be lost")
+                words = f"{path} is not the same file as before: read from its beginning"
+                yield Notice(NEW_FILE, f"{words}; what followed byte {at} may be lost")
                 at, before = 0, b""
                 continue
             piece = block[len(before) :]
@@ -158,7 +158,7 @@ def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece
             if successor is not None:
                 file.close()
                 file, successor, at, before = successor, None, 0, b""
-                yield Notice(NEW_FILE, f"{path} is another file now: read from its begin")
+                yield Notice(NEW_FILE, f"{path} is another file now: read from its beginning")
             elif follow:
                 time.sleep(_PAUSE_S)
             else:
@@ -274,7 +274,7 @@ class _BoundedQueue(queue.Queue[Piece | None]):
         """Put a piece in, if there is room."""
         try:
             if self._lost:
-                words = f"{self._lost} pieces of lines came faster than they could be judged"
+                words = f"{self._lost} parts of lines came faster than they could be judged"
                 self.put_nowait(Notice("lost", words))
                 self._lost = 0
             self.put_nowait(piece)

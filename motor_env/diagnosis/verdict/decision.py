@@ -414,9 +414,9 @@ def _describe_undecided(smallest: dict[str, float], by_piece: dict[str, float], 
             yield f"the {quantity} is undecided: it cannot be compared with {source}"
         elif severity > _DOUBLED:
             shown = f"only a rise of {severity:.0%}" if severity < _TENFOLD else "not even a tenfold one"
-            why = f"{source} allows too much to tell it"
+            why = f"{source} allows too much to decide it"
             if by_piece[str(kind)] > _DOUBLED:
-                why = "the recording is too coarse, too noisy or too short to tell it"
+                why = "the recording is too coarse, too noisy or too short to decide it"
             yield f"the {quantity} is undecided: {why}, {shown} would show"
 
 

@@ -219,7 +219,9 @@ def _describe_source(healthy: Healthy, motor: str) -> str:
         return f"{healthy.pieces} healthy starts of {motor}"
     all_of_them = sum(len(drive.pieces) for drive in healthy.windows.drives)
     if healthy.pieces < all_of_them:
-        return f"{healthy.pieces} of {all_of_them} healthy windows of {motor} that are driven alike"
+        return (
+            f"{healthy.pieces} of {all_of_them} healthy windows of {motor} under the same operating condition"
+        )
     return f"{healthy.pieces} healthy windows of {motor}"
 
 
@@ -293,19 +295,19 @@ def describe_undetermined(fit: StartFit) -> list[str]:
     deviations = np.sqrt(np.diag(fit.log_covariance))
     limits = {
         "the voltage is unknown: everything is per volt, the supply counts as 1 V": not fit.start.voltage_known,
-        "the current alone tells K^2/J and B/J, not K, J and B (K down looks like J and B up): K is assumed": (
+        "the current alone determines K^2/J and B/J, not K, J and B (K down looks like J and B up): K is assumed": (
             fit.start.speed_rad_s is None
         ),
-        "all but B/J count a brush drop in: brushes that take 5 % of the supply make them 5 % larger": (
+        "all but B/J include a brush drop: brushes that take 5 % of the supply make them 5 % larger": (
             "brush_drop" not in fit.model
         ),
-        "J counts the loss of a gear in: one that takes 10 % of the torque makes it 11 % larger, K^2/J smaller": True,
-        "a supply that rises slowly, a lag of the sensor and L look alike: L is hardly told": hides_inductance(
+        "J includes the loss of a gear: one that takes 10 % of the torque makes it 11 % larger, K^2/J smaller": True,
+        "a supply that rises slowly, a lag of the sensor and L look alike: L is hardly determined": hides_inductance(
             fit.model
         ),
     }
     return [sentence for sentence, holds in limits.items() if holds] + [
-        f"{name} is not told by this recording (its standard error is {100 * s:.0f} %)"
+        f"{name} is not determined by this recording (its standard error is {100 * s:.0f} %)"
         for name, s in zip(fit.quantity_names, deviations, strict=True)
         if s > _UNDETERMINED
     ]

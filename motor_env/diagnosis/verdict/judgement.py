@@ -149,7 +149,7 @@ def describe_findings(kinds: Sequence[FaultKind], changes: Sequence[Change]) -> 
         yield f"{what}{NOTHING_ELSE if alone else ''}{colon}{where}"
     for change in beside:
         yield (
-            f"{change.name} moved beside it, by {change.ratio - 1.0:+.1%} ({change.low - 1.0:+.1%} to"
+            f"{change.name} changed, too, by {change.ratio - 1.0:+.1%} ({change.low - 1.0:+.1%} to"
             f" {change.high - 1.0:+.1%}): a further fault, or the model's error beside so large a one"
         )
 

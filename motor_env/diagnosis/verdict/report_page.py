@@ -61,7 +61,7 @@ VERDICT_TEXTS: dict[Verdict | FaultKind, tuple[str, ...]] = {
     ),
     Verdict.SENSOR: (
         "A sensor, not the motor",
-        "Of the motor this recording says nothing: mend the sensor first, then record another start.",
+        "This recording says nothing about the motor: repair the sensor first, then record another start.",
         "Read the quantity with another instrument beside it. Do they differ? Then look at cable, range and scale.",
     ),
     FaultKind("current_dead"): (

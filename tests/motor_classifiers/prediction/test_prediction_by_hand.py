@@ -127,9 +127,9 @@ def test_the_noise_is_read_off_neighbours_in_the_second_half() -> None:
     ("made", "reason"),
     [
         (lambda: recording(4_000.0, 800), None),
-        (lambda: recording(3_900.0, 800), "sampled at 3900 Hz, the model wants 1000 Hz, or four times that"),
+        (lambda: recording(3_900.0, 800), "sampled at 3900 Hz, the model needs 1000 Hz, or four times that"),
         (lambda: recording(10_000.0, 1497), None),  # 99.6 ms after the start: half a sample may be missing
-        (lambda: recording(10_000.0, 1495), "0.0994 s after the start, the model wants 0.1 s"),
+        (lambda: recording(10_000.0, 1495), "0.0994 s after the start, the model needs 0.1 s"),
         (lambda: recording(10_000.0, 2000, voltage_v=np.full(2000, 12.594)), None),
         (lambda: recording(10_000.0, 2000, voltage_v=np.full(2000, -11.406)), None),
         (
@@ -158,7 +158,7 @@ def test_what_cannot_be_compared_says_why(
         with pytest.raises(UnusableError, match=reason):
             aligned_case(given, RECIPE)
     both = replace(RECIPE, sensor=replace(RECIPE.sensor, channels=(Channel.CURRENT, Channel.SPEED)))
-    with pytest.raises(UnusableError, match="wants the speed, which was not recorded"):
+    with pytest.raises(UnusableError, match="needs the speed, which was not recorded"):
         aligned_case(given, both)
 
 
@@ -195,7 +195,7 @@ def test_at_equal_rates_the_residual_is_put_on_the_fitted_start(
     if not fits:
         monkeypatch.setattr(prediction, "_check_comparable", lambda *_: None)
         with pytest.raises(
-            UnusableError, match=f"wants {timing.quiet_s:g} s before the start and {timing.duration_s:g} s"
+            UnusableError, match=f"needs {timing.quiet_s:g} s before the start and {timing.duration_s:g} s"
         ):
             aligned_case(recording(1_000.0, 140), recipe)
         return
@@ -334,7 +334,7 @@ def test_a_model_with_references_cannot_judge_a_recording_alone() -> None:
     got = predict_recording(Several(), RECIPE, recording(10_000.0, 2000))
     assert (got.verdict, got.reason) == (
         UNDECIDED,
-        "the model wants 2 healthy starts of the same motor beside each",
+        "the model needs 2 healthy starts of the same motor beside each",
     )
     assert got.status is ExitStatus.UNDECIDED
 

@@ -61,6 +61,6 @@ def test_the_step_may_fall_between_samples(
     ]
     assert all(opinion.verdict != UNDECIDED for opinion in found)
     right = [RECIPE.class_names[truth[n]] == opinion.class_name for n, opinion in enumerate(found)]
-    # An offset that must be estimated costs bearings some accuracy (docs/limits.md); without the shift onto a sample
-    # three quarters are wrong at 0.2 and all are refused at 0.5.
+    # An offset that must be estimated costs bearings some accuracy (docs/best-possible.md); without the shift onto a
+    # sample three quarters are wrong at 0.2 and all are refused at 0.5.
     assert np.mean(right) >= 0.7

@@ -15,7 +15,9 @@ from motor_classifiers.scoring.frozen_tasks import VERSION
 def test_tables_of_readme_and_docs_come_from_their_files() -> None:
     """`python benchmarks/result_tables.py` writes them."""
     for path, text in result_tables.pages().items():
-        assert path.read_text(encoding="utf-8") == text, path.name
+        assert path.read_text(encoding="utf-8") == text, (
+            f"`python benchmarks/result_tables.py` writes {path.name}"
+        )
         assert text.count("\n| ") > 6
 
 

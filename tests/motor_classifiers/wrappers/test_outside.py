@@ -80,7 +80,7 @@ def test_the_likely_shift_is_named(off: str, recipe: Recipe, moved: Recipe | Non
 
 
 def test_half_of_the_hot_motors_are_refused() -> None:
-    """A test trained for this very shift refuses four fifths (docs/trust.md)."""
+    """A test trained for this very shift refuses four fifths (docs/trust-method.md)."""
     hot = BENCH.motor.scaled(
         resistance_ohm=1.0786, back_emf_constant_v_s_per_rad=0.98, torque_constant_n_m_per_a=0.98
     )

@@ -80,7 +80,7 @@ def test_a_log_without_a_speed_is_undecided(
     assert main(["diagnose", log, "--healthy", *healthy]) == 3
     said = capsys.readouterr().out
     assert (
-        "pwm.csv: unusable\n  windows of a running motor are judged only where voltage, current and speed"
+        "pwm.csv: unusable\n  windows of a running motor are judged only if voltage, current and speed"
         in said
     )
     assert "\n  taken for a motor at work (" in said

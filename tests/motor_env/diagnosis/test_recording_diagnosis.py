@@ -150,7 +150,9 @@ def test_without_a_voltage_only_ratios_are_told_and_the_sheet_is_no_reference() 
     np.testing.assert_allclose(fit.values[0], 2.18 / 12.0, rtol=0.05)
     compared = diagnose(recording, replace(MOTOR, nominal_voltage_v=None))
     assert compared.verdict is Verdict.NO_REFERENCE
-    assert compared.reasons[0].startswith("this recording tells R/V, L/V, K^2/(J V), B/J, and the reference")
+    assert compared.reasons[0].startswith(
+        "this recording determines R/V, L/V, K^2/(J V), B/J, and the reference"
+    )
 
 
 def test_a_capture_without_a_start_is_unusable_and_never_healthy() -> None:
@@ -243,7 +245,7 @@ def test_real_starts_are_fitted(
     assert fit.r2_current >= r2
     assert abs(fit.lag_one) <= largest_correlation
     if file.endswith("F0000.csv"):
-        assert "a wild sample of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
+        assert "an outlier of 13.6 A at 0.05 s, left out" in [str(defect) for defect in fit.defects]
 
 
 @needs_recordings

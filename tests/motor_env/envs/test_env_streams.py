@@ -41,6 +41,7 @@ from motor_env.envs import (
 from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop
 
 KEPT = Path(__file__).with_name("env_streams.json")
+WRITTEN_BY = "PYTHONPATH=benchmarks python tests/motor_env/envs/test_env_streams.py"
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
 BOTH = replace(load_recipe("bench"), sensor=SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 0.5))
 VOLTAGES: dict[str, Any] = {"control": "voltage_and_decision", "tracking_limit_per_s": 0.0}
@@ -326,13 +327,18 @@ def digest(name: str) -> str:
 TABLE: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
 
 
+def kept(name: str) -> dict[str, Any]:
+    assert name in TABLE, f"{name} has no rows in {KEPT.name}: `{WRITTEN_BY}` writes them"
+    return dict(TABLE[name])
+
+
 def test_every_registered_id_is_kept() -> None:
-    assert TABLE.keys() == {*NAMES, "policies"}
+    assert TABLE.keys() == {*NAMES, "policies"}, f"`{WRITTEN_BY}` writes {KEPT.name}"
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_options_spaces_and_draws_are_those_that_were_kept(name: str) -> None:
-    same(specification(name), TABLE[name]["specification"], name, 1e-8)
+    same(specification(name), kept(name)["specification"], name, 1e-8)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -340,8 +346,8 @@ def test_episodes_are_those_that_were_kept(name: str) -> None:
     """Single environments; other tests hold that a vector gives the same to the bit."""
     # In float32 another processor may round otherwise, and evidence starts anew at zero: docs/environments.md.
     scale = np.array([4e-3 if "evidence" in each else 1e-5 for each in made(name).observed])
-    for kept in TABLE[name]["episodes"]:
-        where, plan, wanted = f"{name}, {kept['plan']}", kept["plan"], dict(kept["found"])
+    for one in kept(name)["episodes"]:
+        where, plan, wanted = f"{name}, {one['plan']}", one["plan"], dict(one["found"])
         found = episode(name, **plan)
         same(found.pop("rms"), wanted.pop("rms"), f"{where}, rms", scale)
         rows, wanted_rows = found.pop("rows"), wanted.pop("rows")
@@ -358,7 +364,7 @@ def test_episodes_are_those_that_were_kept(name: str) -> None:
 @pytest.mark.parametrize("name", IDS)
 def test_a_version_is_the_same_to_the_bit(name: str) -> None:
     """What changes this needs a new version of the id: see docs/environments.md."""
-    assert digest(name) == TABLE[name]["digest"]
+    assert digest(name) == kept(name)["digest"]
 
 
 @pytest.mark.parametrize("name", POLICIES)

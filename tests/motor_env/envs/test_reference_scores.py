@@ -16,12 +16,13 @@ IDS = [name.removeprefix("motor_env/") for name in gym.registry if name.startswi
 
 
 def test_every_id_has_policies_of_its_own() -> None:
-    assert sorted(REFERENCES) == sorted(IDS)
+    assert sorted(REFERENCES) == sorted(IDS), "benchmarks/reference_policies.py names the policies of each id"
 
 
 @pytest.mark.parametrize("name", IDS)
 def test_thresholds_are_the_best_policys_mean_less_its_error(name: str) -> None:
     found = reference_scores.kept(name)
+    assert "best" in found, f"`python benchmarks/reference_scores.py --only {name}` measures it"
     best, threshold = found["best"], gym.spec(f"motor_env/{name}").reward_threshold
     assert threshold == reference_scores.threshold(best)
     assert (

@@ -89,5 +89,5 @@ def test_bad_input_is_refused() -> None:
     batch = KalmanFilter.from_parameters(
         PAPER_MOTOR.scaled(inertia_kg_m2=np.ones(3)), SensorParameters(), 1e-4
     )
-    with pytest.raises(ValueError, match="belief of one motor"):
+    with pytest.raises(ValueError, match="filter of one motor"):
         adaptive_filter(batch, np.zeros((3, 1, 5)), np.zeros(5))

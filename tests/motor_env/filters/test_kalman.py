@@ -404,7 +404,7 @@ def test_bad_measurements_are_refused_in_one_sentence() -> None:
     batch = KalmanFilter.from_parameters(
         PAPER_MOTOR.scaled(inertia_kg_m2=np.ones(3)), SensorParameters(), 1e-4
     )
-    with pytest.raises(ValueError, match="the belief must be of 1 or 2 motors, got 3"):
+    with pytest.raises(ValueError, match="the filter must be of 1 or 2 motors, got 3"):
         run_filter(batch, np.zeros((2, 1, 10)), np.zeros(10))
-    with pytest.raises(ValueError, match="belief of one motor"):
+    with pytest.raises(ValueError, match="filter of one motor"):
         schedule(batch, 10)

@@ -151,7 +151,7 @@ def test_a_sheet_of_a_shop(tmp_path: Path) -> None:
     assert motor.guesses == ("inductance_h", "inertia_kg_m2")
     assert (motor.tolerance.inductance, motor.tolerance.inertia, motor.tolerance.friction) == (1.5, 1.5, 0.3)
     assert [note.partition(":")[0] for note in motor.notes] == [
-        "the sheet does not tell inertia_kg_m2 and inductance_h"
+        "the sheet does not give inertia_kg_m2 and inductance_h"
     ]
     for simulated in (motor_recipe, partial(usable_parameters, needs_speed=False)):
         with pytest.raises(ValueError, match="the data sheet lacks inductance_h and inertia_kg_m2"):

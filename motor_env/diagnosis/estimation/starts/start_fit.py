@@ -111,7 +111,7 @@ class StartFit:
         defects = list(start.alignment.defects)
         for k in start.alignment.wild:
             where = f"{start.alignment.sign * start.current_a[k]:.3g} A at {start.time_s[k]:.6g} s"
-            defects.append(f"a wild sample of {where}, left out")
+            defects.append(f"an outlier of {where}, left out")
         for line in start.lines:
             where = f"{line.amplitude_a:.3g} A at {line.frequency_hz:.4g} Hz"
             defects.append(f"PWM ripple of {where} (or an alias of it)")

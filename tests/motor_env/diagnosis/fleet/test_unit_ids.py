@@ -37,7 +37,7 @@ def test_motors_alone_are_machines_of_one_motor() -> None:
         ("(", "must be a regular expression, got '\\('"),
         ("robot", "must have named groups of machine, motor, repeat"),
         ("(?P<side>left)", "must have named groups of machine, motor, repeat, got \\['side'\\]"),
-        ("(?P<repeat>left)", "a repeat alone tells no motor"),
+        ("(?P<repeat>left)", "a repeat alone names no motor"),
         ("(?P<machine>[0-9]{3})", "robot_07_left.csv: --group .* does not match its name"),
     ],
 )

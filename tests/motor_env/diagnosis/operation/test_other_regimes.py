@@ -189,7 +189,7 @@ def test_under_another_drive_what_differs_is_told_if_it_is_large_and_the_drive_n
         own = judged("reversals", friction=friction)
         assert own.verdict == ("healthy" if friction == 1.0 else "bearing")
         assert not any("otherwise" in reason for reason in own.reasons)
-    otherwise = "the motor is driven otherwise than when it was healthy"
+    otherwise = "this operating condition was not commissioned"
     for profile in ("averaged pwm", "steps"):
         healthy = judged(profile)
         assert healthy.verdict == "healthy"
@@ -197,7 +197,7 @@ def test_under_another_drive_what_differs_is_told_if_it_is_large_and_the_drive_n
         twice = judged(profile, friction=2.0)
         assert (twice.verdict, twice.severity, twice.confidence) == ("unusable", None, None)
         assert twice.reasons[0].startswith(
-            f"{otherwise}: commission it under this drive, too; driven as then, it would be said that friction is up"
+            f"{otherwise}: commission it, too; under a commissioned one the verdict would be that friction is up"
         )
     assert judged("averaged pwm", friction=8.0).verdict == "bearing"
     assert judged("averaged pwm", resistance=1.4).verdict == "winding"

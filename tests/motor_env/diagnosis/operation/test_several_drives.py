@@ -180,7 +180,8 @@ def test_a_window_is_compared_with_those_that_are_driven_alike(
         assert len(told) >= 2  # of three: of windows with twice the friction one in 36 is missed
         for one in told:
             assert (
-                one.reasons[-1] == "compared with 3 of 6 healthy windows of this motor that are driven alike"
+                one.reasons[-1]
+                == "compared with 3 of 6 healthy windows of this motor under the same operating condition"
             )
 
 
@@ -216,7 +217,7 @@ def test_a_commissioning_says_in_how_many_ways_the_motor_was_driven(
     with monkeypatch.context() as patch:
         patch.setattr("motor_env.diagnosis.commission.learn_windows", lambda *_, **__: learned)
         said = commission(logs, window_s=window_s).text()
-    assert "  driven in 2 ways: each window is compared with those" in said
+    assert "  2 operating conditions: each window is compared with those" in said
     again = log_of(simulated, PROFILES[0], 7, usual=simulated)
     alike = commission([logs[0], again], window_s=window_s)
     assert "  driven in" not in alike.text()
@@ -343,7 +344,7 @@ def test_half_of_the_windows_that_are_driven_otherwise_must_show_a_fault(
         if after.verdict == before.verdict:
             assert (after.reasons, after.severity) == (before.reasons, before.severity)
         else:
-            assert after.reasons[0].endswith("driven as then, it would be said that R is up")
+            assert after.reasons[0].endswith("under a commissioned one the verdict would be that R is up")
             assert (after.severity, after.confidence, after.kind) == (None, None, None)
 
 

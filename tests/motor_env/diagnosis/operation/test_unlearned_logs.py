@@ -230,7 +230,7 @@ def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPat
                       log_covariance=np.eye(4))  # fmt: skip
     found = diagnose(log(), replace(SHEET, healthy=healthy))
     assert (found.verdict, found.of) == ("unusable", 1)
-    assert found.reasons[0].startswith("sheet does not tell R, K, J, B")
+    assert found.reasons[0].startswith("sheet does not give R, K, J, B")
 
     def unseen(record: Record) -> Any:
         fit = true_fit(record)
@@ -238,7 +238,7 @@ def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPat
         return fit
 
     monkeypatch.setattr(log_diagnosis, "identify_record", unseen)
-    with pytest.raises(UnusableError, match="only where voltage, current and speed"):
+    with pytest.raises(UnusableError, match="only if voltage, current and speed"):
         judge_for(log(), SHEET)
 
 

@@ -103,7 +103,7 @@ def test_windows_are_cut_at_exact_samples() -> None:
     assert (pairs.current_a[0], pairs.time_s[0], pairs.dt_s) == pytest.approx((0.5, 5e-5, 2e-4))
     assert averaged(long, 1.21).current_a[0] == 1.0
     assert rms_volts(recording(400, 3.0)) == pytest.approx(3.0)
-    with pytest.raises(UnusableError, match="only where voltage, current and speed"):
+    with pytest.raises(UnusableError, match="only if voltage, current and speed"):
         rms_volts(replace(long, speed_rad_s=None))
 
 
@@ -133,7 +133,7 @@ def test_only_windows_that_tell_all_four_have_a_judge() -> None:
     as_starts = replace(HEALTHY, windows=None, starts=Starts(log_noise=0.0, log_noise_sd=0.1))
     fewer = replace(HEALTHY, quantities=NAMES[:3], values=np.ones(3), log_covariance=np.eye(3))
     for healthy in (as_starts, fewer):
-        with pytest.raises(UnusableError, match="healthy pieces of it do not tell R, K, J, B of windows"):
+        with pytest.raises(UnusableError, match="healthy recordings of it do not give R, K, J, B of windows"):
             judge_of(healthy, "it")
 
 
@@ -683,9 +683,7 @@ def test_logs_whose_holes_hide_the_steps_of_the_voltage_teach_nothing(
     Lesson(monkeypatch, visible_step_share=0.21)
     assert learn_windows([recording(3100)], 0.5)[0].pieces == 6
     Lesson(monkeypatch, visible_step_share=0.19)
-    with pytest.raises(
-        UnusableError, match="samples are missing at the voltage's steps: how the current follows"
-    ):
+    with pytest.raises(UnusableError, match="samples are missing at the voltage's steps: the inductance is"):
         learn_windows([recording(3100)], 0.5)
 
 

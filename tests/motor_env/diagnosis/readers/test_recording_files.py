@@ -138,7 +138,7 @@ def test_files_that_were_read_in_different_ways_are_told_apart() -> None:
         "  read: 0.csv and 1 more: current is column 0",
         "  read: 2.csv and 1 more: current is column 1",
         "  read: 4.csv and 1 more: current is column 2",
-        "  read: in 2 more ways",
+        "  read: other files in 2 more ways",
     ]
     assert describe_reading([(Path("a.csv"), ())]) == []
 

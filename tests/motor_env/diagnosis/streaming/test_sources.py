@@ -92,7 +92,7 @@ def test_a_log_written_anew_in_its_place_is_new_however_long_it_is(tmp_path: Pat
     heard = opened(str(log), follow=True)
     assert b"".join(piece for _ in old.splitlines() if isinstance(piece := next(heard), bytes)) == old
     log.write_bytes(b"new\n" + old)
-    told(heard, "new_file", "is not the file of before")
+    told(heard, "new_file", "is not the same file as before")
     assert next(heard) == b"new\n"
     assert next(heard) == old[: old.index(b"\n") + 1]
 
@@ -128,7 +128,7 @@ def test_a_log_that_is_gone_on_with_must_be_the_one_that_was_read(tmp_path: Path
     assert list(heard) == [b"two\n", b"three\n"]
     for offset, last_read in ((4, b"ONE\n"), (20, b"x" * 20), (2**62, b"x" * 512)):
         heard = lines(source(str(log), follow=False, baud=0, offset=offset, last_read=last_read))
-        told(heard, "new_file", "is not the file of before")
+        told(heard, "new_file", "is not the same file as before")
         assert list(heard) == [b"one\n", b"two\n", b"three\n"]
 
 
@@ -182,7 +182,7 @@ def test_what_comes_faster_than_it_is_judged_is_told(monkeypatch: pytest.MonkeyP
     assert [next(heard)[:2] for _ in range(10)] == [b"%02d" % k for k in range(10)]  # type: ignore[index]
     waiting.offer(b"a\n")
     waiting.offer(b"b\n")
-    assert next(heard) == Notice("lost", "20 pieces of lines came faster than they could be judged")
+    assert next(heard) == Notice("lost", "20 parts of lines came faster than they could be judged")
     waiting.put(None)
     assert list(heard) == [b"a\n", b"b\n"]  # it is told once
 

@@ -335,7 +335,7 @@ def test_silence_is_said_after_five_seconds(monkeypatch: pytest.MonkeyPatch) -> 
 
     told = [(now[0], piece) for piece in lines(pieces())]
     assert told == [(0.0, b"a\n"), (5.01, SILENCE), (9.5, b"b\n"), (14.6, SILENCE)]
-    assert SILENCE.text == "no line for 5 s: is the cable in?"
+    assert SILENCE.text == "no line for 5 s: is the cable plugged in?"
 
 
 @pytest.fixture
@@ -445,7 +445,7 @@ def test_a_rotated_log_goes_on_with_its_own_state(
     new, *windows = map(json.loads, capsys.readouterr().out.splitlines())
     assert new["event"] == "new_file"
     offset = len(joined([HEADER, *samples(101)]))
-    assert f"read from its begin; what stood behind byte {offset} may be lost" in new["reason"]
+    assert f"read from its beginning; what followed byte {offset} may be lost" in new["reason"]
     assert [one["verdict"] for one in windows] == ["bearing", "healthy"]
     np.testing.assert_allclose(judge.given[1].time_s[0], 3.0)
     kept = json.loads((tmp_path / "state.json").read_text())

@@ -183,7 +183,7 @@ def test_a_verdict_says_what_its_sheet_assumes() -> None:
 def test_what_a_tolerance_hides_is_not_the_recordings_fault() -> None:
     wide = replace(SHEET, tolerance=replace(SHEET.tolerance, friction=0.3))
     (said,) = (reason for reason in diagnose(start(), wide).reasons if "undecided" in reason)
-    assert said.startswith("the friction is undecided: data sheet RE 25, 12 V allows too much to tell it")
+    assert said.startswith("the friction is undecided: data sheet RE 25, 12 V allows too much to decide it")
 
 
 @pytest.mark.parametrize(
@@ -348,7 +348,7 @@ def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is
         found = doubled(friction, resistance)
         said = [one for one in found.reasons if "is undecided" in one]
         assert [one.split()[1] for one in said] == unseen
-        assert all(one.endswith("or too short to tell it, only a rise of 101% would show") for one in said)
+        assert all(one.endswith("or too short to decide it, only a rise of 101% would show") for one in said)
         if len(unseen) == 2:
             assert (found.verdict, found.severity, found.confidence) == (Verdict.UNUSABLE, None, None)
             assert len(found.reasons) == 2
@@ -364,7 +364,7 @@ def test_a_start_that_hides_a_doubled_friction_says_so_and_one_that_hides_all_is
         (3.33, "not even a tenfold one"),
     ):  # log 10 over log 2: 3.32
         (told,) = (one for one in doubled(deviations, 0.99).reasons if "is undecided" in one)
-        assert told.endswith(f"too short to tell it, {shown} would show")
+        assert told.endswith(f"too short to decide it, {shown} would show")
 
 
 @pytest.mark.parametrize(

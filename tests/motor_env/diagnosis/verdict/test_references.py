@@ -363,8 +363,8 @@ def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
         pair = [replace(fit, fitted_extension={"coulomb": (0.1, error * math.sqrt(2.0))})] * 2
         assert healthy_motor.to_motor(pair, "two").coulomb_friction_n_m == pytest.approx(told)
     wide = replace(fit, log_covariance=np.diag([0.49, 0.51, 0.1, 0.1]) ** 2)
-    assert [one for one in healthy_motor.describe_undetermined(wide) if "is not told" in one] == [
-        "L is not told by this recording (its standard error is 51 %)"
+    assert [one for one in healthy_motor.describe_undetermined(wide) if "is not determined" in one] == [
+        "L is not determined by this recording (its standard error is 51 %)"
     ]
     for model, alike in (((), False), (("speed_lag", "coulomb"), False), (("coulomb", "sensor_lag"), True)):
         said = healthy_motor.describe_undetermined(replace(fit, model=model))
