@@ -129,7 +129,7 @@ class Windows:
         speed_rad_s: effective speed, at which the drag over the speed is the quantity B.
         rms_volts: least and largest effective voltage of a window; None if unknown.
         peaks: largest voltage, current and speed; None if unknown.
-        window_excess: variance of the windows' scatter over that of the fit, at least 1 for their own errors.
+        window_excess: variance of the windows' scatter over the predicted one.
         drives: operating conditions; none where only a fault changes the parameters.
         alike: largest `condition_distance` within one condition.
         calibration: of the scores of `watch`; None for windows not compared.
