@@ -36,7 +36,6 @@ def _step_response(
     is_current: NDArray[np.bool_],
     out: NDArray[np.float32],
 ) -> None:
-    """Start from standstill under a constant input: x[k] = rest + A^k (0 - rest), by doubling."""
     n_channels, n_samples = out.shape[1], out.shape[2]
     n_driven = n_samples - n_quiet
     currents, speeds = np.empty(n_driven + 1), np.empty(n_driven + 1)
@@ -75,7 +74,7 @@ def measure(
     driving: Driving | None = None,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Return the sensors' readings; row n depends on its scenario and on (seed, case n) alone.
+    """Return readings of the sensors; row n depends on its scenario and on (seed, case n) alone.
 
     Args:
         scenario: one motor, or a batch of n_cases.
@@ -83,8 +82,8 @@ def measure(
         cases: case numbers, shape (n_cases,).
         effects: departures from the textbook motor; they allow no fault with an onset.
         chain: errors of the current sensor.
-        nominal: decides the integration step of effects; the scenario's motor by default.
-        driving: of a motor at work, with effects; replaces the scenario's supply.
+        nominal: motor that sets the integration step of effects; the scenario's by default.
+        driving: of a motor at work, with effects; replaces the supply.
         out: filled where given.
 
     Returns:

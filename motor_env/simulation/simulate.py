@@ -283,10 +283,7 @@ def _segments(
 def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
     """Simulate a scenario; the noise of row n comes from the streams of case `cases[n]` alone.
 
-    Args:
-        scenario: one motor, repeated with other noise, or a batch of n_cases motors.
-        seed: the random seed.
-        cases: case numbers, shape (n_cases,).
+    `cases` has shape (n_cases,).
 
     Raises:
         ValueError: the batch is not n_cases long.
