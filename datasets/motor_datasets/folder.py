@@ -58,7 +58,7 @@ def generate_dataset(
     """Write a data set to a folder. The bytes do not depend on the workers, nor on interruptions.
 
     Args:
-        recipe: what to draw from.
+        recipe: distribution of the cases.
         cases: their number, without those of the recipe's shifts.
         seed: the random seed.
         out: folder, or a URL for fsspec (`s3://bucket/prefix`); new, empty, or (with `resume`) the same unfinished

@@ -69,7 +69,7 @@ class Comparison(NamedTuple):
     """A number of the paper beside ours.
 
     Attributes:
-        quantity: what it is.
+        quantity: its name.
         unit: its unit, empty for a pure number.
         paper: as the paper prints it, None where it prints none.
         ours: as computed.

@@ -240,7 +240,7 @@ def joint_filter(
         dt_s: sampling interval.
         measurements: shape (n_cases, n_channels, n_samples); NaN is missing and updates nothing.
         voltage_v: shape (n_samples,).
-        names: what to estimate, of `FREE`.
+        names: estimated ones, of `FREE`.
         prior_std: of each theta before the first sample.
         process_noise_std: in [A, rad/s] an interval.
         kind: which filter.

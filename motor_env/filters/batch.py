@@ -22,8 +22,8 @@ _TOO_LARGE = (
 class FilterResult(NamedTuple):
     """Results of the filter.
 
-    Covariances and gain are common to all cases, shape (n_samples, ...); where samples are missing, or each case has
-    its own motor, the cases' axes stand in front.
+    Covariances and gain are common to all cases, shape (n_samples, ...); missing samples or several motors add the
+    cases' axes in front.
 
     Attributes:
         innovation: z - C x-, shape (..., n_samples, n_channels); NaN where a sample is missing.

@@ -1,4 +1,4 @@
-"""What can be inferred from a transient: fits, posterior probabilities of faults and their severity.
+"""Inference from a transient: fits, posterior probabilities of faults and their severity.
 
 Begin at `posterior.class_probabilities`.
 

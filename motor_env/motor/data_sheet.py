@@ -13,7 +13,7 @@ no_load_current_ma = 26.3            # the friction is derived from the no-load 
 no_load_speed_rpm = 4860.0
 nominal_voltage_v = 12.0
 
-[tolerance]                          # relative standard deviations; what is not given has the default
+[tolerance]                          # relative standard deviations; missing ones have defaults
 resistance = 0.02
 """
 

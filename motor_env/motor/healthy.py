@@ -88,7 +88,7 @@ class OperatingCondition:
     """Operating condition of a healthy motor, and the distribution of the next window under it.
 
     Attributes:
-        pieces: which of the healthy windows.
+        pieces: indices of its healthy windows.
         moved: `condition_features` of (some of) them, shape (n, 3, 17).
         values: geometric means of R, K, J and B over them, SI, shape (4,).
         log_covariance: of the logarithms of the next window's, shape (4, 4).

@@ -201,7 +201,7 @@ class MotorParameters:
 
 @dataclass(frozen=True, slots=True)
 class SensorParameters:
-    """What is measured, and the standard deviation of its white noise.
+    """Measured channels and their white noise.
 
     Attributes:
         channels: measured channels, in the order of every array.

@@ -146,7 +146,7 @@ class Duty:
         require(self.hold_s[0] > 0.0, "duty.hold_s must be > 0, got 0")
 
     def profile(self, u: FloatArray, timing: Timing) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return the voltage of each interval as a share of the supply's, and whether a speed loop wants it.
+        """Return the voltage of each interval as a share of the supply's, and whether it is a speed loop's target.
 
         `u` are uniform numbers, shape (n_cases, N_UNIFORMS).
 

@@ -1,4 +1,4 @@
-"""What a real motor adds to the textbook one, and its integration: fixed step, all cases side by side.
+"""Effects in a real motor beyond the textbook one, integrated with fixed steps, all cases side by side.
 
 States: current i, speed w, angle phi, winding temperature above the start's. With the linear motor's L, J, B:
 
@@ -302,7 +302,7 @@ class Driving(NamedTuple):
     """Voltage and load of drawn cases.
 
     Attributes:
-        voltage_v: applied voltage, or the back-EMF that a speed loop wants, shape (n_cases or 1, n_samples).
+        voltage_v: applied voltage, or a speed loop's target back-EMF, shape (n_cases or 1, n_samples).
         is_loop: whether there is a speed loop, shape (n_cases,).
         resistance_ohm: assumed by the loop.
         limit_v: largest voltage that the loop can apply, shape (n_cases,).
@@ -326,7 +326,7 @@ def integrate_driven(
 
     Args:
         groups: the cases (`groups_of`); of their supply only resistance and ripple count.
-        sampling: what is filled.
+        sampling: times and output.
         driving: voltage and load.
         noise: of the speed loop's current, shape (n_cases, n_samples); no rows without a loop.
     """

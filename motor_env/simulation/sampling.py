@@ -27,13 +27,13 @@ from motor_env.simulation.simulate import LARGEST_SEED, Scenario, case_numbers
 
 
 class Draw(NamedTuple):
-    """Cases drawn from a recipe: the truth.
+    """True properties of cases drawn from a recipe.
 
     Attributes:
         cases: case numbers, shape (n_cases,).
         class_index: index into `recipe.classes`, shape (n_cases,).
         factors: nuisance factors in the order of `FACTORS`, shape (n_cases, 5).
-        scenario: what to simulate.
+        scenario: input of the simulation.
         motor_id: motor of each case, shape (n_cases,).
         severity: of the class's first fault, 0 for healthy, shape (n_cases,).
         effects: departures from the textbook motor; None for none.
@@ -198,7 +198,7 @@ def driven(
     Args:
         recipe: with a table `duty`.
         values: of the recipe's priors, shape (n_cases, n_priors).
-        voltage_v: applied voltage, or the wanted back-EMF of a speed loop, shape (n_cases or 1, n_samples).
+        voltage_v: applied voltage, or a speed loop's target back-EMF, shape (n_cases or 1, n_samples).
         is_loop: which cases have a speed loop; none by default.
         limit_v: largest voltage of each loop.
     """

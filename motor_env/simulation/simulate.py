@@ -175,7 +175,7 @@ class Transients:
     Attributes:
         time_s: shape (n_samples,); 0 is the step.
         voltage_v: applied voltage, shape (n_cases, n_samples).
-        measurements: what the sensors read, shape (n_cases, n_channels, n_samples).
+        measurements: readings of the sensors, shape (n_cases, n_channels, n_samples).
         channels: names of the channels.
         states: true current and speed, shape (n_cases, n_samples, 2).
     """

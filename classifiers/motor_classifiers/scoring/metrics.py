@@ -250,7 +250,7 @@ class Comparison(NamedTuple):
 
     Attributes:
         difference: metric of the first minus the second, with its paired bootstrap interval.
-        only_first: cases that cost the first less (only it is right).
+        only_first: cases that cost the first less (in class tasks: only it is right).
         only_second: the opposite.
         p_above: p-value for the first being better (exact one-sided McNemar test, 1947).
     """

@@ -15,9 +15,9 @@ from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
 
 DEAD_AFTER = 4
-"""Samples without a current where the model has much, in a row, that show a dead sensor."""
+"""Successive samples without a current, where the model's is large, that show a dead sensor."""
 LARGE_CURRENT_SHARE = 0.1
-"""Share of a held rotor's current above which the model's current is much."""
+"""Share of the stall current above which the model's current is large."""
 DEADBAND = 0.01
 _HEADROOM = 2.0
 _YEAR_S = 365.25 * 86_400.0
@@ -131,7 +131,7 @@ def monitor_of(
     """Build the monitor of an exactly known motor without a load.
 
     Args:
-        motor: as its file says.
+        motor: with the filter's parameters.
         rate_hz: samples a second.
         rule: bank of CUSUMs.
         sensor: current, or current and speed, with their noise.

@@ -232,7 +232,7 @@ class _Twin:
         return np.where(used, fault, sensor)
 
     def _dead(self, growth: Values, reading: Values, wrong: Any) -> NDArray[np.bool_]:
-        """Find dead current sensors: they read nothing while the model has much."""
+        """Find dead current sensors: they read nothing while the model's current is large."""
         numbers, predicted = self.numbers, np.abs(self.state[0] + growth[0])
         predicted = clamp(predicted) if numbers.is_fixed else predicted
         shown = np.abs(reading * numbers.scales[0])

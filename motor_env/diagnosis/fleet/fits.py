@@ -325,7 +325,7 @@ def _fit_start(
 
 
 def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) -> Windows:
-    """Choose what logs share; the share of dry friction has the least misfit."""
+    """Choose the common model of logs; the share of dry friction has the least misfit."""
     initial = list(initial_fits.values())
     known = np.median([fit.values for fit in initial], axis=0)
     known[_NOT_COMMON] = 0.0

@@ -112,8 +112,8 @@ class ResidualPosterior(ThresholdPolicy):
     """Declares the likeliest failure once its expected reward reaches a threshold.
 
     Args:
-        setup: of a Monitor that starts running, with a known motor, any faults, and observed innovations of each
-            channel.
+        setup: of a Monitor that starts running, with a known motor whose faults may grow or be of its sensors, and
+            observed innovations of each channel.
         threshold: of the expected reward.
 
     Raises:

@@ -1,6 +1,6 @@
 """Policies for many sub-environments at once: decision rules with the bank of filters.
 
-    policy.start(n)                     begin anew with n sub-environments
+    policy.start(n)                     reset to n sub-environments
     actions = policy.act(observations)  one action for each
 
 A rule detects a fault. Its kind is the one with the largest `evidence_*` in the observation, see `baseline_features`.

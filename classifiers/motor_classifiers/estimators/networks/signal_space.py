@@ -185,8 +185,8 @@ def with_more_noise(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return `SignalSpace.coordinates` of starts under more noise.
 
-    White noise along orthonormal directions is white. Outside, the noise n changes the squares of the remainder v: |v
-    + n|^2 is (|v| + n_1)^2 plus a chi-square with one degree of freedom less.
+    White noise along orthonormal directions is white. Outside, the noise n adds to the remainder v:
+    |v + n|^2 is (|v| + n_1)^2 plus a chi-square with one degree of freedom less.
 
     Args:
         coefficients: in units of the recipe's noise, shape (n, n_components).
