@@ -71,7 +71,7 @@ class PlannedFile:
     shift: str | None = None
 
     def case_id(self, recipe: Recipe, seed: int) -> NDArray[np.int64]:
-        """Case numbers of the file."""
+        """Return the case numbers of the file."""
         cases = np.arange(self.begin, self.end, dtype=np.int64)
         if self.shift is not None:
             return cases
@@ -100,7 +100,7 @@ class Plan:
 
 
 def bytes_of_case(recipe: Recipe) -> int:
-    """Bytes of one case before compression."""
+    """Return the bytes of one case before compression."""
     labels = 8 * (len(parameter_names(recipe)) + 4)
     return 4 * len(recipe.channels) * recipe.timing.n_samples + labels
 

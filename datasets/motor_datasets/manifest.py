@@ -149,7 +149,7 @@ class Manifest:
         return tuple(dict.fromkeys(entry.split for entry in self.files))
 
     def as_text(self) -> str:
-        """Content of `dataset.json`."""
+        """Return the content of `dataset.json`."""
         content = {
             "format": FORMAT,
             "version": FORMAT_VERSION,

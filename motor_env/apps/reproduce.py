@@ -100,7 +100,7 @@ def _shade_noise_fault(axes: Axes) -> None:
 
 
 def healthy_start() -> Figure:
-    """Figure 4: current, velocity and speed of the healthy motor."""
+    """Draw figure 4: current, velocity and speed of the healthy motor."""
     time_ms, states = _fine_start(None, 0.04, 2e-5)
     current, speed = states[:, State.CURRENT], states[:, State.SPEED]
     figures = start_up(PAPER_MOTOR)
@@ -124,7 +124,7 @@ def healthy_start() -> Figure:
 
 
 def true_states() -> Figure:
-    """Figure 8, the first: the true states, with Gaussian noise in the current output."""
+    """Draw figure 8, the first: the true states, with Gaussian noise in the current output."""
     transients = _noisy_start()
     time_ms = _MS * transients.time_s
     figure, (top, bottom) = subplots(2, height_in=7.0, height_ratios=(3, 2))
@@ -147,7 +147,7 @@ def true_states() -> Figure:
 
 
 def healthy_minus_faulty() -> Figure:
-    """Figure 8, the second: the difference between the healthy and the faulty output."""
+    """Draw figure 8, the second: the healthy minus the faulty output."""
     faults = (NOISE_FAULT, Fault(FaultKind.WINDING_CONTACT, 0.25), Fault(FaultKind.BEARING, 0.25))
     names = (
         "Incipient noise, growing from 40 ms to 16 times the variance at 80 ms",
@@ -173,7 +173,7 @@ def healthy_minus_faulty() -> Figure:
 
 
 def estimated_states() -> Figure:
-    """Figure 9: the estimated current, speed and velocity, from the noisy current of figure 8."""
+    """Draw figure 9: the estimated current, speed and velocity, from the noisy current of figure 8."""
     transients = _noisy_start()
     result = run_filter(_belief(), transients.measurements, transients.voltage_v)
     time_ms = _MS * transients.time_s

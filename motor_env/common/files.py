@@ -47,7 +47,7 @@ class Readable(Protocol):
     """Local path, or one of a storage."""
 
     def stat(self) -> Any:
-        """Kind and size."""
+        """Return kind and size."""
 
     def open(self, mode: Literal["rb"]) -> Any:
         """Open it as bytes."""

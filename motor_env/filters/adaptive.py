@@ -232,7 +232,7 @@ def joint_filter(
     kind: JointKind = JointKind.EXTENDED,
     memory: float | None = None,
 ) -> JointResult:
-    """Joint filter over one or many transients (extended: Ljung 1979; unscented: Julier & Uhlmann 1997).
+    """Run a joint filter over transients (extended: Ljung 1979; unscented: Julier & Uhlmann 1997).
 
     Args:
         motor: assumed motor, where theta is 0.

@@ -67,7 +67,7 @@ class Stream(IntEnum):
 def philox(
     c0: np.uint32, c1: np.uint32, c2: np.uint32, c3: np.uint32, k0: np.uint32, k1: np.uint32
 ) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:
-    """Philox4x32-10: four random 32-bit words for a counter of four words and a key of two (Salmon et al. 2011).
+    """Compute four random 32-bit words from a counter of four words and a key of two (Salmon et al. 2011).
 
     The words stay in 64 bits, of which the rounds read the lower 32: casts would halve the speed.
     """

@@ -76,10 +76,10 @@ class ProbabilityClassifier(ClassifierMixin, BaseEstimator, ABC):
 
     @abstractmethod
     def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class, shape (n_cases, n_classes)."""
+        """Return the probability of each class, shape (n_cases, n_classes)."""
 
     def predict(self, X: Any) -> NDArray[Any]:
-        """Most probable class of each case, shape (n_cases,)."""
+        """Return the most probable class of each case, shape (n_cases,)."""
         most = self.predict_proba(X).argmax(axis=1)
         decided: NDArray[Any] = self.classes_[most]
         return decided

@@ -82,7 +82,7 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
         return self.rule_.decide(self._residuals(cases.flat_cases(self, X, reset=False)))
 
     def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class, shape (n_cases, n_classes).
+        """Return the probability of each class, shape (n_cases, n_classes).
 
         If the rule decides against the most probable class, their probabilities are exchanged.
         """

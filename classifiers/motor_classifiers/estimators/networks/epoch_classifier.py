@@ -36,13 +36,13 @@ class LogitClassifier(cases.ProbabilityClassifier):
     """Classifier whose `_logits` are log-probabilities up to a constant."""
 
     def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class, shape (n_cases, n_classes)."""
+        """Return the probability of each class, shape (n_cases, n_classes)."""
         probabilities: FloatArray = softmax(self._logits(X), axis=1)
         return probabilities
 
     @abstractmethod
     def _logits(self, X: Any) -> FloatArray:
-        """Shape (n_cases, n_classes), in the order of `classes_`."""
+        """Return logits, shape (n_cases, n_classes), in the order of `classes_`."""
 
 
 def logits_in_parts(network: nn.Module, flat: FloatArray, at_once: int) -> FloatArray:
