@@ -155,7 +155,7 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
     Args:
         recipe: distribution of the cases.
         seed: the random seed.
-        cases: their number (cases 0.. n-1), or case numbers, shape (n_cases,).
+        cases: their number (cases 0 .. n-1), or case numbers, shape (n_cases,).
 
     Raises:
         ValueError: fewer than one case, no valid case numbers, or a seed out of range.

@@ -238,7 +238,7 @@ def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
 def schedules(
     kalman: KalmanFilter, missing: NDArray[np.bool_], initial: FloatArray | None = None
 ) -> Schedule:
-    """Return schedules (n_rows,...) of rows of samples; `missing` is (n_rows, n_samples, n_channels).
+    """Return schedules (n_rows, ...) of rows of samples; `missing` is (n_rows, n_samples, n_channels).
 
     `initial` has a covariance for each row, (n_rows, 2, 2); a filter for n_rows motors gives each row its own.
     """

@@ -87,7 +87,7 @@ def fill_schedules(
 ) -> int:
     """Compute gains and covariances of every sample of each row (paper, Table 1).
 
-    `missing` is (n_rows, n_samples, n_channels), the results (n_rows, n_samples,...). Without missing samples a
+    `missing` is (n_rows, n_samples, n_channels), the results (n_rows, n_samples, ...). Without missing samples a
     converged gain is held; the result is the last row's sample from which on it is, or n_samples.
     """
     held_from = count = gain.shape[1]

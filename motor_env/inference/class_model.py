@@ -72,7 +72,7 @@ _LARGEST_NORMAL = 6.77  # of the streams of random numbers
 class ClassModel:
     """One class of a recipe: the readings as a function of its nuisances.
 
-    Coordinates: `FACTORS`, standard normal; then priors and severities that have a range, uniform in 0.. 1.
+    Coordinates: `FACTORS`, standard normal; then priors and severities that have a range, uniform in 0 .. 1.
 
     Attributes:
         recipe: distribution of the motors.

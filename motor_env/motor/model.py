@@ -158,7 +158,7 @@ def _all_exponentials(transition: FloatArray, dt_s: float, exponential: FloatArr
 
 
 def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
-    """Discretize exactly by zero-order hold: Ad = exp(A dt), Bd = dt phi1(A dt) B (Franklin, Powell & Workman 1998).
+    """Discretize by zero-order hold: Ad = exp(A dt), Bd = dt phi1(A dt) B (Franklin, Powell & Workman 1998, ch. 4.3).
 
     Raises:
         ValueError: `dt_s` is not positive.

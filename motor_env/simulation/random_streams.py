@@ -145,7 +145,7 @@ def fill_case(
     words: NDArray[np.uint32],
     out: NDArray[np.float32],
 ) -> None:
-    """Write standard normals `begin`.. `begin` + len(out) - 1 of a case; `begin` and len(out) are multiples of 4.
+    """Write standard normals `begin` .. `begin` + len(out) - 1 of a case; `begin` and len(out) are multiples of 4.
 
     `words` is scratch of shape (4, NORMALS_AT_ONCE / 4); `out` holds at most NORMALS_AT_ONCE.
     """

@@ -96,7 +96,7 @@ class Results:
         return tuple(method.name for method in self.methods if self.is_above(method))
 
     def ranked(self) -> tuple[ClassResult, ...]:
-        """Methods, the most accurate first."""
+        """Return the methods, the most accurate first."""
         return tuple(sorted(self.methods, key=lambda method: -method.scores.accuracy.value))
 
     def difference(self, first: ClassResult, second: ClassResult) -> Comparison:

@@ -219,7 +219,7 @@ class WindowedNis(Rule):
 class Glr(Rule):
     """Generalised likelihood ratio of a fault of unknown size and age m.
 
-    The statistic is the largest of x|x| + 2 ln m over the ages m, x = sum_i s_i r_i / sqrt(sum_i s_i^2), i = 1.. m
+    The statistic is the largest of x|x| + 2 ln m over the ages m, x = sum_i s_i r_i / sqrt(sum_i s_i^2), i = 1 .. m
     samples since the onset, s the fault's signature in the whitened innovation (Willsky & Jones 1976). 2 ln m evens
     out the ages' false alarms (Dumbgen & Spokoiny 2001).
 

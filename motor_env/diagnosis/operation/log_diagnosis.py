@@ -99,7 +99,7 @@ def _until_read(recording: Recording) -> Recording:
 def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -> list[Judgement]:
     """Check a log far from the healthy motor for a wrong scale, by a fit of the whole.
 
-    Fits of windows start at the healthy motor, that of the whole log at several points.
+    Fits of windows start at the healthy motor, that of the whole log anywhere.
     """
     with suppress(UnusableError):
         joint = identify_record(from_recordings([whole]))

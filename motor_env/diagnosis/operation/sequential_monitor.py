@@ -56,7 +56,7 @@ def learn_calibration(
         logs: of R, K, J and B over the healthy ones, shape (n, 4).
         errors: their covariances by the fits, shape (n, 4, 4).
         prior_sd: standard deviation of the drift of each logarithm, shape (4,).
-        temperature_k: its standard deviation.
+        temperature_k: standard deviation of the temperature.
     """
     deviations, count = logs - logs.mean(axis=0), len(logs)
     white = np.linalg.solve(np.linalg.cholesky(errors), deviations[..., None])[..., 0]

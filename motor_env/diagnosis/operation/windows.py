@@ -56,7 +56,7 @@ def rms_volts(recording: Recording) -> float:
 def condition_features(part: Recording) -> FloatArray:
     """Describe an operating condition by quantiles and moves of voltage, current and speed, shape (3, 17).
 
-    The 7 moves are root mean squares of the change within an eighth of the recording, a sixteenth,... a 512th.
+    The 7 moves are root mean squares of the change within an eighth of the recording, a sixteenth, ... a 512th.
     """
     volts, speed = needed_columns(part)
     columns = np.array([volts, part.current_a, speed])
@@ -304,7 +304,7 @@ class WindowJudge:
 
 
 def _as_unusable(judged: Judgement, reason: str) -> Judgement:
-    """Judge a window under another condition unusable, with the reason that would hold otherwise."""
+    """Judge a window under another condition unusable; the reason includes the verdict under the commissioned one."""
     why = f"{DRIVEN_OTHERWISE}: commission it under this drive, too; driven as then, it would be said that"
     return replace(judged.as_other(f"{why} {reason}"), verdict=Verdict.UNUSABLE, confidence=None)
 
