@@ -1,7 +1,6 @@
 """Classifiers of motor faults, and the benchmark that compares them. `__init__.pyi` lists what is public.
 
-No classifier sees the truth of a start that it is scored on. Begin at `estimators.methods`, and at `scoring.benchmark`
-for the comparison.
+Begin at `estimators.methods`, and at `scoring.benchmark` for the comparison.
 
 Example:
     A quadratic discriminant on the filter's residual, trained on 400 motors.

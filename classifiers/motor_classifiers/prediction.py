@@ -1,4 +1,4 @@
-"""Predict a recorded start: put it on the model's time axis, predict, and diagnose it beside."""
+"""Prediction for a recorded start on the model's time axis, with the model-based diagnosis beside it."""
 
 from __future__ import annotations
 
@@ -51,20 +51,20 @@ _VOLTAGE_TOLERANCE = 0.05
 def aligned_case(
     recording: Recording, recipe: Recipe, noise_range: tuple[float, float] | None = None
 ) -> FloatArray:
-    """The recording on the recipe's time axis, shape (1, n_channels, n_samples).
+    """Resample a recording to the recipe's time axis, shape (1, n_channels, n_samples).
 
-    At equal rates the start is fitted with its onset free and moved onto a sample: a step between two samples looks
-    like another motor. A faster recording is interpolated at the shift where the recipe's motor, parameters free, fits
-    best. Only the mean of the quiet part before the start is taken off.
+    At equal rates a fit moves the onset onto a sample, as a step between two samples looks like another motor. A
+    faster recording is interpolated at the shift of the best fit. The mean of the quiet part before the start is
+    subtracted.
 
     Args:
-        recording: as read.
+        recording: of a start.
         recipe: of the model.
-        noise_range: factors on the recipe's noise between which the model reads the noise off the start itself.
+        noise_range: range of the noise over the recipe's in which the model estimates it.
 
     Raises:
-        UnusableError: the model was trained for other motors, supplies, channels or time axes than this.
-        ValueError: the model was trained for motors at work.
+        UnusableError: the model is for other motors, supplies, channels or time axes.
+        ValueError: the model is for motors at work.
     """
     recipe.require_step()
     start = align(recording)
@@ -89,7 +89,7 @@ def aligned_case(
 
 
 def _noise_level(case: FloatArray, recipe: Recipe, noise_range: tuple[float, float]) -> float:
-    """Variance of the noise over the recipe's, from differences of neighbours (von Neumann 1941), within the range."""
+    """Return the noise variance over the recipe's, from neighbours' differences (von Neumann 1941)."""
     settled = case[:, case.shape[1] // 2 :] / recipe.sensor.noise_std[:, None]
     level = float(np.square(np.diff(settled, axis=1)).mean() / 2.0)
     return float(np.clip(level, noise_range[0] ** 2, noise_range[1] ** 2))
@@ -138,7 +138,6 @@ def _check_comparable(recording: Recording, recipe: Recipe, start: Alignment) ->
 
 
 def _resampled(recording: Recording, recipe: Recipe, start: Alignment, shift: float) -> FloatArray:
-    """Channels of the recipe on its time axis, the onset moved by `shift` of its samples."""
     onset_s = recording.time_s[start.onset_index]
     at = onset_s + shift * recipe.timing.dt_s + recipe.timing.time_s
     columns = {Channel.CURRENT: start.sign * (recording.current_a - start.offset_a)}
@@ -148,10 +147,10 @@ def _resampled(recording: Recording, recipe: Recipe, start: Alignment, shift: fl
 
 
 UNDECIDED = "unusable"
-"""Verdict where the model has no say: another motor, another supply, too short, too coarse."""
+"""Verdict without a prediction: another motor or supply, too short, too coarse."""
 
 LEAST_PROBABILITY = 0.5
-"""Least probability of a verdict; below it the prediction is undecided."""
+"""Least probability of a verdict, else the prediction is undecided."""
 
 
 class Prediction(NamedTuple):
@@ -163,9 +162,9 @@ class Prediction(NamedTuple):
         probability: of the verdict.
         severity: its mean, for the most probable kind of the verdict; 0 for healthy.
         probabilities: of each class by name.
-        reason: why there is no prediction, and what to do; else empty.
-        severity_interval: bounds that hold the severity in 90 of 100 cases, from a model that tells them.
-        candidates: classes in the conformal set, from a model that has one; the set may be empty.
+        reason: of a missing prediction, with advice; else empty.
+        severity_interval: bounds of 90 %, if the model gives them.
+        candidates: classes in the conformal set, if the model has one; may be empty.
     """
 
     verdict: str
@@ -179,13 +178,13 @@ class Prediction(NamedTuple):
 
     @property
     def status(self) -> ExitStatus:
-        """Exit status that this prediction alone gives."""
+        """Exit status of this prediction."""
         if self.verdict in (UNDECIDED, OUTSIDE) or self.probability < LEAST_PROBABILITY:
             return ExitStatus.UNDECIDED
         return ExitStatus.HEALTHY if self.verdict == HEALTHY else ExitStatus.FAULT
 
     def as_json(self) -> dict[str, Any]:
-        """For --json."""
+        """Return the prediction for --json."""
         return {
             "verdict": self.verdict,
             "class": self.class_name or None,
@@ -200,12 +199,12 @@ class Prediction(NamedTuple):
 
 
 def verdict_of(label_kind: str) -> str:
-    """Verdict for a label kind: both winding faults are winding."""
+    """Return the verdict for a label kind; both winding faults are winding."""
     return FaultKind(label_kind).verdict if label_kind in FaultKind else str(label_kind)
 
 
 def predictions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Prediction]:
-    """Prediction on each case, X of shape (n_cases, n_channels, n_timepoints), or flattened."""
+    """Predict each case, X of shape (n_cases, n_channels, n_timepoints), or flattened."""
     instance("model", model, BaseEstimator)
     instance("recipe", recipe, Recipe)
     if isinstance(model, ConformalClassifier):
@@ -241,7 +240,7 @@ def predictions(model: BaseEstimator, recipe: Recipe, X: Any) -> list[Prediction
 def _network_severities(
     model: PosteriorNetwork, recipe: Recipe, X: Any, best: NDArray[np.int64]
 ) -> list[tuple[float, tuple[float, float] | None]]:
-    """Mean and 90 % interval for the (first) fault kind of each most probable class."""
+    """Return mean and 90 % interval for the (first) fault kind of each most probable class."""
     severities: list[tuple[float, tuple[float, float] | None]] = [(0.0, None)] * len(best)
     kinds = np.array(["" if c.kind is None else str(c.kind) for c in recipe.classes])[best]
     for kind in set(kinds.tolist()) - {""}:
@@ -252,11 +251,11 @@ def _network_severities(
 
 
 def predict(recording: Recording | Path | str, model: Path | str | None = None) -> Prediction:
-    """Prediction on one recording.
+    """Predict for one recording.
 
     Args:
-        recording: as read, or its file.
-        model: file of the model; by default the network for the paper's motor that comes with the package.
+        recording: one, or its file.
+        model: file of the model; by default the package's network for the paper's motor.
 
     Raises:
         InputError: a file cannot be read.
@@ -266,7 +265,7 @@ def predict(recording: Recording | Path | str, model: Path | str | None = None) 
 
 
 def predict_recording(model: BaseEstimator, recipe: Recipe, recording: Recording | Path | str) -> Prediction:
-    """Prediction of a loaded model on one recording or its file.
+    """Predict for one recording or its file by a loaded model.
 
     Raises:
         InputError: the file cannot be read.
@@ -306,7 +305,7 @@ def _noise_range(model: BaseEstimator) -> tuple[float, float] | None:
 
 
 def model_based_diagnosis(recording: Recording, recipe: Recipe, motor: Motor | None = None) -> dict[str, Any]:
-    """Diagnose the recording as `motor-env diagnose` does; without a motor, by the recipe's motor and tolerances."""
+    """Diagnose the recording as `motor-env diagnose`, by default for the recipe's motor and tolerances."""
     if motor is None:
         tolerance = Tolerance(**asdict(recipe.spread), temperature_k=0.0)
         voltage = float(np.asarray(recipe.supply.voltage_v))
@@ -319,10 +318,10 @@ def model_based_diagnosis(recording: Recording, recipe: Recipe, motor: Motor | N
 def predict_file(
     model: Any, recipe: Recipe, path: Path, split: str | None, motor: Motor | None = None
 ) -> tuple[list[Prediction], dict[str, Any] | None]:
-    """Predict the cases of a data set; or one recording, with the model-based diagnosis beside.
+    """Predict for a data set; or for one recording, with the model-based diagnosis.
 
     Raises:
-        InputError: it cannot be read, or has another time axis than the model.
+        InputError: it is unreadable, or has another time axis than the model.
     """
     if not path.is_dir():
         recording = read_recording(path)
@@ -334,7 +333,7 @@ def predict_file(
 
 
 def prediction_lines(path: Path, predictions: list[Prediction], second: dict[str, Any] | None) -> list[str]:
-    """One line of the model, and below it one of the diagnosis; counts for a data set."""
+    """Return a line of the model and one of the diagnosis; counts for a data set."""
     if second is None:
         counts = Counter(prediction.verdict for prediction in predictions)
         summary = ", ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
@@ -357,7 +356,6 @@ def prediction_lines(path: Path, predictions: list[Prediction], second: dict[str
 
 
 def _candidates(prediction: Prediction) -> str:
-    """Classes of the conformal set, from a model that has one."""
     if prediction.candidates is None:
         return ""
     return f", could be {' or '.join(prediction.candidates) or 'none of its classes'}"

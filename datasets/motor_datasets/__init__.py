@@ -1,7 +1,6 @@
 """Labelled transients of brushed DC motors: generated, stored, loaded. `__init__.pyi` lists what is public.
 
-It computes no physics: `motor_env.simulation` does. Begin at `generate.generate_arrays`; for files at
-`folder.generate_dataset`.
+Begin at `generate.generate_arrays`; for files at `folder.generate_dataset`.
 
 Example:
     >>> from motor_datasets import generate_arrays, to_pandas

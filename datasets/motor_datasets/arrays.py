@@ -16,20 +16,20 @@ from motor_env.simulation.sensor_faults import VOLTAGE
 
 
 def at_least_one(name: str, value: Any) -> int:
-    """A whole number of 1 or more; else `ValueError`."""
+    """Return a whole number of 1 or more; else raise `ValueError`."""
     if isinstance(value, int) and value < 1:
         raise ValueError(f"{name} must be >= 1, got {value}")
     return whole(name, value, least=1)
 
 
 class Column(NamedTuple):
-    """A column.
+    """Column of a data set.
 
     Attributes:
         name: in the Parquet files.
         kind: text, whole, number or samples (float32, a list of one length).
-        unit: of a number; empty where it has none.
-        meaning: what it is.
+        unit: of a number; may be empty.
+        meaning: in words.
     """
 
     name: str
@@ -47,7 +47,7 @@ LABEL_COLUMNS = (
     Column("kind", "text", "", "healthy, or kind of the (first) fault"),
     Column("severity", "number", "1", "relative size of the fault, 0.25 for 25 %"),
 )
-"""Names of the columns that tell the truth about a case."""
+"""Names of the columns with the truth about a case."""
 MOTOR_PARAMETERS = {
     "resistance_ohm": ("ohm", "winding resistance without the fault"),
     "inductance_h": ("H", "winding inductance"),
@@ -88,7 +88,7 @@ COLUMN_OF_CHANNEL: dict[str, str] = {channel: name for channel, (name, _, _) in 
 
 
 def parameter_columns(recipe: Recipe) -> tuple[Column, ...]:
-    """The sampled physical parameters, each a label of a case."""
+    """Return the sampled physical parameters, each a label of a case."""
     tables = [MOTOR_PARAMETERS]
     if recipe.field is not None:
         tables += [EFFECTS, SENSOR_ERRORS]
@@ -97,12 +97,12 @@ def parameter_columns(recipe: Recipe) -> tuple[Column, ...]:
 
 
 def parameter_names(recipe: Recipe) -> tuple[str, ...]:
-    """Their names."""
+    """Return their names."""
     return tuple(column.name for column in parameter_columns(recipe))
 
 
 def columns(recipe: Recipe) -> tuple[Column, ...]:
-    """The columns of a recipe's data set, in their order."""
+    """Return the columns of a recipe's data set."""
     timing = recipe.timing
     every = f", {timing.n_samples} samples at {timing.sampling_rate_hz:g} Hz"
     channels = [_CHANNELS[channel] for channel in recipe.channels]
@@ -112,20 +112,19 @@ def columns(recipe: Recipe) -> tuple[Column, ...]:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Dataset:
-    """Labelled starts, or motors at work, with the recipe that they came from.
+    """Labelled starts, or motors at work, with their recipe.
 
     Attributes:
         X: measurements, float32, shape (n_cases, n_channels, n_timepoints); channels in the order of `recipe.channels`.
         class_name: label, shape (n_cases,).
-        class_index: of it in `class_names`, shape (n_cases,).
+        class_index: its index in `class_names`, shape (n_cases,).
         kind: healthy or the fault's kind, shape (n_cases,).
         severity: relative size of the fault (of joint faults the sum), 0 for healthy, shape (n_cases,).
-        parameters: each sampled physical parameter by name (`parameter_names`), shape (n_cases,), of the motor
-            without its fault.
+        parameters: of the motor without its fault, by name (`parameter_names`), shape (n_cases,).
         case_id: case numbers, shape (n_cases,).
-        motor_id: the motor of each case, shape (n_cases,); motors never stand in two splits.
+        motor_id: the motor of each case, shape (n_cases,); a motor is in one split only.
         split: train, validation or test, shape (n_cases,).
-        recipe: what the cases were drawn from.
+        recipe: distribution of the cases.
     """
 
     X: NDArray[np.float32]
@@ -157,7 +156,7 @@ class Dataset:
         return self.recipe.timing.time_s
 
     def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Dataset:
-        """Only these rows, by mask or by index."""
+        """Select rows, by mask or by index."""
         return replace(
             self,
             X=self.X[rows],

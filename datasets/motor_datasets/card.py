@@ -115,12 +115,12 @@ _CONTEXT |= sorted(
         "examples": {"@id": "cr:examples", "@type": "@json"},
     }.items()
 )
-"""As every Croissant 1.0 file states it."""
+"""JSON-LD context that every Croissant 1.0 file has."""
 _TYPES = {"text": "sc:Text", "whole": "sc:Integer", "number": "sc:Float", "samples": "sc:Float"}
 
 
 def data_card(manifest: Manifest) -> str:
-    """Markdown of the card."""
+    """Return the card as Markdown."""
     rows: dict[str, int] = {}
     for entry in manifest.files:
         rows[entry.split] = rows.get(entry.split, 0) + entry.rows
@@ -179,13 +179,12 @@ def _subject(manifest: Manifest) -> str:
 
 
 def _size_category(count: int) -> str:
-    """Name of the size category on Hugging Face."""
     bounds = {10**3: "n<1K", 10**4: "1K<n<10K", 10**5: "10K<n<100K", 10**6: "100K<n<1M", 10**7: "1M<n<10M"}
     return next((name for bound, name in bounds.items() if count < bound), "n>10M")
 
 
 def croissant(manifest: Manifest) -> str:
-    """The text of `croissant.json`: every file with its digest, and one set of records a file."""
+    """Return the text of `croissant.json`: every file with its digest, and one set of records a file."""
     recipe = manifest.recipe
     name = f"motor-{recipe.name}-{manifest.seed}"
     files = [

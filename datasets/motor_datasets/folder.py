@@ -1,7 +1,7 @@
-"""Data sets written to a folder: files appear whole or not at all, and an interrupted generation can go on.
+"""Data sets in a folder: files appear whole or not at all, and an interrupted generation can go on.
 
-A note `unfinished.json` says what is being made; it goes when the manifest comes. On object storage a file is made
-locally and then put.
+A note `unfinished.json` describes the work until the manifest replaces it. Files for object storage are made locally
+first.
 """
 
 from __future__ import annotations
@@ -58,18 +58,18 @@ def generate_dataset(
     """Write a data set to a folder. The bytes do not depend on the workers, nor on interruptions.
 
     Args:
-        recipe: what to draw from.
-        cases: how many, without those of the recipe's shifts.
+        recipe: distribution of the cases.
+        cases: their number, without those of the recipe's shifts.
         seed: the random seed.
-        out: folder, or a URL for fsspec (`s3://bucket/prefix`); it must not exist, be empty, or (with `resume`) hold
-            the unfinished same data set.
-        workers: processes; inside `joblib.parallel_config(backend="dask")` those of that backend.
-        resume: finish what an interrupted generation began.
-        on_progress: called with the number of cases just written.
+        out: folder, or a URL for fsspec (`s3://bucket/prefix`); new, empty, or (with `resume`) the same unfinished
+            data set.
+        workers: processes, or those of `joblib.parallel_config(backend="dask")`.
+        resume: continue an interrupted generation.
+        on_progress: called with the number of new cases.
 
     Raises:
         ValueError: fewer than one case or worker, or a seed out of range.
-        InputError: `out` holds something else or cannot be used, its disk is too small, or a worker was killed.
+        InputError: `out` cannot be used or holds other files, its disk is too small, or a worker was killed.
     """
     workers = at_least_one("workers", workers)
     plan = make_plan(recipe, cases, seed)
@@ -91,7 +91,6 @@ def generate_dataset(
 
 
 def _check_space(folder: Folder, uncompressed: float) -> None:
-    """Refuse what would surely fill the disk."""
     if not isinstance(folder, Path):
         return
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
@@ -112,7 +111,6 @@ def _make_files(
     workers: int,
     on_progress: Callable[[int], object],
 ) -> None:
-    """Write the missing files and add them to the entries; then the card and the manifest."""
     if isinstance(folder, Path):  # object storage has no folders
         (folder / "data").mkdir(parents=True, exist_ok=True)
     due = 0
@@ -135,7 +133,7 @@ def _make_files(
 
 
 def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> dict[str, Entry]:
-    """Return the whole files that an interrupted generation left in the folder, by name."""
+    """Return the whole files of an interrupted generation, by name."""
     note = out / UNFINISHED
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return {}
@@ -161,13 +159,12 @@ def _open_folder(out: Folder, plan: Plan, *, resume: bool) -> dict[str, Entry]:
 
 
 def _note(plan: Plan, entries: Iterable[Entry] = ()) -> str:
-    """Format the note of progress: the plan, and a line for each finished file."""
     made = {"recipe": recipe_to_dict(plan.recipe), "seed": plan.seed, "cases": plan.cases}
     return "".join(f"{json.dumps(line)}\n" for line in (made, *map(asdict, entries)))
 
 
 def _recorded(note: str) -> Iterator[Entry]:
-    """Yield the finished files of a note of progress; skip damaged lines."""
+    """Yield the finished files of a note; skip damaged lines."""
     for line in note.splitlines()[1:]:
         with suppress(TypeError, ValueError):
             yield Entry(**json.loads(line))
@@ -187,7 +184,7 @@ def _write_text(path: Folder, text: str) -> None:
 
 
 def _write_file(folder: Folder, file: PlannedFile, recipe: Recipe, seed: int) -> Entry:
-    """Generate and write one file: all that a worker does."""
+    """Generate and write one file, the work of a worker."""
     own = recipe if file.shift is None else recipe.shifted(file.shift)
     cases = generate_arrays(own, seed, file.case_id(recipe, seed))
     target = folder / file.path
@@ -222,7 +219,7 @@ def _write_files(files: list[PlannedFile], folder: Folder, plan: Plan, workers: 
 
 
 def seconds_per_case(recipe: Recipe, seed: int) -> float:
-    """Measure the seconds to make and write a case on this machine."""
+    """Measure the seconds that a case takes on this machine."""
     count = 1024
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "some.parquet"

@@ -31,7 +31,7 @@ class Split(StrEnum):
 
 
 MOTORS_OF_BLOCK = {Split.TRAIN: 14, Split.VALIDATION: 3, Split.TEST: 3}
-"""How many of twenty consecutive motors go where: 70, 15 and 15 %."""
+"""Number of twenty consecutive motors in each split: 70, 15 and 15 %."""
 
 BLOCK = sum(MOTORS_OF_BLOCK.values())
 
@@ -39,10 +39,9 @@ _BY_RANK = np.repeat([str(split) for split in MOTORS_OF_BLOCK], list(MOTORS_OF_B
 
 
 def split_of(seed: int, motor_id: ArrayLike) -> NDArray[np.str_]:
-    """Split of each motor, the shape of `motor_id`: depends on (seed, motor) alone.
+    """Return the split of each motor, in the shape of `motor_id`; it depends on (seed, motor) alone.
 
-    Every block of twenty consecutive motors is shuffled by its own stream and dealt out 14 : 3 : 3, so the shares
-    are exact in every whole block.
+    Every block of twenty consecutive motors is shuffled and dealt out 14 : 3 : 3.
     """
     whole("seed", seed, most=2**64 - 1)
     motors = wholes("motor_id", motor_id)
@@ -54,7 +53,7 @@ def split_of(seed: int, motor_id: ArrayLike) -> NDArray[np.str_]:
 
 
 SHIFT_CASES = 2**40
-"""Case numbers of the n-th shift begin at n times this, n counting from 1: they meet no others."""
+"""Spacing of the shifts' case numbers: the n-th shift begins at n times this."""
 
 _SHARD_BYTES = 32 * 2**20
 _MOST_SHARDS = 10**6  # six digits of a file's name
@@ -63,7 +62,7 @@ _SHARE_OF_SHIFT = 10  # a shift has a tenth of the cases
 
 @dataclass(frozen=True, slots=True)
 class PlannedFile:
-    """One Parquet file: the cases `begin` .. `end` - 1, or those of them whose motors belong to `split`."""
+    """One Parquet file: the cases `begin` .. `end` - 1, or those whose motors belong to `split`."""
 
     path: str
     split: str
@@ -72,7 +71,7 @@ class PlannedFile:
     shift: str | None = None
 
     def case_id(self, recipe: Recipe, seed: int) -> NDArray[np.int64]:
-        """Case numbers of the file."""
+        """Return the case numbers of the file."""
         cases = np.arange(self.begin, self.end, dtype=np.int64)
         if self.shift is not None:
             return cases
@@ -82,7 +81,7 @@ class PlannedFile:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Plan of a data set's files: follows from recipe, seed and number of cases alone."""
+    """Plan of a data set's files, from recipe, seed and number of cases."""
 
     recipe: Recipe
     seed: int
@@ -101,7 +100,7 @@ class Plan:
 
 
 def bytes_of_case(recipe: Recipe) -> int:
-    """Bytes of one case before compression."""
+    """Return the bytes of one case before compression."""
     labels = 8 * (len(parameter_names(recipe)) + 4)
     return 4 * len(recipe.channels) * recipe.timing.n_samples + labels
 
@@ -154,12 +153,12 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
     """Draw and simulate cases in memory.
 
     Args:
-        recipe: what to draw from.
+        recipe: distribution of the cases.
         seed: the random seed.
-        cases: how many (cases 0 .. n-1), or the case numbers, shape (n_cases,).
+        cases: their number (cases 0 .. n-1), or case numbers, shape (n_cases,).
 
     Raises:
-        ValueError: fewer than one case, case numbers that are none or no list, or a seed out of range.
+        ValueError: fewer than one case, no valid case numbers, or a seed out of range.
     """
     instance("recipe", recipe, Recipe)
     whole("seed", seed, most=2**64 - 1)
@@ -201,7 +200,6 @@ def generate_arrays(recipe: Recipe, seed: int, cases: int | ArrayLike) -> Datase
 
 
 def _labels(drawn: Draw) -> tuple[dict[str, FloatArray], dict[str, NDArray[Any]]]:
-    """Parameters of some cases, and what else is known of each."""
     parameters, n_cases = drawn.scenario.parameters, len(drawn.cases)
     values = {name: getattr(parameters, name) for name in type(parameters).__dataclass_fields__}
     values["voltage_v"] = drawn.scenario.supply.voltage_v
@@ -223,15 +221,15 @@ def stream(
     batches: int | None = None,
     share: tuple[int, int] = (0, 1),
 ) -> Iterator[Dataset]:
-    """Endless batches of fresh cases; batch n depends on (recipe, seed, batch_size, split, n) alone.
+    """Yield batches of fresh cases; batch n depends on (recipe, seed, batch_size, split, n) alone.
 
     Args:
-        recipe: what to draw from.
+        recipe: distribution of the cases.
         seed: the random seed.
         batch_size: cases of a batch.
-        split: only motors of this split; None for all.
-        batches: end after so many; None for never.
-        share: (n, m): only every m-th batch, beginning with the n-th; for m workers.
+        split: of the motors; None for all.
+        batches: their number; None for no end.
+        share: (n, m): every m-th batch from the n-th on, for m workers.
 
     Raises:
         ValueError: fewer than one case a batch, or an unknown split.

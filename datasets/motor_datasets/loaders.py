@@ -25,7 +25,7 @@ def export(dataset: Dataset, path: Path) -> None:
     """Write X, time_s, every label and parameter to a .npz or .mat file.
 
     Raises:
-        InputError: another suffix, the file is there already, or cannot be written.
+        InputError: another suffix, an existing file, or one that cannot be written.
     """
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path} must end in {' or '.join(SUFFIXES)}")
@@ -44,14 +44,14 @@ def export(dataset: Dataset, path: Path) -> None:
 
 
 def load(folder: str | Folder, split: str | None = None) -> Dataset:
-    """Load a data set, or one split of it, ordered by case, from a folder or a URL such as `s3://bucket/prefix`.
+    """Load a data set or a split of it, ordered by case.
 
     Args:
-        folder: made by `motor-datasets generate`, or its URL.
+        folder: of `motor-datasets generate`, or a URL such as `s3://bucket/prefix`.
         split: train, validation, test or shift_NAME; None: all but the shifts.
 
     Raises:
-        InputError: no data set there, a file missing or damaged, an unknown or empty split.
+        InputError: no data set, a missing or damaged file, an unknown or empty split.
     """
     from motor_datasets.parquet import read_files
 
@@ -60,7 +60,7 @@ def load(folder: str | Folder, split: str | None = None) -> Dataset:
 
 
 def to_torch(dataset: Dataset) -> Any:
-    """The data set as `torch.utils.data.TensorDataset` of (X, class_index, severity)."""
+    """Return a `torch.utils.data.TensorDataset` of (X, class_index, severity)."""
     instance("dataset", dataset, Dataset)
     require_extra("torch", "classifiers")
     from torch.utils.data import TensorDataset
@@ -71,7 +71,7 @@ def to_torch(dataset: Dataset) -> Any:
 
 
 def to_torch_iterable(recipe: Recipe, seed: int, batch_size: int = 256, **options: Any) -> Any:
-    """`torch.utils.data.IterableDataset` of (X, class_index, severity) batches; workers of a loader share them."""
+    """Return a `torch.utils.data.IterableDataset` of (X, class_index, severity) batches, shared by workers."""
     require_extra("torch", "classifiers")
     from motor_datasets.torch_batches import TorchBatches
 
@@ -79,7 +79,7 @@ def to_torch_iterable(recipe: Recipe, seed: int, batch_size: int = 256, **option
 
 
 def to_pandas(dataset: Dataset) -> pd.DataFrame:
-    """Labels and parameters, one row a case; samples as arrays in the columns `current_a`, `speed_rad_s`."""
+    """Return labels and parameters, one row a case; samples are arrays in `current_a`, `speed_rad_s`."""
     import pandas as pd
 
     instance("dataset", dataset, Dataset)

@@ -1,7 +1,7 @@
 """The manifest of a data set, `dataset.json`: recipe, seed, and every file with its size and digest.
 
-A data set is a folder, on a disk or on object storage: the manifest, the card `README.md`, and Parquet files
-`data/<split>-<shard>.parquet`. The manifest is written last: where it stands, the data set is complete.
+A data set is a folder, on a disk or object storage: the manifest, the card `README.md`, and Parquet files
+`data/<split>-<shard>.parquet`. The manifest is written last, when the data set is complete.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Folder: TypeAlias = "Path | UPath"
 
 @contextmanager
 def whole_file(target: Folder) -> Iterator[Path]:
-    """Yield a local file to write, which becomes `target` when the block ends without an error.
+    """Yield a local file; it becomes `target` if the block ends without an error.
 
     Raises:
         InputError: the storage is read only.
@@ -58,7 +58,7 @@ def folder_of(where: str | Folder) -> Folder:
     """Return the folder of a path or a URL such as `s3://bucket/prefix`; `file://` is a local folder.
 
     Raises:
-        InputError: no such protocol, the package for it is not installed, or the storage does not answer.
+        InputError: unknown protocol, missing package, or no answer of the storage.
     """
     if not isinstance(where, str):
         require(hasattr(where, "iterdir"), f"the folder must be a path or a URL, got {shown(where)}")
@@ -88,7 +88,7 @@ MANIFEST = "dataset.json"
 
 
 LARGEST_MANIFEST_BYTES = 2**28
-"""Size of the largest manifest: that of a million files."""
+"""Largest manifest: that of a million files."""
 _FILE_NAME = re.compile(r"data/(train|validation|test|shift_\w+)-\d{6}\.parquet")
 
 
@@ -149,7 +149,7 @@ class Manifest:
         return tuple(dict.fromkeys(entry.split for entry in self.files))
 
     def as_text(self) -> str:
-        """The content of `dataset.json`."""
+        """Return the content of `dataset.json`."""
         content = {
             "format": FORMAT,
             "version": FORMAT_VERSION,
@@ -165,7 +165,7 @@ def read_manifest(folder: Folder) -> Manifest:
     """Read the manifest of a data set.
 
     Raises:
-        InputError: no data set there, or one of another kind.
+        InputError: no data set, or one of another kind.
     """
     path = folder / MANIFEST
     content = read_json(path, LARGEST_MANIFEST_BYTES, "no such file; its folder is no data set")
@@ -183,7 +183,7 @@ def whole_content(folder: Folder, entry: Entry) -> bytes:
     """Read a file and check it against its digest.
 
     Raises:
-        InputError: it is missing, cannot be read, or has another digest.
+        InputError: it is missing, unreadable, or has another digest.
     """
     path = folder / entry.path
     content = read_file(path, LARGEST_DATA_BYTES, "is missing")
@@ -193,7 +193,7 @@ def whole_content(folder: Folder, entry: Entry) -> bytes:
 
 
 def defect(folder: Folder, entry: Entry) -> str:
-    """Describe in a sentence what is wrong with a file; empty if nothing is."""
+    """Describe the defect of a file in a sentence; empty without one."""
     try:
         whole_content(folder, entry)
     except InputError as error:
@@ -205,7 +205,7 @@ def problems(folder: Folder) -> list[str]:
     """List a sentence for each file that is missing, damaged or foreign.
 
     Raises:
-        InputError: no data set there.
+        InputError: no data set.
     """
     manifest = read_manifest(folder)
     defects = [defect(folder, entry) for entry in manifest.files]

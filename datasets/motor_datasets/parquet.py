@@ -1,4 +1,4 @@
-"""The Parquet files of a data set: a channel is a column of fixed-size lists of float32, one row a case.
+"""Parquet files of a data set: a channel is a column of fixed-size lists of float32, one row a case.
 
 Recipe and seed also stand in the metadata of each file.
 """
@@ -46,7 +46,7 @@ def _schema(recipe: Recipe, seed: int) -> pa.Schema:
 
 
 def to_table(dataset: Dataset) -> pa.Table:
-    """The data set as an Arrow table, samples as fixed-size lists."""
+    """Return the data set as an Arrow table."""
     schema = _schema(dataset.recipe, dataset.seed)
     values: dict[str, Any] = {name: getattr(dataset, name) for name in LABELS} | dict(dataset.parameters)
     arrays = []
@@ -63,7 +63,7 @@ def to_table(dataset: Dataset) -> pa.Table:
 
 
 def write_table(table: pa.Table, path: Path) -> None:
-    """Write a table as the data sets' Parquet: zstd 1, samples split by byte, dictionaries for labels only."""
+    """Write a table as Parquet: zstd 1, samples split by byte, dictionaries for labels only."""
     samples = [
         f"{field.name}.list.element" for field in table.schema if pa.types.is_fixed_size_list(field.type)
     ]
@@ -85,7 +85,7 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
     """Read the files of one split, or train, validation and test, ordered by case.
 
     Raises:
-        InputError: a file is missing or cannot be read, or the split is unknown or empty.
+        InputError: a file is missing or unreadable, or the split is unknown or empty.
     """
     if split is not None and not is_one_of(split, [*Split, *manifest.splits]):
         raise InputError(f"split must be one of {', '.join(manifest.splits)}, got {shown(split)}")
@@ -131,7 +131,7 @@ def read_files(folder: Folder, manifest: Manifest, split: str | None = None) -> 
 def _require_agreement(
     folder: Folder, recipe: Recipe, values: dict[str, NDArray[Any]], X: NDArray[np.float32]
 ) -> None:
-    """Refuse labels that the recipe does not give, and numbers that are none, whatever the digests say."""
+    """Refuse labels that do not belong to the recipe, and invalid numbers, whatever the digests."""
     index = values["class_index"]
     is_class = (index >= 0) & (index < len(recipe.classes))
     known = np.where(is_class, index, 0)

@@ -14,7 +14,7 @@ from motor_env.simulation.recipes import Recipe
 
 
 def tensors(dataset: Dataset) -> tuple[torch.Tensor, ...]:
-    """X, class_index and severity."""
+    """Return X, class_index and severity."""
     return (
         torch.from_numpy(dataset.X),
         torch.tensor(dataset.class_index),
@@ -23,7 +23,7 @@ def tensors(dataset: Dataset) -> tuple[torch.Tensor, ...]:
 
 
 class TorchBatches(torch.utils.data.IterableDataset[Any]):
-    """Batches of (X, class_index, severity); the workers of a loader share them.
+    """Batches of (X, class_index, severity), shared by a loader's workers.
 
     Args:
         options: further arguments of `stream`.
@@ -33,7 +33,6 @@ class TorchBatches(torch.utils.data.IterableDataset[Any]):
         self._batches = partial(stream, recipe, seed, batch_size, **options)
 
     def __iter__(self) -> Iterator[Any]:
-        """The batches of this process."""
         info = torch.utils.data.get_worker_info()
         share = (0, 1) if info is None else (info.id, info.num_workers)
         return map(tensors, self._batches(share=share))

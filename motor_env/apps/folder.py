@@ -21,7 +21,7 @@ _PAUSE_S = 0.5
 
 
 def recordings_in(paths: Iterable[Path]) -> list[Path]:
-    """Return files as they are given, and those of folders whose endings are those of recordings, by name.
+    """Return the files, and a folder's files with endings of recordings, by name.
 
     Raises:
         InputError: there is none.
@@ -41,10 +41,10 @@ def _files(folder: Path) -> list[Path]:
 
 
 def trend_of(outcomes: Sequence[Outcome], voltage_v: float | None = None, **reading: Any) -> Trends | None:
-    """Find the trends of the starts that were judged, by the dates in their names, else in their order; else None.
+    """Find the trends of the starts, by the dates in their names, else in their order; None without any.
 
     Args:
-        outcomes: of the recordings of one motor, in the order of time.
+        outcomes: of one motor's recordings, in the order of time.
         voltage_v: level of the supply where none was recorded.
         reading: of `trend`: how the files are read.
     """
@@ -65,7 +65,7 @@ def trend_of(outcomes: Sequence[Outcome], voltage_v: float | None = None, **read
 
 
 def appearing(folder: Path, *, follow: bool, sleep: Callable[[float], None] = time.sleep) -> Iterator[Path]:
-    """Yield the recordings of a folder once each; with `follow` also those that appear, when they grow no more."""
+    """Yield the recordings of a folder once each; with `follow` also later ones, when complete."""
     done: set[Path] = set()
     sizes: dict[Path, int] = {}
     while True:
@@ -82,7 +82,7 @@ def appearing(folder: Path, *, follow: bool, sleep: Callable[[float], None] = ti
 
 
 def watch_folder(motor: Path, folder: Path, *, follow: bool) -> int:
-    """Print a verdict on each recording of a folder as a line of JSON, and the trends at the end.
+    """Print a verdict on each recording as a line of JSON, and the trends at the end.
 
     Raises:
         InputError: the motor cannot be used.

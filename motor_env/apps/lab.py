@@ -1,6 +1,6 @@
-"""Compute what the lab shows: a simulated start, the filter's residual, a rule's statistic and threshold, the verdict.
+"""Compute the lab's displays: a simulated start, the filter's residual, a rule's statistic, the verdict.
 
-Functions take plain numbers from the page and give a dictionary for JSON; the server is `lab_server`.
+Functions take the page's plain numbers and return dictionaries for JSON; the server is `lab_server`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ OWN_MOTOR, HEALTHY_STARTS = "own motor", "healthy starts"
 
 
 class Uploads:
-    """Files in a temporary folder; what cannot be read is not kept."""
+    """Readable uploaded files in a temporary folder."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="motor-env-lab-")
@@ -44,11 +44,11 @@ class Uploads:
         self._names: dict[Path, str] = {}
 
     def clear(self) -> None:
-        """Delete all of it."""
+        """Delete all files."""
         self._folder.cleanup()
 
     def keep(self, kind: str, name: str, content: bytes) -> dict[str, str | int]:
-        """Keep a motor file or one healthy start; the answer says what is there to compare with.
+        """Keep a motor file or one healthy start; return what can be compared with.
 
         Raises:
             InputError: too many, or not readable.
@@ -80,7 +80,7 @@ class Uploads:
 
     @contextmanager
     def naming(self) -> Iterator[None]:
-        """Call the files by the names that they came with, in what is refused."""
+        """Restore the files' original names in messages."""
         try:
             yield
         except ValueError as error:
@@ -90,10 +90,10 @@ class Uploads:
             raise InputError(sentence) from None
 
     def reference(self, wanted: str) -> tuple[str | None, list[Path]]:
-        """Return motor and healthy starts to compare with, as the page has chosen.
+        """Return the motor and healthy starts that the page has chosen.
 
         Raises:
-            InputError: nothing of the kind was handed in, or there is no such motor.
+            InputError: no such upload or motor.
         """
         if wanted == HEALTHY_STARTS and self.healthy:
             return None, self.healthy
@@ -112,7 +112,7 @@ def display_name(name: str) -> str:
 
 
 def file_suffix(shown: str) -> str:
-    """Find the ending by which its format is told."""
+    """Return the ending that tells the file's format."""
     suffix = Path(shown).suffix.lower()
     return suffix if suffix[1:].isalnum() and len(suffix) <= 9 else ".csv"
 
@@ -127,7 +127,7 @@ RULES: dict[str, tuple[str, Rule]] = {
     "nis": ("NIS, 3 of 5", MOfN(3, 5)),
     "row": ("NIS, 3 in a row", in_a_row(3)),
 }
-"""Rules to choose from; each keeps its rate of false alarms when the motor is exactly the nominal one."""
+"""Rules to choose from; each has its false-alarm rate for exactly the nominal motor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +135,11 @@ class Settings:
     """The page's controls.
 
     Attributes:
-        motor: catalogue motor: what the filter believes.
+        motor: catalogue motor that the filter assumes.
         kind: fault kind, or healthy.
         severity_percent: of the fault.
         noise_ma: standard deviation of a current sample, known to the filter.
-        resistance_percent: this motor's tolerance, not a fault.
+        resistance_percent: the motor's tolerance.
         friction_percent: the same for the friction.
         false_alarm_percent: of rule and diagnosis.
         rule: name of the rule, of `RULES`.
@@ -159,7 +159,7 @@ class Settings:
 
     @property
     def sensor(self) -> SensorParameters:
-        """Return the sensor, as it is and as the filter believes it to be."""
+        """Return the sensor."""
         return SensorParameters(current_noise_a=1e-3 * self.noise_ma)
 
     def __post_init__(self) -> None:
@@ -181,17 +181,17 @@ RANGES: dict[str, tuple[float, float]] = {
     "false_alarm_percent": (0.1, 20.0),
     "seed": (0, 1_000_000),
 }
-"""Smallest and largest value of every slider."""
+"""Bounds of every slider."""
 
 
 def fault_names() -> tuple[str, ...]:
-    """List healthy and the kinds of faults to choose from: of the sensors, those of the current."""
+    """List healthy and the kinds of faults; of the sensors, those of the current."""
     kinds = (kind for kind in FaultKind if not kind.is_sensor or kind.startswith("current_"))
     return (HEALTHY, *map(str, kinds))
 
 
 def simulate_start(settings: Settings) -> Transients:
-    """Simulate the start: the truth, and what the sensor saw of it."""
+    """Simulate the start."""
     return simulate(_scenario(settings), settings.seed, [0])
 
 
@@ -243,7 +243,7 @@ def _threshold(rule: str, rate: float) -> float:
 
 
 def roc(settings: Settings) -> dict[str, Any]:
-    """Count how many healthy nominal starts alarm, and how many with this fault at this noise, by threshold."""
+    """Compute the shares of healthy and of faulty starts with an alarm, by threshold."""
     healthy = replace(settings, kind=HEALTHY, resistance_percent=0.0, friction_percent=0.0)
     largest = [np.sort(_largest_statistics(one)) for one in (healthy, settings)]
     thresholds = np.quantile(largest[0], np.linspace(0.0, 1.0, 101))
@@ -258,7 +258,6 @@ def roc(settings: Settings) -> dict[str, Any]:
 
 
 def _largest_statistics(settings: Settings) -> FloatArray:
-    """Compute the largest statistic of each of many starts, shape (n_starts,)."""
     starts = simulate(_scenario(settings), settings.seed, range(ROC_STARTS))
     whitened = run_filter(_filter(settings), starts.measurements, starts.voltage_v).whitened
     out: FloatArray = RULES[settings.rule][1].statistic(whitened).max(axis=-1)
@@ -270,10 +269,7 @@ def _rounded(values: FloatArray) -> list[float]:
 
 
 def verdict(settings: Settings) -> dict[str, Any]:
-    """Diagnose the simulated start as `motor-env diagnose` does a recording.
-
-    It does not see the fault, nor this motor's own tolerances.
-    """
+    """Diagnose the simulated start as `motor-env diagnose` does a recording."""
     start = simulate_start(settings)
     seen = Recording(Path("simulated"), start.time_s, start.measurements[0, 0], start.voltage_v[0])
     motor: Motor = replace(load_motor(settings.motor), current_noise_a=1e-3 * settings.noise_ma)
@@ -287,14 +283,14 @@ def recording_verdict(
     voltage_v: float | None,
     uploads: Uploads,
 ) -> dict[str, Any]:
-    """Diagnose a dropped recording. Its bytes are data: parsed as a table, kept in a temporary folder meanwhile.
+    """Diagnose an uploaded recording.
 
     Args:
-        name: the file's name on the page; only its ending is used, to tell the format.
+        name: the file's name, whose ending tells the format.
         content: its bytes.
         motor: catalogue motor to compare with, `own motor`, `healthy starts`, or empty for none.
         voltage_v: level of the supply, for recordings without a voltage.
-        uploads: own motor and healthy starts that were handed in.
+        uploads: own motor and healthy starts.
 
     Raises:
         InputError: unknown motor, or not readable.
@@ -314,7 +310,6 @@ def recording_verdict(
 
 
 def _as_document(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Convert a diagnosis to JSON with its headline and the curves to draw."""
     document = as_json(diagnosis)
     document["headline"] = headline(diagnosis.decisive)
     document["curves"] = None

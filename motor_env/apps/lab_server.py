@@ -1,7 +1,7 @@
-"""Serve the lab by the standard library's server, on the loopback interface only.
+"""Serve the lab on the loopback interface only.
 
-Nobody else can use it: it binds to 127.0.0.1, refuses requests whose Host is another name (DNS rebinding) or whose
-Origin is another page, and the page may load nothing from elsewhere (Content-Security-Policy).
+It binds to 127.0.0.1 and refuses requests with another Host (DNS rebinding) or Origin; the page loads nothing from
+elsewhere (Content-Security-Policy).
 """
 
 from __future__ import annotations
@@ -44,7 +44,6 @@ class _Server(ThreadingHTTPServer):
         super().__init__(*arguments)
 
     def server_close(self) -> None:
-        """Close, and delete what was handed in."""
         super().server_close()
         self.uploads.clear()
 
@@ -52,7 +51,7 @@ class _Server(ThreadingHTTPServer):
 
 
 def make_server(port: int = 0) -> ThreadingHTTPServer:
-    """Open a server that does not serve yet; port 0 takes a free one (`server.server_port`).
+    """Open a server without serving; port 0 takes a free one (`server.server_port`).
 
     Raises:
         InputError: the port is taken, or out of range.
@@ -82,11 +81,9 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
-        """The page, its script and style, and what it offers."""
         self._answer(self._get)
 
     def do_POST(self) -> None:
-        """Simulate, judge, diagnose."""
         self._answer(self._post)
 
     def _answer(self, action: Callable[[], None]) -> None:

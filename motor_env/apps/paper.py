@@ -1,4 +1,4 @@
-"""Compute the source paper's numbers beside ours, and show where it is wrong.
+"""Compute the source paper's numbers beside ours, and its errors.
 
 The paper: "Simulation of Incipient Fault Detection, Confirmation and Diagnosis Using Kalman Filter". It prints a
 table of parameters, a pair of discrete matrices, two faulty resistances and two faulty frictions; no curve's numbers.
@@ -24,7 +24,7 @@ from motor_env.simulation.simulate import simulate_states
 
 VOLTAGE_V = 12.0
 STATED_DT_S = 10e-6
-"""The sampling time that the paper states."""
+"""Sampling time that the paper states."""
 
 PRINTED_A = (("-0.0344", "-0.0007"), ("1.6343", "0.0300"))
 PRINTED_B = ("0.0334", "41.0557")
@@ -35,12 +35,12 @@ PRINTED_SPEED_RPM = "4850"
 OTHER_MATRICES_MOTOR = replace(
     PAPER_MOTOR, resistance_ohm=PAPER_MATRICES_MOTOR.resistance_ohm, inertia_kg_m2=1.07e-7
 )
-"""Gives the printed matrices too, at `OTHER_MATRICES_DT_S`."""
+"""Parameters that give the printed matrices too, at `OTHER_MATRICES_DT_S`."""
 
 OTHER_MATRICES_DT_S = 1e-3
 
 SETTLING_BAND = 0.02
-"""Settled: within this share of the peak from the final value. The paper does not say what it takes."""
+"""Settled: within this share of the peak from the final value (our choice)."""
 
 FINE_DT_S = 1e-6
 _SETTLING_SPAN_S = 0.04
@@ -69,12 +69,12 @@ class Comparison(NamedTuple):
     """A number of the paper beside ours.
 
     Attributes:
-        quantity: what it is.
+        quantity: its name.
         unit: its unit, empty for a pure number.
         paper: as the paper prints it, None where it prints none.
         ours: as computed.
-        decimals: decimals that are shown.
-        parameters: what ours was computed from.
+        decimals: number of shown decimals.
+        parameters: source of `ours`.
     """
 
     quantity: str
@@ -86,14 +86,14 @@ class Comparison(NamedTuple):
 
     @property
     def ours_text(self) -> str:
-        """Round ours to what is shown."""
+        """Our value, rounded as shown."""
         return f"{self.ours:.{self.decimals}f}"
 
     @property
     def agrees(self) -> bool | None:
-        """Whether ours rounds to every digit that the paper prints; None where it prints none.
+        """Whether ours rounds to every printed digit; None where the paper prints none.
 
-        The zeros at the end of a whole number (4850) count for no digits.
+        Final zeros of a whole number (4850) do not count.
         """
         if self.paper is None:
             return None
@@ -106,7 +106,7 @@ class Comparison(NamedTuple):
 
 
 class Slip(NamedTuple):
-    """A place where the paper is wrong: what it says, and one sentence with the number that shows it."""
+    """Error of the paper: its statement, and one sentence with the number that disproves it."""
 
     says: str
     holds: str
@@ -150,7 +150,7 @@ def start_up(parameters: MotorParameters) -> StartUp:
 
 
 def comparisons() -> list[Comparison]:
-    """Compute every number that the paper prints or whose curve it shows, beside ours."""
+    """Compute every number that the paper prints or plots, beside ours."""
     healthy, table = start_up(PAPER_MOTOR), "table, 12 V"
     # The paper gives no final value of its simulation; 4850 rpm is how it names the motor.
     return [
@@ -213,7 +213,7 @@ def _start_ups() -> list[Comparison]:
 
 
 def slips() -> list[Slip]:
-    """List the places where the paper is wrong, each with the number that shows it."""
+    """List the paper's errors, each with the number that shows it."""
     return [*_slips_of_the_model(), *_slips_of_the_faults()]
 
 

@@ -1,6 +1,6 @@
-"""Write the paper's figures and numbers beside ours as a page and as JSON: the command `motor-env reproduce`.
+"""Write the paper's figures and numbers beside ours as a page and as JSON: `motor-env reproduce`.
 
-A folder that it writes holds `index.html` and `paper.md` (the same page), `images/` and `reproduce.json`.
+The folder holds `index.html` and `paper.md` (the same page), `images/` and `reproduce.json`.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ from motor_env.simulation.simulate import Scenario, Timing, Transients, simulate
 
 SEED = 1
 SENSOR = SensorParameters(current_noise_a=0.02)
-"""The current's noise, 20 mA: a small Hall sensor's at 2 kHz. The filter's R is its square."""
+"""Sensor with a current noise of 20 mA; the filter's R is its square."""
 
 PROCESS_NOISE_STD = DEFAULT_PROCESS_NOISE_STD
-"""The filter's Q is the diagonal of their squares."""
+"""Roots of the diagonal of the filter's Q."""
 
 TIMING = Timing(sampling_rate_hz=10_000.0, duration_s=0.1)
 
 NOISE_FAULT = Fault(FaultKind.NOISE, severity=15.0, onset_s=0.04, growth_s=0.04)
-"""The incipient noise: its variance rises from 40 ms on and is 16 times the healthy one from 80 ms on."""
+"""Incipient noise: its variance rises from 40 ms on to 16 times the healthy one at 80 ms."""
 
 UNKNOWN_START_STD = (0.5, 50.0)
-"""What the filter of the error covariance knows at first: the current to 0.5 A, the speed to 50 rad/s."""
+"""Initial uncertainty of the filter in the covariance figure: 0.5 A, 50 rad/s."""
 
 N_RUNS = 400
 TIME_AXIS: dict[str, Any] = {"xlabel": "time after the step (ms)", "xlim": (0.0, 100.0)}
@@ -65,19 +65,17 @@ class PaperFigure(NamedTuple):
 
     @property
     def image(self) -> str:
-        """Place of its picture beside the page."""
+        """Path of its picture relative to the page."""
         return f"images/{self.name}.svg"
 
 
 def _start(case: int, *faults: Fault, **options: Any) -> Transients:
-    """Simulate a start-up with these faults, seen by the sensor."""
     return simulate(
         Scenario(PAPER_MOTOR, faults=faults, sensor=SENSOR, timing=TIMING, **options), SEED, cases=[case]
     )
 
 
 def _noisy_start() -> Transients:
-    """Simulate the start-up with the incipient noise fault."""
     return _start(0, NOISE_FAULT, process_noise_std=PROCESS_NOISE_STD)
 
 
@@ -88,7 +86,7 @@ def _belief(**options: Any) -> KalmanFilter:
 
 
 def _fine_start(fault: Fault | None, duration_s: float, dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """Time in ms and states of a start without noise, from the very moment of the step."""
+    """Return time in ms and states of a start without noise, from the step on."""
     n_samples = round(duration_s / dt_s)
     states: FloatArray = simulate_states(faulty(fault), np.full(n_samples, VOLTAGE_V), dt_s)
     time_ms = _MS * dt_s * np.arange(n_samples + 1, dtype=np.float64)
@@ -102,7 +100,7 @@ def _shade_noise_fault(axes: Axes) -> None:
 
 
 def healthy_start() -> Figure:
-    """Figure 4: current, velocity and speed of the healthy motor."""
+    """Draw figure 4: current, velocity and speed of the healthy motor."""
     time_ms, states = _fine_start(None, 0.04, 2e-5)
     current, speed = states[:, State.CURRENT], states[:, State.SPEED]
     figures = start_up(PAPER_MOTOR)
@@ -126,7 +124,7 @@ def healthy_start() -> Figure:
 
 
 def true_states() -> Figure:
-    """Figure 8, the first: the true states, with Gaussian noise in the current output."""
+    """Draw figure 8, the first: the true states, with Gaussian noise in the current output."""
     transients = _noisy_start()
     time_ms = _MS * transients.time_s
     figure, (top, bottom) = subplots(2, height_in=7.0, height_ratios=(3, 2))
@@ -149,7 +147,7 @@ def true_states() -> Figure:
 
 
 def healthy_minus_faulty() -> Figure:
-    """Figure 8, the second: the difference between the healthy and the faulty output."""
+    """Draw figure 8, the second: the healthy minus the faulty output."""
     faults = (NOISE_FAULT, Fault(FaultKind.WINDING_CONTACT, 0.25), Fault(FaultKind.BEARING, 0.25))
     names = (
         "Incipient noise, growing from 40 ms to 16 times the variance at 80 ms",
@@ -175,7 +173,7 @@ def healthy_minus_faulty() -> Figure:
 
 
 def estimated_states() -> Figure:
-    """Figure 9: the estimated current, speed and velocity, from the noisy current of figure 8."""
+    """Draw figure 9: the estimated current, speed and velocity, from the noisy current of figure 8."""
     transients = _noisy_start()
     result = run_filter(_belief(), transients.measurements, transients.voltage_v)
     time_ms = _MS * transients.time_s
@@ -204,7 +202,7 @@ def estimated_states() -> Figure:
 
 
 def error_covariance() -> Figure:
-    """Draw the error covariance of the filter, and the error that it makes in fact."""
+    """Draw the filter's error covariance, and its actual error."""
     start_std = np.asarray(UNKNOWN_START_STD)
     errors, covariance = _errors_of_many_runs(_belief(initial_std=UNKNOWN_START_STD), start_std)
     time_ms = _MS * TIMING.time_s
@@ -232,7 +230,7 @@ def error_covariance() -> Figure:
 
 
 def _errors_of_many_runs(belief: KalmanFilter, start_std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Simulate estimation errors; start and process noise are drawn from what the filter believes."""
+    """Simulate estimation errors, with start and process noise as the filter assumes them."""
     rng = np.random.default_rng(SEED)
     shape = (N_RUNS, TIMING.n_samples)
     states = simulate_states(
@@ -338,7 +336,7 @@ _RECORD = "reproduce.json"
 
 
 class Block(NamedTuple):
-    """A part of the page: heading, paragraph, table (its first row is the header), or image and caption."""
+    """Part of the page: heading, paragraph, table (its first row is the header), or image and caption."""
 
     kind: str
     text: str = ""
@@ -360,7 +358,7 @@ def _choices() -> str:
 
 
 def page() -> list[Block]:
-    """Build the whole page, its numbers computed now."""
+    """Build the page with newly computed numbers."""
     return [
         Block("heading", "The paper, reproduced"),
         Block(
@@ -441,14 +439,14 @@ def reproduce(out: Path, *, progress: Callable[[PaperFigure], None] = lambda _: 
     """Write the page, its figures and its record into a folder.
 
     Args:
-        out: the folder; new, empty, or one that this command wrote before.
+        out: the folder; new, empty, or an earlier output.
         progress: called before each figure.
 
     Returns:
-        What stands in `reproduce.json`.
+        Content of `reproduce.json`.
 
     Raises:
-        InputError: a folder that cannot be written, or files of others in it.
+        InputError: the folder cannot be written, or holds other files.
     """
     require_own_output(out, _RECORD, f'"made_by": "{MADE_BY}"', command="reproduce")
     result = record()

@@ -1,4 +1,4 @@
-"""Compile ahead all that commands and environments use, so that nothing has to wait for it later."""
+"""Compile everything that commands and environments use, ahead of its first use."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ _LEVEL_V, _STEP_S, _NOISE = 12.0, 1e-3, np.array([0.02, 0.5])
 
 
 def _step(*names: str) -> None:
-    """Take a step of each environment, alone and in a vector."""
     for name in names:
         for env in (gym.make(f"motor_env/{name}-v0"), gym.make_vec(f"motor_env/{name}-v0", num_envs=2)):
             env.reset(seed=0)
@@ -41,7 +40,6 @@ def _step(*names: str) -> None:
 
 
 def _play_policies() -> None:
-    """Play an episode of each task's rule and of its best policy."""
     for task in TASKS:
         for behaviour in (Behaviour.RULE, Behaviour.BEST):
             episodes_of(task, behaviour, 1, 0)
@@ -61,7 +59,6 @@ def _draw_recipes() -> None:
 
 
 def _recorded(voltage_v: FloatArray) -> Recording:
-    """Simulate what a scope shows of the paper's motor."""
     time_s: FloatArray = _STEP_S * np.arange(len(voltage_v), dtype=np.float64)
     states = simulate_states(PAPER_MOTOR, voltage_v, _STEP_S)
     states = states + np.random.default_rng(0).normal(size=states.shape) * _NOISE
@@ -78,7 +75,6 @@ def _identify_log() -> None:
 
 
 def _show_lab() -> None:
-    """Simulate a start under each of the lab's rules."""
     for rule in lab.RULES:
         lab.simulated(lab.Settings(rule=rule))
         lab.roc(lab.Settings(rule=rule))
@@ -96,16 +92,16 @@ _CALLS: dict[str, Callable[[], None]] = {
 }
 
 PARTS = tuple(_CALLS)
-"""Names of the parts, those that take longest first."""
+"""Names of the parts, the slowest first."""
 
 
 def warm_up(
     parts: Sequence[str] = PARTS, said: Callable[[str, float], None] = lambda part, seconds: None
 ) -> dict[str, float]:
-    """Compile parts into numba's cache; what stands there already is only loaded.
+    """Compile parts into numba's cache, or load them from there.
 
     Args:
-        parts: names out of `PARTS`. Processes may share them: each compiles its own.
+        parts: of `PARTS`; several processes may share them out.
         said: called after each part with its name and its seconds.
 
     Returns:

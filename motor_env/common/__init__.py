@@ -1,6 +1,6 @@
-"""What both wings use: checks of arguments, errors, files, the console, HTML pages and plots.
+"""Shared tools: checks of arguments, errors, files, the console, HTML pages and plots.
 
-It never knows of a motor. Begin at `arrays` (what a caller gives) and `errors` (what a user is told).
+Begin at `arrays` (checks of a caller's values) and `errors` (messages to users).
 
 Example:
     A wrong option is one clear sentence, and a `ValueError` like any other.

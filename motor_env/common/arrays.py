@@ -1,6 +1,6 @@
 """Check numbers and arrays of callers: a bad value raises `ValueError` with one sentence.
 
-Compiled loops check nothing, so every public entry takes its arguments through these functions first.
+Compiled loops check nothing, so every public function checks its arguments here first.
 
 Example:
     >>> from motor_env.common.arrays import numbers
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LARGEST_NUMBER = 1e100
-"""What is larger is refused as an infinite number is: its square is near the end of what a float can hold."""
+"""Largest magnitude of a number: beyond it, its square nears the largest float."""
 
 Shape = tuple[int | str, ...]
 """Lengths of axes; a word stands for any length, "..." at the front for any axes."""
@@ -54,11 +54,11 @@ def numbers(
 
     Args:
         name: of the argument.
-        values: what the caller gave.
-        shape: what it must have, with no axis of length 0; None for any.
+        values: of the caller.
+        shape: required shape, no axis of length 0; None for any.
         missing: whether NaN, None and masked values are allowed: they become NaN.
-        single: whether float32 stays so.
-        least: no value may be smaller.
+        single: whether float32 stays float32.
+        least: lower bound of the values.
 
     Raises:
         ValueError: no real numbers, another shape, or a value that is not finite.
@@ -83,7 +83,7 @@ def numbers(
 
 
 def real(name: str, values: Any, shape: Shape | None = None, *, single: bool = False) -> NDArray[np.float64]:
-    """Convert as `numbers` does, without the check for finite values."""
+    """Convert as `numbers` does, but allow values that are not finite."""
     array = values if type(values) is np.ndarray else _array(name, values)
     if array.dtype is not _DOUBLE and not (single and array.dtype == _SINGLE):
         array = _doubles(name, array)
@@ -141,7 +141,7 @@ def whole(name: str, value: Any, least: int = 0, most: int = _WHOLE) -> int:
 
 
 def wholes(name: str, values: Any, least: int = 0, most: int = _WHOLE) -> NDArray[np.int64]:
-    """Return integers within the bounds, of any shape; else raise `ValueError` with the place of the first other."""
+    """Return integers within the bounds, of any shape; else raise `ValueError` for the first other value."""
     array = _array(name, values)
     is_good = array.dtype.kind in "iu" and (not array.size or (array.min() >= least and array.max() <= most))
     for place, entry in enumerate(() if is_good else array.reshape(-1).tolist()):
@@ -160,7 +160,7 @@ def flags(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def is_one_of(value: Any, words: Iterable[str]) -> bool:
-    """Whether the value, whatever it is, is one of the words."""
+    """Whether the value, of any type, is one of the words."""
     return isinstance(value, str) and value in set(words)
 
 
@@ -189,7 +189,6 @@ def _array(name: str, values: Any) -> NDArray[Any]:
 
 
 def _unmasked(values: Any) -> Any:
-    """Replace masked values by NaN, in lists too; integers without a mask stay integers."""
     if isinstance(values, np.ma.MaskedArray):
         if np.ma.is_masked(values) and values.dtype.kind == "O":
             return np.where(np.ma.getmaskarray(values), np.array(None), values.data)
@@ -207,7 +206,6 @@ def _unmasked(values: Any) -> Any:
 
 
 def _doubles(name: str, array: NDArray[Any]) -> NDArray[np.float64]:
-    """Convert real numbers to float64, also Python integers beyond 64 bits; None becomes NaN."""
     is_object = array.dtype.kind == "O"
     if array.dtype.kind in "fiu" or (
         is_object and not any(isinstance(entry, _NO_REALS) for entry in array.flat)

@@ -1,4 +1,4 @@
-"""Base of the three commands: errors as one sentence with exit status 2, exit statuses, progress, JSON."""
+"""Base of the three commands: one-sentence errors, exit statuses, progress, JSON."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def worst(statuses: Iterable[ExitStatus]) -> ExitStatus:
 def run(app: App, arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit status.
 
-    Bad input becomes one sentence on standard error and status 2; an unexpected error its traceback and status 70.
-    SIGTERM ends it as Ctrl-C does, so that nothing half written stays.
+    Bad input gives one sentence on standard error and status 2, an unexpected error its traceback and status 70.
+    SIGTERM ends it as Ctrl-C does, so nothing half written stays.
     """
     app.default_parameter = Parameter(negative=())  # no --no-json, and no --empty-files
     app.suppress_keyboard_interrupt = False  # otherwise cyclopts exits before anything can be said
@@ -97,7 +97,7 @@ def run(app: App, arguments: Sequence[str] | None = None) -> int:
 
 
 _received: list[int] = []
-"""Signals that have ended the command; a library that is being imported makes errors of its own of them."""
+"""Signals that have ended the command; a library under import may replace their exceptions by its own."""
 
 
 def _end_interrupted(app: App, number: int = signal.SIGINT, *_: object) -> int:
@@ -118,7 +118,7 @@ def _heed_termination() -> None:
 
 
 def printable(text: str) -> str:
-    """Remove from a text, such as a file's name, what steers a terminal or cannot be encoded."""
+    """Remove control and unencodable characters from a text, such as a file's name."""
     return "".join(
         letter if letter.isprintable() or letter in "\n\t" else letter.encode("unicode_escape").decode()
         for letter in text
@@ -215,7 +215,6 @@ def json_text(value: Any, *, indent: int | None = 1) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """Replace infinite numbers and nan in a value by None."""
     if isinstance(value, dict):
         return {key: _finite(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

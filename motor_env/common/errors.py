@@ -22,7 +22,7 @@ _LONGEST = 1000  # characters: a value of a stranger's file may have thousands
 
 
 class InputError(ValueError):
-    """Input that cannot be used; the message is the sentence that the user reads, one line of bounded length."""
+    """Unusable input; the message is the sentence for the user, one line of bounded length."""
 
     def __init__(self, sentence: str) -> None:
         line = " ".join(sentence.splitlines())  # a name in a stranger's file may have several
@@ -30,7 +30,7 @@ class InputError(ValueError):
 
 
 class UnknownOptionError(TypeError, ValueError):
-    """An option that does not exist: a bad value to its user, an unexpected keyword to libraries that try one."""
+    """Unknown option: bad input to a user, an unexpected keyword to libraries."""
 
 
 def require_extra(module: str, extra: str) -> None:
@@ -45,8 +45,8 @@ def require_options(**options: Any) -> list[Any]:
     """Return the options in their order, as plain numbers; None stays.
 
     Raises:
-        InputError: a false-alarm rate that is not between 0 and 0.5, or another option that is not > 0; `start` and
-            `temperature` may have any sign.
+        InputError: a false-alarm rate not between 0 and 0.5, or another option not > 0 (`start` and `temperature` may
+            be).
     """
     found: list[Any] = []
     for name, value in options.items():
@@ -67,7 +67,7 @@ def require_options(**options: Any) -> list[Any]:
 
 
 def require_several(name: str, given: Any, kinds: tuple[type, ...]) -> None:
-    """Raise `InputError` or `TypeError` unless there is a list, not empty, of such."""
+    """Raise `InputError` or `TypeError` unless there is a non-empty list of these kinds."""
     if isinstance(given, str | bytes) or not isinstance(given, Sequence) or not given:
         raise InputError(f"{name} must be a list, and not empty, got {shown(given)}")
     for n, one in enumerate(given):

@@ -1,4 +1,4 @@
-"""Files that are read are regular ones of a stated size; files that are written appear whole or not at all."""
+"""Safe files: read only regular ones up to a size; write whole or not at all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from motor_env.common.errors import InputError
 
 
 def end_with_parent() -> None:
-    """End this worker process when its parent ends, however that was killed."""
+    """End this worker process when its parent ends, even if killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         sentinel: int | None = getattr(parent, "sentinel", None)
@@ -36,33 +36,33 @@ def end_with_parent() -> None:
 
 
 LARGEST_NOTE_BYTES = 1_000_000
-"""Largest file that people write by hand, or record of what was made: motors, recipes, cards, seeds, methods."""
+"""Largest file written by hand, or note about files: motors, recipes, cards, seeds, methods."""
 LARGEST_TABLE_BYTES = 20_000_000
-"""Largest file of what is kept as it is, cell by cell: estimates, answers, verdicts, scores, states."""
+"""Largest table: estimates, answers, verdicts, scores, states."""
 LARGEST_DATA_BYTES = 200_000_000
 """Largest recording, model, or file of a data set."""
 
 
 class Readable(Protocol):
-    """A local path, or one of a storage."""
+    """Local path, or one of a storage."""
 
     def stat(self) -> Any:
-        """Kind and size."""
+        """Return kind and size."""
 
     def open(self, mode: Literal["rb"]) -> Any:
-        """Its bytes."""
+        """Open it as bytes."""
 
 
 def read_file(path: Readable, largest_bytes: int, missing: str = "no such file") -> bytes:
-    """Read a regular file that is not too large. A device or a pipe is not opened.
+    """Read a regular file that is not too large, never a device or a pipe.
 
     Args:
         path: of the file.
-        largest_bytes: that it may have.
-        missing: what to say where there is none.
+        largest_bytes: limit of its size.
+        missing: message if there is none.
 
     Raises:
-        InputError: no such file, no regular one, a larger one, or one that cannot be read.
+        InputError: no such file, not a regular one, too large, or unreadable.
     """
     try:
         status = path.stat()
@@ -87,7 +87,7 @@ def read_json(path: Readable, largest_bytes: int, missing: str = "no such file")
     """Read a file of JSON; see `read_file`.
 
     Raises:
-        InputError: it cannot be read, or is not JSON.
+        InputError: it is unreadable, or not JSON.
     """
     content = read_file(path, largest_bytes, missing)
     try:
@@ -98,10 +98,10 @@ def read_json(path: Readable, largest_bytes: int, missing: str = "no such file")
 
 
 def require_own_output(folder: Path, name: str, mark: str, *, command: str) -> None:
-    """Refuse a folder that holds anything but an earlier output of the same command, shown by a mark in a file.
+    """Refuse a folder unless it is empty or an earlier output of the same command, as a mark in a file shows.
 
     Raises:
-        InputError: it is another's.
+        InputError: it holds other files.
     """
     try:
         free = not folder.exists() or not any(folder.iterdir())
@@ -115,10 +115,10 @@ def require_own_output(folder: Path, name: str, mark: str, *, command: str) -> N
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path, which becomes `path` when the block ends without an error, and else is removed.
+    """Yield a temporary path; it becomes `path` if the block ends without an error, else it is removed.
 
     Raises:
-        InputError: the folder does not exist and cannot be made, or cannot be written.
+        InputError: the folder cannot be made or written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -151,7 +151,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def filling(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder; its files move to `folder` when the block ends without an error, else are removed.
+    """Yield a temporary folder; its files move to `folder` if the block ends without an error.
 
     Raises:
         InputError: the folder cannot be made or written.
@@ -180,7 +180,7 @@ def _move_into(folder: Path, source: Path) -> None:
 
 
 def write_examples(folder: Path) -> list[Path]:
-    """Copy the examples that come with the package (in a clone: the folder beside it); returns what was written."""
+    """Copy the package's examples (in a clone: the folder beside it); return their paths."""
     package = Path(__file__).parents[1]
     source = next(each for each in (package / "examples", package.parent / "examples") if each.is_dir())
     written = []

@@ -1,6 +1,6 @@
 """Shared style of all figures: no window, no global state of pyplot.
 
-A figure is made and saved inside `drawing()`, which lends matplotlib this style for a while:
+A figure is made and saved inside `drawing()`:
 
     with drawing():
         figure, (top, bottom) = subplots(2)
@@ -40,7 +40,7 @@ COLOUR = {
     "threshold": "#1f2933",
     "estimate": "#12805c",
 }
-"""One colour a meaning, the same in every figure; distinguishable by readers who are colour-blind."""
+"""Colour of each meaning in all figures, for colour-blind readers too."""
 
 STYLE: dict[str, Any] = {
     "figure.facecolor": "white",
@@ -83,7 +83,7 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def drawing() -> Iterator[None]:
-    """Lend matplotlib the shared style; its settings are as before afterwards."""
+    """Apply the shared style to matplotlib within a block."""
     import matplotlib as mpl
 
     with mpl.rc_context(cast("Any", STYLE)):
@@ -98,7 +98,7 @@ def subplots(
     sharex: bool = True,
     height_ratios: tuple[float, ...] | None = None,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with one column of axes, bound to no window."""
+    """Return a figure with one column of axes, bound to no window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -111,18 +111,18 @@ def subplots(
 def note(
     axes: Axes, point: tuple[float, float], text: str, offset_pt: tuple[float, float], **style: Any
 ) -> None:
-    """Write a text so many points away from a point of the data."""
+    """Write a text at an offset in points from a data point."""
     axes.annotate(text, point, xytext=offset_pt, textcoords="offset points", **({"fontsize": 11} | style))
 
 
 def end_label(axes: Axes, x: float, y: float, text: str, color: str, *, offset_pt: float = 0.0) -> None:
-    """Name a curve at its right end, in its own colour, instead of in a legend."""
+    """Label a curve at its right end, in its colour."""
     beside = (6.0, offset_pt)
     note(axes, (x, y), text, beside, color=color, va="center", fontweight="bold", annotation_clip=False)
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or SVG, by the ending of its name; the same figure gives the same bytes."""
+    """Write a figure as PNG or SVG, by the ending of its name, in reproducible bytes."""
     metadata: dict[str, Any] = {"Date": None} if path.suffix == ".svg" else {"Software": None}
     with replacing(path) as unfinished:
         figure.savefig(unfinished, format=path.suffix.removeprefix("."), metadata=metadata)

@@ -1,7 +1,7 @@
-"""Detection: decision rules on residuals, and the run lengths they have.
+"""Decision rules on residuals, and their run lengths.
 
-A rule never sees a measurement: it takes whitened residuals, which a filter makes (for a motor known up to its
-tolerances: `rules.tolerant`). Begin at `rules.cusum`, and `run_length` for its threshold.
+A rule takes the whitened residuals of a filter (of a motor known up to its tolerances: `rules.tolerant`). Begin at
+`rules.cusum`, and `run_length` for its threshold.
 
 Example:
     How high must a CUSUM's threshold be for one false alarm in a thousand healthy starts of 1,000 samples, and how long

@@ -19,7 +19,7 @@ def plot_rules(
     rules: Mapping[str, tuple[Rule, Threshold]],
     onset_s: float | None = None,
 ) -> Figure:
-    """Whitened residual of one transient, and each rule's statistic and threshold, on one time axis (Shewhart 1931).
+    """Plot a transient's whitened residual and each rule's statistic and threshold on one time axis.
 
     `time_s` has shape (n_samples,), `whitened` (n_samples, n_channels); `onset_s` is drawn if given.
     """
@@ -50,7 +50,7 @@ def plot_rules(
 
 
 def plot_bank(time_s: ArrayLike, probabilities: FloatArray, names: Sequence[str]) -> Figure:
-    """Posterior of a bank over time (Magill 1965), as `ModelBank.probabilities` gives it for one transient.
+    """Plot the posterior of a bank over time, `ModelBank.probabilities` of one transient.
 
     `time_s` has shape (n_samples,), `probabilities` (n_samples, 1 + n_models), health first.
     """

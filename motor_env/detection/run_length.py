@@ -1,9 +1,8 @@
 """Run lengths of decision rules: exact Markov chains and integral equations.
 
-For independent standard normal input (whitened innovations: Kailath 1968). A rule's state is a Markov chain: the
-average run length solves (1 - kernel) L = 1, and no alarm within n samples has the probability kernel^n 1 (Brook &
-Evans 1972). For a continuous state the kernel is an integral, at Gauss-Legendre nodes (Nystrom's method; Goel & Wu
-1971, Crowder 1987).
+For independent standard normal input. A rule's state is a Markov chain: the average run length solves (1 - kernel) L =
+1, and no alarm within n samples has the probability kernel^n 1 (Brook & Evans 1972). For a continuous state the kernel
+is an integral, at Gauss-Legendre nodes (Goel & Wu 1971, Crowder 1987).
 """
 
 from __future__ import annotations
@@ -34,19 +33,19 @@ class RunLaw(Protocol):
     """Law of the samples to a rule's alarm."""
 
     def average_run_length(self) -> float:
-        """Expected samples to the alarm, from the start."""
+        """Return the expected samples to the alarm."""
 
     def alarm_probability(self, n_samples: int) -> float:
-        """Probability of an alarm within `n_samples`."""
+        """Return the probability of an alarm within `n_samples`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Transitions of a rule that has not alarmed yet (Brook & Evans 1972).
+    """Transitions of a rule before its alarm (Brook & Evans 1972).
 
     Attributes:
-        kernel: weights from each state to each state, shape (n_states, n_states); rows sum to less than 1. The first
-            state is the start.
+        kernel: weights from state to state, shape (n_states, n_states); rows sum to less than 1. The first state is
+            the start.
         alarm: probability of an alarm at the next sample from each state, shape (n_states,).
     """
 
@@ -54,7 +53,7 @@ class Chain:
     alarm: FloatArray
 
     def average_run_length(self) -> float:
-        """Expected samples to the alarm, from the start (Brook & Evans 1972)."""
+        """Return the expected samples to the alarm."""
         if not self.alarm.any():
             return np.inf
         # L = c + w with w = 0 at the start. (1 - kernel) 1 is the probability of the alarm, so this multiplies c,
@@ -64,7 +63,7 @@ class Chain:
         return float(np.linalg.solve(matrix, np.ones(len(matrix)))[0])
 
     def alarm_pmf(self, n_samples: int) -> FloatArray:
-        """Probability that the alarm comes at sample 1, 2, ..., `n_samples`, shape (n_samples,)."""
+        """Return the probability of the alarm at sample 1, 2, ..., `n_samples`, shape (n_samples,)."""
         ahead, answer = self.alarm, np.empty(n_samples)
         for k in range(n_samples):
             answer[k] = ahead[0]
@@ -72,7 +71,7 @@ class Chain:
         return answer
 
     def alarm_probability(self, n_samples: int) -> float:
-        """Probability of an alarm within `n_samples`, by doubling; a sum of positive terms, so small ones are right."""
+        """Return the probability of an alarm within `n_samples`, by doubling: positive terms keep small ones right."""
         total, left = np.zeros(len(self.kernel)), n_samples
         power, within = self.kernel, self.alarm
         while left:
@@ -89,25 +88,25 @@ class Chain:
 class TwoSided:
     """The first alarm of two mirrored CUSUMs.
 
-    When one alarms first, the other stands at 0 and begins anew (van Dobben de Bruyn 1968).
+    When one alarms first, the other is at 0 (van Dobben de Bruyn 1968).
 
     Attributes:
-        up: chain of the one that looks for a rise.
-        down: chain of the other.
+        up: chain of the CUSUM for a rise.
+        down: chain of the CUSUM for a fall.
     """
 
     up: Chain
     down: Chain
 
     def average_run_length(self) -> float:
-        """1 / ARL is the sum over the sides."""
+        """Return the expected samples to the alarm: 1 / ARL is the sum over the sides."""
         rate = 1.0 / self.up.average_run_length() + 1.0 / self.down.average_run_length()
         return 1.0 / rate if rate > 0.0 else np.inf
 
     def alarm_pmf(self, n_samples: int) -> FloatArray:
-        """Probability that the first alarm comes at each sample, shape (n_samples,): u = f - d * f, d = g - u * g.
+        """Return the probability of the first alarm at each sample, shape (n_samples,): u = f - d * f, d = g - u * g.
 
-        f and g are the probabilities of the sides alone, u and d those that the side is the first.
+        f and g are the probabilities of each side alone, u and d of each side being first.
         """
         f = self.up.alarm_pmf(n_samples)
         g = f if self.down is self.up else self.down.alarm_pmf(n_samples)
@@ -118,7 +117,7 @@ class TwoSided:
         return u + d
 
     def alarm_probability(self, n_samples: int) -> float:
-        """Probability of an alarm of either within `n_samples`; `ValueError` for more than can be summed up."""
+        """Return the probability of an alarm within `n_samples`; `ValueError` for too many to sum up."""
         require(
             n_samples <= _MOST_TWO_SIDED,
             f"n_samples must be at most {_MOST_TWO_SIDED} for a two-sided rule, got {n_samples}",
@@ -130,9 +129,8 @@ class TwoSided:
 class HitChain:
     """Exact chain of "at least M hits among the last N samples", hits being independent (Brook & Evans 1972).
 
-    The state is the last N - 1 hits as bits. With M = N the average run length is (1 - p^k) / (p^k (1 - p)) (Feller
-    1968, ch. XIII.7); 3 of 5 at p = 0.05 has 1608. Its probabilities settle within some N samples, so they are
-    iterated.
+    The state is the last N - 1 hits as bits. With M = N the average run length is (1 - p^N) / (p^N (1 - p)) (Feller
+    1968, ch. XIII.7).
 
     Attributes:
         probability: of a hit.
@@ -140,7 +138,7 @@ class HitChain:
         among: N, at most `LONGEST_WINDOW`.
 
     Raises:
-        ValueError: not 1 <= M <= N <= `LONGEST_WINDOW`, or the probability is not one.
+        ValueError: not 1 <= M <= N <= `LONGEST_WINDOW`, or no probability.
     """
 
     probability: float
@@ -157,7 +155,7 @@ class HitChain:
         require(0.0 <= self.probability <= 1.0, f"probability must lie in 0 .. 1, got {self.probability:g}")
 
     def _hazards(self, n_samples: float) -> Iterator[tuple[float, float]]:
-        """Probability of no alarm so far and that of an alarm at the next sample, up to `n_samples`."""
+        """Yield the probabilities of no alarm so far and of an alarm at the next sample, up to `n_samples`."""
         p, hits = self.probability, np.zeros(1, dtype=np.int64)  # hits that each state holds
         for _ in range(self.among - 1):
             hits = np.concatenate([hits, hits + 1])
@@ -184,7 +182,7 @@ class HitChain:
             weights = after / after.sum()
 
     def average_run_length(self) -> float:
-        """Expected samples to the alarm: the probabilities of no alarm so far, summed up."""
+        """Return the expected samples to the alarm: the sum of the probabilities of no alarm so far."""
         if self.probability == 0.0:
             return np.inf
         silent, alarm = np.array(list(self._hazards(np.inf))).T
@@ -193,7 +191,7 @@ class HitChain:
         return float(silent[:-1].sum() + silent[-1] / alarm[-1])
 
     def alarm_probability(self, n_samples: int) -> float:
-        """Probability of an alarm within `n_samples`: the alarm's hazard, which settles, summed up."""
+        """Return the probability of an alarm within `n_samples`."""
         _, alarm = np.array(list(self._hazards(n_samples))).T
         if alarm.max() >= 1.0:
             return 1.0
@@ -202,18 +200,17 @@ class HitChain:
 
 
 def cusum_chain(reference: float, threshold: float, shift: float = 0.0) -> Chain:
-    """Chain of the one-sided CUSUM S = max(0, S + r - k), alarm above h, for r normal with mean `shift`.
+    """Return the chain of the CUSUM S = max(0, S + r - k), alarm above h, r normal with mean `shift`.
 
-    Integral equation of Page (1954), solved at Gauss-Legendre nodes (Goel & Wu 1971). State 0 is the atom S = 0. For k
-    = 0.5, h = 5 the average run length is 931.
+    Integral equation of Page (1954), solved at Gauss-Legendre nodes (Goel & Wu 1971). State 0 is the atom S = 0.
 
-    `reference` is k, half the shift looked for; `shift` is 0 while healthy.
+    `reference` is k, half the tested shift; `shift` is 0 while healthy.
     """
     return _normal_chain(lambda state: state + shift - reference, 0.0, threshold)
 
 
 def shiryaev_roberts_chain(looked_for: float, log_threshold: float, shift: float = 0.0) -> Chain:
-    """Chain of the Shiryaev-Roberts statistic R = (1 + R) L, alarm at log R above the threshold, from R = 0.
+    """Return the chain of the Shiryaev-Roberts statistic R = (1 + R) L, alarm at log R above the threshold.
 
     L is the likelihood ratio of a shift `looked_for` in standard normal samples (Shiryaev 1963, Roberts 1966; integral
     equation: Moustakides, Polunchenko & Tartakovsky 2011, here for log R). State 0 is R = 0.
@@ -232,13 +229,13 @@ def shiryaev_roberts_chain(looked_for: float, log_threshold: float, shift: float
 
 
 def sprt_chain(looked_for: float, lower: float, upper: float, *, restart: bool, shift: float = 0.0) -> Chain:
-    """Chain of Wald's sequential test: log-likelihood ratio between two bounds, alarm above the upper one.
+    """Return the chain of Wald's sequential test (Wald 1945): log-likelihood ratio between two bounds.
 
     Args:
         looked_for: shift d of the likelihood ratio, > 0.
         lower: bound < 0 at which "healthy" is accepted.
-        upper: bound > 0 at which the alarm is given.
-        restart: whether an accepted test begins anew; else it stays silent for ever (Wald 1945).
+        upper: bound > 0 of the alarm.
+        restart: whether an accepted test restarts; else it stays silent.
         shift: mean of the whitened innovation; 0 while healthy.
     """
     require(lower < 0.0 < upper, f"bounds must satisfy lower < 0 < upper, got {lower:g} and {upper:g}")
@@ -255,7 +252,7 @@ def _normal_chain(
     std: float = 1.0,
     returns: bool = True,
 ) -> Chain:
-    """Chain of a statistic, normal after each sample with a mean that its state gives; alarm above `high`."""
+    """Return the chain of a statistic, normal with a mean given by its state; alarm above `high`."""
     stds = (high - low) / std
     require(
         _LEAST_NODES + _NODES_PER_STD * stds <= _MOST_NODES + 1,

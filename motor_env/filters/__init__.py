@@ -1,7 +1,6 @@
 """Kalman filters: batch, stream, smoother, adaptive noise, joint state and parameters, consistency tests.
 
-They never see the truth: they take measurements, and the model of the motor that they assume. Begin at
-`kalman.KalmanFilter`.
+They take measurements and an assumed model of the motor, never the truth. Begin at `kalman.KalmanFilter`.
 
 Example:
     The filter of a healthy motor on the start of a healthy one: the residual is white noise of standard deviation

@@ -1,6 +1,6 @@
-"""Kalman filters that learn while they run: their own noise, or parameters of the motor beside its state.
+"""Kalman filters that estimate their own noise, or parameters of the motor beside its state.
 
-Noise: Sage & Husa 1969; Mehra 1970. A fault looks like noise to such a filter: see docs/filters.md.
+A fault looks like noise to an adaptive filter (Sage & Husa 1969; Mehra 1970): see docs/filters.md.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from motor_env.motor.model import N_STATES, Input, discretize
 from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray, MotorParameters, SensorParameters, require
 
 MEMORY = 200.0
-"""Samples over which noise is estimated: a variance from so many is known to 10 % (sqrt(2 / n))."""
+"""Samples over which noise is estimated, which gives a variance to 10 % (sqrt(2 / n))."""
 
 
 class AdaptiveResult(NamedTuple):
-    """Innovations, states and the noise believed after each sample.
+    """Innovations, states and the estimated noise.
 
     Attributes:
         innovation: z - C x-, shape (n_cases, n_samples, n_channels).
-        whitened: by the covariance believed at that sample.
+        whitened: by the innovation covariance of that sample.
         nis: shape (n_cases, n_samples).
         log_likelihood: shape (n_cases,).
         state: after the update, shape (n_cases, n_samples, 2).
-        measurement_covariance: believed after each sample, shape (n_cases, n_samples, n_channels, n_channels).
-        process_variance: believed after each sample, shape (n_cases, n_samples, 2).
+        measurement_covariance: after each sample, shape (n_cases, n_samples, n_channels, n_channels).
+        process_variance: after each sample, shape (n_cases, n_samples, 2).
     """
 
     innovation: FloatArray
@@ -54,12 +54,12 @@ class AdaptiveResult(NamedTuple):
 def adapted_noise(
     noise: FloatArray, residual: FloatArray, explained: FloatArray, memory: float
 ) -> FloatArray:
-    """Measurement covariance after one more sample, by exponential forgetting (Sage & Husa 1969).
+    """Update the measurement covariance by exponential forgetting (Sage & Husa 1969).
 
     It moves towards r r' + C P C', which is positive (Mohamed & Schwarz 1999).
 
     Args:
-        noise: believed so far, shape (n_cases, n_channels, n_channels).
+        noise: the old one, shape (n_cases, n_channels, n_channels).
         residual: r = z - C x after the update, shape (n_cases, n_channels).
         explained: C P C' after the update, the shape of `noise`.
         memory: samples; a new one weighs 2 / (memory + 1).
@@ -72,20 +72,19 @@ def adapted_noise(
 def adaptive_filter(
     kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, *, memory: float = MEMORY
 ) -> AdaptiveResult:
-    """Filter with noise estimated by exponential forgetting (Sage & Husa 1969), starting from the belief's.
+    """Filter with noise estimated by exponential forgetting (Sage & Husa 1969).
 
     The measurement covariance follows `adapted_noise`; the process variances move towards the diagonal of K e e' K' + P
     - A P A', not below 0. One channel does not always tell the two apart (Mehra 1970).
 
     Args:
-        kalman: the belief, of one motor.
+        kalman: for one motor, with the initial noise.
         measurements: shape (n_cases, n_channels, n_samples), finite.
         voltage_v: shape (n_samples,).
         memory: samples; a new one weighs 2 / (memory + 1).
 
     Raises:
-        ValueError: shapes do not fit, a sample is not finite or takes the estimate out of the range of numbers, or a
-            memory below 1.
+        ValueError: shapes do not fit, a sample is not finite, the estimate overflows, or a memory is below 1.
     """
     require_belief(kalman)
     a, c = kalman.model.transition, kalman.observation
@@ -119,7 +118,7 @@ def adaptive_filter(
 _COULOMB = "coulomb"
 
 FREE = (*QUANTITY_FIELDS, _COULOMB)
-"""What may be estimated: factors on parameters, and dry friction: its theta is the torque over `coulomb_unit_n_m`."""
+"""Names of what may be estimated: factors on parameters, and dry friction in units of `coulomb_unit_n_m`."""
 
 _STEP = 1e-4
 
@@ -132,13 +131,12 @@ class JointKind(StrEnum):
 
 
 class JointResult(NamedTuple):
-    """Parameters as the samples come in.
+    """Estimated parameters after each sample.
 
     Attributes:
-        names: estimated parameters.
-        theta: logarithms of the factors after each sample, `coulomb` as it is; shape (n_cases, n_samples,
-            n_parameters).
-        covariance: of theta after each sample, shape (n_cases, n_samples, n_parameters, n_parameters).
+        names: of the parameters.
+        theta: logarithms of the factors, `coulomb` as it is; shape (n_cases, n_samples, n_parameters).
+        covariance: of theta, shape (n_cases, n_samples, n_parameters, n_parameters).
         innovation: shape (n_cases, n_samples, n_channels).
         nis: shape (n_cases, n_samples).
     """
@@ -151,28 +149,26 @@ class JointResult(NamedTuple):
 
     @property
     def statistic(self) -> FloatArray:
-        """Theta' P^-1 theta after each sample (Wald 1943), (n_cases, n_samples): distance from the believed motor."""
+        """Theta' P^-1 theta after each sample (Wald 1943), (n_cases, n_samples): distance from the assumed motor."""
         solved = np.linalg.solve(self.covariance, self.theta[..., None])[..., 0]
         distance: FloatArray = np.sum(self.theta * solved, axis=-1)
         return distance
 
 
 def coulomb_unit_n_m(motor: MotorParameters, voltage_v: ArrayLike) -> float:
-    """The believed motor's viscous torque at the speed that balances the highest voltage: B V / Kb (paper, eq. (2))."""
+    """Return the motor's viscous torque at the speed that balances the highest voltage: B V / Kb (paper, eq. (2))."""
     speed = np.max(np.abs(np.asarray(voltage_v))) / motor.back_emf_constant_v_s_per_rad
     return float(motor.viscous_friction_n_m_s_per_rad * speed)
 
 
 class _Motion(NamedTuple):
-    """The believed motor and how long a step is."""
-
     motor: MotorParameters
     names: tuple[str, ...]
     dt_s: float
     coulomb_unit_n_m: float
 
     def ahead(self, points: FloatArray, voltage: float) -> tuple[FloatArray, FloatArray]:
-        """Current and speed one sample later for each row of [current, speed, theta], and their slope in these two.
+        """Predict current and speed one sample ahead for each row of [current, speed, theta], and their slope.
 
         Dry friction is Tc w / sqrt(w^2 + 1 (rad/s)^2), as in the simulation, held over the step.
         """
@@ -236,23 +232,22 @@ def joint_filter(
     kind: JointKind = JointKind.EXTENDED,
     memory: float | None = None,
 ) -> JointResult:
-    """Joint filter over one or many transients (extended: Ljung 1979; unscented: Julier & Uhlmann 1997).
+    """Run a joint filter over transients (extended: Ljung 1979; unscented: Julier & Uhlmann 1997).
 
     Args:
-        motor: believed motor, where theta is 0.
+        motor: assumed motor, where theta is 0.
         sensor: channels and noise.
         dt_s: sampling interval.
         measurements: shape (n_cases, n_channels, n_samples); NaN is missing and updates nothing.
         voltage_v: shape (n_samples,).
-        names: what to estimate, of `FREE`.
+        names: estimated ones, of `FREE`.
         prior_std: of each theta before the first sample.
         process_noise_std: in [A, rad/s] an interval.
         kind: which filter.
         memory: samples over which it adapts the measurement noise (Sage & Husa 1969); None keeps the sensor's.
 
     Raises:
-        ValueError: unknown names or kind, shapes do not fit, a number out of range, or a sample that takes the estimate
-            out of the range of numbers.
+        ValueError: unknown names or kind, shapes do not fit, a number is out of range, or the estimate overflows.
     """
     instance("motor", motor, MotorParameters)
     require(motor.batch_shape == (), "joint_filter needs one motor, got a batch")
@@ -299,7 +294,7 @@ def joint_filter(
 
 
 def parameter_test_threshold(n_parameters: int, false_alarm_probability: float) -> float:
-    """Threshold on `JointResult.statistic` at one chosen sample: chi-square (Wald 1943).
+    """Return the chi-square threshold on `JointResult.statistic` at one chosen sample (Wald 1943).
 
     Exact for normal estimates whose prior is wide.
     """

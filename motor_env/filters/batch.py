@@ -1,7 +1,4 @@
-"""The Kalman filter over whole transients, one or a batch, and sample by sample in service (paper, Table 1).
-
-Arrays have a time axis before the last one here: innovations are (..., n_samples, n_channels).
-"""
+"""The Kalman filter over whole transients, one or a batch, and sample by sample (paper, Table 1)."""
 
 from __future__ import annotations
 
@@ -23,19 +20,18 @@ _TOO_LARGE = (
 
 
 class FilterResult(NamedTuple):
-    """What the filter makes of measurements.
+    """Results of the filter.
 
-    Covariances and gain are common to all cases, shape (n_samples, ...); where samples are missing, or each case has
-    its own motor, the cases' axes stand in front.
+    Covariances and gain are common to all cases, shape (n_samples, ...); missing samples or several motors add the
+    cases' axes in front.
 
     Attributes:
         innovation: z - C x-, shape (..., n_samples, n_channels); NaN where a sample is missing.
         innovation_covariance: S, shape (n_samples, n_channels, n_channels).
-        whitened: innovation over S's Cholesky factor, standard normal while the belief holds, shape (..., n_samples,
-            n_channels); NaN where a sample is missing.
+        whitened: innovation over S's Cholesky factor, standard normal while the model holds, of the same shape.
         nis: normalised innovation squared (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4), shape (..., n_samples); 0 where
             none was measured.
-        log_likelihood: of all samples measured, shape (...).
+        log_likelihood: shape (...).
         state: estimate after the update, shape (..., n_samples, 2).
         covariance: its covariance P, shape (n_samples, 2, 2).
         gain: Kalman gain, shape (n_samples, 2, n_channels).
@@ -52,7 +48,7 @@ class FilterResult(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Innovations of a batch and nothing that costs more.
+    """Innovations of a batch.
 
     Attributes:
         innovation: z - C x-, shape (..., n_samples, n_channels).
@@ -68,7 +64,6 @@ class Residuals(NamedTuple):
 def _series(
     kalman: KalmanFilter, measured: kernels.AnyFloat, voltage_v: ArrayLike, load_torque_n_m: ArrayLike
 ) -> tuple[kernels.AnyFloat, tuple[int, ...], FloatArray]:
-    """Measurements as (n_cases, n_channels, n_samples), the batch's own shape, and the nominal states."""
     require(measured.ndim <= 3, f"measurements must have 2 or 3 axes, got shape {measured.shape}")
     n_channels, n_samples = measured.shape[-2:]
     voltage = numbers("voltage_v", voltage_v, ("...", n_samples))
@@ -95,10 +90,10 @@ def _series(
 def output_coordinates(
     transition: FloatArray, row: FloatArray, forward: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Motion (a, b, d) and gains (g, h) of a state (p, q) whose p is the output `row` x (Luenberger 1967).
+    """Return motion (a, b, d) and gains (g, h) of a state (p, q) with output p = `row` x (Luenberger 1967).
 
-    p <- a p + q + g e and q <- b p + d q + h e. `forward` is A K of each sample, shape (n_samples, 2), and so are the
-    gains.
+    p <- a p + q + g e and q <- b p + d q + h e. `forward` (A K of each sample) and the gains have shape (n_samples,
+    2).
     """
     basis = np.array([row, [-row[1], row[0]]])
     moved = basis @ transition @ np.linalg.inv(basis)
@@ -115,17 +110,17 @@ def filter_residuals(
     *,
     dtype: type[np.float32 | np.float64] = np.float64,
 ) -> Residuals:
-    """Innovations and NIS of many transients, and nothing else: the quick way (Kalman 1960).
+    """Compute only innovations and NIS of many transients, faster than `run_filter` (Kalman 1960).
 
     Args:
-        kalman: the belief, of one motor.
+        kalman: for one motor.
         measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples); float32 is read as it is.
-        voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
-        load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
+        voltage_v: assumed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
+        load_torque_n_m: assumed load, scalar or the shape of `voltage_v`.
         dtype: precision of innovations and NIS.
 
     Raises:
-        ValueError: shapes do not fit, a sample is not finite (`run_filter` takes missing samples), or another dtype.
+        ValueError: shapes do not fit, a sample is not finite (`run_filter` takes NaN), or another dtype.
     """
     require(
         dtype is np.float32 or dtype is np.float64,
@@ -182,9 +177,9 @@ def filter_residuals(
 def innovations_and_states(
     kalman: KalmanFilter, measured: kernels.AnyFloat, nominal: FloatArray, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Innovations (n_cases, n_samples, n_channels) and states (n_cases, n_samples, 2); one gain serves all, or each.
+    """Return innovations (n_cases, n_samples, n_channels) and states (n_cases, n_samples, 2).
 
-    `measured` is (n_cases, n_channels, n_samples), `nominal` the states that the model alone expects.
+    `measured` is (n_cases, n_channels, n_samples), `nominal` the states without measurements; one gain, or one a case.
     """
     n_cases, n_channels, n_samples = measured.shape
     innovation = np.empty((n_cases, n_samples, n_channels))
@@ -197,14 +192,14 @@ def innovations_and_states(
 def run_filter(
     kalman: KalmanFilter, measurements: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
 ) -> FilterResult:
-    """Filter one or many measured transients (Kalman 1960; paper, Table 1); `smoothing.smooth` looks back from there.
+    """Filter one or many measured transients (Kalman 1960; paper, Table 1).
 
     Args:
-        kalman: the belief, of one motor or of one for each case.
+        kalman: for one motor, or one for each case.
         measurements: shape (n_channels, n_samples) or (n_cases, n_channels, n_samples). NaN is missing and updates
             nothing.
-        voltage_v: believed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
-        load_torque_n_m: believed load, scalar or the shape of `voltage_v`.
+        voltage_v: assumed voltage in each interval, shape (n_samples,) or (n_cases, n_samples).
+        load_torque_n_m: assumed load, scalar or the shape of `voltage_v`.
 
     Raises:
         ValueError: shapes do not fit, or a measurement is infinite.
@@ -236,7 +231,7 @@ def run_filter(
 
 
 MOST_STREAMS = 10_000_000
-"""Motors side by side: some gigabytes of memory."""
+"""Most motors side by side: some gigabytes of memory."""
 
 
 class StreamSample(NamedTuple):
@@ -244,7 +239,7 @@ class StreamSample(NamedTuple):
 
     Attributes:
         innovation: shape (n_streams, n_channels).
-        whitened: the same, white and standard normal while the belief holds.
+        whitened: the same, white and standard normal while the model holds.
         nis: shape (n_streams,).
         state: updated estimate, shape (n_streams, 2).
     """
@@ -256,7 +251,7 @@ class StreamSample(NamedTuple):
 
 
 class FilterStream:
-    """A filter in service: `update(sample)` gives what `run_filter` gives at that sample."""
+    """Running filter: `update(sample)` gives what `run_filter` gives at that sample."""
 
     def __init__(self, kalman: KalmanFilter, n_streams: int = 1) -> None:
         require_belief(kalman)
@@ -276,15 +271,15 @@ class FilterStream:
     def update(
         self, measurement: ArrayLike, voltage_v: ArrayLike, load_torque_n_m: ArrayLike = 0.0
     ) -> StreamSample:
-        """Take one more sample (paper, Table 1).
+        """Process one more sample (paper, Table 1).
 
         Args:
-            measurement: shape (n_streams, n_channels), or anything that reshapes to it; NaN is missing.
-            voltage_v: voltage held in the interval that the sample ends, scalar or shape (n_streams,).
+            measurement: shape (n_streams, n_channels) after a reshape; NaN is missing.
+            voltage_v: voltage of the interval that ends at the sample, scalar or shape (n_streams,).
             load_torque_n_m: load torque in that interval.
 
         Raises:
-            ValueError: shapes do not fit or a number is not finite; the stream stands where it stood.
+            ValueError: shapes do not fit or a number is not finite; the stream stays as it was.
         """
         n, n_channels = self.n_streams, len(self.kalman.observation)
         measured = numbers("measurement", measurement, missing=True)

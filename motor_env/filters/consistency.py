@@ -1,8 +1,6 @@
 """Tests of a filter's consistency with its measurements.
 
-If the belief holds, whitened innovations are independent standard normal: their mean is 0, the sum of their squares is
-chi-square, their correlation from sample to sample is none (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4; portmanteau
-test: Ljung & Box 1978).
+If the model holds, whitened innovations are independent standard normal (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4).
 """
 
 from __future__ import annotations
@@ -40,12 +38,12 @@ class Consistency:
 
     @property
     def holds(self) -> bool:
-        """Whether none of the three tests rejects: at 1 % for all together (Bonferroni 1936)."""
+        """Whether none of the three tests rejects, at 1 % for all together (Bonferroni 1936)."""
         return min(self.mean_p, self.nis_p, self.whiteness_p) >= _LEVEL
 
     @property
     def warning(self) -> str:
-        """One sentence that says what is not consistent; empty where all is."""
+        """A sentence that names the inconsistent tests; empty if there are none."""
         if self.holds:
             return ""
         tests = (
@@ -68,7 +66,7 @@ def check_consistency(whitened: ArrayLike) -> Consistency:
         whitened: shape (..., n_samples, n_channels), as in `FilterResult.whitened`; NaN is missing.
 
     Raises:
-        ValueError: not more samples than lags, or none measured.
+        ValueError: not more samples than lags, or no measured ones.
     """
     values = numbers("whitened", whitened, ("...", "n_samples", "n_channels"), missing=True)
     require(

@@ -1,8 +1,6 @@
-"""The Kalman filter (paper, Table 1): its belief, which is never the truth, its update and its gains.
+"""The Kalman filter (paper, Table 1): its assumptions, its update and its gains.
 
-Adaptive and joint filters use `measurement_update`; batches and streams the same equations compiled for two states
-(`kernels.covariance_step`). What the paper calls R is `measurement_covariance`, its Q `process_covariance`, its H
-`observation`.
+The paper's R is `measurement_covariance`, its Q `process_covariance`, its H `observation`.
 """
 
 from __future__ import annotations
@@ -21,18 +19,18 @@ from motor_env.motor.model import N_STATES, DiscreteModel, Input, discretize
 from motor_env.motor.parameters import SMALLEST, FloatArray, MotorParameters, SensorParameters, require
 
 DEFAULT_PROCESS_NOISE_STD = (1e-5, 1e-3)
-"""Process noise of the filter in [A, rad/s] an interval (the paper prints none); small, since it absorbs a fault."""
+"""Assumed process noise in [A, rad/s] an interval (the paper prints none); small, since it absorbs a fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class KalmanFilter:
-    """What the filter assumes: a motor's model, sensor, noise and starting point.
+    """Assumptions of the filter: a motor's model, sensor, noise and initial state.
 
     Attributes:
-        model: discrete model of the healthy motor, or of one for each case.
+        model: discrete model of the healthy motor, or one for each case.
         observation: C, shape (n_channels, 2).
         process_covariance: Q, shape (2, 2).
-        measurement_covariance: covariance of the measurement noise (the paper's R), shape (n_channels, n_channels).
+        measurement_covariance: R, shape (n_channels, n_channels).
         initial_state: state before the first interval, shape (2,).
         initial_covariance: its covariance, shape (2, 2).
 
@@ -84,7 +82,7 @@ class KalmanFilter:
         initial_state: ArrayLike = (0.0, 0.0),
         initial_std: tuple[float, float] = (0.0, 0.0),
     ) -> Self:
-        """Filter (Kalman 1960) for a motor believed to be `parameters`; of a batch, with a model for each case.
+        """Return a filter (Kalman 1960) that assumes `parameters`; for a batch, a model for each case.
 
         Args:
             parameters: the motor that the filter assumes, usually the healthy one.
@@ -110,7 +108,7 @@ class KalmanFilter:
 
 
 def require_belief(kalman: KalmanFilter) -> None:
-    """Raise `TypeError` or `ValueError` unless it is a belief of current and speed: compiled loops know no other."""
+    """Raise `TypeError` or `ValueError` unless it is a filter of current and speed, as compiled loops require."""
     instance("kalman", kalman, KalmanFilter)
     states = kalman.observation.shape[1]
     if states != N_STATES:
@@ -118,7 +116,7 @@ def require_belief(kalman: KalmanFilter) -> None:
 
 
 def require_noise(sensor: SensorParameters) -> None:
-    """Raise `ValueError` unless each channel has noise: a filter needs a measurement variance > 0."""
+    """Raise `ValueError` unless each channel has noise, as a filter requires."""
     instance("sensor", sensor, SensorParameters)
     noise = sensor.noise_std.tolist()
     require(min(noise) >= SMALLEST, f"noise of each channel must be > 0 (>= {SMALLEST:g}), got {noise}")
@@ -129,7 +127,7 @@ def _variances(name: str, std: ArrayLike) -> FloatArray:
 
 
 def _covariance(name: str, given: ArrayLike, size: int, least: float = 0.0) -> FloatArray:
-    """A symmetric matrix with variances of at least `least`: definite where that is > 0, else semi-definite."""
+    """Return a symmetric matrix with variances of at least `least`: definite where that is > 0, else semi-definite."""
     matrix = numbers(name, given, (size, size))
     variances, smallest, word = np.diag(matrix), -1e-9, "semi-definite"
     if least > 0.0:
@@ -164,9 +162,9 @@ class Updated(NamedTuple):
 def gain_and_covariance(
     covariance: FloatArray, observation: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Gain K, innovation covariance S and updated covariance for a predicted covariance (paper, Table 1).
+    """Return gain K, innovation covariance S and updated covariance (paper, Table 1).
 
-    Joseph form: (I - K C) P (I - K C)' + K R K' stays symmetric and positive under rounding (Bucy & Joseph 1968).
+    The Joseph form (I - K C) P (I - K C)' + K R K' stays positive under rounding (Bucy & Joseph 1968).
 
     Args:
         covariance: predicted P-, shape (..., n_states, n_states).
@@ -190,7 +188,7 @@ def measurement_update(
     observation: FloatArray,
     noise: FloatArray,
 ) -> Updated:
-    """Measurement update of n cases (Kalman 1960; paper, Table 1), in the Joseph form.
+    """Update n cases by a measurement (Kalman 1960; paper, Table 1).
 
     Args:
         state: predicted x-, shape (n, n_states).
@@ -211,7 +209,7 @@ def measurement_update(
 def masked_sensor(
     observation: FloatArray, noise: FloatArray, missing: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """C and R of each sample: a missing channel has a zero row, and noise of its own (Kalman 1960).
+    """Return C and R of each sample: a missing channel has a zero row and noise of its own (Kalman 1960).
 
     `missing` is (..., n_channels).
     """
@@ -220,13 +218,13 @@ def masked_sensor(
 
 
 class Schedule(NamedTuple):
-    """Gains and covariances of every sample: they depend on the belief and not on the data.
+    """Gains and covariances of every sample, which do not depend on the data.
 
     Attributes:
         gain: Kalman gain, shape (n_samples, 2, n_channels).
         innovation_covariance: S, shape (n_samples, n_channels, n_channels).
         covariance: P after the update, shape (n_samples, 2, 2).
-        held_from: sample from which on the gain has converged and is held, or n_samples.
+        held_from: sample from which on the gain is constant, or n_samples.
     """
 
     gain: FloatArray
@@ -236,10 +234,10 @@ class Schedule(NamedTuple):
 
 
 def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
-    """Gain, innovation covariance and covariance after the update of each of `n_samples` samples (Kalman 1960).
+    """Return the schedule of `n_samples` samples (Kalman 1960).
 
     Raises:
-        ValueError: the belief is of a batch of motors.
+        ValueError: the filter is for a batch of motors.
     """
     require(kalman.model.transition.ndim == 2, "schedule needs a filter of one motor, got a batch")
     rows = schedules(kalman, np.zeros((1, n_samples, len(kalman.observation)), dtype=np.bool_))
@@ -249,9 +247,9 @@ def schedule(kalman: KalmanFilter, n_samples: int) -> Schedule:
 def schedules(
     kalman: KalmanFilter, missing: NDArray[np.bool_], initial: FloatArray | None = None
 ) -> Schedule:
-    """Schedules of rows of samples, shapes (n_rows, ...); `missing` is (n_rows, n_samples, n_channels) (Kalman 1960).
+    """Return schedules (n_rows, ...) of rows of samples; `missing` is (n_rows, n_samples, n_channels).
 
-    `initial` has a covariance for each row, (n_rows, 2, 2); each has its own motor where the belief has as many.
+    `initial` has a covariance for each row, (n_rows, 2, 2); a filter for n_rows motors gives each row its own.
     """
     # A channel that is not there has a zero row and unit noise, so that it has no gain and changes nothing.
     m, observation, noise = missing.shape[2], np.zeros((2, N_STATES)), np.eye(2)
@@ -285,14 +283,14 @@ def schedules(
 def checked_series(
     measurements: ArrayLike, voltage_v: ArrayLike, n_channels: int, *, missing: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Measurements (n_cases, n_channels, n_samples), NaN where `missing`, and the voltage (n_samples,) of all."""
+    """Return measurements (n_cases, n_channels, n_samples), NaN where `missing`, and the voltage (n_samples,)."""
     measured = numbers("measurements", measurements, ("n_cases", n_channels, "n_samples"), missing=missing)
     return measured, numbers("voltage_v", voltage_v, measured.shape[2:])
 
 
 @contextmanager
 def sample_named(measured: FloatArray, voltage_v: FloatArray) -> Iterator[Iterator[int]]:
-    """Numbers of the samples; `ValueError` naming the one at which the estimate leaves the range of numbers."""
+    """Yield the samples' numbers; `ValueError` names the sample at which the estimate overflows."""
     k = 0
 
     def count() -> Iterator[int]:
@@ -316,8 +314,8 @@ class Scores(NamedTuple):
 
     Attributes:
         whitened: innovation times the inverse of S's Cholesky factor, shape (n_cases, n_samples, n_channels).
-        nis: normalised innovation squared over the channels measured, shape (n_cases, n_samples); 0 where none was.
-        log_likelihood: of all samples measured, shape (n_cases,).
+        nis: normalised innovation squared, shape (n_cases, n_samples); 0 where none was measured.
+        log_likelihood: shape (n_cases,).
     """
 
     whitened: FloatArray
@@ -326,11 +324,11 @@ class Scores(NamedTuple):
 
 
 def score(innovation: FloatArray, innovation_covariance: FloatArray) -> Scores:
-    """Whitened innovations, NIS and log-likelihood (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4; Schweppe 1965).
+    """Compute whitened innovations, NIS and log-likelihood (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4; Schweppe 1965).
 
     Args:
         innovation: of one or two channels, shape (n_cases, n_samples, n_channels); NaN is missing.
-        innovation_covariance: S of each case or of all, shape (n_cases or 1, n_samples, n_channels, n_channels).
+        innovation_covariance: S, shape (n_cases or 1, n_samples, n_channels, n_channels).
     """
     whitened = np.empty_like(innovation)
     nis, log_likelihood = np.empty(innovation.shape[:-1]), np.empty(len(innovation))

@@ -1,7 +1,6 @@
-"""Compiled loops of the Kalman filter; `motor_env.filters.kalman` is the door to them.
+"""Compiled loops of the Kalman filter, called through `motor_env.filters.kalman`.
 
-A filter of one channel is computed as one of two whose second channel is never measured: a zero row of C with unit
-noise has no gain and changes nothing. A missing sample is the same thing for one moment.
+One channel is computed as two whose second is never measured: a zero row of C with unit noise has no gain.
 """
 
 from __future__ import annotations
@@ -15,17 +14,17 @@ from motor_env.motor.parameters import FloatArray
 AnyFloat = NDArray[np.float32 | np.float64]
 
 CONVERGED = 1e-13
-"""Relative change of the covariance from sample to sample below which the gain is held."""
+"""Relative change of the covariance between samples below which the gain is held."""
 
 
 @njit(cache=True)
 def covariance_step(
     a: FloatArray, q: FloatArray, c: FloatArray, r: FloatArray, p00: float, p01: float, p11: float
 ) -> tuple[float, ...]:
-    """One time and measurement update: gain (4), innovation covariance (3), updated covariance (3).
+    """Compute one time and measurement update: gain (4), innovation covariance (3), updated covariance (3).
 
-    The covariance is updated in the Joseph form, (I - K C) P (I - K C)' + K R K', which stays symmetric and positive
-    where the paper's (I - K C) P loses both to rounding (Bucy & Joseph 1968).
+    The covariance has the Joseph form, (I - K C) P (I - K C)' + K R K'; the paper's (I - K C) P loses symmetry and
+    positivity to rounding (Bucy & Joseph 1968).
     """
     t00, t01 = a[0, 0] * p00 + a[0, 1] * p01, a[0, 0] * p01 + a[0, 1] * p11
     t10, t11 = a[1, 0] * p00 + a[1, 1] * p01, a[1, 0] * p01 + a[1, 1] * p11
@@ -58,7 +57,7 @@ def covariance_step(
 def _leave_out(
     missing: NDArray[np.bool_], lost: int, c: FloatArray, r: FloatArray, cc: FloatArray, rr: FloatArray
 ) -> None:
-    """Write C and R of a sample: a missing channel has a zero row, and no noise in common with the other."""
+    """Write C and R of a sample: a missing channel has a zero row and uncorrelated noise."""
     for m in range(2):
         is_lost = m < len(missing) and missing[m]
         for j in range(2):
@@ -68,7 +67,6 @@ def _leave_out(
 
 @inlined
 def _repeat(values: FloatArray, begin: int) -> None:
-    """Hold the last entry before `begin` to the end."""
     for k in range(begin, values.shape[0]):
         for i in range(values.shape[1]):
             for j in range(values.shape[2]):
@@ -87,10 +85,10 @@ def fill_schedules(
     innovation_covariance: FloatArray,
     covariance: FloatArray,
 ) -> int:
-    """Gains and covariances of every sample of each row (paper, Table 1; Joseph form: Bucy & Joseph 1968).
+    """Compute gains and covariances of every sample of each row (paper, Table 1).
 
-    `missing` is (n_rows, n_samples, n_channels), the results (n_rows, n_samples, ...). Where nothing is missing the
-    gain is held as soon as it has converged: the answer is the sample from which on the last row's is, or their number.
+    `missing` is (n_rows, n_samples, n_channels), the results (n_rows, n_samples, ...). Without missing samples a
+    converged gain is held; the result is the last row's sample from which on it is, or n_samples.
     """
     held_from = count = gain.shape[1]
     cc, rr, known = c.copy(), r.copy(), 0
@@ -139,13 +137,13 @@ def filter_one_channel(
     innovation: AnyFloat,
     nis: AnyFloat,
 ) -> None:
-    """Innovations and NIS of one channel, of the deviation from the expected output; four cases at a time.
+    """Compute innovations and NIS of one channel from deviations from the expected output.
 
-    In the coordinates of `batch.output_coordinates` (Luenberger 1967) the state is (p, q), p being the deviation
-    predicted of the output: e = z - expected - p, p <- a[0] p + q + g e, q <- a[1] p + a[2] q + h e. `gain` holds
-    (g, h) of each sample and `weight` is 1 / S. Four chains side by side hide the latency of one; where fewer cases are
-    left the last one is computed again, so that the arithmetic of a case is the same in any company. The difference
-    from the expected output is taken in double precision, all else in the precision of `innovation`.
+    In the coordinates of `batch.output_coordinates` (Luenberger 1967) the state is (p, q), p being the output's
+    predicted deviation: e = z - expected - p, p <- a[0] p + q + g e, q <- a[1] p + a[2] q + h e. `gain` holds (g, h)
+    of each sample and `weight` is 1 / S. Four cases run side by side to hide latency; a last incomplete four repeats
+    its last case, so that a case's arithmetic never changes. Only the difference from the expected output is in double
+    precision.
     """
     count, length = measured.shape
     number = innovation.dtype.type
@@ -182,7 +180,7 @@ def filter_two_channels(
     innovation: AnyFloat,
     nis: AnyFloat,
 ) -> None:
-    """Kalman filter (paper, Table 1) for two channels, in the states themselves.
+    """Run the Kalman filter (paper, Table 1) for two channels, in the states themselves.
 
     `gain` is A K, shape (n_samples, 2, 2), `weight` S^-1, `expected` (rows, n_samples, 2).
     """
@@ -212,10 +210,10 @@ def filter_states(
     innovation: FloatArray,
     state: FloatArray,
 ) -> None:
-    """Innovations and updated states (paper, Table 1), as deviations from the nominal states: d+ = d + K e.
+    """Compute innovations and updated states (paper, Table 1), as deviations from the nominal: d+ = d + K e.
 
-    `gain` is K, shape (rows, n_samples, 2, n_channels), `measured` (n, n_channels, n_samples); a motor, a gain or a
-    nominal state of one row serves all. A missing innovation stays NaN.
+    `gain` is K, shape (rows, n_samples, 2, n_channels), `measured` (n, n_channels, n_samples); one row of a motor,
+    gain or nominal state serves all. A missing innovation stays NaN.
     """
     for n in range(state.shape[0]):
         t, g = a[min(n, a.shape[0] - 1)], gain[min(n, gain.shape[0] - 1)]
@@ -241,9 +239,9 @@ def score_innovations(
     nis: FloatArray,
     log_likelihood: FloatArray,
 ) -> None:
-    """Innovations over the Cholesky factor of S, their squares and their likelihood; one S serves all cases, or each.
+    """Compute innovations over the Cholesky factor of S, NIS and likelihood; one S for all cases, or for each.
 
-    Where the first of two channels is missing the second is scaled alone; S has no covariance between them then.
+    Where the first of two channels is missing, the second is scaled alone.
     """
     count, channels = innovation.shape[1:]
     scale, slope, log_determinant = np.empty((count, channels)), np.zeros(count), 0.0

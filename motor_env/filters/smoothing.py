@@ -1,6 +1,4 @@
-"""States in hindsight: the fixed-interval smoother (Rauch, Tung & Striebel 1965), on what the filter left.
-
-It is for looking back: nothing that decides while samples come in may use it.
+"""The fixed-interval smoother (Rauch, Tung & Striebel 1965).
 
 Rauch's recursion inverts the predicted covariance, which fades without process noise. So states come from the adjoint
 of the filter (Bryson & Frazier 1963; Bierman 1973), covariances from the information of the later samples (Fraser &
@@ -22,7 +20,7 @@ from motor_env.motor.parameters import FloatArray, require
 
 
 class Smoothed(NamedTuple):
-    """Estimates that know all samples.
+    """Estimates from all samples.
 
     Attributes:
         state: shape (..., n_samples, 2).
@@ -38,7 +36,7 @@ class Smoothed(NamedTuple):
 
 @inlined
 def _congruence(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
-    """Put x y x', of a symmetric y, into `out`: symmetric to the last digit."""
+    """Compute x y x' of a symmetric y."""
     t00, t01 = x[0, 0] * y[0, 0] + x[0, 1] * y[0, 1], x[0, 0] * y[0, 1] + x[0, 1] * y[1, 1]
     t10, t11 = x[1, 0] * y[0, 0] + x[1, 1] * y[0, 1], x[1, 0] * y[0, 1] + x[1, 1] * y[1, 1]
     u01 = t00 * x[1, 0] + t01 * x[1, 1]
@@ -48,7 +46,7 @@ def _congruence(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
 
 @inlined
 def _less(x: FloatArray, y: FloatArray, w: FloatArray, out: FloatArray) -> None:
-    """(I + x y)^-1 x: what an information y leaves of a covariance x, or a covariance y of an information x."""
+    """Compute (I + x y)^-1 x: a covariance x given an information y, or the reverse."""
     p00, p01 = 1.0 + x[0, 0] * y[0, 0] + x[0, 1] * y[1, 0], x[0, 0] * y[0, 1] + x[0, 1] * y[1, 1]
     p10, p11 = x[1, 0] * y[0, 0] + x[1, 1] * y[1, 0], 1.0 + x[1, 0] * y[0, 1] + x[1, 1] * y[1, 1]
     scale = 1.0 / (p00 * p11 - p01 * p10)
@@ -69,7 +67,6 @@ def _smoothed_covariance(
     smoothed: FloatArray,
     room: FloatArray,
 ) -> None:
-    """Covariance of each sample given the later ones too, whose information goes from the last to the first."""
     later, now, w = room[0], room[1], room[2]
     for k in range(len(covariance) - 1, -1, -1):
         _less(covariance[k], later, w, smoothed[k])
@@ -90,7 +87,7 @@ def _smoothed_states(
     state: FloatArray,
     out: FloatArray,
 ) -> None:
-    """States x - P l of cases with one covariance: l <- A' (l - C' (S^-1 e + K' l)), from the last to the first."""
+    """Compute states x - P l of cases with one covariance, backwards: l <- A' (l - C' (S^-1 e + K' l))."""
     for n in range(len(state)):
         l0 = l1 = 0.0
         for k in range(state.shape[1] - 1, -1, -1):
@@ -105,7 +102,7 @@ def _smoothed_states(
 
 
 def _checked(result: FilterResult, n_channels: int, motors: tuple[int, ...]) -> FilterResult:
-    """The result with the shapes that the compiled loops rely on."""
+    """Return the result with the shapes that the compiled loops rely on."""
     innovation = numbers(
         "result.innovation", result.innovation, ("...", "n_samples", n_channels), missing=True
     )
@@ -130,14 +127,14 @@ def _checked(result: FilterResult, n_channels: int, motors: tuple[int, ...]) -> 
 
 
 def smooth(kalman: KalmanFilter, result: FilterResult) -> Smoothed:
-    """Smoothed states and covariances (Rauch, Tung & Striebel 1965; Bierman 1973; Fraser & Potter 1969).
+    """Return smoothed states and covariances (Rauch, Tung & Striebel 1965; Bierman 1973; Fraser & Potter 1969).
 
     Args:
-        kalman: the filter's belief.
+        kalman: the filter.
         result: of `run_filter`.
 
     Raises:
-        ValueError: the result is of another belief.
+        ValueError: the result is of another filter.
     """
     require_belief(kalman)
     instance("result", result, FilterResult)

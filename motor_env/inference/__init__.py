@@ -1,6 +1,6 @@
-"""What can be inferred from a transient: fits, posterior probabilities of faults and their severity.
+"""Inference from a transient: fits, posterior probabilities of faults and their severity.
 
-It never reads recordings of real motors: their models are richer. Begin at `posterior.class_probabilities`.
+Begin at `posterior.class_probabilities`.
 
 Example:
     The probability of each class, given the start-up current and the recipe from which motors are drawn.

@@ -1,4 +1,4 @@
-"""One class of a recipe as a function of its nuisances, and the residuals of its best fit as features."""
+"""A class of a recipe as a function of its nuisances, and the residuals of its best fit as features."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from motor_env.simulation.sampling import apply_factors, driven, surroundings
 from motor_env.simulation.simulate import Scenario
 
 FEATURE_FREE = ("resistance", "friction", "supply", "constants", "inertia")
-"""What the features' fit frees: the faults' quantities first, then the nuisances."""
+"""Quantities that the features' fit frees: those of faults first, then the nuisances."""
 
 FEATURE_NAMES = (
     *(f"log_{name}" for name in FEATURE_FREE),
@@ -34,16 +34,16 @@ _FAULT_STD = 0.3  # of the prior on log R and log B
 
 
 def physical_features(recipe: Recipe, measurements: ArrayLike) -> FloatArray:
-    """Most probable factors, their errors, and statistics of the residual of each transient (Isermann 1984).
+    """Compute most probable factors, their errors, and residual statistics of each transient (Isermann 1984).
 
-    R and B have a prior of 30 %; the supply, K and J have their tolerances as prior; L is nominal.
+    R and B have a prior of 30 %, the supply, K and J their tolerances; L is nominal.
 
     Args:
         recipe: nominal motor and supply, tolerances, sensor and timing.
         measurements: shape (n_cases, n_channels, n_samples).
 
     Returns:
-        Shape (n_cases, len(FEATURE_NAMES)), columns as named there. Residuals are in units of the noise.
+        Shape (n_cases, len(FEATURE_NAMES)). Residuals are in units of the noise.
     """
     observed = recipe_observed(recipe, measurements)
     tolerances = [max(getattr(recipe.spread, name), 1e-6) for name in FEATURE_FREE[2:]]
@@ -70,12 +70,12 @@ _LARGEST_NORMAL = 6.77  # of the streams of random numbers
 
 @dataclass(frozen=True, slots=True)
 class ClassModel:
-    """One class of a recipe: what is read, as a function of its nuisances.
+    """One class of a recipe: the readings as a function of its nuisances.
 
-    Coordinates: standard normal ones of `FACTORS`, then, uniform in 0 .. 1, priors and severities that have a range.
+    Coordinates: `FACTORS`, standard normal; then priors and severities that have a range, uniform in 0 .. 1.
 
     Attributes:
-        recipe: what motors are drawn from.
+        recipe: distribution of the motors.
         fault_class: the class.
         voltage_v: of a motor at work, shape (n_samples,) or (n, n_samples); None for starts.
     """
@@ -86,7 +86,7 @@ class ClassModel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each coordinate is, severities by their kind."""
+        """Name of each coordinate; severities by their kind."""
         uncertain = [name for name, (low, high) in self.recipe.priors.items() if low < high]
         ranged = [str(part.kind) for part in self.fault_class.parts if part.severity_to is not None]
         return (*FACTORS, *uncertain, *ranged[::-1])
@@ -98,20 +98,20 @@ class ClassModel:
 
     @property
     def box(self) -> FloatArray:
-        """Lower and upper ends of the coordinates, shape (2, size)."""
+        """Lower and upper bounds of the coordinates, shape (2, size)."""
         normal, uniform = np.full(len(FACTORS), _LARGEST_NORMAL), np.ones(self.n_uniform)
         return np.array([[*-normal, *(0.0 * uniform)], [*normal, *uniform]])
 
     @property
     def prior(self) -> FloatArray:
-        """Means and precisions of the normal prior that stands for the uniform one in the linear motor, (2, size)."""
+        """Means and precisions of the normal prior that approximates the uniform one in the linear motor, (2, size)."""
         return np.concatenate(
             [np.tile([[0.0], [1.0]], len(FACTORS)), np.tile([[0.5], [1.0]], self.n_uniform)], axis=1
         )
 
     @property
     def steps(self) -> FloatArray:
-        """Step of the converter for each value, 0 where there is none, shape (n_channels * n_samples,)."""
+        """Converter step of each value, 0 without one, shape (n_channels * n_samples,)."""
         channels, field = self.recipe.sensor.channels, self.recipe.field
         step = (
             2.0 * field.sensor_range_a / 2.0**field.adc_bits if field is not None and field.adc_bits else 0.0
@@ -127,12 +127,12 @@ class ClassModel:
 
     @property
     def whole_noise(self) -> FloatArray:
-        """Standard deviation of the noise of each value, the converter's with it, were that normal."""
+        """Standard deviation of the noise of each value, with the converter's as if normal."""
         whole: FloatArray = np.hypot(self.noise, self.steps / np.sqrt(12.0))
         return whole
 
     def readings(self, values: FloatArray) -> FloatArray:
-        """Readings without noise and converter, shape (n, n_channels * n_samples), at coordinates (n, size)."""
+        """Compute readings without noise and converter, shape (n, n_channels * n_samples), at coordinates (n, size)."""
         recipe, n = self.recipe, len(values)
         factors = 1.0 + recipe.spread.std * values[:, : len(FACTORS)]
         severities, column = {}, values.shape[1]

@@ -1,7 +1,6 @@
-"""Parameters from measured transients: maximum likelihood or maximum a posteriori, and their covariance.
+"""Maximum likelihood or maximum a posteriori fits of parameters to transients, and their covariance.
 
-Weighted least squares by Gauss-Newton steps with Levenberg-Marquardt damping (Levenberg 1944; Marquardt 1963), a batch
-at once.
+Gauss-Newton steps with Levenberg-Marquardt damping (Levenberg 1944; Marquardt 1963), a batch at once.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ class Prior:
     """Gaussian prior on coordinates.
 
     Attributes:
-        mean: shape (size,), or (n, size) where each case has its own.
-        precision: inverse covariance, shape (size, size) or (n, size, size); 0 where nothing is known.
+        mean: shape (size,), or (n, size) for each case.
+        precision: inverse covariance, shape (size, size) or (n, size, size); 0 without knowledge.
     """
 
     mean: FloatArray
@@ -44,7 +43,7 @@ class Prior:
 
     @classmethod
     def from_std(cls, std: ArrayLike) -> Prior:
-        """Independent about 0, from standard deviations, infinite where nothing is known."""
+        """Return an independent prior about 0 from standard deviations; infinite ones express no knowledge."""
         deviations = np.asarray(std, dtype=np.float64)
         require(
             bool((deviations > 0.0).all()), f"standard deviations of a prior must be > 0, got {deviations}"
@@ -52,7 +51,7 @@ class Prior:
         return cls(np.zeros(deviations.shape), np.diag(1.0 / np.square(deviations)))
 
     def require_shape(self, n_cases: int, size: int) -> None:
-        """Raise `ValueError` unless it is of so many coordinates, of all cases or of each."""
+        """Raise `ValueError` unless the prior is of `size` coordinates, for all cases or for each."""
         for name, shape in (("mean", (size,)), ("precision", (size, size))):
             array = numbers(f"{name} of the prior", getattr(self, name))
             require(
@@ -61,14 +60,14 @@ class Prior:
             )
 
     def rows(self, chosen: NDArray[np.int64] | slice) -> Prior:
-        """The prior of some of the cases."""
+        """Return the prior of some cases."""
         return Prior(
             self.mean[chosen] if self.mean.ndim > 1 else self.mean,
             self.precision[chosen] if self.precision.ndim > 2 else self.precision,
         )
 
     def pull(self, values: FloatArray) -> FloatArray:
-        """Precision times the distance from the mean, shape (n, size): half the gradient of the prior's squares."""
+        """Return precision times the distance from the mean, shape (n, size)."""
         pulled: FloatArray = np.einsum("...ij,...j->...i", self.precision, values - self.mean)
         return pulled
 
@@ -81,7 +80,7 @@ class Fit(NamedTuple):
         factors: factors on the nominal values, shape (n, size).
         covariance: inverse information (prior included), shape (n, size, size).
         information: shape (n, size, size).
-        chi2: sum of squared residuals in units of the noise, shape (n,); near n_values for a right model.
+        chi2: sum of squared residuals in units of the noise, shape (n,).
         objective: chi2 plus the prior's squares, shape (n,).
         converged: shape (n,).
     """
@@ -102,7 +101,7 @@ class Fit(NamedTuple):
 
 
 def _with_prior(equations: NormalEquations, values: FloatArray, prior: Prior) -> NormalEquations:
-    """The prior is one more measurement of each coordinate: chi2 becomes the objective."""
+    """Add the prior as one more measurement of each coordinate: chi2 becomes the objective."""
     pull = prior.pull(values)
     return NormalEquations(
         equations.chi2 + ((values - prior.mean) * pull).sum(axis=-1),
@@ -114,7 +113,7 @@ def _with_prior(equations: NormalEquations, values: FloatArray, prior: Prior) ->
 def _steps(
     equations: NormalEquations, damping: FloatArray, coordinates: Coordinates, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Damped steps (Marquardt 1963), shortened where a factor would leave its region; what the objective would gain."""
+    """Return damped steps (Marquardt 1963), shortened at the region's bounds, and the expected gain."""
     information = equations.information.copy()
     diagonal = np.einsum("nii->ni", information)  # a view
     diagonal *= 1.0 + _RIDGE + damping[:, None]
@@ -134,16 +133,16 @@ def fit(
     prior: Prior | None = None,
     max_iterations: int = 40,
 ) -> Fit:
-    """Most likely, or most probable, coordinates of each case (Levenberg 1944; Marquardt 1963).
+    """Fit the most likely, or most probable, coordinates of each case.
 
     Args:
-        observed: the measured transients.
-        coordinates: what is free.
-        prior: nothing by default; the fit begins at its mean.
-        max_iterations: beyond them a case has not converged.
+        observed: measured transients.
+        coordinates: free parameters.
+        prior: none by default; the fit begins at its mean.
+        max_iterations: limit of iterations.
 
     Raises:
-        ValueError: the samples and the prior together leave a direction open.
+        ValueError: samples and prior leave a direction undetermined.
     """
     belief = Prior.from_std(np.full(coordinates.size, np.inf)) if prior is None else prior
     parts = []
@@ -206,10 +205,10 @@ _OPEN_DIRECTION = 1e-9  # smallest eigenvalue of the information scaled to a uni
 
 
 def inverse_information(information: FloatArray, names: tuple[str, ...]) -> FloatArray:
-    """Inverse of positive definite matrices (..., size, size); scaled first, so that units do not matter.
+    """Invert positive definite matrices (..., size, size), scaled against their units.
 
     Raises:
-        ValueError: a direction is open.
+        ValueError: a direction is undetermined.
     """
     root = np.sqrt(np.einsum("...ii->...i", information))
     seen = root.min(initial=np.inf) > 0.0

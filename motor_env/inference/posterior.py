@@ -1,7 +1,7 @@
-"""The Bayes-optimal posterior over the classes of a recipe, and over a severity: the bound of every classifier.
+"""The Bayes-optimal posterior over the classes of a recipe, and over a severity.
 
-For each class the nuisance factors are integrated out by Laplace's method (Laplace 1774; MacKay 2003, ch. 27): a fit
-under their Gaussian prior, and the peak's volume from its curvature.
+Laplace's method integrates out the nuisance factors (Laplace 1774; MacKay 2003, ch. 27): a fit under their Gaussian
+prior, and the peak's volume from its curvature.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from motor_env.simulation.recipes import FACTORS, LARGEST_SEVERITY, FaultClass, 
 
 
 def class_coordinates(recipe: Recipe, fault_class: FaultClass) -> Coordinates:
-    """Standard normal coordinates of the motors of a class: each factor is 1 + sd z; those without spread are fixed."""
+    """Return standard normal coordinates of a class's motors: each factor with a spread is 1 + sd z."""
     free = tuple((name, float(sd)) for name, sd in zip(FACTORS, recipe.spread.std, strict=True) if sd > 0.0)
     return Coordinates(
         nominal=apply_faults(recipe.motor, fault_class.faults),
@@ -33,12 +33,12 @@ def class_coordinates(recipe: Recipe, fault_class: FaultClass) -> Coordinates:
 
 
 def variance_factor(fault_class: FaultClass) -> float:
-    """Factor of a class on the variance of the measurement noise."""
+    """Return a class's factor on the variance of the measurement noise."""
     return float(noise_variance_factor(fault_class.faults, NoiseSource.MEASUREMENT, np.zeros(1))[0, 0])
 
 
 def recipe_observed(recipe: Recipe, measurements: ArrayLike) -> Observed:
-    """The measured transients as the recipe sees them; the first part of a transient is taken for a shorter one.
+    """Whiten measured transients by a recipe's sensor; fewer samples are the first part of a transient.
 
     `measurements` has shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
     """
@@ -53,19 +53,17 @@ def recipe_observed(recipe: Recipe, measurements: ArrayLike) -> Observed:
 
 
 def class_log_evidence(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
-    """Log probability density of each transient under each class (Laplace 1774), shape (n_cases, n_classes).
+    """Compute the log density of each transient under each class, shape (n_cases, n_classes).
 
-    Exact for a recipe without spread. A process noise fault leaves no trace here.
+    Exact for a recipe without spread. A process noise fault has no effect here.
 
     Args:
-        recipe: what the cases were drawn from.
+        recipe: distribution of the cases.
         measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
-        prior: of the nuisances, in the coordinates of `class_coordinates`, such as `prior_from_starts` gives; standard
-            normal by default.
+        prior: of the nuisances in `class_coordinates`, as from `prior_from_starts`; standard normal by default.
 
     Raises:
-        ValueError: shapes do not fit, a value is not finite, the recipe's sensor has no noise, or one of its sensors
-            fails.
+        ValueError: shapes do not fit, a value is not finite, a sensor has no noise, or a class is a sensor fault.
     """
     observed = recipe_observed(recipe, measurements)
     recipe.require_motor_faults()
@@ -78,7 +76,7 @@ def class_log_evidence(recipe: Recipe, measurements: ArrayLike, prior: Prior | N
 def class_evidence(
     recipe: Recipe, observed: Observed, fault_class: FaultClass, prior: Prior | None = None
 ) -> FloatArray:
-    """Log probability density of each transient under one class of the recipe's motors (Laplace 1774), shape (n,)."""
+    """Compute the log density of each transient under one class of the recipe, shape (n,)."""
     noisy = observed.with_variance(variance_factor(fault_class))
     coordinates = class_coordinates(recipe, fault_class)
     if coordinates.size == 0:
@@ -96,7 +94,7 @@ def class_evidence(
 
 
 def class_probabilities(recipe: Recipe, measurements: ArrayLike, prior: Prior | None = None) -> FloatArray:
-    """Posterior of each class (Bayes 1763), shape (n_cases, n_classes), rows summing to 1; as `class_log_evidence`."""
+    """Compute the posterior of each class, shape (n_cases, n_classes); arguments as `class_log_evidence`."""
     evidence = class_log_evidence(recipe, measurements, prior)
     with np.errstate(divide="ignore"):  # a class that is never drawn
         joint = evidence + np.log(recipe.class_probabilities)
@@ -105,17 +103,16 @@ def class_probabilities(recipe: Recipe, measurements: ArrayLike, prior: Prior | 
 
 
 def prior_from_starts(recipe: Recipe, starts: ArrayLike) -> Prior:
-    """What healthy starts of the same motor tell of its next one: the prior of its nuisances then.
+    """Return the prior of a motor's nuisances after healthy starts of the same motor.
 
-    Start by start the posterior of the motor's factors becomes their next prior, taken for Gaussian (MacKay 2003, ch.
-    27); the supply differs in each start.
+    The posterior of the motor's factors, as a Gaussian, is the next start's prior; the supply differs in each start.
 
     Args:
-        recipe: what the motors are drawn from.
+        recipe: distribution of the motors.
         starts: healthy starts of each motor, shape (n_motors, n_starts, n_channels, n_samples); n_starts may be 0.
 
     Returns:
-        A prior of each motor's own, in the coordinates of `class_coordinates`.
+        A prior for each motor, in `class_coordinates`.
     """
     instance("recipe", recipe, Recipe)
     measured = numbers("starts", starts)
@@ -140,7 +137,7 @@ class Excess(NamedTuple):
 
     Attributes:
         excess: accuracy minus that of the most probable class; at most 0 on average.
-        standard_error: of the excess, from the cases on which the two differ.
+        standard_error: of the excess.
     """
 
     excess: float
@@ -148,9 +145,9 @@ class Excess(NamedTuple):
 
 
 def excess_over_limit(probabilities: FloatArray, class_index: ArrayLike, predicted: ArrayLike) -> Excess:
-    """Compare a classifier with the limit, case by case (McNemar 1947).
+    """Compare a classifier with the Bayes-optimal one, case by case (McNemar 1947).
 
-    `probabilities` are posterior, shape (n_cases, n_classes); classes have shape (n_cases,), -1 for none predicted.
+    `probabilities` are the posterior, shape (n_cases, n_classes); classes have shape (n_cases,), -1 for none.
 
     Raises:
         ValueError: shapes do not fit, fewer than 2 cases, or a number that is no class.
@@ -182,7 +179,7 @@ class SeverityPrior:
     """A kind of fault whose severity is uniform between two bounds.
 
     Raises:
-        ValueError: bounds out of order, negative, or not below 1 where something is lost; the kind is that of a sensor.
+        ValueError: bounds out of order, negative, or not below 1 for a loss; a sensor fault.
     """
 
     kind: FaultKind
@@ -201,7 +198,7 @@ class SeverityPrior:
         self.kind.require_severity(self.largest)
 
     def at(self, position: FloatArray) -> FloatArray:
-        """Severities at positions from -1 (smallest) to 1 (largest)."""
+        """Return severities at positions from -1 (smallest) to 1 (largest)."""
         return self.smallest + 0.5 * (position + 1.0) * (self.largest - self.smallest)
 
 
@@ -209,9 +206,9 @@ class SeverityPosterior(NamedTuple):
     """Posterior of the severity of each case.
 
     Attributes:
-        severity: grid of each case, over all that has weight, shape (n_cases, n_grid).
+        severity: grid of each case, shape (n_cases, n_grid).
         weights: probability of each grid point, rows summing to 1, shape (n_cases, n_grid).
-        log_evidence: log probability density of each transient under this kind, shape (n_cases,).
+        log_evidence: log density of each transient under this kind, shape (n_cases,).
     """
 
     severity: FloatArray
@@ -220,19 +217,19 @@ class SeverityPosterior(NamedTuple):
 
     @property
     def mean(self) -> FloatArray:
-        """Posterior mean, shape (n_cases,): the estimate with the smallest mean squared error."""
+        """Return the posterior mean, shape (n_cases,)."""
         mean: FloatArray = (self.weights * self.severity).sum(axis=1)
         return mean
 
     @property
     def std(self) -> FloatArray:
-        """Posterior standard deviation, shape (n_cases,)."""
+        """Return the posterior standard deviation, shape (n_cases,)."""
         off = np.square(self.severity - self.mean[:, None])
         deviation: FloatArray = np.sqrt((self.weights * off).sum(axis=1))
         return deviation
 
     def quantile(self, probability: float) -> FloatArray:
-        """Severity below which the posterior holds the probability, shape (n_cases,)."""
+        """Return the quantile of a probability, shape (n_cases,)."""
         probability = number("probability", probability, above=0.0, below=1.0)
         # Half of a point's weight lies on either side of it.
         cumulated = np.cumsum(self.weights, axis=1) - 0.5 * self.weights
@@ -240,18 +237,18 @@ class SeverityPosterior(NamedTuple):
         return np.array([np.interp(probability, row, severity) for row, severity in rows])
 
     def interval(self, coverage: float = 0.90) -> FloatArray:
-        """Bounds between equal tails, shape (n_cases, 2)."""
+        """Return bounds between equal tails, shape (n_cases, 2)."""
         tail = 0.5 * (1.0 - number("coverage", coverage, above=0.0, below=1.0))
         return np.column_stack([self.quantile(tail), self.quantile(1.0 - tail)])
 
 
 def severity_posterior(recipe: Recipe, prior: SeverityPrior, measurements: ArrayLike) -> SeverityPosterior:
-    """Posterior of the severity of one kind of fault, given that the motor has it (or, from 0, none).
+    """Compute the posterior of the severity of one kind of fault, assuming its presence.
 
     Laplace's method at Chebyshev nodes (Laplace 1774; Trefethen 2013, ch. 4).
 
     Args:
-        recipe: nominal motor, tolerances, sensor, timing; its classes are not looked at.
+        recipe: nominal motor, tolerances, sensor, timing.
         prior: kind and range of the severity.
         measurements: shape (n_cases, n_channels, n_samples), n_samples at most the recipe's.
     """
@@ -277,7 +274,7 @@ def severity_posterior(recipe: Recipe, prior: SeverityPrior, measurements: Array
 
 
 def _zoomed(coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Grids of positions that hold all the mass of each case, and the log density there."""
+    """Return grids of positions with all the mass of each case, and the log density there."""
     n_cases = coefficients.shape[1]
     low, high = np.full((n_cases, 1), -1.0), np.full((n_cases, 1), 1.0)
     share = np.linspace(0.0, 1.0, _GRID)

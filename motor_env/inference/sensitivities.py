@@ -1,7 +1,6 @@
-"""How the linear motor's measured response moves with its parameters.
+"""Sensitivity of the linear motor's measured response to its parameters.
 
-`normal_equations` gives, for a batch, the weighted squares, gradient and Fisher information (Gauss 1809; Ljung 1999,
-ch. 10).
+`normal_equations` gives squares, gradient and Fisher information (Gauss 1809; Ljung 1999, ch. 10).
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ def fill_sensitivities(
     states: FloatArray,
     slopes: FloatArray,
 ) -> None:
-    """One motor's states, (2, n_samples), and their derivatives, (size, 2, n_samples), by the exact recursion.
+    """Compute one motor's states (2, n_samples) and their derivatives (size, 2, n_samples).
 
     s[k+1] = A s[k] + A' x[k] + B' u[k], from rest and without a load.
     """
@@ -66,7 +65,7 @@ def fill_normal_equations(
     gradient: FloatArray,
     information: FloatArray,
 ) -> None:
-    """Weighted squares, J'r and J'J of each row; `observation` is C divided by the noise, as `measurements` are."""
+    """Compute squares, J'r and J'J of each row; `observation` and `measurements` are divided by the noise."""
     n_channels, n_samples, size = measurements.shape[1], measurements.shape[2], gradient.shape[1]
     states, slopes = np.empty((N_STATES, n_samples)), np.empty((size, N_STATES, n_samples))
     residual = np.empty(n_samples)
@@ -94,7 +93,7 @@ def fill_normal_equations(
 _FIELDS: dict[str, tuple[str, ...]] = {"supply": (), **QUANTITY_FIELDS}
 
 QUANTITIES = tuple(_FIELDS)
-"""What a fit can free: a factor on the supply, or on a parameter; `constants` is one common factor on Kt and Kb."""
+"""Quantities that a fit can free: a factor on the supply, or on a parameter; `constants` scales Kt and Kb."""
 
 # Of a relative change: truncation and rounding of a central difference are both near 1e-10.
 _DIFFERENCE = 1e-5
@@ -109,7 +108,7 @@ class Coordinates:
     Attributes:
         nominal: the motor at z = 0.
         names: the free quantities, of `QUANTITIES`.
-        scales: relative change of each for a unit of its coordinate, all > 0.
+        scales: relative change of each per unit of its coordinate, > 0.
         logarithmic: whether factors are exponentials.
     """
 
@@ -133,7 +132,7 @@ class Coordinates:
 
     @classmethod
     def from_names(cls, nominal: MotorParameters, names: tuple[str, ...]) -> Coordinates:
-        """Natural logarithms of the factors."""
+        """Return the natural logarithms of factors as coordinates."""
         return cls(nominal, tuple(names), (1.0,) * len(names))
 
     @property
@@ -142,13 +141,13 @@ class Coordinates:
         return len(self.names)
 
     def factors(self, values: FloatArray) -> FloatArray:
-        """Factors on the nominal values, shape (..., size), for coordinates of that shape."""
+        """Return factors on the nominal values, shape (..., size), for coordinates of that shape."""
         scaled = values * np.asarray(self.scales)
         factors: FloatArray = np.exp(scaled) if self.logarithmic else 1.0 + scaled
         return factors
 
     def motors(self, values: FloatArray) -> tuple[MotorParameters, FloatArray]:
-        """Motors and supply factors, both of batch shape (...), for coordinates of shape (..., size)."""
+        """Return motors and supply factors, both of batch shape (...), for coordinates of shape (..., size)."""
         factors = dict(zip(self.names, np.moveaxis(self.factors(values), -1, 0), strict=True))
         supply = factors.pop("supply", np.ones(values.shape[:-1]))
         by_field = {field: factor for name, factor in factors.items() for field in _FIELDS[name]}
@@ -156,11 +155,11 @@ class Coordinates:
 
 
 Model = tuple[FloatArray, FloatArray]
-"""A and B of x[k+1] = A x[k] + B [v[k], load[k]], v nominal: the supply's factor is in B; shapes (n, 2, 2)."""
+"""A and B of x[k+1] = A x[k] + B [v[k], load[k]], supply factor included in B; shapes (n, 2, 2)."""
 
 
 def model_slopes(coordinates: Coordinates, values: FloatArray, dt_s: float) -> tuple[Model, Model]:
-    """Exact discrete models at the coordinates (n, size), and their derivatives, each (n, size, 2, 2)."""
+    """Return exact discrete models at coordinates (n, size), and their derivatives, (n, size, 2, 2)."""
     steps = _DIFFERENCE / np.asarray(coordinates.scales)
     size = coordinates.size
     shifted = values[:, None, :] + np.concatenate([np.zeros((1, size)), np.diag(steps), -np.diag(steps)])
@@ -176,11 +175,11 @@ def model_slopes(coordinates: Coordinates, values: FloatArray, dt_s: float) -> t
 
 
 class NormalEquations(NamedTuple):
-    """At given coordinates, for each case: what a Gauss-Newton step needs.
+    """Terms of a Gauss-Newton step for each case.
 
     Attributes:
         chi2: sum of squared residuals in units of the noise, shape (n,).
-        gradient: J' r, shape (n, size): minus half the gradient of chi2.
+        gradient: J' r, minus half the gradient of chi2, shape (n, size).
         information: J' J, the Fisher information, shape (n, size, size).
     """
 
@@ -191,11 +190,11 @@ class NormalEquations(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """Measured transients in units of their noise, all from rest, and what drove them.
+    """Measured transients from rest in units of their noise, and their voltage.
 
     Attributes:
-        whitened: measurements divided by the noise's standard deviation, shape (n_cases, n_channels, n_samples).
-        voltage_v: nominal voltage of all, shape (n_samples,).
+        whitened: measurements over the noise's standard deviation, shape (n_cases, n_channels, n_samples).
+        voltage_v: nominal voltage, shape (n_samples,).
         dt_s: sampling interval.
         observation: C divided by the noise, shape (n_channels, 2).
         log_normaliser: log-likelihood of a transient with chi2 = 0.
@@ -211,16 +210,16 @@ class Observed:
     def from_measurements(
         cls, measurements: ArrayLike, voltage_v: ArrayLike, sensor: SensorParameters, dt_s: float
     ) -> Observed:
-        """Check and whiten.
+        """Check and whiten measurements.
 
         Args:
             measurements: shape (n_cases, n_channels, n_samples), or (n_channels, n_samples) for one case.
             voltage_v: nominal voltage held in each interval, shape (n_samples,).
-            sensor: channels, and the noise that is believed.
+            sensor: channels and assumed noise.
             dt_s: sampling interval.
 
         Raises:
-            ValueError: shapes do not fit, a value is not finite, or a channel is believed to have no noise.
+            ValueError: shapes do not fit, a value is not finite, or a channel has no noise.
         """
         instance("sensor", sensor, SensorParameters)
         n_channels = len(sensor.channels)
@@ -243,7 +242,7 @@ class Observed:
         )
 
     def with_variance(self, factor: float) -> Observed:
-        """These transients, with the noise's variance believed to be `factor` times as large."""
+        """Return the transients with the assumed noise variance times `factor`."""
         root = float(np.sqrt(factor))
         return replace(
             self,
@@ -253,7 +252,7 @@ class Observed:
         )
 
     def rows(self, chosen: slice) -> Observed:
-        """Some of the cases."""
+        """Return some of the cases."""
         return replace(self, whitened=self.whitened[chosen])
 
     @property
@@ -263,7 +262,7 @@ class Observed:
 
     @property
     def n_values(self) -> int:
-        """Numbers measured in a transient: channels times samples."""
+        """Values in a transient: channels times samples."""
         _, n_channels, n_samples = self.whitened.shape
         return int(n_channels * n_samples)
 
@@ -271,7 +270,7 @@ class Observed:
 def normal_equations(
     observed: Observed, coordinates: Coordinates, values: FloatArray, rows: NDArray[np.int64] | None = None
 ) -> NormalEquations:
-    """Squares, gradient and information (Gauss 1809) at coordinates of shape (n, size), for the cases `rows` or all."""
+    """Compute squares, gradient and information at coordinates (n, size), for the cases `rows` or all."""
     chosen = np.arange(observed.n_cases) if rows is None else rows
     centre, slope = model_slopes(coordinates, values, observed.dt_s)
     n, size = len(chosen), coordinates.size
@@ -289,7 +288,7 @@ def normal_equations(
 
 
 def common_equations(observed: Observed, coordinates: Coordinates, value: FloatArray) -> NormalEquations:
-    """`normal_equations` at one point, shape (size,), for all cases: one motor's slopes serve them all."""
+    """Compute `normal_equations` at one point, shape (size,), for all cases; one motor's slopes serve them all."""
     n, size, voltage = observed.n_cases, coordinates.size, observed.voltage_v
     states, slopes = _state_slopes(coordinates, value, observed.dt_s, voltage)
     moved = (observed.observation @ slopes).reshape(size, -1)
@@ -302,7 +301,7 @@ def common_equations(observed: Observed, coordinates: Coordinates, value: FloatA
 
 
 def fitted_residuals(observed: Observed, coordinates: Coordinates, values: FloatArray) -> FloatArray:
-    """Measured less expected at coordinates of shape (n, size), in units of the noise, shape as `observed.whitened`."""
+    """Return measured less expected at coordinates (n, size), in units of the noise, as `observed.whitened`."""
     motors, supply = coordinates.motors(values)
     states = simulate_states(motors, supply[:, None] * observed.voltage_v, observed.dt_s)
     return observed.whitened - observed.observation @ states.swapaxes(1, 2)
@@ -311,7 +310,7 @@ def fitted_residuals(observed: Observed, coordinates: Coordinates, values: Float
 def jacobian(
     coordinates: Coordinates, voltage_v: ArrayLike, sensor: SensorParameters, dt_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Response of the nominal motor from rest, (n_channels, n_samples), and its derivative, with `size` behind that.
+    """Return the nominal motor's response (n_channels, n_samples) and its derivative (..., size).
 
     `voltage_v` is the nominal voltage, shape (n_samples,).
     """
@@ -324,7 +323,7 @@ def jacobian(
 def _state_slopes(
     coordinates: Coordinates, value: FloatArray, dt_s: float, voltage_v: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """States of one motor, (2, n_samples), and their slopes, (size, 2, n_samples)."""
+    """Return states of one motor, (2, n_samples), and their slopes, (size, 2, n_samples)."""
     centre, slope = model_slopes(coordinates, value[None], dt_s)
     n_samples = len(voltage_v)
     states, slopes = np.empty((N_STATES, n_samples)), np.empty((coordinates.size, N_STATES, n_samples))

@@ -1,8 +1,8 @@
-"""Residuals of a motor known only up to its tolerances: whitened with S + J P J', and the matched test on them.
+"""Whitening of residuals of a motor known only up to its tolerances, and the matched test on them.
 
 A residual that is white with unit variance for the nominal motor is, to first order, r = G z + e for a motor whose
-nuisance coordinates are z ~ N(0, 1): its covariance is 1 + G G'. Its Cholesky factor makes it white again, causally: by
-recursive least squares (Plackett 1950), in one pass.
+nuisance coordinates are z ~ N(0, 1): its covariance is 1 + G G'. Recursive least squares (Plackett 1950) whitens it
+causally.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from motor_env.simulation.simulate import simulate_states
 
 @njit(cache=True)
 def _gains(slopes: FloatArray, gain: FloatArray, scale: FloatArray) -> None:
-    """Gain and root variance of each sample's recursive least-squares step; the coordinates begin at N(0, 1)."""
+    """Compute gain and root variance of each sample's recursive least-squares step from N(0, 1)."""
     size = slopes.shape[1]
     covariance = np.eye(size)
     for k in range(slopes.shape[0]):
@@ -59,15 +59,15 @@ def _whiten(
 
 @dataclass(frozen=True, slots=True)
 class MarginalWhitener:
-    """Takes the nuisances' share out of residuals, sample by sample, and leaves them white with unit variance.
+    """Removes the nuisances' effect from residuals and leaves them white with unit variance.
 
     Recursive least squares (Plackett 1950); the nuisances are considered states (Schmidt 1966).
 
     Attributes:
-        slopes: G, the residual's change for one standard deviation of each nuisance, shape (n_samples * n_channels,
-            n_nuisances), channels of a sample side by side.
+        slopes: G, the residual's change per standard deviation of each nuisance, shape (n_samples * n_channels,
+            n_nuisances), sample by sample.
         gain: recursive least-squares gain of each sample, of the same shape.
-        scale: standard deviation of each residual given those before it, shape (n_samples * n_channels,).
+        scale: standard deviation of each residual given the earlier ones, shape (n_samples * n_channels,).
     """
 
     slopes: FloatArray
@@ -76,7 +76,7 @@ class MarginalWhitener:
 
     @classmethod
     def from_slopes(cls, slopes: ArrayLike) -> Self:
-        """From G, shape (n_samples, n_channels, n_nuisances) or (n_values, n_nuisances)."""
+        """Return the whitener of G, shape (n_samples, n_channels, n_nuisances) or (n_values, n_nuisances)."""
         values = np.asarray(slopes, dtype=np.float64)
         flat = np.ascontiguousarray(values.reshape(int(np.prod(values.shape[:-1])), values.shape[-1]))
         gain, scale = np.empty_like(flat), np.empty(len(flat))
@@ -84,9 +84,7 @@ class MarginalWhitener:
         return cls(flat, gain, scale)
 
     def whiten(self, residual: ArrayLike) -> FloatArray:
-        """White residuals, in the shape given: (..., n_samples, n_channels), the layout of `FilterResult.whitened`.
-
-        NaN is missing: it stays NaN, and teaches nothing about the nuisances.
+        """Whiten residuals of shape (..., n_samples, n_channels), as `FilterResult.whitened`; NaN stays NaN.
 
         Raises:
             ValueError: the last two axes do not hold as many values as the slopes.
@@ -114,12 +112,12 @@ class MarginalWhitener:
 
 
 def innovation_slopes(recipe: Recipe, belief: KalmanFilter) -> FloatArray:
-    """Change of the filter's whitened innovations for one standard deviation of each of the recipe's nuisances.
+    """Compute the change of the whitened innovations per standard deviation of each nuisance.
 
-    Their covariance is 1 + G G' with these slopes as G (Kay 1993, ch. 10).
+    The innovations' covariance is 1 + G G' (Kay 1993, ch. 10).
 
     Returns:
-        Shape (n_samples, n_channels, n_nuisances); the nuisances of the recipe that have a spread.
+        G, shape (n_samples, n_channels, n_nuisances), for nuisances that have a spread.
     """
     voltage = recipe.nominal_voltage_v
     coordinates = class_coordinates(recipe, FaultClass())
@@ -133,7 +131,7 @@ class StatisticLaw(NamedTuple):
     """Distribution of a test's statistic over motors and noise: a mixture of normals of one width.
 
     Attributes:
-        means: what motors at the quadrature's nodes give without noise.
+        means: values without noise at the quadrature's nodes.
         weights: of the nodes, summing to 1.
         std: of the statistic for one motor, from the measurement noise.
     """
@@ -143,27 +141,27 @@ class StatisticLaw(NamedTuple):
     std: float
 
     def above(self, threshold: float) -> float:
-        """Probability of a statistic above the threshold."""
+        """Return the probability of a statistic above the threshold."""
         return float(self.weights @ ndtr((self.means - threshold) / self.std))
 
     def beyond(self, threshold: float) -> float:
-        """Probability of a magnitude above the threshold."""
+        """Return the probability of a magnitude above the threshold."""
         return self.above(threshold) + float(self.weights @ ndtr((-threshold - self.means) / self.std))
 
 
 @dataclass(frozen=True, slots=True)
 class MatchedTest:
-    """The most powerful test of a known fault, nuisances marginalised (Neyman & Pearson 1933).
+    """The most powerful test of a known fault under unknown nuisances (Neyman & Pearson 1933).
 
-    The statistic: whitened with S + J P J', projected on the fault's signature; for healthy motors standard normal to
-    first order in the tolerances. Thresholds and powers come from `law`, exact to the quadrature's error.
+    The statistic projects white residuals on the fault's signature; for healthy motors it is standard normal to first
+    order in the tolerances. Thresholds and powers come from `law`, exact to the quadrature's error.
 
     Attributes:
         recipe: nominal motor, tolerances, sensor, timing.
-        fault: what is looked for.
+        fault: the tested fault.
         belief: the filter of the nominal motor.
         whitener: for its whitened innovations.
-        signature: what the fault adds to the white residual, shape (n_samples, n_channels).
+        signature: effect of the fault on the white residual, shape (n_samples, n_channels).
     """
 
     recipe: Recipe
@@ -174,14 +172,14 @@ class MatchedTest:
 
     @classmethod
     def from_recipe(cls, recipe: Recipe, fault: Fault) -> Self:
-        """Test for the fault on a motor drawn from the recipe's tolerances.
+        """Return the test of a fault for motors of a recipe.
 
         Args:
-            recipe: what the healthy motors are drawn from.
-            fault: there from the beginning, and of the motor.
+            recipe: distribution of healthy motors.
+            fault: of the motor, present from the beginning.
 
         Raises:
-            ValueError: the fault has an onset in mid-run, or leaves the motor as it is.
+            ValueError: the fault has an onset in mid-run, or no effect on the motor.
         """
         require(fault.is_constant, f"onset_s must be that of a fault always there, got {fault.onset_s:g}")
         faulty = apply_fault(recipe.motor, fault)
@@ -203,7 +201,7 @@ class MatchedTest:
         return float(np.linalg.norm(self.signature))
 
     def statistic(self, measurements: ArrayLike) -> FloatArray:
-        """Near standard normal for healthy motors, around `separation` for faulty ones, shape (n_cases,).
+        """Return the statistic, shape (n_cases,): mean near 0 for healthy motors, `separation` for faulty ones.
 
         Args:
             measurements: shape (n_cases, n_channels, n_samples).
@@ -217,9 +215,9 @@ class MatchedTest:
         return statistic
 
     def law(self, *, faulty: bool = False) -> StatisticLaw:
-        """Distribution of the statistic over the recipe's motors, healthy or with the fault.
+        """Return the statistic's distribution over the recipe's motors, healthy or with the fault.
 
-        A polynomial on a fine grid along the direction that moves the statistic most, Gauss-Hermite nodes across it.
+        A polynomial along the direction of the statistic's steepest change, Gauss-Hermite nodes across it.
         """
         slopes = np.moveaxis(self.whitener.slopes.reshape(*self.signature.shape, -1), -1, 0)
         gradient = self._project(slopes) if len(slopes) else np.zeros(0)
@@ -239,7 +237,7 @@ class MatchedTest:
         return StatisticLaw(dense.ravel(), np.outer(weights, along / along.sum()).ravel(), std)
 
     def threshold_for(self, false_alarm_rate: float, *, two_sided: bool = False) -> float:
-        """Threshold on the statistic, or on its magnitude where two-sided, for a false-alarm rate a transient."""
+        """Return the threshold on the statistic (or its magnitude) for a false-alarm rate a transient."""
         require(0.0 < false_alarm_rate < 1.0, f"false_alarm_rate must be in (0, 1), got {false_alarm_rate:g}")
         law = self.law()
         rate = law.beyond if two_sided else law.above
@@ -248,7 +246,7 @@ class MatchedTest:
         return float(brentq(lambda threshold: rate(threshold) - false_alarm_rate, lowest, highest))
 
     def power(self, false_alarm_rate: float, *, two_sided: bool = False) -> float:
-        """Share of the recipe's faulty motors that the test finds at that false-alarm rate."""
+        """Return the share of the recipe's faulty motors with an alarm at that false-alarm rate."""
         threshold = self.threshold_for(false_alarm_rate, two_sided=two_sided)
         law = self.law(faulty=True)
         return law.beyond(threshold) if two_sided else law.above(threshold)
@@ -262,7 +260,7 @@ _ACROSS = 3  # Gauss-Hermite nodes of each direction across: exact to the fifth 
 
 
 def _quadrature(gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Nodes in coordinates, shape (n_across * n_along, size), and the weights of the nodes across, (n_across,)."""
+    """Return nodes, shape (n_across * n_along, size), and the weights of the nodes across, (n_across,)."""
     size = len(gradient)
     if not gradient.any():
         return np.zeros((len(_ALONG), size)), np.ones(1)
@@ -282,7 +280,7 @@ def _quadrature(gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
 def noise_free_innovations(
     recipe: Recipe, belief: KalmanFilter, motors: MotorParameters, voltage_v: FloatArray
 ) -> FloatArray:
-    """Whitened innovations of noise-free motors, shape (n_motors, n_samples, n_channels), or without the first axis."""
+    """Return whitened innovations of motors without noise, shape (n_motors, n_samples, n_channels)."""
     states = simulate_states(motors, voltage_v, recipe.timing.dt_s)
     nominal = recipe.nominal_voltage_v
     return run_filter(belief, recipe.sensor.observation @ np.moveaxis(states, -1, -2), nominal).whitened

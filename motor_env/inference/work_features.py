@@ -1,8 +1,7 @@
 """Features of a motor at work: severities from a fit of each record.
 
-Readings depend on the coordinates of `ClassModel`, the severity of each kind among them. Damped Gauss-Newton steps
-(Levenberg 1944; Marquardt 1963) give the most probable ones and their covariance; the distance of a class's severities
-(Mahalanobis 1936) gives its probability.
+Damped Gauss-Newton steps (Levenberg 1944; Marquardt 1963) fit the coordinates of `ClassModel`. A class's probability
+follows from the distance of its severities (Mahalanobis 1936).
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _FLAT = 0.01  # precision of a severity, which has hardly a prior
 _UNIFORM = 12.0  # of a uniform coordinate
 _RAREST = -12.0  # smallest logarithm of a probability that a feature tells
 AT_ONCE = 64
-"""Cases that are fitted side by side: more need memory, fewer time."""
+"""Cases that are fitted side by side, limited by memory."""
 
 
 def _kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
@@ -37,7 +36,7 @@ def _kinds(recipe: Recipe) -> tuple[FaultKind, ...]:
 
 
 def _severities(recipe: Recipe) -> FloatArray:
-    """Smallest and largest severity of each class and kind, shape (2, n_classes, n_kinds)."""
+    """Return smallest and largest severity of each class and kind, shape (2, n_classes, n_kinds)."""
     kinds = _kinds(recipe)
     table = np.zeros((2, len(recipe.classes), len(kinds)))
     for row, fault_class in enumerate(recipe.classes):
@@ -58,7 +57,7 @@ def all_faults(recipe: Recipe) -> FaultClass:
 
 
 def class_positions(recipe: Recipe) -> tuple[FloatArray, FloatArray]:
-    """Severities of each class as coordinates of a fit, and widths of their ranges, both (n_classes, n_kinds)."""
+    """Return severities of each class as coordinates, and widths of their ranges, both (n_classes, n_kinds)."""
     tops = np.array([part.largest_severity for part in all_faults(recipe).parts])
     # The severities stand last, the last part's first.
     low, high = (_severities(recipe) / tops)[..., ::-1]
@@ -66,30 +65,30 @@ def class_positions(recipe: Recipe) -> tuple[FloatArray, FloatArray]:
 
 
 def work_feature_names(recipe: Recipe) -> tuple[str, ...]:
-    """Names of the columns of `work_features`."""
+    """Return the names of the columns of `work_features`."""
     names = ClassModel(recipe, all_faults(recipe)).names
     stds = (f"log_std_{name}" for name in names[len(names) - len(_kinds(recipe)) :])
     return (*names, *stds, *(f"log_probability_{name}" for name in recipe.class_names), "log1p_chi2")
 
 
 def work_features(recipe: Recipe, cases: FloatArray) -> FloatArray:
-    """Most probable coordinates, errors of severities, log probabilities of classes, and the misfit.
+    """Compute most probable coordinates, errors of severities, log probabilities of classes, and the misfit.
 
     Args:
-        recipe: one with a table `duty` and faults that change the motor.
+        recipe: with a table `duty` and faults that change the motor.
         cases: shape (n_cases, n_channels, n_samples), the applied voltage last.
 
     Returns:
-        Shape (n_cases, n_features), columns as `work_feature_names` says.
+        Shape (n_cases, n_features), columns as `work_feature_names`.
     """
     begins = range(0, len(cases), AT_ONCE)
     return np.concatenate([_features(recipe, cases[begin : begin + AT_ONCE]) for begin in begins])
 
 
 def work_probabilities(recipe: Recipe, cases: FloatArray) -> FloatArray:
-    """Posterior of each class, shape (n_cases, n_classes), of a motor that is linear around its fit: an estimate.
+    """Estimate the posterior of each class, shape (n_cases, n_classes), linear around the fit.
 
-    As `work_features`; probabilities below 6e-6 are not told apart.
+    Arguments as `work_features`; probabilities below 6e-6 are equal.
     """
     names = work_feature_names(recipe)
     columns = [names.index(f"log_probability_{name}") for name in recipe.class_names]
@@ -103,10 +102,10 @@ class WorkFit(NamedTuple):
     Attributes:
         values: most probable coordinates, the severities last, shape (n_cases, size).
         simulated: point of linearisation, within the box, shape (n_cases, size).
-        covariance: theirs, shape (n_cases, size, size).
-        chi2: mean square of what is left over, shape (n_cases,).
+        covariance: of `values`, shape (n_cases, size, size).
+        chi2: mean square of the residual, shape (n_cases,).
         positions: severities of each class in the same coordinates, shape (n_classes, n_kinds).
-        log_probability: of each class, of a motor linear around its fit, shape (n_cases, n_classes).
+        log_probability: of each class, linear around the fit, shape (n_cases, n_classes).
     """
 
     values: FloatArray
@@ -118,13 +117,13 @@ class WorkFit(NamedTuple):
 
 
 def measured_and_voltage(recipe: Recipe, cases: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-    """Split cases into measurements, shape (n_cases, n_values), and the voltage; None for starts."""
+    """Split cases into measurements, shape (n_cases, n_values), and voltage (None for starts)."""
     measured = cases[:, : len(recipe.sensor.channels)].reshape(len(cases), -1)
     return measured, None if recipe.duty is None else cases[:, -1]
 
 
 def prior_of_all_faults(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, FloatArray]:
-    """Return means and precisions of the coordinates of `all_faults`, both of shape (size,)."""
+    """Return means and precisions of the coordinates of `all_faults`, both (size,)."""
     kinds = slice(-len(_kinds(recipe)), None)
     centre = model.prior[0].copy()
     precision = np.where(np.arange(len(centre)) < len(FACTORS), 1.0, _UNIFORM)
@@ -135,10 +134,10 @@ def prior_of_all_faults(recipe: Recipe, model: ClassModel) -> tuple[FloatArray, 
 def work_fit(
     recipe: Recipe, cases: FloatArray, begin: FloatArray | None = None, enough: float = 0.0
 ) -> WorkFit:
-    """Fit cases, all side by side.
+    """Fit cases side by side.
 
     Args:
-        recipe: with a table `duty`, or of starts with a table `field`.
+        recipe: with a table `duty`, or (starts) `field`.
         cases: shape (n_cases, n_channels, n_samples).
         begin: first coordinates, shape (n_cases, size); the middle of the prior by default.
         enough: see `most_probable`.
@@ -181,10 +180,10 @@ class Fit(NamedTuple):
     """Motors at their most probable coordinates.
 
     Attributes:
-        at: the most probable ones simulated, shape (n, size).
-        information: of the readings alone, of a motor linear there, shape (n, size, size).
+        at: most probable simulated coordinates, shape (n, size).
+        information: of the readings alone, linear there, shape (n, size, size).
         pull: slope of the log likelihood there, shape (n, size).
-        left: what is left over there, in units of the noise, shape (n, n_values).
+        left: residual in units of the noise, shape (n, n_values).
     """
 
     at: FloatArray
@@ -205,18 +204,18 @@ def most_probable(
     damping: float = _FIRST_DAMPING,
     enough: float = 0.0,
 ) -> Fit:
-    """Damped Gauss-Newton steps to the most probable coordinates under an independent normal prior.
+    """Find the most probable coordinates under an independent normal prior by damped Gauss-Newton steps.
 
     Args:
         model: readings as a function of the coordinates.
         measured: shape (n, n_values).
-        voltage_v: what was applied to motors at work, shape (n, n_samples); None for starts.
+        voltage_v: of motors at work, shape (n, n_samples); None for starts.
         begin: first coordinates, shape (n, size).
         centre: means of the prior, shape (size,).
         precision: inverse variances of the prior, shape (size,).
-        box: smallest and largest coordinates that can be simulated, shape (2, size).
+        box: bounds of the coordinates, shape (2, size).
         damping: of the first step, relative to the information.
-        enough: predicted gain of -2 times the log density with which a fit ends.
+        enough: predicted gain of -2 log density at which a fit ends.
     """
     n, size = begin.shape
     noise = model.whole_noise

@@ -1,6 +1,6 @@
 """The motor: parameters, equations, faults, and the file that holds its data sheet.
 
-It never simulates a recording and draws no random number. Begin at `model.continuous_model`.
+Begin at `model.continuous_model`.
 
 Example:
     >>> from motor_env import PAPER_MOTOR, Fault

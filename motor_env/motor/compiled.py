@@ -1,6 +1,7 @@
-"""Functions compiled by numba, kept in its cache: never stale, and a broken cache costs time, never a command.
+"""Functions compiled by numba, with a cache that is never stale and whose failure never stops a command.
 
-numba notices only a change of a function's own file; here it is kept under a digest of the helpers and constants, too.
+numba notices only a change of a function's own file; this cache is keyed by a digest of its helpers and constants,
+too.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def _controller() -> Any:
 
 
 def on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
-    """The function, with NumPy's and SciPy's linear algebra on one thread while it runs."""
+    """Return the function with NumPy's and SciPy's linear algebra on one thread while it runs."""
 
     @wraps(function)
     def alone(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -54,12 +55,11 @@ def on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
 
 @cache
 def _say_once() -> None:
-    """Print a line once a process: `cache` swallows repetitions."""
     sys.stderr.write("numba's cache cannot be read or written: compiling without it\n")
 
 
 def _gather(module: ModuleType, sources: dict[str, bytes]) -> None:
-    """Write down what code compiled in a module depends on: its source, the constants and modules that it imports."""
+    """Collect the sources and constants that code compiled in a module depends on."""
     sources[module.__name__] = b""  # two modules may use each other
     own_package = module.__name__.partition(".")[0]
     text, others = [inspect.getsource(module)], []
@@ -87,7 +87,7 @@ def _gather(module: ModuleType, sources: dict[str, bytes]) -> None:
 
 @cache
 def source_digest(module_name: str) -> str:
-    """Digest of all that code compiled in a module depends on: sources and constants."""
+    """Return the digest of all sources and constants that code compiled in a module depends on."""
     sources: dict[str, bytes] = {}
     _gather(sys.modules[module_name], sources)
     return hashlib.sha256(
@@ -96,14 +96,14 @@ def source_digest(module_name: str) -> str:
 
 
 class _KeptCache(FunctionCache):
-    """numba's cache of a function, kept by digest; where a file of it cannot be read or written, there is none."""
+    """numba's cache of a function, keyed by digest; a file of it that cannot be read or written is ignored."""
 
     def _stamp(self) -> None:
-        """Name the version of the code: when it is first called, as then all of its module has been run."""
+        """Record the version of the code at the first call, when all of its module has been run."""
         self._cache_file._source_stamp = source_digest(self._py_func.__module__)  # noqa: SLF001  # no public way
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled function for these types; None where it has to be compiled."""
+        """Return the compiled function for these types; None where it has to be compiled."""
         try:
             self._stamp()
             return super().load_overload(sig, target_context)
@@ -114,7 +114,6 @@ class _KeptCache(FunctionCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Write the compiled function."""
         try:
             self._stamp()
             super().save_overload(sig, data)
@@ -130,16 +129,15 @@ _WAITS = {
     "motor_env.filters.": ("the filter", "about 3 seconds"),
     "motor_env.simulation.": ("the simulation", "about 5 seconds"),
 }
-"""What is waited for, and how long on an ordinary machine, by the beginning of a module's name; others take less."""
+"""What is compiled, and for how long on an ordinary machine, by the beginning of a module's name."""
 
 
 class _Notice(event.Listener):
-    """Says once a process what is compiled, before the wait. What stands in the cache is not."""
+    """Report once a process what is compiled, before the wait; a function in the cache causes no notice."""
 
     said = False
 
     def on_start(self, event: event.Event) -> None:
-        """Print the notice when numba begins to compile."""
         dispatcher = event.data["dispatcher"]
         if self.said or sys.stderr is None or not isinstance(dispatcher._cache, _KeptCache):  # noqa: SLF001
             return
@@ -172,7 +170,7 @@ def without_notice() -> Iterator[None]:
 
 
 class _LinkedCode(JITCodeLibrary):
-    """The code of a part: linked into its callers and optimised there, never made machine code by itself."""
+    """Code of a part: linked into its callers and optimised there, never compiled to machine code by itself."""
 
     # numba has no public name for any of this; that halves the time LLVM takes for the environments.
 
@@ -180,7 +178,6 @@ class _LinkedCode(JITCodeLibrary):
         ll_module.data_layout = self._codegen._data_layout  # noqa: SLF001
 
     def finalize(self) -> None:
-        """Link the parts that this one calls, and stop there."""
         for library in dict.fromkeys(self._linking_libraries):
             self._reload_init.update(library._reload_init)  # noqa: SLF001
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)  # noqa: SLF001
@@ -188,7 +185,7 @@ class _LinkedCode(JITCodeLibrary):
 
 
 class _PartCompiler(Compiler):
-    """numba's compiler, but for the machine code: a part has no entry of its own."""
+    """numba's compiler without the machine code, as a part has no entry of its own."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
@@ -202,11 +199,11 @@ class _PartCompiler(Compiler):
 _CAN_LINK_ONLY = make_function is not None and all(
     hasattr(JITCodeLibrary, name) for name in ("_optimize_functions", "_get_module_for_linking", "finalize")
 )
-"""Whether numba's inner parts are as this expects; elsewhere parts are compiled as numba does, in twice LLVM's time."""
+"""Whether numba's internals are as expected here; elsewhere parts compile the usual way, in twice the time."""
 
 
 class _Part(CPUDispatcher):
-    """A function that compiled ones call: it has no entry of its own to be called from Python."""
+    """Function that only compiled ones call: it has no entry for Python."""
 
     def __call__(self, *arguments: Any) -> Any:
         raise TypeError(f"{self.py_func.__name__} is called by compiled functions alone")
@@ -215,7 +212,7 @@ class _Part(CPUDispatcher):
 def njit(
     *, cache: bool = False, is_part: bool = False, **options: Any
 ) -> Callable[[Callable[..., Any]], Any]:
-    """`numba.njit` with a cache that may fail; a part is called by compiled functions alone and needs no cache."""
+    """Return `numba.njit` with a cache that may fail; a part is called only by compiled functions: no cache."""
 
     def compiled(function: Callable[..., Any]) -> Any:
         # Nothing calls them from C: numba's wrappers for that take a tenth of the time of compiling.

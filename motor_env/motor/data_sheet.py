@@ -1,4 +1,4 @@
-"""Motor TOML: one schema for a data sheet, an identified and a commissioned motor; data-sheet units in, SI inside.
+"""Motor TOML: one schema for data sheets, identified and commissioned motors; data-sheet units in, SI inside.
 
 name = "RE 25, 12 V"
 kind = "data_sheet"                  # or "identified", "commissioned"
@@ -13,7 +13,7 @@ no_load_current_ma = 26.3            # the friction is derived from the no-load 
 no_load_speed_rpm = 4860.0
 nominal_voltage_v = 12.0
 
-[tolerance]                          # relative standard deviations; what is not given has the default
+[tolerance]                          # relative standard deviations; missing ones have defaults
 resistance = 0.02
 """
 
@@ -60,7 +60,7 @@ _MotorTable = make_dataclass(
 class Tolerance:
     """Relative standard deviations of a healthy motor about its data sheet, and of the temperature in kelvin.
 
-    A sheet that guarantees +-10 % wants 0.05. Temperature moves R by 0.393 % a kelvin, the constants by -0.1 %. No-load
+    For a guaranteed +-10 % take 0.05. Temperature moves R by 0.393 % a kelvin, the constants by -0.1 %. No-load
     currents scatter more: a friction that follows from one has 30 %, unless the file says otherwise.
     """
 
@@ -88,15 +88,15 @@ class Motor:
         kind: where the numbers come from.
         parameters: in SI units.
         nominal_voltage_v: voltage of the start, where known.
-        tolerance: how far a healthy motor may be off the parameters.
+        tolerance: of healthy motors about the parameters.
         current_noise_a: standard deviation of a current sample, where known.
         speed_noise_rad_s: standard deviation of a speed sample, where known.
         coulomb_friction_n_m: Coulomb friction torque.
         brush_drop_v: voltage drop of the brushes.
-        healthy: of a commissioned motor.
-        notes: for the reader of the file.
-        assumed: keys whose values were not measured, or do not stand on the sheet, each with its source.
-        usual_tolerances: those that the data sheet does not give, each with its source.
+        healthy: statistics of a commissioned motor.
+        notes: free text.
+        assumed: keys whose values were neither measured nor on the sheet, with their sources.
+        usual_tolerances: tolerances that the file leaves out, with their sources.
     """
 
     name: str
@@ -130,25 +130,23 @@ class Motor:
 
     @property
     def guesses(self) -> tuple[str, ...]:
-        """Parameters that a data sheet does not tell."""
+        """Parameters that the data sheet leaves open, so that their values are guesses."""
         names = _TOLERANCE_OF if self.kind == "data_sheet" else ()
         return tuple(name for name in names if next(iter(UNITS[name])) in self.assumed)
 
     def with_guesses_of(self, parameters: MotorParameters) -> Motor:
-        """The motor with its guesses replaced by other parameters."""
+        """Return the motor with its guesses replaced by the values in `parameters`."""
         told = {name: getattr(parameters, name) for name in self.guesses}
         return replace(self, parameters=replace(self.parameters, **told))
 
     def dry_share(self, speed_rad_s: float) -> float:
-        """Coulomb friction over viscous friction at a speed, Tc / (B w); no viscous friction counts as 1e-300."""
+        """Return Coulomb over viscous friction at a speed, Tc / (B w); no viscous friction counts as 1e-300."""
         viscous = max(float(np.mean(self.parameters.viscous_friction_n_m_s_per_rad)), 1e-300)
         return self.coulomb_friction_n_m / speed_rad_s / viscous
 
 
 @dataclass(frozen=True)
 class _File:
-    """A motor file as it stands."""
-
     motor: _MotorTable  # type: ignore[valid-type]  # made from the table of units
     name: OneLine = "motor"
     kind: Kind = "data_sheet"
@@ -162,11 +160,11 @@ class _File:
 
 
 def load_motor(name_or_path: str | Path) -> Motor:
-    """Motor from a TOML file, or from the catalogue by name.
+    """Return a motor from a TOML file, or from the catalogue by name.
 
     Raises:
-        InputError: no such file or preset, not TOML, an unknown key, a value out of range, a quantity given twice or
-            not.
+        InputError: no such file or preset, not TOML, an unknown key, a value out of range, a quantity twice or
+            missing.
     """
     instance("name_or_path", name_or_path, (str, Path))
     if str(name_or_path) in CATALOGUE:
@@ -181,7 +179,6 @@ def load_motor(name_or_path: str | Path) -> Motor:
 
 
 def _to_motor(file: _File, given: Collection[str]) -> Motor:
-    """Make the motor of a file, in which some tolerances are given."""
     numbers = {key: number for key, number in asdict(file.motor).items() if number is not None}
     si, is_sheet = in_si(numbers), file.kind == "data_sheet"
     notes, guessed = complete(si, numbers, may_guess=is_sheet)
@@ -219,7 +216,7 @@ def _to_motor(file: _File, given: Collection[str]) -> Motor:
 
 
 def _friction(si: Mapping[str, float]) -> float:
-    """Viscous friction: given, or from the no-load point, where Kt i0 = Tc + B w0."""
+    """Return viscous friction: given, or from the no-load point, where Kt i0 = Tc + B w0."""
     if "viscous_friction_n_m_s_per_rad" in si:
         return si["viscous_friction_n_m_s_per_rad"]
     require(
@@ -239,7 +236,7 @@ def _friction(si: Mapping[str, float]) -> float:
 
 
 def save_motor(motor: Motor, path: str | Path) -> None:
-    """Write a motor file in SI units; `load_motor` reads it back to the bit.
+    """Write a motor file in SI units; `load_motor` reads back the same bits.
 
     Raises:
         InputError: the file cannot be written.
@@ -248,7 +245,7 @@ def save_motor(motor: Motor, path: str | Path) -> None:
 
 
 def to_toml(motor: Motor) -> str:
-    """The text of a motor file."""
+    """Return the text of a motor file."""
     content = asdict(motor)
     content |= content.pop("parameters")
     first_keys = {quantity: next(iter(keys)) for quantity, keys in UNITS.items() if quantity in content}
@@ -280,7 +277,7 @@ _GUESS = "a guess, 1/100 of the voltage: the current alone determines K^2/J and 
 
 
 def assumptions(quantities: Sequence[str], *, has_voltage: bool) -> dict[str, str]:
-    """Key and source of each value of a motor file that starts with these quantities do not tell."""
+    """Return key and source of each assumed value of a motor file that starts cannot determine."""
     assumed: dict[str, str] = {}
     if not any(name in ("K", "K/V") for name in quantities):
         assumed |= dict.fromkeys(_K, _GUESS)
@@ -301,11 +298,10 @@ def require_told(motor: Motor) -> None:
 
 
 def usable_parameters(motor: Motor, *, needs_speed: bool) -> MotorParameters:
-    """The motor's parameters for a simulation; warns of guesses that do not spoil it.
+    """Return the motor's parameters for a simulation; warn of harmless guesses.
 
     Raises:
-        ValueError: the voltage or a value of a data sheet is unknown, or speeds are needed and the torque constant is a
-            guess.
+        ValueError: the voltage or a value is unknown, or speeds are needed and the torque constant is a guess.
     """
     require_told(motor)
     require(
@@ -324,5 +320,5 @@ def usable_parameters(motor: Motor, *, needs_speed: bool) -> MotorParameters:
 
 
 def lines(assumed: Mapping[str, str]) -> list[str]:
-    """One line for each assumed value."""
+    """Return one line for each assumed value."""
     return [f"  assumed: {key}, {source}" for key, source in assumed.items()]

@@ -1,4 +1,4 @@
-"""Exponentials by the series of `motor_env.motor.model`: of many motors side by side, and of motors with sensors."""
+"""Matrix exponentials by the series of `motor_env.motor.model`, in kernels: of many motors, and of larger matrices."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from motor_env.motor.model import SERIES_NORM, SERIES_ORDER, doubled, longer_ser
 from motor_env.motor.parameters import FloatArray
 
 ROOM = 4
-"""Rows of numbers that `exponentials_and_phis` needs for itself."""
+"""Rows of scratch that `exponentials_and_phis` needs."""
 
 
 @inlined
 def exponentials_and_phis(
     count: int, x: FloatArray, exponential: FloatArray, phi: FloatArray, room: FloatArray
 ) -> None:
-    """exp(X) and phi1(X) of the first `count` matrices: to the bit what `exponential_and_phi` gives for each.
+    """Compute exp(X) and phi1(X) of the first `count` matrices, bit for bit as `exponential_and_phi`.
 
     Args:
         count: of matrices.
-        x: their entries row by row, shape (4, n); they are changed.
+        x: entries row by row, shape (4, n); overwritten.
         exponential: written, shape (4, n).
         phi: written, shape (4, n).
-        room: shape (ROOM, n).
+        room: scratch, shape (ROOM, n).
     """
     scale, norm, shrink, doublings = room[0], room[1], room[2], room[3]
     for n in range(count):
@@ -79,7 +79,6 @@ def exponentials_and_phis(
 
 @compiled_part
 def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
-    """Matrix product of small matrices."""
     for r in range(a.shape[0]):
         for c in range(b.shape[1]):
             total = 0.0
@@ -90,7 +89,7 @@ def _product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
 
 @compiled_part
 def exponential_in_kernel(a: FloatArray, out: FloatArray, work: FloatArray) -> None:
-    """exp(A) by scaling, its series, and squaring (Moler & Van Loan 2003, method 3); A is scaled in place."""
+    """Compute exp(A) by scaling, series and squaring (Moler & Van Loan 2003, method 3); A is scaled in place."""
     n, norm, doublings = len(a), 0.0, 0
     for r in range(n):
         total = 0.0

@@ -23,13 +23,13 @@ class Starts:
         model_low: smallest value of each extension over the starts.
         model_high: largest value of each.
         sampling_rate_hz: of the starts; None where unknown.
-        duration_s: what the shortest start holds after its onset.
-        quiet_s: what the shortest start holds before it.
-        ripple_hz: commutation ripple at the last speed; None where not in every start.
-        ripple_constant_v_s: K times the ripple's periods a turn, from that ripple; over volt where V is unknown.
-        ripple_log_sd: standard deviation of the next start's logarithm of either.
-        direction: sign of the current, where all starts have the same; else 0.
-        turned: columns that read with the other sign than the voltage.
+        duration_s: of the shortest start, after its onset.
+        quiet_s: the same before the onset.
+        ripple_hz: commutation ripple at the last speed; None unless every start has one.
+        ripple_constant_v_s: K times the ripple's periods a turn; over volt where V is unknown.
+        ripple_log_sd: standard deviation of the logarithm of either in the next start.
+        direction: common sign of the current; 0 if the starts differ.
+        turned: columns whose sign is opposite to the voltage.
     """
 
     log_noise: Finite
@@ -59,10 +59,10 @@ class ScoreCalibration:
 
     Attributes:
         windows: number of healthy windows.
-        covariance: of what is whitened by the fit's own error, shape (4, 4).
-        degrees_of_freedom: of the tails (Student's t).
-        drift_covariance: of how far a healthy motor may drift, shape (4, 4).
-        tails_hold: whether these windows, each judged by the others, keep the rate of the tails.
+        covariance: of scores whitened by the fit's own error, shape (4, 4).
+        degrees_of_freedom: of the Student-t tails.
+        drift_covariance: of a healthy motor's drift, shape (4, 4).
+        tails_hold: whether the windows, judged by leave-one-out, keep the rate of the tails.
     """
 
     windows: Annotated[int, Field(ge=2)]
@@ -88,8 +88,8 @@ class OperatingCondition:
     """Operating condition of a healthy motor, and the distribution of the next window under it.
 
     Attributes:
-        pieces: which of the healthy windows.
-        moved: `condition_features` of them, or of some of many, shape (n, 3, 17).
+        pieces: indices of its healthy windows.
+        moved: `condition_features` of (some of) them, shape (n, 3, 17).
         values: geometric means of R, K, J and B over them, SI, shape (4,).
         log_covariance: of the logarithms of the next window's, shape (4, 4).
         degrees_of_freedom: of that covariance (Student t).
@@ -124,14 +124,14 @@ class Windows:
         window_s: their length.
         terms: of the joint fit, see `motor_env.diagnosis.estimation.terms`.
         physical: values of the joint fit, in the order of `motor_env.diagnosis.estimation.parameter_index`.
-        hold: what the voltage does between two samples.
+        hold: shape of the voltage between two samples.
         dt_s: sampling interval of the fit.
         speed_rad_s: effective speed, at which the drag over the speed is the quantity B.
-        rms_volts: least and largest effective voltage of a window; None where none was commissioned.
-        peaks: largest voltage, current and speed of the windows; None where they are not known.
-        window_excess: factor (variance) by which windows scatter more than believed, at least their own errors.
-        drives: its operating conditions; none where nothing but a fault moves the motor.
-        alike: largest `condition_distance` of windows driven alike.
+        rms_volts: least and largest effective voltage of a window; None if unknown.
+        peaks: largest voltage, current and speed; None if unknown.
+        window_excess: variance of the windows' scatter over the predicted one.
+        drives: operating conditions; none where only a fault changes the parameters.
+        alike: largest `condition_distance` within one condition.
         calibration: of the scores of `watch`; None for windows not compared.
         one_way: whether the motor turns one way only.
     """
@@ -153,11 +153,11 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """Fleet that the healthy motor was learned from.
+    """Fleet whose motors define the healthy one.
 
     Attributes:
         motors: their number.
-        log_within: covariance of the logarithms from record to record of one motor, shape (n, n).
+        log_within: covariance of the logarithms between records of one motor, shape (n, n).
     """
 
     motors: Annotated[int, Field(ge=1)]
@@ -171,16 +171,16 @@ class Healthy:
     Attributes:
         pieces: number of healthy starts, or of windows.
         degrees_of_freedom: of the spread below (Student t), from pieces and prior.
-        quantities: their names (see `motor_env.motor.identifiable`).
-        values: their geometric means over the pieces, SI, shape (n,).
-        log_covariance: covariance of the logarithms of the *next* piece's quantities about these, shape (n, n).
-        temperature_k: standard deviation of a healthy motor's temperature about those.
-        temperature_c: temperature of the motor at those pieces, where known.
-        own_friction: share of the drag that is own friction, the rest being a load; None if unknown.
+        quantities: names (see `motor_env.motor.identifiable`).
+        values: geometric means over the pieces, SI, shape (n,).
+        log_covariance: of the logarithms of the *next* piece about these, shape (n, n).
+        temperature_k: standard deviation of the temperature.
+        temperature_c: temperature during the pieces, where known.
+        own_friction: share of the drag that is the motor's, not the load's; None if unknown.
         starts: of starts; None for windows.
         windows: of windows; None for starts.
-        fleet: motors that it was learned from: the covariance is then of another healthy motor, without errors of fits;
-            None where the pieces are its own.
+        fleet: source of the statistics; `log_covariance` is then between motors, without fit errors. None for own
+            pieces.
     """
 
     pieces: Annotated[int, Field(ge=1)]
@@ -215,7 +215,7 @@ class Healthy:
         )
 
     def under(self, drive: OperatingCondition) -> Healthy:
-        """Return the statistics under one of its operating conditions."""
+        """Return the statistics under one of the operating conditions."""
         return replace(
             self,
             pieces=len(drive.pieces),

@@ -1,7 +1,7 @@
-"""Which products of powers of the parameters a recording can tell.
+"""Products of powers of the parameters that a recording determines.
 
 From the current alone, R, L, K^2/J and B/J (K^2 = Kt Kb): scaling K by a, and J and B by a^2, leaves the current as it
-is. With the speed, R, L, K, J and B . With the voltage unknown, each parameter over V.
+is. With the speed: R, L, K, J and B. With the voltage unknown: each over V.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _NAMES = {
 
 
 def names(*, has_voltage: bool, has_speed: bool) -> tuple[str, ...]:
-    """Names of the identifiable quantities: each a product of parameters over another."""
+    """Return the names of the identifiable quantities: each a product of parameters over another."""
     return _NAMES[has_voltage, has_speed]
 
 
 def matrix(quantities: tuple[str, ...]) -> FloatArray:
-    """Exponents of (R, L, K, J, B, V) in each of the named quantities, shape (n_quantities, 6)."""
+    """Return the exponents of (R, L, K, J, B, V) in each named quantity, shape (n_quantities, 6)."""
     sides = [name.replace("K^2", "KK").partition("/") for name in quantities]
     return np.array(
         [[float(above.count(p) - below.count(p)) for p in PARAMETERS] for above, _, below in sides]
@@ -53,7 +53,7 @@ def matrix(quantities: tuple[str, ...]) -> FloatArray:
 
 
 def logarithms(parameters: MotorParameters, voltage_v: float) -> FloatArray:
-    """Logarithms of (R, L, K, J, B, V) of one motor."""
+    """Return the logarithms of (R, L, K, J, B, V)."""
     p = parameters
     constant = np.sqrt(np.multiply(p.back_emf_constant_v_s_per_rad, p.torque_constant_n_m_per_a))
     friction = np.maximum(p.viscous_friction_n_m_s_per_rad, 1e-300)
@@ -63,11 +63,11 @@ def logarithms(parameters: MotorParameters, voltage_v: float) -> FloatArray:
 
 
 def warmth_direction(exponents: FloatArray, own: float = 1.0) -> FloatArray:
-    """How the logarithms of quantities move for each kelvin that the motor is warmer, shape (n,).
+    """Return the change of the quantities' logarithms per kelvin of warming, shape (n,).
 
     Args:
         exponents: of (R, L, K, J, B, V) in each quantity, shape (n, 6).
-        own: share of the drag that is the motor's friction, which falls as it warms.
+        own: share of the drag that is the motor's own friction.
     """
     friction = own * FRICTION_PER_KELVIN
     moved: FloatArray = exponents @ [COPPER_PER_KELVIN, 0.0, MAGNET_PER_KELVIN, 0.0, friction, 0.0]
@@ -75,7 +75,7 @@ def warmth_direction(exponents: FloatArray, own: float = 1.0) -> FloatArray:
 
 
 def tolerance_covariance(tolerance: Tolerance) -> FloatArray:
-    """Covariance of the logarithms (R, L, K, J, B, V) of healthy motors about their data sheet, with temperature."""
+    """Return the covariance of the logarithms (R, L, K, J, B, V) of healthy motors, with temperature."""
     t = tolerance
     spread = np.array([t.resistance, t.inductance, t.constants, t.inertia, t.friction, t.supply])
     heat = t.temperature_k * np.array([COPPER_PER_KELVIN, 0.0, MAGNET_PER_KELVIN, 0.0, 0.0, 0.0])
@@ -84,26 +84,26 @@ def tolerance_covariance(tolerance: Tolerance) -> FloatArray:
 
 
 def tolerance_std(tolerance: Tolerance) -> dict[str, float]:
-    """Relative standard deviation of each quantity, of `QUANTITY_FIELDS` and supply, with temperature."""
+    """Return the relative standard deviation of each quantity of `QUANTITY_FIELDS` and the supply, with temperature."""
     std = np.sqrt(np.diag(tolerance_covariance(tolerance)))
     return dict(zip(_QUANTITY_OF.values(), std.tolist(), strict=True))
 
 
 def fault_direction(kind: FaultKind) -> FloatArray:
-    """How the logarithms (R, L, K, J, B, V) move with one unit of the fault's logarithm, shape (6,)."""
+    """Return the change of the logarithms (R, L, K, J, B, V) per unit of the fault's logarithm, shape (6,)."""
     return kind.direction(_QUANTITY_OF.values())
 
 
 def visible_direction(kind: FaultKind, exponents: FloatArray) -> FloatArray:
-    """How the logarithms of identifiable quantities move with a fault; `exponents` are those of `matrix`."""
+    """Return the change of the identifiable quantities' logarithms; `exponents` come from `matrix`."""
     direction: FloatArray = exponents @ fault_direction(kind)
     return direction
 
 
 def nameable_kinds(exponents: FloatArray) -> tuple[FaultKind, ...]:
-    """Kinds that the identifiable quantities can name: those that no coupled load, J and B up together, imitates.
+    """Return the kinds that no coupled load (J and B up together) imitates.
 
-    From the current alone a weak magnet cannot be named: K down by 10 % looks exactly like J and B up by 23.5 %.
+    From the current alone, K down by 10 % (a weak magnet) looks exactly like J and B up by 23.5 %.
     """
     return _nameable(np.ascontiguousarray(exponents, dtype=np.float64).tobytes(), motor_kinds())
 

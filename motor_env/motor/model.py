@@ -1,12 +1,12 @@
-"""The motor's equations, continuous and discrete: the one place where they stand.
+"""The motor's equations, continuous and discrete.
 
 State x = [current_a, speed_rad_s], input u = [voltage_v, load_torque_n_m]:
 
     L di/dt = V - R i - Kb w                 (paper, eq. (1), with Kb where the paper prints Kt)
     J dw/dt = Kt i - B w - Tload             (paper, eq. (2), with Kt where the paper prints Kb)
 
-Timing, everywhere in the package: u[k] is held over the interval k and takes x[k] to x[k+1]; the measurement z[k] is
-read at the end of that interval, of x[k+1].
+Timing: u[k] is held over the interval k and takes x[k] to x[k+1]; the measurement z[k] is read at the end of that
+interval, of x[k+1].
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class DiscreteModel(NamedTuple):
 
 
 def continuous_model(parameters: MotorParameters) -> ContinuousModel:
-    """Continuous state space of the motor (paper, eqs. (1) and (2), constants in their right places)."""
+    """Return the continuous state space of the motor (paper, eqs. (1) and (2), constants in their right places)."""
     p, zero = parameters, np.zeros(parameters.batch_shape)
     inverse_l, inverse_j = 1.0 / p.inductance_h, 1.0 / p.inertia_kg_m2
     transition = _matrices(
@@ -69,7 +69,6 @@ def continuous_model(parameters: MotorParameters) -> ContinuousModel:
 
 
 def _matrices(*entries: Floats) -> FloatArray:
-    """2 x 2 matrices from their entries, row by row, shape (..., 2, 2)."""
     rows: FloatArray = np.stack(np.broadcast_arrays(*entries), axis=-1)
     return rows.reshape(*rows.shape[:-1], 2, 2)
 
@@ -82,21 +81,21 @@ Four = tuple[float, ...]
 
 @inlined
 def longer_series(k: int, x: Four, phi: Four) -> Four:
-    """A term more of Horner's scheme: 1 + X phi / (k + 1)."""
+    """Add a term of Horner's scheme: 1 + X phi / (k + 1)."""
     (a, b, c, d), (p, q, r, s), f = x, phi, 1.0 / (k + 1.0)
     return 1.0 + f * (a * p + b * r), f * (a * q + b * s), f * (c * p + d * r), 1.0 + f * (c * q + d * s)
 
 
 @inlined
 def of_series(x: Four, phi: Four) -> Four:
-    """exp(X) = 1 + X phi1(X)."""
+    """Return exp(X) = 1 + X phi1(X)."""
     (a, b, c, d), (p, q, r, s) = x, phi
     return 1.0 + a * p + b * r, a * q + b * s, c * p + d * r, 1.0 + c * q + d * s
 
 
 @inlined
 def doubled(exponential: Four, phi: Four) -> tuple[Four, Four]:
-    """exp(2X) and phi1(2X) from exp(X) and phi1(X)."""
+    """Return exp(2X) and phi1(2X) from exp(X) and phi1(X)."""
     (e, g, h, j), (p, q, r, s) = exponential, phi
     return (e * e + g * h, g * (e + j), h * (e + j), j * j + g * h), (
         0.5 * ((e + 1.0) * p + g * r),
@@ -108,11 +107,10 @@ def doubled(exponential: Four, phi: Four) -> tuple[Four, Four]:
 
 @inlined  # so that who does not use phi2 does not compute it
 def exponential_and_phis(a: float, b: float, c: float, d: float) -> tuple[Four, Four, Four]:
-    """exp(X), phi1(X) = X^-1 (exp(X) - 1), phi2(X) = X^-1 (phi1(X) - 1) of X = [[a, b], [c, d]], row by row.
+    """Return exp(X), phi1(X) = X^-1 (exp(X) - 1), phi2(X) = X^-1 (phi1(X) - 1) of X = [[a, b], [c, d]], row by row.
 
     By series and doubling: phi1(X) = sum X^k / (k+1)!, phi2(X) = sum X^k / (k+2)!, exp(X) = 1 + X phi1(X), phi1(2X) =
-    (exp(X) + 1) phi1(X) / 2, phi2(2X) = (phi1(X)^2 + 2 phi2(X)) / 4 (Higham 2008, ch. 10.7). Full accuracy for any step
-    and damping.
+    (exp(X) + 1) phi1(X) / 2, phi2(2X) = (phi1(X)^2 + 2 phi2(X)) / 4 (Higham 2008, ch. 10.7).
     """
     # The similarity diag(1, scale) evens out b and c, so that the norm is free of the units.
     scale = np.sqrt(abs(b / c)) if b != 0.0 and c != 0.0 else 1.0
@@ -143,14 +141,13 @@ def exponential_and_phis(a: float, b: float, c: float, d: float) -> tuple[Four, 
 
 @njit(cache=True)
 def exponential_and_phi(a: float, b: float, c: float, d: float) -> tuple[Four, Four]:
-    """exp(X) and phi1(X), for inputs that are held: see `exponential_and_phis`."""
+    """Return exp(X) and phi1(X), for held inputs: see `exponential_and_phis`."""
     exponential, phi, _ = exponential_and_phis(a, b, c, d)
     return exponential, phi
 
 
 @njit(cache=True)
 def _all_exponentials(transition: FloatArray, dt_s: float, exponential: FloatArray, phi: FloatArray) -> None:
-    """exp(A dt) and phi1(A dt) of each 2 x 2 matrix."""
     for n in range(transition.shape[0]):
         rows = transition[n]
         whole, part = exponential_and_phi(
@@ -161,7 +158,7 @@ def _all_exponentials(transition: FloatArray, dt_s: float, exponential: FloatArr
 
 
 def discretize(parameters: MotorParameters, dt_s: float) -> DiscreteModel:
-    """Exact zero-order hold: Ad = exp(A dt), Bd = dt phi1(A dt) B (Franklin, Powell & Workman 1998, ch. 4.3).
+    """Discretize by zero-order hold: Ad = exp(A dt), Bd = dt phi1(A dt) B (Franklin, Powell & Workman 1998, ch. 4.3).
 
     Raises:
         ValueError: `dt_s` is not positive.
@@ -194,9 +191,9 @@ def propagate(
     state: FloatArray,
     out: FloatArray,
 ) -> None:
-    """x[k+1] = A x[k] + B u[k] + w[k] for every case (paper, eq. (3)); one-row arrays serve all cases.
+    """Compute x[k+1] = A x[k] + B u[k] + w[k] for every case (paper, eq. (3)); one-row arrays serve all cases.
 
-    `state` is carried on. `noise` has no rows where there is none.
+    `state` is updated in place; `noise` may have no rows.
     """
     for n in range(out.shape[0]):
         a = transition[n if transition.shape[0] > 1 else 0]
@@ -219,7 +216,7 @@ def propagate(
 
 
 def load_torque(constant_n_m: Floats, fan_n_m_s2: Floats, speed_rad_s: Floats) -> Floats:
-    """Torque of a load that is constant or varies with time, and of a fan, which opposes the motion.
+    """Return the torque of a given load plus a fan, which opposes the motion.
 
     `fan_n_m_s2` is torque over the square of the speed.
     """
@@ -232,7 +229,7 @@ load_in_kernel = inlined(load_torque)
 
 
 def steady_state(parameters: MotorParameters, voltage_v: Floats, load_torque_n_m: Floats = 0.0) -> FloatArray:
-    """Current and speed at rest of the dynamics, shape (..., 2): -A^-1 B u."""
+    """Return current and speed in steady state, shape (..., 2): -A^-1 B u."""
     p = parameters
     # -A^-1 B u written out: the determinant of A is (R B + Kt Kb) / (L J).
     stiffness = p.torque_constant_n_m_per_a * p.back_emf_constant_v_s_per_rad

@@ -1,4 +1,4 @@
-"""Physical parameters of the motor, its supply and its sensors: frozen, validated, in SI units.
+"""Parameters of the motor, its supply and its sensors: frozen, validated, in SI units.
 
 A field of `MotorParameters` is a float, or an array: one entry a motor. The textbook motor (paper, part 2B; sign
 convention of both sources: motor operation) is
@@ -28,8 +28,6 @@ FloatArray = NDArray[np.float64]
 
 
 class _OneNumber:
-    """In a file, where pydantic checks the type, a number for one motor and never an array."""
-
     @staticmethod
     def __get_pydantic_core_schema__(_: Any, handler: Any) -> Any:
         return handler.generate_schema(float)
@@ -43,11 +41,11 @@ COPPER_PER_KELVIN = 0.00393
 MAGNET_PER_KELVIN = -0.001
 """Relative change of both constants with the temperature of ferrite or NdFeB magnets."""
 FRICTION_PER_KELVIN = -0.003
-"""Friction falls as the lubricant warms: a round number for small motors, for a kelvin of the winding."""
+"""Relative change of friction per kelvin of the winding, for small motors."""
 
 
 SMALLEST, LARGEST = 1e-15, 1e12
-"""What a number in a file can be, in any unit: beyond, nothing is a motor, and computations overflow."""
+"""Bounds of a number in a file, in any unit."""
 
 
 class Channel(StrEnum):
@@ -64,15 +62,12 @@ def require(condition: bool, sentence: str) -> None:
 
 
 def require_finite(name: str, value: Floats) -> Floats:
-    """The value; `ValueError` unless every entry is finite."""
+    """Return the value; `ValueError` unless every entry is finite."""
     return _plain(value, numbers(name, value))
 
 
 def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, one: bool = False) -> Floats:
-    """The value; `ValueError` unless every entry is finite and positive.
-
-    With `one` it must be a single number.
-    """
+    """Return the value; `ValueError` unless every entry is finite and positive (with `one`: a single number)."""
     if type(value) is float and (0.0 < value <= LARGEST_NUMBER or (zero_allowed and value == 0.0)):
         return value
     array = real(name, value, () if one else None)
@@ -85,7 +80,7 @@ def require_positive(name: str, value: Floats, *, zero_allowed: bool = False, on
 
 
 def common_shape(name: str, *values: Any) -> tuple[int, ...]:
-    """The one shape of what differs from motor to motor, `()` or `(1,)` for one motor; `ValueError` for several."""
+    """Return the batch shape of the values, `()` or `(1,)` for one motor; `ValueError` if they differ."""
     shapes = {getattr(value, "shape", ()) for value in values}
     several = shapes - {(), (1,)}
     if len(several) > 1:
@@ -94,7 +89,7 @@ def common_shape(name: str, *values: Any) -> tuple[int, ...]:
 
 
 def _plain(given: Any, array: FloatArray) -> Floats:
-    """A number as it was given, if arithmetic keeps it exact; else what was made of it: a float, or an array."""
+    """Return a number as it was given if arithmetic keeps it exact; else the float or array made of it."""
     if isinstance(given, float) or (isinstance(given, int) and abs(given) < 2**53):
         return given
     return array if array.ndim else float(array)
@@ -103,7 +98,7 @@ def _plain(given: Any, array: FloatArray) -> Floats:
 def require_plausible(value: object, place: str = "") -> None:
     """Raise `ValueError` unless every number in a dataclass is within `LARGEST`.
 
-    What a motor has is 0 or at least `SMALLEST`.
+    Motor parameters must be 0 or at least `SMALLEST`.
     """
     if is_dataclass(value):
         for f in fields(value):
@@ -118,7 +113,7 @@ def require_plausible(value: object, place: str = "") -> None:
 
 
 def require_numbers(options: DataclassInstance) -> None:
-    """Raise `ValueError` unless each field of numbers in a dataclass holds such."""
+    """Raise `ValueError` unless each numeric field of a dataclass holds numbers."""
     for f in fields(options):
         value, kind = getattr(options, f.name), str(f.type)
         several = kind.startswith("tuple[float")
@@ -180,13 +175,13 @@ class MotorParameters:
         return common_shape("all fields of a batch", *(getattr(self, name) for name in self.__slots__))
 
     def scaled(self, **factors: Floats) -> Self:
-        """Parameters with the named fields multiplied by the given factors."""
+        """Return parameters with the named fields multiplied by the given factors."""
         for name in factors.keys() - set(self.__slots__):
             raise ValueError(f"factors must be of {', '.join(self.__slots__)}, got {name:.60}")
         return replace(self, **{name: getattr(self, name) * factor for name, factor in factors.items()})
 
     def motor(self, index: int) -> Self:
-        """Motor `index` of a batch, with plain floats."""
+        """Return motor `index` of a batch, with plain floats."""
         shape = self.batch_shape
         values = {f.name: float(np.broadcast_to(getattr(self, f.name), shape)[index]) for f in fields(self)}
         return replace(self, **values)
@@ -206,7 +201,7 @@ class MotorParameters:
 
 @dataclass(frozen=True, slots=True)
 class SensorParameters:
-    """What is measured, and the standard deviation of its white noise.
+    """Measured channels and their white noise.
 
     Attributes:
         channels: measured channels, in the order of every array.
@@ -234,18 +229,18 @@ class SensorParameters:
 
     @property
     def noise_std(self) -> FloatArray:
-        """Noise standard deviation of each channel, shape (n_channels,)."""
+        """Return the noise standard deviation of each channel, shape (n_channels,)."""
         by_channel = {Channel.CURRENT: self.current_noise_a, Channel.SPEED: self.speed_noise_rad_s}
         return np.array([by_channel[channel] for channel in self.channels])
 
     def with_noise(self, factor: float) -> SensorParameters:
-        """This sensor with `factor` times the noise."""
+        """Return this sensor with `factor` times the noise."""
         current, speed = factor * self.current_noise_a, factor * self.speed_noise_rad_s
         return replace(self, current_noise_a=current, speed_noise_rad_s=speed)
 
     @property
     def observation(self) -> FloatArray:
-        """Observation matrix C of z = C x + v, shape (n_channels, 2); the paper's [1 0] for current alone."""
+        """Return the observation matrix C of z = C x + v, shape (n_channels, 2); [1 0] for current alone."""
         rows = {Channel.CURRENT: (1.0, 0.0), Channel.SPEED: (0.0, 1.0)}
         return np.array([rows[channel] for channel in self.channels])
 
@@ -275,7 +270,7 @@ PAPER_MOTOR = MotorParameters(
 """The paper's table (part 2B); a maxon RE 25, 12 V, 10 W (order number 118743)."""
 
 PAPER_MATRICES_MOTOR = PAPER_MOTOR.scaled(resistance_ohm=2.06 / 2.18, inductance_h=10.0)
-"""The parameters from which the paper's printed discrete matrices come, at a sampling time of 10 ms (docs/paper.md)."""
+"""Parameters of the paper's printed discrete matrices, at a sampling time of 10 ms (docs/paper.md)."""
 
 PAPER_MATRICES_DT_S = 10e-3
 

@@ -1,4 +1,4 @@
-"""The numbers of a data sheet: their units, what follows from them, what they contradict and what they lack."""
+"""Numbers of a data sheet: units, derived values, contradictions and gaps."""
 
 from __future__ import annotations
 
@@ -11,12 +11,10 @@ _TORQUES = {"n_m": 1.0, "mnm": 1e-3, "oz_in": _OUNCE_KG * _G * _INCH_M, "kg_cm":
 
 
 def _torques(name: str, per: str = "", factor: float = 1.0) -> dict[str, float]:
-    """Keys of a torque, or of a torque over another unit."""
     return {f"{name}_{unit}{per}": size * factor for unit, size in _TORQUES.items()}
 
 
 def _of(units: Mapping[str, float], *names: str) -> dict[str, float]:
-    """Keys of a quantity that has several names."""
     return {f"{name}_{unit}": size for name in names for unit, size in units.items()}
 
 
@@ -54,7 +52,7 @@ UNITS: dict[str, dict[str, float]] = {
     "brush_drop_v": {"brush_drop_v": 1.0},
     "nominal_voltage_v": {"nominal_voltage_v": 1.0},
 }
-"""Quantity: the keys that give it, each with its factor; the first key is the one that is written."""
+"""Keys of each quantity with their factors to SI; the first key is the one that is written."""
 
 # Of two numbers of a sheet for one quantity: sheets round, and K falls with warmth. Points of a curve are read roughly.
 _LARGEST_DISAGREEMENT, _REFUSED = 0.10, 0.30
@@ -65,7 +63,7 @@ _USUAL_S = {"mechanical": 0.02, "electrical": 0.001}  # time constants
 
 
 def in_si(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Quantities in SI units, of the numbers by their keys; a resistance may follow from the stall current.
+    """Return quantities in SI units; a resistance may follow from the stall current.
 
     Raises:
         ValueError: a quantity is given twice.
@@ -82,14 +80,14 @@ def in_si(numbers: Mapping[str, float]) -> dict[str, float]:
 
 
 def _volts(si: Mapping[str, float]) -> float:
-    """Nominal voltage behind the brushes; at most 0 if it is unknown."""
+    """Return the nominal voltage behind the brushes; at most 0 if unknown."""
     return si.get("nominal_voltage_v", 0.0) - si.get("brush_drop_v", 0.0)
 
 
 def complete(
     si: dict[str, float], numbers: Mapping[str, float], *, may_guess: bool
 ) -> tuple[list[str], list[str]]:
-    """Add constants, inductance and inertia that the others tell; return notes, and which of them are guesses.
+    """Add constants, inductance and inertia from the others; return notes, and which are guesses.
 
     Raises:
         ValueError: a quantity is missing, or two contradict each other.
@@ -123,7 +121,7 @@ def complete(
 
 
 def _add_constants(si: dict[str, float], numbers: Mapping[str, float]) -> list[str]:
-    """Add torque and back-EMF constant, by default that of the no-load point or the stall; return notes."""
+    """Add torque and back-EMF constant, by default from the no-load point or the stall; return notes."""
     (words, one), *others = _constants(si).items() or (("", 0.0),)
     require(
         one > 0.0,
@@ -148,7 +146,7 @@ _BACK_EMF = "a back-EMF constant of {:.4g} V s/rad"
 
 
 def _constants(si: Mapping[str, float]) -> dict[str, float]:
-    """The torque or back-EMF constant by each of the ways in which a sheet tells it, in words."""
+    """Return the torque or back-EMF constant by each way to derive it, in words."""
     found, volts = {}, _volts(si)
     if _KT in si:
         found["a torque constant of {:.4g} N m/A"] = si[_KT]
@@ -163,7 +161,7 @@ def _constants(si: Mapping[str, float]) -> dict[str, float]:
 
 
 def _unit_hint(numbers: Mapping[str, float]) -> str:
-    """Name the keys of other units with which no constant contradicts another; empty if none does."""
+    """Name the other units in which the constants would agree; empty if there are none."""
     found: dict[str, str] = {}
     for key, number in numbers.items():
         others = {k: numbers[k] for k in numbers if k != key}

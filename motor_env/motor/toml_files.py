@@ -27,7 +27,7 @@ _LONGEST_TEXT = 1000  # characters
 
 
 def one_line(name: str, text: str) -> str:
-    """The text, if it can be shown: no line breaks or escape codes, and not endless; else `ValueError`."""
+    """Return the text if it is printable: no line breaks or escape codes, not too long; else `ValueError`."""
     require(
         text.isprintable() and len(text) <= _LONGEST_TEXT,
         f"{name} must be one line of at most {_LONGEST_TEXT} characters, got {reprlib.repr(text)}",
@@ -40,7 +40,7 @@ OneLine = Annotated[str, AfterValidator(partial(one_line, "text"))]
 
 @dataclass(frozen=True)
 class ArrayOf:
-    """How an array stands in a file: as lists of lists of such entries."""
+    """Type of an array in a file: lists of lists of such entries."""
 
     entries: Any
 
@@ -60,14 +60,14 @@ def _adapter(cls: Any) -> TypeAdapter[Any]:
 
 
 def read_toml(path: Path, missing: str) -> dict[str, Any]:
-    """The content of a TOML file.
+    """Return the content of a TOML file.
 
     Args:
         path: the file.
-        missing: what to say where there is none.
+        missing: message if there is none.
 
     Raises:
-        InputError: no such file, no file of text (a device, a gigabyte), or not TOML.
+        InputError: no such file, not a text file (a device, a gigabyte), or not TOML.
     """
     content = read_file(path, LARGEST_NOTE_BYTES, missing)
     try:
@@ -81,14 +81,14 @@ def read_toml(path: Path, missing: str) -> dict[str, Any]:
 
 
 def from_dict(cls: type[T], content: Mapping[str, Any], whole: str) -> T:
-    """The dataclass that a dictionary of strings, numbers, lists and dictionaries describes.
+    """Return the dataclass that a dictionary describes.
 
-    Types are strict; what is left out has its default.
+    Types are strict; missing keys take their defaults.
 
     Args:
-        cls: the dataclass; those in its fields are checked with it.
-        content: what a TOML or JSON file holds.
-        whole: what to call the file as a whole.
+        cls: the dataclass; nested ones are checked too.
+        content: of a TOML or JSON file.
+        whole: name of the file in messages.
 
     Raises:
         ValueError: an unknown key, a value of another type or out of its range.
@@ -102,7 +102,6 @@ def from_dict(cls: type[T], content: Mapping[str, Any], whole: str) -> T:
 
 
 def _sentence(cls: type[Any], error: ValidationError, whole: str) -> str:
-    """Format the first error: its place, what is allowed there, and the value."""
     # A misspelt key first: it explains why another one is missing.
     first = min(error.errors(), key=lambda entry: entry["type"] != "unexpected_keyword_argument")
     *outer, last = first["loc"] or ("",)
@@ -123,7 +122,6 @@ def _place(parts: Any) -> str:
 
 
 def _keys(cls: Any, parts: list[int | str]) -> list[str]:
-    """Keys of the table at a place."""
     for part in parts:
         if isinstance(part, str):
             cls = next(_dataclasses(get_type_hints(cls)[part]))
@@ -131,7 +129,7 @@ def _keys(cls: Any, parts: list[int | str]) -> list[str]:
 
 
 def _dataclasses(hint: Any) -> Any:
-    """The dataclasses in a type such as `tuple[FaultClass, ...] | None`."""
+    """Return the dataclasses in a type such as `tuple[FaultClass, ...] | None`."""
     if is_dataclass(hint):
         yield hint
     for argument in get_args(hint):
@@ -141,7 +139,7 @@ def _dataclasses(hint: Any) -> Any:
 def toml_text(
     top: Mapping[str, Any], tables: Mapping[str, Mapping[str, Any] | Sequence[Mapping[str, Any]]]
 ) -> str:
-    """The text of a TOML file: what stands in no table, then tables and rows of them; what is None is left out."""
+    """Return the text of a TOML file: keys outside tables, then tables and rows of them; None is left out."""
     texts = [_lines(top)]
     for name, table in tables.items():
         if isinstance(table, Mapping):
@@ -152,7 +150,6 @@ def toml_text(
 
 
 def _lines(table: Mapping[str, Any]) -> str:
-    """A TOML table; strings, numbers and lists stand there as in JSON."""
     return "".join(
         f"{key} = {json.dumps(value, ensure_ascii=False, default=np.ndarray.tolist)}\n"
         for key, value in table.items()

@@ -1,6 +1,6 @@
 """Simulated motors: the transients of a recipe, with supply, sensors, disturbances and random numbers.
 
-It never judges a motor: the truth that it returns is for scoring alone. Begin at `simulate.simulate`.
+The truth that it returns is for scoring alone. Begin at `simulate.simulate`.
 
 Example:
     Three starts of one motor with a bad contact; case n has the same noise whatever else is simulated.

@@ -1,4 +1,4 @@
-"""Priors of what surrounds a motor (friction, supply, load, sensor), and the profiles that drive one at work."""
+"""Priors of what surrounds a motor (friction, supply, load, sensor), and the voltage profiles of motors at work."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Range = tuple[float, float]
 NOTHING: Range = (0.0, 0.0)
 
 COLDEST_K, HOTTEST_K = -250.0, 900.0
-"""Rises of temperature between which the linear laws of copper and magnets leave R, Kt and Kb positive."""
+"""Temperature rises between which the linear laws of copper and magnets keep R, Kt and Kb positive."""
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """Uniform priors (low, high) over departures from the textbook motor and over the current sensor's errors.
+    """Uniform priors (low, high) of departures from the textbook motor and of the current sensor's errors.
 
     Torques are relative to the nominal viscous friction torque at no-load speed.
 
@@ -88,7 +88,7 @@ class Field:
         self.sensor_chain(gain=1.0, offset_a=0.0)
 
     def sensor_chain(self, gain: Floats, offset_a: Floats) -> SensorChain:
-        """The current sensor with a drawn gain and offset."""
+        """Return the current sensor with the given gain and offset."""
         return SensorChain(
             gain, offset_a, self.sensor_lag_s, self.sensor_range_a, self.adc_bits, self.missing_fraction
         )
@@ -98,7 +98,7 @@ PRIORS = tuple(f.name for f in fields(Field) if "Range" in str(f.type))
 """Names of the priors, in the order in which they are drawn."""
 
 PER_MOTOR = PRIORS[:6]
-"""Those drawn once a motor; the others are drawn once a start."""
+"""Priors drawn once a motor; the others are drawn once a start."""
 
 
 PROFILES = ("steps", "reversals", "staircase", "binary", "sine", "speed_loop")
@@ -109,7 +109,7 @@ DUTY_PRIORS = ("load_end_ratio", "fan_ratio")
 _LEVELS = 64  # held levels of a record; beyond them they repeat
 _OTHERS = 4  # numbers that decide profile, pace, size and phase
 N_UNIFORMS = _LEVELS + _OTHERS
-"""Uniform numbers that a profile is made from."""
+"""Uniform numbers from which a profile is made."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,7 @@ class Duty:
         require(self.hold_s[0] > 0.0, "duty.hold_s must be > 0, got 0")
 
     def profile(self, u: FloatArray, timing: Timing) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Voltage in each interval as a share of the supply's, and whether it is what a speed loop wants.
+        """Return the voltage of each interval as a share of the supply's, and whether it is a speed loop's target.
 
         `u` are uniform numbers, shape (n_cases, N_UNIFORMS).
 

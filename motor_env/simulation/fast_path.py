@@ -1,6 +1,6 @@
 """Measured transients by the million: the motor, its noise and its sensor in one compiled pass, in float32.
 
-`measure` gives the readings of `simulate` alone, to float32, some ten times as fast.
+`measure` gives the readings of `simulate` in float32, ten times as fast.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ def _step_response(
     is_current: NDArray[np.bool_],
     out: NDArray[np.float32],
 ) -> None:
-    """Start from standstill under a constant input: x[k] = rest + A^k (0 - rest), by doubling."""
     n_channels, n_samples = out.shape[1], out.shape[2]
     n_driven = n_samples - n_quiet
     currents, speeds = np.empty(n_driven + 1), np.empty(n_driven + 1)
@@ -75,16 +74,16 @@ def measure(
     driving: Driving | None = None,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
-    """Readings of the sensors; row n depends on its scenario and on (seed, case n) alone.
+    """Return readings of the sensors; row n depends on its scenario and on (seed, case n) alone.
 
     Args:
         scenario: one motor, or a batch of n_cases.
         seed: the random seed.
         cases: case numbers, shape (n_cases,).
-        effects: departures from the textbook motor; then the faults must have been there always.
+        effects: departures from the textbook motor; they allow no fault with an onset.
         chain: errors of the current sensor.
-        nominal: decides the integration step of effects; the scenario's motor by default.
-        driving: of a motor at work, with effects, in place of the scenario's supply.
+        nominal: motor that sets the integration step of effects; the scenario's by default.
+        driving: of a motor at work, with effects; replaces the supply.
         out: filled where given.
 
     Returns:
@@ -142,7 +141,7 @@ def measure(
 
 
 def _noise_of_loop(scenario: Scenario, driving: Driving, seed: int, cases: NDArray[np.int64]) -> FloatArray:
-    """Noise of the current that `read_sensors` adds afterwards, shape (n_cases, n_samples); no rows without a loop."""
+    """Return the current noise that `read_sensors` adds later, (n_cases, n_samples); no rows without a loop."""
     n_samples, channels = scenario.timing.n_samples, scenario.sensor.channels
     if not driving.is_loop.any():
         return np.empty((0, n_samples))
@@ -154,7 +153,7 @@ def _noise_of_loop(scenario: Scenario, driving: Driving, seed: int, cases: NDArr
 
 
 def _noise_std(scenario: Scenario) -> NDArray[np.float32]:
-    """Noise of each reading, shape (n_cases or 1, n_channels, n_samples or 1)."""
+    """Return the noise of each reading, shape (n_cases or 1, n_channels, n_samples or 1)."""
     begins = scenario.timing.interval_start_s
     if all(fault.is_constant for fault in scenario.faults):
         begins = begins[:1]

@@ -1,4 +1,4 @@
-"""What a real motor adds to the textbook one, and its integration: fixed step, all cases side by side.
+"""Effects in a real motor beyond the textbook one, integrated with fixed steps, all cases side by side.
 
 States: current i, speed w, angle phi, winding temperature above the start's. With the linear motor's L, J, B:
 
@@ -11,7 +11,7 @@ s is the sign, made smooth as x / sqrt(x^2 + e^2); the falling Stribeck part is 
 Vs rises over `ramp_s` along 3 r^2 - 2 r^3 and carries a ripple. Copper: R (1 + 0.00393 dT) (IEC 60028); ferrite and
 NdFeB magnets about -0.1 %/K.
 
-The classical Runge-Kutta method takes `substeps` steps a sample, as the nominal motor needs, so that a case does not
+The classical Runge-Kutta method takes `substeps` steps a sample; the nominal motor sets them, so that a case does not
 depend on its batch.
 """
 
@@ -58,7 +58,7 @@ class Effects:
         ramp_s: rise time of the supply; 0 for a step.
         ripple_v: amplitude of the supply's ripple (PWM, rectifier).
         ripple_hz: its frequency.
-        load_torque_n_m: Tload, there from the moment the motor turns.
+        load_torque_n_m: Tload, while the motor turns.
         commutation_ripple: a, relative ripple of the torque constant.
         commutation_per_turn: n, ripples a turn.
         bearing_ripple_n_m: Tr, torque ripple of a damaged bearing.
@@ -103,7 +103,7 @@ _CONSTANTS = (
 )  # fmt: skip
 _STATES = ("current", "speed", "angle", "heat", "time", "step")
 _GROUP = np.dtype([(name, np.float64, LANES) for name in (*_CONSTANTS, *_STATES)])
-"""A group of cases that go side by side: constants of the right-hand side, then the states, the time and the step."""
+"""Record of a group of cases that are integrated side by side: constants, states, time and step."""
 Group = Any
 """A record of `_GROUP`."""
 
@@ -117,14 +117,14 @@ _STICTION_SPEED_RAD_S = 1.0  # width of the smooth sign of the friction
 
 
 class Sampling(NamedTuple):
-    """When cases are sampled, and what of them.
+    """When cases are sampled, and which quantities.
 
     Attributes:
         dt_s: sampling interval.
         steps: Runge-Kutta steps in one sample (`substeps`).
         is_current: whether a channel is the current (or the speed), shape (n_channels,).
-        out: filled with the truth at the end of each interval, shape (n_cases, n_channels, n_samples); the voltage is
-            one channel more for motors at work.
+        out: filled with the truth at the end of each interval, shape (n_cases, n_channels, n_samples); motors at work
+            have one channel more, the voltage.
     """
 
     dt_s: float
@@ -134,7 +134,7 @@ class Sampling(NamedTuple):
 
 
 def substeps(nominal: MotorParameters, dt_s: float, ripple_hz: float = 0.0) -> int:
-    """Runge-Kutta steps in one sample: 4.3 an electrical time constant, twelve a ripple's period."""
+    """Return Runge-Kutta steps in one sample: 4.3 an electrical time constant, twelve a ripple's period."""
     require(nominal.batch_shape == (), "nominal must be given for a batch of motors")
     largest_s = float(nominal.electrical_time_constant_s) / _STEPS_PER_TIME_CONSTANT
     if ripple_hz > 0.0:
@@ -151,7 +151,7 @@ def substeps(nominal: MotorParameters, dt_s: float, ripple_hz: float = 0.0) -> i
 def groups_of(
     parameters: MotorParameters, effects: Effects, voltage_v: Floats, n_cases: int
 ) -> NDArray[np.void]:
-    """The cases in groups, with all constants of the right-hand side; the last is filled up with the first case."""
+    """Return the cases in groups, with all constants; the first case fills up the last group."""
     e = effects
     copper = 1.0 + COPPER_PER_KELVIN * e.temperature_rise_k
     magnet = 1.0 + MAGNET_PER_KELVIN * e.temperature_rise_k
@@ -192,7 +192,7 @@ def groups_of(
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _cosine(x: float) -> float:
-    """Cosine by range reduction and a Taylor polynomial of order 16 on (-pi/2, pi/2): within 1e-11; it vectorises."""
+    """Compute the cosine by range reduction and a Taylor polynomial of order 16: within 1e-11, and it vectorises."""
     turns = x * _TURNS_PER_RAD
     y = _RAD_PER_TURN * (turns - ((turns + _ROUND) - _ROUND))  # -pi .. pi
     # cos y = 1 - 2 sin^2(y / 2), the sine by its series on (-pi/2, pi/2)
@@ -211,7 +211,7 @@ def _cosine(x: float) -> float:
 def _derivative(
     p: Group, n: int, t: float, current: float, speed: float, angle: float, heat: float
 ) -> tuple[float, float, float, float]:
-    """Right-hand side of lane n of a group at time t since its step."""
+    """Compute the right-hand side of lane n of a group at time t since its step."""
     resistance = p.resistance[n] * (1.0 + COPPER_PER_KELVIN * heat)
     r = t * p.ramp_rate[n] + p.no_ramp[n]
     r = r if r < 1.0 else 1.0
@@ -233,7 +233,7 @@ def _derivative(
 
 @njit(cache=True, error_model="numpy")  # a check for division by 0 would keep the loop from vectorising
 def step_lanes(p: Group) -> None:
-    """One step of the classical Runge-Kutta method (Kutta 1901) for a group of cases."""
+    """Take one step of the classical Runge-Kutta method (Kutta 1901) for a group of cases."""
     for lane in range(LANES):
         i, w = p.current[lane], p.speed[lane]
         a, q = p.angle[lane], p.heat[lane]
@@ -282,7 +282,7 @@ def integrate(
     sampling: Sampling,
     n_quiet: int,
 ) -> None:
-    """True current and speed of each case at the end of each sampling interval.
+    """Compute the true current and speed of each case at the end of each sampling interval.
 
     `parameters` hold the faults; `n_quiet` samples lie before the step of `voltage_v`.
 
@@ -299,14 +299,14 @@ LOOP_GAIN, LOOP_INTEGRAL = 0.5, 0.05
 
 
 class Driving(NamedTuple):
-    """What drives and loads drawn cases.
+    """Voltage and load of drawn cases.
 
     Attributes:
-        voltage_v: applied voltage, or the back-EMF that a speed loop wants, shape (n_cases or 1, n_samples).
-        is_loop: whether a loop makes the voltage of it, shape (n_cases,).
-        resistance_ohm: that the loop believes in.
+        voltage_v: applied voltage, or a speed loop's target back-EMF, shape (n_cases or 1, n_samples).
+        is_loop: whether there is a speed loop, shape (n_cases,).
+        resistance_ohm: assumed by the loop.
         limit_v: largest voltage that the loop can apply, shape (n_cases,).
-        load_rise_n_m: what the load gains over the record, shape (n_cases,).
+        load_rise_n_m: rise of the load over the record, shape (n_cases,).
         fan_n_m_s2: load over the square of the speed, shape (n_cases,).
     """
 
@@ -322,13 +322,13 @@ class Driving(NamedTuple):
 def integrate_driven(
     groups: NDArray[np.void], sampling: Sampling, driving: Driving, noise: FloatArray
 ) -> None:
-    """True current and speed at the end of each sampling interval, and the voltage that was applied in it.
+    """Compute the true current, speed and applied voltage of each sampling interval.
 
     Args:
-        groups: the cases (`groups_of`); of their supply the resistance and the ripple count alone.
-        sampling: what is filled.
+        groups: the cases (`groups_of`); of their supply only resistance and ripple count.
+        sampling: times and output.
         driving: voltage and load.
-        noise: of the current that a speed loop sees, shape (n_cases, n_samples); no rows without a loop.
+        noise: of the speed loop's current, shape (n_cases, n_samples); no rows without a loop.
     """
     dt_s, steps, is_current, out = sampling
     wanted, limit = driving.voltage_v, driving.limit_v

@@ -2,7 +2,7 @@
 
 Philox4x32-10 (Salmon, Moraes, Dror & Shaw 2011) is a bijection of its 128-bit counter for each 64-bit key. The key is
 the seed; the counter holds the case (64 bits), the stream (32 bits) and the block (32 bits). So results do not depend
-on the number of workers or shards.
+on the number of workers.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _HALF_WORD = np.uint64(32)
 _ROUNDS = 10
 
 NORMALS_AT_ONCE = 256
-"""How many normals are made at a time: few enough to stay in the first cache, enough to fill the vector units."""
+"""Normals that are made at a time: they fit the first cache and fill the vector units."""
 
 _HALF, _ONE, _MINUS_TWO = np.float32(0.5), np.float32(1.0), np.float32(-2.0)
 _TO_UNIT = np.float32(2.0**-32)
@@ -42,7 +42,7 @@ _C1, _C2, _C3 = np.float32(4.166664568e-2), np.float32(-1.388731625e-3), np.floa
 
 
 class Stream(IntEnum):
-    """What a stream is for. A new use takes a new number; the old ones keep theirs."""
+    """Purpose of a stream. A new use takes a new number; the old ones keep theirs."""
 
     CLASS = 0
     MOTOR = 1
@@ -67,9 +67,9 @@ class Stream(IntEnum):
 def philox(
     c0: np.uint32, c1: np.uint32, c2: np.uint32, c3: np.uint32, k0: np.uint32, k1: np.uint32
 ) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:
-    """Philox4x32-10: four random 32-bit words for a counter of four words and a key of two (Salmon et al. 2011).
+    """Compute four random 32-bit words from a counter of four words and a key of two (Salmon et al. 2011).
 
-    The words stay in 64 bits, of which the rounds read the lower 32 alone: a cast in every round would halve the speed.
+    The words stay in 64 bits, of which the rounds read the lower 32: casts would halve the speed.
     """
     w0, w1, w2, w3 = np.uint64(c0), np.uint64(c1), np.uint64(c2), np.uint64(c3)
     key_0, key_1 = np.uint64(k0), np.uint64(k1)
@@ -87,7 +87,6 @@ def philox(
 
 @njit(cache=True)
 def _fill_uniforms(seed: np.uint64, stream: np.uint32, cases: NDArray[np.uint64], out: FloatArray) -> None:
-    """Uniforms in the open interval (0, 1), four to a block."""
     k0, k1 = np.uint32(seed & _LOW), np.uint32(seed >> _HALF_WORD)
     count = out.shape[1]
     for n in range(out.shape[0]):
@@ -101,10 +100,10 @@ def _fill_uniforms(seed: np.uint64, stream: np.uint32, cases: NDArray[np.uint64]
 
 @njit(cache=True, inline="always")  # a call would keep the loop around it from vectorising
 def box_muller(first: np.uint32, second: np.uint32) -> tuple[np.float32, np.float32]:
-    """Two standard normals from two words (Box & Muller 1958), in float32 by polynomials that vectorise.
+    """Return two standard normals from two words (Box & Muller 1958), in float32, vectorised.
 
-    The logarithm, sine and cosine are those of Cephes (Moshier 1989); within 5e-6 of the exact transformation.
-    The largest normal is sqrt(66 ln 2) = 6.76.
+    By the polynomials of Cephes (Moshier 1989), within 5e-6 of the exact transformation. The largest normal is sqrt(66
+    ln 2) = 6.76.
     """
     u = (np.float32(first) + _HALF) * _TO_UNIT
     bits = np.float32(u).view(np.uint32)
@@ -133,7 +132,7 @@ def box_muller(first: np.uint32, second: np.uint32) -> tuple[np.float32, np.floa
 
 @njit(cache=True)
 def whole_blocks(count: int) -> int:
-    """So many numbers, rounded up to whole blocks of four."""
+    """Return `count` rounded up to whole blocks of four."""
     return 4 * ((count + 3) // 4)
 
 
@@ -146,7 +145,7 @@ def fill_case(
     words: NDArray[np.uint32],
     out: NDArray[np.float32],
 ) -> None:
-    """Standard normals `begin` .. `begin` + len(out) - 1 of a case; `begin` and len(out) are multiples of 4.
+    """Write standard normals `begin` .. `begin` + len(out) - 1 of a case; `begin` and len(out) are multiples of 4.
 
     `words` is scratch of shape (4, NORMALS_AT_ONCE / 4); `out` holds at most NORMALS_AT_ONCE.
     """
@@ -185,7 +184,7 @@ def _filled(fill: Any, seed: int, stream: Stream, cases: ArrayLike, count: int) 
 
 
 def uniforms(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
-    """Uniform numbers in (0, 1), shape (n_cases, count): row n belongs to case `cases[n]` alone.
+    """Return uniform numbers in (0, 1), shape (n_cases, count): row n belongs to case `cases[n]` alone.
 
     Raises:
         ValueError: the seed does not fit 64 bits, or a case is negative.
@@ -194,9 +193,9 @@ def uniforms(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatAr
 
 
 def normals(seed: int, stream: Stream, cases: ArrayLike, count: int) -> FloatArray:
-    """Standard normal numbers, shape (n_cases, count): row n belongs to case `cases[n]` alone.
+    """Return standard normal numbers, shape (n_cases, count): row n belongs to case `cases[n]` alone.
 
-    They are made in float32 (24 bits).
+    Their precision is float32 (24 bits).
 
     Raises:
         ValueError: the seed does not fit 64 bits, or a case is negative.

@@ -27,15 +27,15 @@ from motor_env.simulation.simulate import LARGEST_SEED, Scenario, case_numbers
 
 
 class Draw(NamedTuple):
-    """Cases drawn from a recipe: the truth.
+    """True properties of cases drawn from a recipe.
 
     Attributes:
         cases: case numbers, shape (n_cases,).
         class_index: index into `recipe.classes`, shape (n_cases,).
         factors: nuisance factors in the order of `FACTORS`, shape (n_cases, 5).
-        scenario: what to simulate.
+        scenario: input of the simulation.
         motor_id: motor of each case, shape (n_cases,).
-        severity: of the first fault of the case's class, 0 for healthy, shape (n_cases,).
+        severity: of the class's first fault, 0 for healthy, shape (n_cases,).
         effects: departures from the textbook motor; None for none.
         chain: errors of the current sensor; None for none.
         driving: voltage and load of motors at work; None for starts.
@@ -53,10 +53,7 @@ class Draw(NamedTuple):
 
 
 def draw(recipe: Recipe, seed: int, cases: ArrayLike) -> Draw:
-    """Draw motors and faults of a recipe. Case n depends on (recipe, seed, n) alone.
-
-    `cases` are numbers, shape (n_cases,).
-    """
+    """Draw motors and faults of a recipe, for case numbers of shape (n_cases,)."""
     instance("recipe", recipe, Recipe)
     seed, numbers = whole("seed", seed, most=LARGEST_SEED), case_numbers(cases)
     motor_id = recipe.motor_id(numbers)
@@ -106,7 +103,7 @@ def _draw_classes(
 def _draw_severities(
     recipe: Recipe, seed: int, class_index: NDArray[np.int64], motor_id: NDArray[np.int64]
 ) -> dict[FaultKind, FloatArray]:
-    """Severity of each fault kind that the recipe has, shape (n_cases,); one draw a motor where it is continuous."""
+    """Return the severity of each fault kind, shape (n_cases,); continuous ones are drawn once a motor."""
     columns = recipe.severity_columns
     u = uniforms(seed, Stream.SEVERITY, motor_id, len(columns))
     severities: dict[FaultKind, FloatArray] = {}
@@ -128,7 +125,7 @@ def _draw_changes(
     class_index: NDArray[np.int64],
     cases: NDArray[np.int64],
 ) -> FloatArray | None:
-    """Times at which a kind ends and returns in turn, shape (n_cases, n_changes); None where it stays."""
+    """Return the times at which a kind ends and returns in turn, shape (n_cases, n_changes); None if it stays."""
     dt_s, count = recipe.timing.dt_s, recipe.timing.n_samples
     changes = np.full((len(cases), count), np.inf)
     for index, fault_class in enumerate(recipe.classes):
@@ -145,7 +142,6 @@ def _draw_changes(
 
 
 def _draw_priors(recipe: Recipe, seed: int, cases: NDArray[np.int64]) -> FloatArray:
-    """Values of the recipe's priors, shape (n_cases, n_priors)."""
     low, high = np.array(list(recipe.priors.values())).T
     by_motor = uniforms(seed, Stream.FIELD_MOTOR, recipe.motor_id(cases), len(low))
     by_start = uniforms(seed, Stream.FIELD_START, cases, len(low))
@@ -157,7 +153,7 @@ def _draw_priors(recipe: Recipe, seed: int, cases: NDArray[np.int64]) -> FloatAr
 def surroundings(
     recipe: Recipe, values: FloatArray, severities: dict[FaultKind, FloatArray]
 ) -> tuple[Effects, SensorChain]:
-    """Effects and sensor of cases in the field.
+    """Return effects and sensor of cases in the field.
 
     `values` are of the recipe's priors, shape (n_cases, n_priors).
     """
@@ -183,7 +179,6 @@ def surroundings(
 
 
 def _torque(recipe: Recipe) -> float:
-    """Nominal viscous torque at no-load speed."""
     return float(recipe.motor.viscous_friction_n_m_s_per_rad * _no_load_speed(recipe))
 
 
@@ -201,9 +196,9 @@ def driven(
     """Return the voltage and load that drive motors at work.
 
     Args:
-        recipe: one with a table `duty`.
-        values: of the recipe's priors in their order, shape (n_cases, n_priors).
-        voltage_v: applied voltage, or the wanted back-EMF of a speed loop, shape (n_cases or 1, n_samples).
+        recipe: with a table `duty`.
+        values: of the recipe's priors, shape (n_cases, n_priors).
+        voltage_v: applied voltage, or a speed loop's target back-EMF, shape (n_cases or 1, n_samples).
         is_loop: which cases have a speed loop; none by default.
         limit_v: largest voltage of each loop.
     """
@@ -221,7 +216,7 @@ def driven(
 def measure_draw(
     drawn: Draw, recipe: Recipe, seed: int, out: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Readings of drawn cases, float32, shape (n_cases, n_channels, n_samples).
+    """Return readings of drawn cases, float32, shape (n_cases, n_channels, n_samples).
 
     Where columns are swapped, the first channel is that of a healthy case of the same number under the next seed.
     """
@@ -245,7 +240,7 @@ def measure_draw(
 
 
 def apply_factors(parameters: MotorParameters, factors: FloatArray) -> MotorParameters:
-    """Parameters times the motor's factors; `factors` has shape (n, 5), of which the supply's column is not used."""
+    """Return parameters times `factors` of shape (n, 5); the supply's column is not used."""
     by_name = dict(zip(FACTORS, np.moveaxis(factors, -1, 0), strict=True))
     return parameters.scaled(
         **{field: factor for name, factor in by_name.items() for field in QUANTITY_FIELDS.get(name, ())}

@@ -1,4 +1,4 @@
-"""What a sensor does to a quantity: lag, gain, offset, noise, range, converter; compiled, in float32."""
+"""Errors of a sensor: lag, gain, offset, noise, range, converter; compiled, in float32."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAXIMUM_BITS = 24
 
 @dataclass(frozen=True, slots=True)
 class SensorChain:
-    """Errors of the current sensor: z = quantise(clip(gain lag(i) + offset + noise)); one sensor, or one a case.
+    """Errors of one current sensor or one a case: z = quantise(clip(gain lag(i) + offset + noise)).
 
     Attributes:
         gain: factor on the current.
@@ -53,7 +53,7 @@ class SensorChain:
         )
 
     def rows(self, n_cases: int, dt_s: float) -> FloatArray:
-        """Columns gain, offset, share of the lag kept over one sample, range, step of the converter; (n_cases, 5)."""
+        """Return gain, offset, share of the lag kept over one sample, range and converter step, (n_cases, 5)."""
         lag = np.asarray(self.lag_s, dtype=np.float64)
         kept = np.exp(-dt_s / np.where(lag > 0.0, lag, 1.0)) * (lag > 0.0)
         step = 2.0 * np.asarray(self.range_a) / 2.0**self.adc_bits if self.adc_bits else np.asarray(0.0)
@@ -63,7 +63,6 @@ class SensorChain:
 
 @njit(cache=True)
 def _distort(row: NDArray[np.float32], chain: FloatArray) -> None:
-    """Lag, gain and offset, in place."""
     gain, offset, kept = chain[0], chain[1], chain[2]
     lagged = 0.0  # the quantity was 0 before the first sample
     for k in range(len(row)):
@@ -73,7 +72,6 @@ def _distort(row: NDArray[np.float32], chain: FloatArray) -> None:
 
 @njit(cache=True)
 def _convert(row: NDArray[np.float32], limit: float, step: float) -> None:
-    """Range and converter, in place."""
     for k in range(len(row)):
         value = float(row[k])
         if step > 0.0:
@@ -93,12 +91,12 @@ def read_sensors(
     seed: np.uint64,
     cases: NDArray[np.uint64],
 ) -> None:
-    """From true quantities to readings, in place.
+    """Turn true quantities into readings, in place.
 
     Args:
         out: quantities, shape (n_cases, n_channels, n_samples).
-        is_current: which channel is the current, shape (n_channels,); the chain acts on it alone.
-        chain: shape (n_cases, 5), see `SensorChain.rows`; or (0, 5) for sensors without errors.
+        is_current: whether a channel is the current, on which the chain acts, shape (n_channels,).
+        chain: `SensorChain.rows`, shape (n_cases, 5); (0, 5) for sensors without errors.
         noise_std: shape (n_cases or 1, n_channels, n_samples or 1).
         seed: the random seed.
         cases: case numbers, shape (n_cases,).

@@ -1,8 +1,8 @@
-"""Readings of failed sensors: the motor is healthy, and something else is recorded.
+"""Readings of failed sensors on a healthy motor.
 
 Before the noise, by the severity s: dead, x (1 - s); gain, x (1 + s); offset, x + s X; drift, x + s X t; polarity, -x.
-X is the full scale, the blocked motor's current V / R or its ideal no-load speed V / Kb; t are the seconds since the
-fault last set in, or since the record began. After the noise: clipped and stuck readings.
+X is the full scale, the blocked motor's current V / R or its ideal no-load speed V / Kb; t is the time in s since the
+last onset of the fault or the record's begin. After the noise: clipped and stuck readings.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from motor_env.motor.faults import Fault
 from motor_env.motor.parameters import FloatArray, Floats, require
 
 VOLTAGE = "voltage"
-"""The applied voltage as a channel: after the measured ones, without noise, since the drive knows what it applies."""
+"""Name of the applied voltage as a channel: after the measured ones, without noise."""
 
 SWAPPED = "swapped"
 Readings = NDArray[Any]
@@ -30,17 +30,17 @@ def fail_before_noise(
     interval_start_s: FloatArray,
     full_scale: Mapping[str, Floats],
 ) -> None:
-    """True quantities as failed sensors show them, in place.
+    """Apply the failures that come before the noise, in place.
 
     Args:
         out: shape (n_cases, n_channels, n_samples).
         channels: their names.
-        faults: of which the sensors' count.
+        faults: those of motors are ignored.
         interval_start_s: begin of each sampling interval, shape (n_samples,).
         full_scale: of current and speed, one or one a case.
 
     Raises:
-        ValueError: a sensor that is not among the channels; columns of another motor, which is not here.
+        ValueError: the sensor is not among the channels, or the columns are those of another motor.
     """
     recorded_s = interval_start_s - interval_start_s[0]
     for column, channel, failure, fault in _failures(out, channels, faults):
@@ -59,10 +59,9 @@ def fail_before_noise(
 def fail_after_noise(
     out: Readings, channels: Sequence[str], faults: Iterable[Fault], interval_start_s: FloatArray
 ) -> None:
-    """Readings as converter and recorder leave them, in place; the arguments are those of `fail_before_noise`.
+    """Apply the failures of converter and recorder, in place; arguments as `fail_before_noise`.
 
-    A stuck channel repeats its first reading: for the severity as the last share of the record, or while the fault
-    acts.
+    A stuck channel repeats its first reading, over a last share of the record (the severity) or while the fault acts.
     """
     count = len(interval_start_s)
     for column, _, failure, fault in _failures(out, channels, faults):
@@ -85,7 +84,7 @@ def fail_after_noise(
 def _failures(
     out: Readings, channels: Sequence[str], faults: Iterable[Fault]
 ) -> Iterable[tuple[Readings, str, str, Fault]]:
-    """Column, its channel, what happens to it, and the fault, for each failed sensor."""
+    """Yield column, channel, failure and fault of each failed sensor."""
     for fault in faults:
         if not fault.kind.is_sensor or not np.any(fault.severity):
             continue

@@ -1,4 +1,4 @@
-"""From a scenario to measured transients: the linear motor by exact zero-order hold, one motor or a batch."""
+"""Simulation of measured transients: the linear motor by exact zero-order hold, one motor or a batch."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from motor_env.simulation.sensor_faults import fail_after_noise, fail_before_noi
 
 LARGEST_SEED = 2**64 - 1
 MOST_SAMPLES = 10_000_000
-"""Samples of a transient: with all that is computed for one, about a gigabyte of memory."""
+"""Most samples of a transient: about a gigabyte of memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Timing:
 
     @property
     def n_quiet(self) -> int:
-        """Samples before the step (the last one is read at the very moment of the step)."""
+        """Samples before the step (the last is read at the moment of the step)."""
         return round(self.quiet_s * self.sampling_rate_hz)
 
     @property
@@ -81,7 +81,7 @@ class Timing:
 
     @property
     def time_s(self) -> FloatArray:
-        """Time of each sample, shape (n_samples,): sample k is read at the end of interval k."""
+        """Time of each sample at the end of its interval, shape (n_samples,)."""
         return np.arange(1 - self.n_quiet, self.n_after + 1, dtype=np.float64) * self.dt_s
 
     @property
@@ -90,12 +90,12 @@ class Timing:
         return np.arange(-self.n_quiet, self.n_after, dtype=np.float64) * self.dt_s
 
     def step(self, level: float) -> FloatArray:
-        """A step to `level` at time 0, for each interval, shape (n_samples,)."""
+        """Return a step to `level` at time 0, for each interval, shape (n_samples,)."""
         return np.where(np.arange(self.n_samples) >= self.n_quiet, level, 0.0)
 
 
 def case_numbers(cases: ArrayLike) -> NDArray[np.int64]:
-    """Case numbers as an array (n_cases,); `ValueError` unless they are whole and >= 0."""
+    """Return case numbers as an array (n_cases,); `ValueError` unless they are whole and >= 0."""
     found = np.atleast_1d(wholes("cases", cases))
     require(found.ndim == 1, f"cases must have shape (n_cases,), got {found.shape}")
     return found
@@ -113,7 +113,7 @@ def _check_motors(parameters: MotorParameters, faults: tuple[Fault, ...]) -> Non
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Everything that decides a transient but its random numbers; one motor or a batch.
+    """Settings of a transient but its random numbers; one motor or a batch.
 
     Attributes:
         parameters: the motor without its faults, one or a batch.
@@ -122,7 +122,7 @@ class Scenario:
         sensor: channels and noise.
         timing: time axis.
         load_torque_n_m: constant load from the step on.
-        process_noise_std: of the noise added to [current, speed] in each interval.
+        process_noise_std: noise added to [current, speed] in each interval.
     """
 
     parameters: MotorParameters
@@ -151,7 +151,7 @@ class Scenario:
 
     @property
     def full_scale(self) -> dict[str, Floats]:
-        """Current of the blocked motor and its ideal no-load speed, of which a sensor's offset is a share."""
+        """Full scale of current and speed: the blocked motor's current and the ideal no-load speed."""
         volts, motor = np.abs(self.supply.voltage_v), self.parameters
         return {
             Channel.CURRENT: volts / motor.resistance_ohm,
@@ -159,7 +159,7 @@ class Scenario:
         }
 
     def checked_cases(self, cases: ArrayLike) -> NDArray[np.int64]:
-        """Case numbers as an array; `ValueError` unless they number as many as the motors."""
+        """Return case numbers as an array; `ValueError` unless there is one for each motor."""
         found = case_numbers(cases)
         require(
             self.batch_shape in ((), found.shape),
@@ -170,13 +170,13 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class Transients:
-    """Simulated transients: readings, and the truth, which is for scoring alone.
+    """Simulated transients: readings, and the truth for scoring.
 
     Attributes:
         time_s: shape (n_samples,); 0 is the step.
         voltage_v: applied voltage, shape (n_cases, n_samples).
-        measurements: what the sensors read, shape (n_cases, n_channels, n_samples).
-        channels: names of the channels.
+        measurements: readings of the sensors, shape (n_cases, n_channels, n_samples).
+        channels: their names.
         states: true current and speed, shape (n_cases, n_samples, 2).
     """
 
@@ -198,7 +198,7 @@ def simulate_states(
     process_noise: FloatArray | None = None,
     start_s: float = 0.0,
 ) -> FloatArray:
-    """True current and speed of one motor or a batch, for any voltage profile (paper, eq. (3)).
+    """Return true current and speed of one motor or a batch, for any voltage (paper, eq. (3)).
 
     Args:
         parameters: the motor without its faults.
@@ -283,10 +283,7 @@ def _segments(
 def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
     """Simulate a scenario; the noise of row n comes from the streams of case `cases[n]` alone.
 
-    Args:
-        scenario: one motor, repeated with other noise, or a batch of n_cases motors.
-        seed: the random seed.
-        cases: case numbers, shape (n_cases,).
+    `cases` has shape (n_cases,).
 
     Raises:
         ValueError: the batch is not n_cases long.
@@ -310,7 +307,7 @@ def simulate(scenario: Scenario, seed: int, cases: ArrayLike) -> Transients:
 
 
 def scenario_states(scenario: Scenario, seed: int, cases: NDArray[np.int64]) -> FloatArray:
-    """True current and speed of each case, shape (n_cases, n_samples, 2)."""
+    """Return true current and speed of each case, shape (n_cases, n_samples, 2)."""
     timing = scenario.timing
     step = timing.step(1.0)
     level = np.broadcast_to(np.asarray(scenario.supply.voltage_v, dtype=np.float64), cases.shape)
@@ -326,7 +323,6 @@ def scenario_states(scenario: Scenario, seed: int, cases: NDArray[np.int64]) -> 
 
 
 def _process_noise(scenario: Scenario, seed: int, cases: NDArray[np.int64]) -> FloatArray | None:
-    """Noise of the state of each case, shape (n_cases, n_samples, 2); None where there is none."""
     if not any(scenario.process_noise_std):
         return None
     n_samples = scenario.timing.n_samples

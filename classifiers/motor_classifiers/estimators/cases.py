@@ -1,4 +1,4 @@
-"""Cases as estimators take them, (n_cases, n_channels, n_timepoints) or flattened, and a fitted estimator's state."""
+"""Cases for estimators, (n_cases, n_channels, n_timepoints) or flattened, and a fitted estimator's state."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class State(NamedTuple):
-    """A fitted estimator.
+    """State of a fitted estimator.
 
     Attributes:
         arrays: its numbers.
-        values: what JSON can hold; in a file the list of `classes`, too.
+        values: for JSON; in a file with the list of `classes`.
     """
 
     arrays: Arrays
@@ -37,7 +37,7 @@ class State(NamedTuple):
 
 
 def plain_parameters(model: BaseEstimator) -> dict[str, Any]:
-    """Parameters that JSON can hold: without the recipe, and a random state only where it is a number."""
+    """Return the parameters for JSON: no recipe, and a random state only if it is a number."""
     parameters = {name: value for name, value in model.get_params().items() if name != "recipe"}
     if not isinstance(parameters["random_state"], int):
         parameters["random_state"] = None
@@ -45,20 +45,20 @@ def plain_parameters(model: BaseEstimator) -> dict[str, Any]:
 
 
 def module_arrays(module: nn.Module, part: str) -> Arrays:
-    """Weights and buffers of a torch module, each name after the part's."""
+    """Return weights and buffers of a torch module, with the part's name as prefix."""
     return {f"{part}.{name}": values.numpy() for name, values in module.state_dict().items()}
 
 
 def part_of(arrays: Arrays, part: str) -> Arrays:
-    """The arrays of one part, without its name."""
+    """Return the arrays of one part, without its prefix."""
     return {name.removeprefix(f"{part}."): a for name, a in arrays.items() if name.startswith(f"{part}.")}
 
 
 def loaded_module(module: nn.Module, arrays: Arrays) -> nn.Module:
-    """A torch module made on the device `meta`, with weights and buffers in double precision.
+    """Load weights and buffers in double precision into a torch module on the device `meta`.
 
     Raises:
-        ValueError: names or shapes are not the module's; no memory was taken.
+        ValueError: other names or shapes than the module's.
     """
     # A file has one value in the place of a number.
     wanted = {name: tuple(values.shape) or (1,) for name, values in module.state_dict().items()}
@@ -70,16 +70,16 @@ def loaded_module(module: nn.Module, arrays: Arrays) -> nn.Module:
 
 
 class ProbabilityClassifier(ClassifierMixin, BaseEstimator, ABC):
-    """A classifier that decides on the most probable class."""
+    """Classifier that decides for the most probable class."""
 
     classes_: NDArray[Any]
 
     @abstractmethod
     def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class, shape (n_cases, n_classes)."""
+        """Return the probability of each class, shape (n_cases, n_classes)."""
 
     def predict(self, X: Any) -> NDArray[Any]:
-        """Most probable class of each case, shape (n_cases,)."""
+        """Return the most probable class of each case, shape (n_cases,)."""
         most = self.predict_proba(X).argmax(axis=1)
         decided: NDArray[Any] = self.classes_[most]
         return decided
@@ -89,13 +89,13 @@ def flat_cases(estimator: BaseEstimator, X: Any, *, reset: bool, min_features: i
     """Check transients and flatten them to (n_cases, n_channels * n_timepoints), float64.
 
     Args:
-        estimator: whose `n_features_in_` is set, or compared with.
+        estimator: owner of `n_features_in_`, set in a fit, else compared.
         X: shape (n_cases, n_channels, n_timepoints), or flattened in that order.
         reset: whether this is a fit.
-        min_features: fewest numbers a case may have.
+        min_features: least number of values in a case.
 
     Raises:
-        ValueError: no cases, a value that is not finite, or another number of values than at the fit.
+        ValueError: no cases, a value that is not finite, or another number of values than in the fit.
     """
     checked: FloatArray = validation.validate_data(
         estimator,
@@ -108,10 +108,10 @@ def flat_cases(estimator: BaseEstimator, X: Any, *, reset: bool, min_features: i
 
 
 def cases_by_axis(X: Any, recipe: Recipe | None = None) -> FloatArray:
-    """Real finite cases, shape (n_cases, n_channels, n_timepoints), with the recipe's channels and time axis.
+    """Return real finite cases, shape (n_cases, n_channels, n_timepoints), by the recipe's axes.
 
     Raises:
-        ValueError: they are not; each with several starts has so many times the channels.
+        ValueError: they are not; k starts a case have k times the channels.
     """
     cases = numbers("X", X, ("n_cases", "n_channels", "n_timepoints"), single=True)
     if recipe is not None:
@@ -126,7 +126,6 @@ def cases_by_axis(X: Any, recipe: Recipe | None = None) -> FloatArray:
 
 
 def _flattened(estimator: Any, X: Any, *, reset: bool) -> Any:
-    """Checked and flattened where there are channels; two axes are scikit-learn's to check."""
     recipe = _recipe_of(estimator)
     instance("recipe", recipe, (Recipe, type(None)))
     if hasattr(X, "columns") or hasattr(X, "toarray"):
@@ -147,7 +146,7 @@ def _flattened(estimator: Any, X: Any, *, reset: bool) -> Any:
 
 
 def _recipe_of(estimator: Any) -> Any:
-    """The recipe of an estimator, or of the one inside it that sees the cases."""
+    """Return the recipe of an estimator, or of the one inside it."""
     while estimator is not None and getattr(estimator, "recipe", None) is None:
         if isinstance(estimator, Pipeline):
             estimator = estimator.steps[0][1]
@@ -159,10 +158,10 @@ def _recipe_of(estimator: Any) -> Any:
 
 
 def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
-    """Check the recipe against the length of the cases; without one, take the paper's motor at its usual rate.
+    """Check the recipe against the length of the cases; default: the paper's motor at its usual rate.
 
     Raises:
-        ValueError: the cases have another length than the recipe's.
+        ValueError: another length than the recipe's.
     """
     if recipe is None:
         bench = named_recipe("bench")
@@ -177,12 +176,12 @@ def fitting_recipe(recipe: Recipe | None, n_features: int) -> Recipe:
 
 
 def with_channels(flat: FloatArray, recipe: Recipe) -> FloatArray:
-    """Flattened cases as (n_cases, n_channels, n_timepoints)."""
+    """Reshape flattened cases to (n_cases, n_channels, n_timepoints)."""
     return flat.reshape(len(flat), len(recipe.channels), -1)
 
 
 def measured_cases(estimator: Any, X: Any) -> tuple[Recipe, FloatArray]:
-    """The recipe of a fitted estimator, and checked cases, shape (n_cases, n_channels, n_timepoints)."""
+    """Return the recipe of a fitted estimator, and checked cases, shape (n_cases, n_channels, n_timepoints)."""
     validation.check_is_fitted(estimator, "n_features_in_")
     flat = flat_cases(estimator, X, reset=False)
     recipe = fitting_recipe(estimator.recipe, flat.shape[1])
@@ -190,7 +189,7 @@ def measured_cases(estimator: Any, X: Any) -> tuple[Recipe, FloatArray]:
 
 
 def values_of_start(recipe: Recipe) -> int:
-    """Numbers of one start of the recipe: n_channels * n_samples."""
+    """Return the values of one start of the recipe: n_channels * n_samples."""
     return len(recipe.channels) * recipe.timing.n_samples
 
 
@@ -210,7 +209,7 @@ def labelled_cases(estimator: BaseEstimator, X: Any, y: Any) -> tuple[FloatArray
     """Check cases and labels of a fit, set `classes_`, and return flat cases and label indices.
 
     Raises:
-        ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
+        ValueError: fewer than two classes, invalid labels, or shapes that do not fit.
     """
     flat, checked = validation.validate_data(
         estimator, _flattened(estimator, X, reset=True), y, dtype=np.float64

@@ -26,17 +26,17 @@ _RULE_ARRAYS = (
 
 @dataclass(eq=False, repr=False)
 class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
-    """The paper's confirmation by thresholds behind scikit-learn's interface.
+    """The paper's confirmation by thresholds as a scikit-learn classifier.
 
     Args:
-        recipe: whose filters compare. Without one, the mean training case of each class stands in for its filter's
-            prediction, and the class `healthy`, or else the first one, is the one to be left.
-        false_alarm_rate: share of healthy cases that may alarm, all thresholds together (`ThresholdRule.tune`); by
-            default the thresholds with most correct decisions on the training cases.
+        recipe: source of the filters. Without one, the mean training case of each class replaces its filter's
+            prediction, and `healthy` or else the first class is the healthy one.
+        false_alarm_rate: share of healthy cases with an alarm (`ThresholdRule.tune`); by default the most correct
+            decisions on the training cases.
 
     Attributes:
         rule_: the tuned `ThresholdRule`.
-        filters_: a filter for each class of the recipe, in its order; none without a recipe.
+        filters_: a filter for each class of the recipe; none without a recipe.
         templates_: mean training cases, shape (n_classes, n_features_in_); None with a recipe.
     """
 
@@ -47,7 +47,7 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
         """Tune windows, thresholds, M, N and weights.
 
         Raises:
-            ValueError: labels that the recipe does not know, no healthy case, or shapes that do not fit.
+            ValueError: labels unknown to the recipe, no healthy case, or shapes that do not fit.
         """
         flat, labels = cases.labelled_cases(self, X, y)
         self.templates_: FloatArray | None = None
@@ -82,9 +82,9 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
         return self.rule_.decide(self._residuals(cases.flat_cases(self, X, reset=False)))
 
     def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class, shape (n_cases, n_classes).
+        """Return the probability of each class, shape (n_cases, n_classes).
 
-        Where the rule's decision and the most probable class differ, the two change places: `predict` is the rule.
+        If the rule decides against the most probable class, their probabilities are exchanged.
         """
         result = self.decide(X)
         graded = result.probabilities.copy()
@@ -98,7 +98,7 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
         return probabilities
 
     def to_state(self) -> State:
-        """The tuned rule as arrays and values.
+        """Return the tuned rule as arrays and values.
 
         Raises:
             ValueError: tuned without a recipe.
@@ -110,10 +110,10 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
 
     @classmethod
     def from_state(cls, state: State, recipe: Recipe) -> Self:
-        """The fitted estimator again.
+        """Restore the fitted estimator.
 
         Raises:
-            ValueError, KeyError, TypeError: values of another type or range than they must have.
+            ValueError, KeyError, TypeError: values of another type or range.
         """
         values = state.values
         rule: dict[str, Any] = {**values["rule"], **{name: state.arrays[name] for name in _RULE_ARRAYS}}
@@ -129,7 +129,7 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
         return model
 
     def _residuals(self, flat: FloatArray) -> FloatArray:
-        """Residual of each case under each class, shape (n_classes, n_cases, n_samples, n_channels)."""
+        """Return the residual of each case under each class, shape (n_classes, n_cases, n_samples, n_channels)."""
         if self.recipe is None:
             residual: FloatArray = (flat - np.asarray(self.templates_)[:, None])[..., None]
             return residual
@@ -138,14 +138,12 @@ class ThresholdConfirmationClassifier(cases.ProbabilityClassifier):
         return np.stack([run_filter(belief, measured, voltage).whitened for belief in self.filters_])
 
     def _columns(self) -> NDArray[np.int64]:
-        """Position of each of `classes_` among the rule's classes."""
         if self.recipe is None:
             return np.arange(len(self.classes_))
         return np.array([self.recipe.class_names.index(str(name)) for name in self.classes_])
 
 
 def _check_rule(rule: dict[str, Any], recipe: Recipe) -> None:
-    """Check what a file says of a rule."""
     for name in ("windows", "bank_windows"):
         windows = rule[name]
         require(
@@ -194,7 +192,7 @@ def _check_rule(rule: dict[str, Any], recipe: Recipe) -> None:
 
 
 def class_filter(recipe: Recipe, fault_class: FaultClass) -> KalmanFilter:
-    """The filter that believes in one class of the recipe at its nominal parameters (Magill 1965)."""
+    """Return the filter that assumes one class of the recipe at its nominal parameters (Magill 1965)."""
     sensor = recipe.sensor.with_noise(float(np.sqrt(variance_factor(fault_class))))
     return KalmanFilter.from_parameters(
         apply_faults(recipe.motor, fault_class.faults), sensor, recipe.timing.dt_s

@@ -1,6 +1,6 @@
-"""Features of a transient: what the filter leaves over, the motor's parameters, the decision rules' statistics.
+"""Features of a transient: the filter's residual, the motor's parameters, the decision rules' statistics.
 
-Levels are kept. The transformers take (n_cases, n_channels, n_timepoints) or flattened cases.
+The transformers take (n_cases, n_channels, n_timepoints) or flattened cases.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _RULES: dict[str, Rule] = {"nis": nis_rule(), "cusum": Cusum(_SHIFT, two_sided=T
 
 
 def whitened_residual(recipe: Recipe, measurements: FloatArray) -> FloatArray:
-    """Residual of the filter that believes in the recipe's nominal motor, white where it is right.
+    """Compute the whitened residual of a filter for the nominal motor.
 
     Args:
         recipe: nominal motor, supply, sensor and timing.
@@ -51,7 +51,7 @@ def whitened_residual(recipe: Recipe, measurements: FloatArray) -> FloatArray:
 
 
 def signal_family(recipe: Recipe, n_draws: int) -> FloatArray:
-    """Residuals of noise-free starts drawn from the recipe, shape (n_draws, n_samples * n_channels)."""
+    """Return residuals of noise-free starts drawn from the recipe, shape (n_draws, n_samples * n_channels)."""
     drawn = draw(recipe, _FAMILY_SEED, np.arange(n_draws)).scenario
     silent = replace(drawn, sensor=drawn.sensor.with_noise(0.0))
     clean = simulate(silent, _FAMILY_SEED, np.arange(n_draws)).measurements
@@ -59,11 +59,11 @@ def signal_family(recipe: Recipe, n_draws: int) -> FloatArray:
 
 
 def affine_map(recipe: Recipe, numbers: Callable[[FloatArray], FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Weights and offset of numbers that are affine in the measurements: flat @ weights.T + offset.
+    """Return weights and offset of numbers affine in the measurements: flat @ weights.T + offset.
 
     Args:
-        recipe: whose channels and time axis.
-        numbers: from measurements (n_cases, n_channels, n_samples) to (n_cases, n_numbers).
+        recipe: for channels and time axis.
+        numbers: maps measurements (n_cases, n_channels, n_samples) to (n_cases, n_numbers).
 
     Returns:
         Weights (n_numbers, n_channels * n_samples) and offset (n_numbers,).
@@ -84,12 +84,11 @@ def affine_map(recipe: Recipe, numbers: Callable[[FloatArray], FloatArray]) -> t
 class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     """The filter's residual along the leading singular vectors of the model's own signal family.
 
-    A transient in white noise enters its likelihood only through the directions in which the model's signals can
-    differ; a handful carry everything (docs/classifiers.md).
+    The likelihood depends on a transient only through the few directions in which the model's signals differ.
 
     Args:
-        recipe: the motor, its nuisances and faults. Without one, directions come from the training cases.
-        n_components: how many directions.
+        recipe: motor, nuisances and faults. Without one, directions come from the training cases.
+        n_components: number of directions.
         n_draws: noise-free starts that span the family.
 
     Attributes:
@@ -103,7 +102,7 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
     n_draws: int = 1000
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Find the directions; the labels are not looked at."""
+        """Find the directions, without the labels."""
         whole("n_components", self.n_components, 1)
         whole("n_draws", self.n_draws, 1)
         flat = flat_cases(self, X, reset=True)
@@ -123,7 +122,7 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
         return self
 
     def restore(self, weights: FloatArray, offset: FloatArray) -> int:
-        """Take the directions of a file; returns how many there are.
+        """Take the directions of a file; return their number.
 
         Raises:
             ValueError: shapes that do not fit.
@@ -136,7 +135,7 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
         return len(offset)
 
     def transform(self, X: Any) -> FloatArray:
-        """Components of each case, shape (n_cases, n_components)."""
+        """Return components of each case, shape (n_cases, n_components)."""
         check_is_fitted(self)
         components: FloatArray = flat_cases(self, X, reset=False) @ self.weights_.T + self.offset_
         return components
@@ -148,9 +147,9 @@ class ResidualProjection(ClassNamePrefixFeaturesOutMixin, TransformerMixin, Base
 
 @dataclass(eq=False, repr=False)
 class PhysicalFeatures(TransformerMixin, BaseEstimator):
-    """Most probable parameters of each transient, their errors, and what the fit leaves over.
+    """Most probable parameters of each transient, their errors, and residual statistics.
 
-    The columns are named in `motor_env.inference.class_model.FEATURE_NAMES`; of motors at work by `work_feature_names`.
+    Columns: `motor_env.inference.class_model.FEATURE_NAMES`, or `work_feature_names` for motors at work.
 
     Args:
         recipe: nominal motor, tolerances, supply, sensor and timing; without one, the paper's motor at 10 kHz.
@@ -159,18 +158,18 @@ class PhysicalFeatures(TransformerMixin, BaseEstimator):
     recipe: Recipe | None = None
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Check the cases' shape; there is nothing to learn."""
+        """Check the cases' shape."""
         flat = flat_cases(self, X, reset=True, min_features=2)
         fitting_recipe(self.recipe, flat.shape[1])
         return self
 
     def transform(self, X: Any) -> FloatArray:
-        """Features of each case, shape (n_cases, n_features)."""
+        """Return features of each case, shape (n_cases, n_features)."""
         recipe, measured = measured_cases(self, X)
         return physical_features(recipe, measured) if recipe.duty is None else work_features(recipe, measured)
 
     def get_feature_names_out(self, input_features: Any = None) -> Any:
-        """Names of the columns."""
+        """Return the names of the columns."""
         check_is_fitted(self, "n_features_in_")
         if self.recipe is None or self.recipe.duty is None:
             return np.array(FEATURE_NAMES, dtype=object)
@@ -179,25 +178,24 @@ class PhysicalFeatures(TransformerMixin, BaseEstimator):
 
 @dataclass(eq=False, repr=False)
 class RuleStatistics(TransformerMixin, BaseEstimator):
-    """Statistics of the decision rules over a whole transient, and a matched test for each fault of the recipe.
+    """Statistics of the decision rules over a transient, and a matched test for each fault of the recipe.
 
-    The largest NIS, the largest CUSUM, and the mean NIS (the test of consistency, Bar-Shalom, Li & Kirubarajan 2001,
-    ch. 5.4), each as log(1 + x), of the residual whitened for the recipe's tolerances. A linear classifier on the
-    matched tests is the bank of filters to first order.
+    The largest NIS, the largest CUSUM, and the mean NIS, each as log(1 + x), of the residual whitened for the recipe's
+    tolerances. A linear classifier on the matched tests is a bank of filters to first order.
 
     Args:
         recipe: nominal motor, tolerances, faults, sensor and timing; without one, the paper's motor at 10 kHz.
 
     Attributes:
-        weights_: of the matched tests, which are affine in what is measured, shape (n_tests, n_features_in_).
+        weights_: of the matched tests, affine in the measurements, shape (n_tests, n_features_in_).
         offset_: shape (n_tests,).
-        feature_names_: names of the columns.
+        feature_names_: of the columns.
     """
 
     recipe: Recipe | None = None
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Prepare the tests; there is nothing to learn from the cases."""
+        """Prepare the tests from the recipe."""
         flat = flat_cases(self, X, reset=True, min_features=2)
         recipe = fitting_recipe(self.recipe, flat.shape[1])
         single = [
@@ -212,20 +210,19 @@ class RuleStatistics(TransformerMixin, BaseEstimator):
         return self
 
     def transform(self, X: Any) -> FloatArray:
-        """Statistics of each case, shape (n_cases, n_statistics)."""
+        """Return statistics of each case, shape (n_cases, n_statistics)."""
         recipe, measured = measured_cases(self, X)
         begins = range(0, len(measured), _AT_ONCE)
         levels = np.concatenate([_levels(recipe, measured[begin : begin + _AT_ONCE]) for begin in begins])
         return np.column_stack([levels, measured.reshape(len(measured), -1) @ self.weights_.T + self.offset_])
 
     def get_feature_names_out(self, input_features: Any = None) -> Any:
-        """Names of the columns."""
+        """Return the names of the columns."""
         check_is_fitted(self)
         return np.array(self.feature_names_, dtype=object)
 
 
 def _levels(recipe: Recipe, measured: FloatArray) -> FloatArray:
-    """Logarithms of the rules' largest statistics and of the mean NIS, shape (n_cases, n_rules + 1)."""
     white = _filter(recipe).white(measured)
     largest = [rule.statistic(white).max(axis=-1) for rule in _RULES.values()]
     levels: FloatArray = np.log1p([*largest, np.square(white).mean(axis=(1, 2))]).T
@@ -234,5 +231,5 @@ def _levels(recipe: Recipe, measured: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def _filter(recipe: Recipe) -> TolerantFilter:
-    """Filter and whitening: all of it follows from the recipe, so no model holds it."""
+    """Return filter and whitening of the recipe."""
     return TolerantFilter.from_recipe(recipe)

@@ -1,4 +1,4 @@
-"""Methods by name, each an estimator for a recipe: the benchmark's, and plugins (`FILE.py:NAME`, entry points)."""
+"""Methods by name, each an estimator for a recipe: built-in ones and plugins (`FILE.py:NAME`, entry points)."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ Make = Callable[[Recipe, int], BaseEstimator]
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """One method.
+    """Method of classification.
 
     Attributes:
         name: as on the command line.
         family: threshold, scikit-learn, torch or own.
-        title: what it is, for a person.
+        title: description.
         make: estimator for a recipe and a random state.
-        seconds: about what 2,000 starts at 10 kHz take on one core, for progress bars.
+        seconds: rough time for 2,000 starts at 10 kHz on one core, for progress bars.
         from_stream: whether it draws its own training starts.
     """
 
@@ -59,18 +59,15 @@ METHODS: dict[str, Method] = {}
 """Every method by name, in the order of the tables."""
 
 ESTIMATE = "posterior-network"
-"""The method that stands for the limit where the likelihood has no closed form."""
+"""Method that replaces the limit where the likelihood has no closed form."""
 
 
 def _chain(features: BaseEstimator, *steps: BaseEstimator) -> Pipeline:
-    """Features, perhaps a scale, and a classifier."""
     names = ("features", "classify") if len(steps) == 1 else ("features", "scale", "classify")
     return Pipeline(list(zip(names, (features, *steps), strict=True)))
 
 
 def _method(name: str, family: str, title: str, seconds: float, **options: bool) -> Callable[[Make], Make]:
-    """Put a function that makes estimators into the table."""
-
     def listed(make: Make) -> Make:
         METHODS[name] = Method(name, family, title, make, seconds, **options)
         return make
@@ -134,7 +131,6 @@ def _svm(recipe: Recipe, seed: int) -> BaseEstimator:
     15.0,
 )
 def _boosting(recipe: Recipe, seed: int) -> BaseEstimator:
-    """Return shallow boosted trees, with calibrated probabilities (docs/classifiers.md)."""
     trees = HistGradientBoostingClassifier(
         learning_rate=0.03, max_iter=150, max_leaf_nodes=7, min_samples_leaf=10, random_state=seed
     )
@@ -201,7 +197,7 @@ AT_WORK = (
     "raw-logistic",
     "residual-network",
 )
-"""Methods that take motors at work, too; the others need the step of a start."""
+"""Methods that accept motors at work, too."""
 
 
 def make_method(name: str, recipe: Recipe, random_state: int) -> BaseEstimator:
@@ -217,7 +213,7 @@ def make_method(name: str, recipe: Recipe, random_state: int) -> BaseEstimator:
 
 
 GROUP = "motor_classifiers.methods"
-"""Group of entry points that an installed package offers methods under."""
+"""Group of entry points for methods of installed packages."""
 
 _OF_FILE = ".py:"
 _SECONDS = 30.0  # for progress bars: nobody knows
@@ -227,7 +223,7 @@ def find_method(name: str) -> Method:
     """Find a method by name, entry point, or `FILE.py:NAME`, whose file is run.
 
     Raises:
-        InputError: there is none, or its file cannot be run.
+        InputError: no such method, or its file cannot be run.
     """
     if name in METHODS:
         return METHODS[name]
@@ -264,15 +260,15 @@ def _from_file(name: str) -> Make:
 
 
 def source_of(name: str) -> str:
-    """Return the source text of a method `FILE.py:NAME`; empty for all others."""
+    """Return the source text of a method `FILE.py:NAME`; empty for others."""
     return Path(name.rpartition(":")[0]).read_text(encoding="utf-8") if _OF_FILE in name else ""
 
 
 def model_input(model: BaseEstimator, X: Any) -> Any:
-    """Return transients in the shape that a model takes.
+    """Return transients in the shape for a model.
 
-    Flat, (n_cases, n_channels * n_timepoints); with channels apart where the tag `input_tags.three_d_array` of the
-    model, or of a pipeline's first step, says so.
+    Flat, (n_cases, n_channels * n_timepoints), unless the tag `input_tags.three_d_array` of the model or a pipeline's
+    first step asks for channels.
     """
     first = model
     while isinstance(first, Pipeline):
@@ -282,7 +278,7 @@ def model_input(model: BaseEstimator, X: Any) -> Any:
 
 
 def model_probabilities(model: BaseEstimator, X: Any) -> FloatArray:
-    """Return the probability of each of the model's classes, shape (n_cases, n_classes); 0 or 1 if it only decides."""
+    """Return the probability of each of the model's classes, shape (n_cases, n_classes); 0 or 1 for pure decisions."""
     cases = model_input(model, X)
     if hasattr(model, "predict_proba"):
         probabilities: FloatArray = np.asarray(model.predict_proba(cases), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Reference starts: healthy starts of the same motor, beside the start that is judged.
+"""Reference starts: healthy starts of the same motor, beside the judged start.
 
 A judged start with k references is one case with (1 + k) times the channels, its own first.
 """
@@ -25,12 +25,12 @@ _AT_ONCE = 1024
 
 
 def referenced_starts(recipe: Recipe, seed: int, motors: ArrayLike, n_references: int) -> Dataset:
-    """Draw motors, and of each so many healthy starts before the one that is judged.
+    """Draw motors, each with healthy starts before the judged one.
 
-    The labels are those of the judged start; X has shape (n_motors, (1 + n_references) * n_channels, n_samples).
+    Labels are the judged start's; X has shape (n_motors, (1 + n_references) * n_channels, n_samples).
 
     Args:
-        recipe: what motors are drawn from; how many starts it says a motor has does not matter.
+        recipe: distribution of the motors; its number of starts a motor is ignored.
         seed: the random seed.
         motors: motor numbers, shape (n_motors,).
         n_references: healthy starts of each motor, k.
@@ -46,7 +46,7 @@ def referenced_starts(recipe: Recipe, seed: int, motors: ArrayLike, n_references
 
 
 def split_starts(X: Any, recipe: Recipe) -> FloatArray:
-    """Cases as starts, shape (n_cases, 1 + n_references, n_channels, n_samples); flattened cases, too.
+    """Split cases, also flat ones, into starts, (n_cases, 1 + n_references, n_channels, n_samples).
 
     Raises:
         ValueError: a case is no whole number of the recipe's starts.
@@ -62,7 +62,7 @@ def split_starts(X: Any, recipe: Recipe) -> FloatArray:
 
 
 def referenced_probabilities(recipe: Recipe, X: Any) -> FloatArray:
-    """Bayes-optimal posterior given the reference starts, shape (n_cases, n_classes); X as of `referenced_starts`."""
+    """Compute the Bayes-optimal posterior with references, shape (n_cases, n_classes); X as `referenced_starts`."""
     starts = split_starts(X, recipe)
     return posterior.class_probabilities(
         recipe, starts[:, 0], prior=posterior.prior_from_starts(recipe, starts[:, 1:])
@@ -73,11 +73,11 @@ def referenced_probabilities(recipe: Recipe, X: Any) -> FloatArray:
 class RecentredStarts(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstimator):
     """Recentre the judged start as if its motor were the nominal one.
 
-    The references give the most probable parameters of the motor (`prior_from_starts`); how its healthy response
-    differs from the nominal one is taken off. To first order in the tolerances nothing is lost.
+    The references give the motor's most probable parameters (`prior_from_starts`); the deviation of its healthy
+    response from nominal is subtracted.
 
     Args:
-        recipe: the motor, its nuisances and faults, and how long one start is. Without one, a case is one start.
+        recipe: motor, nuisances, faults and length of a start. Without one, a case is one start.
 
     Attributes:
         n_features_in_: values of a case.
@@ -86,12 +86,12 @@ class RecentredStarts(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEst
     recipe: Recipe | None = None
 
     def fit(self, X: Any, y: Any = None) -> Self:
-        """Check the cases' shape; there is nothing to learn."""
+        """Check the cases' shape."""
         self._starts(flat_cases(self, X, reset=True))
         return self
 
     def transform(self, X: Any) -> FloatArray:
-        """Recentred starts, flattened, shape (n_cases, n_channels * n_samples); without references as they are."""
+        """Return recentred starts, flat, shape (n_cases, n_channels * n_samples); without references unchanged."""
         check_is_fitted(self, "n_features_in_")
         starts = self._starts(flat_cases(self, X, reset=False))
         parts = [
@@ -101,7 +101,6 @@ class RecentredStarts(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEst
         return np.concatenate(parts).reshape(len(starts), -1)
 
     def _starts(self, flat: FloatArray) -> FloatArray:
-        """Shape (n_cases, 1 + n_references, n_channels, n_samples)."""
         return flat[:, None, None] if self.recipe is None else split_starts(flat, self.recipe)
 
     @property
@@ -112,7 +111,7 @@ class RecentredStarts(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEst
 
 
 def _recentred(recipe: Recipe | None, starts: FloatArray) -> FloatArray:
-    """From starts, shape (n_cases, 1 + n_references, n_channels, n_samples), those that are judged."""
+    """Return the judged ones of starts (n_cases, 1 + n_references, n_channels, n_samples), recentred."""
     judged: FloatArray = starts[:, 0]
     if recipe is None or starts.shape[1] == 1:
         return judged

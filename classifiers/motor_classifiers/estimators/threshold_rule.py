@@ -1,9 +1,8 @@
-"""The rule of confirmation by thresholds: the paper's Figure 1, tuned on training cases.
+"""Confirmation by thresholds: the paper's Figure 1, tuned on training cases.
 
-A filter that believes in the healthy nominal motor gives a residual. Its means over windows are compared with a lower
-and an upper threshold each; M of the last N windows beyond theirs confirm a fault. Then the residuals of a bank of
-filters, one for each fault the recipe knows, are compared: the best fit is the diagnosis (multiple models: Magill
-1965). Windows, thresholds and weights come from training cases.
+A filter for the healthy nominal motor gives a residual. Its means over windows are compared with lower and upper
+thresholds; M of the last N windows beyond theirs confirm a fault. Then a bank of filters, one for each fault, is
+compared: the best fit is the diagnosis (multiple models: Magill 1965).
 """
 
 from __future__ import annotations
@@ -28,24 +27,22 @@ EQUAL_WINDOWS = (50, 20, 10, 5, 2, 1)
 """Numbers of equal windows that `tune` tries."""
 
 DOUBLING_WINDOWS = (4, 5, 6, 7, 8)
-"""Numbers of windows that double in length that `tune` tries: a start is quick at first and slow later."""
+"""Numbers of windows of doubling length that `tune` tries."""
 
 CONFIRMATIONS = ((1, 1), (2, 2), (2, 3), (3, 3), (3, 5), (5, 5))
-"""Pairs (M, N) that `tune` tries with windows that share one threshold."""
+"""Pairs (M, N) that `tune` tries with one common threshold."""
 
 MOST_WINDOWS = 3
 """Windows with thresholds of their own."""
 
 LEAST_GAIN = 0.004
-"""Share of the training cases that one more threshold must put right: less is luck of the draw.
-
-It was set while looking at the benchmark's test motors; docs/rules.md has figures of fresh ones."""
+"""Least share of the training cases that another threshold must correct."""
 
 UNLIMITED = 1e9
-"""Threshold of a side that has none, in standard deviations of healthy cases: files hold no infinite numbers."""
+"""Threshold of a side without one, in standard deviations of healthy cases: files hold no infinite numbers."""
 
 LEAST_STATISTIC = 0.3
-"""Cases further inside the thresholds than this are graded alike: with one-sided thresholds many are at 0."""
+"""Smallest statistic that is graded; smaller ones are equal."""
 
 _TINY = 1e-12
 
@@ -54,12 +51,11 @@ class ConfirmationResult(NamedTuple):
     """Decisions on n cases.
 
     Attributes:
-        alarm_index: sample at which the fault was confirmed, -1 where none was, shape (n,).
-        class_index: decided class, shape (n,): the healthy class without an alarm, the best fitting fault with one.
+        alarm_index: sample of the confirmation, -1 without one, shape (n,).
+        class_index: healthy without an alarm, else the best fitting fault, shape (n,).
         probabilities: of the classes, calibrated on the training cases, shape (n, n_classes).
-        statistic: how far each case goes, shape (n,): a window's height is its distance from what healthy cases show
-            over the threshold on that side, and the statistic the largest M-th of N heights. An alarm is a value
-            above 1, whatever the number of thresholds.
+        statistic: largest M-th of N heights, shape (n,); a window's height is its distance from healthy cases over the
+            threshold on that side. An alarm is a value above 1.
     """
 
     alarm_index: IntArray
@@ -70,25 +66,24 @@ class ConfirmationResult(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ThresholdRule:
-    """The tuned rule (paper, Figure 1). Make one with `ThresholdRule.tune(whitened, labels, healthy)`.
+    """The tuned rule (paper, Figure 1), made by `ThresholdRule.tune(whitened, labels, healthy)`.
 
     Attributes:
         healthy_index: position of the healthy class.
-        with_spread: whether the windows' variance is a feature beside their mean (a recipe with noise faults).
-        windows: first sample and end of each window, shape (n_windows, 2), ordered by their ends. They may overlap,
-            and need not cover the start.
-        bank_windows: those on which the faults' filters are compared, shape (n_bank_windows, 2).
-        needed: M, the windows that must lie beyond a threshold of theirs.
-        among: N, the windows among which they are counted.
+        with_spread: whether the windows' variance is a feature, too (for noise faults).
+        windows: first sample and end of each window, ordered by ends, shape (n_windows, 2).
+        bank_windows: those for the comparison of filters, shape (n_bank_windows, 2).
+        needed: M, windows beyond a threshold.
+        among: N, consecutive windows.
         healthy_center: median of each feature on healthy training cases, shape (n_windows, n_features).
         healthy_scale: root mean square distance from it.
-        lower: thresholds below the center, in units of the scale, < 0; -`UNLIMITED` where that side has none.
+        lower: thresholds below the center, in units of the scale, < 0; -`UNLIMITED` for none.
         upper: thresholds above it, > 0.
-        own_scale: root mean square of each feature of the bank under the filter of the case's own class, all classes
-            together, shape (n_bank_windows, n_features).
+        own_scale: root mean square of each bank feature under the filter of the true class, shape (n_bank_windows,
+            n_features).
         prior: share of each class in training, shape (n_classes,).
-        temperature: divides the bank's log-likelihoods, whose windows are not independent.
-        slope: how the log odds of a fault grow with log(statistic).
+        temperature: divides the bank's log-likelihoods, as windows are dependent.
+        slope: of the log odds of a fault over log(statistic).
         intercept: the log odds at the thresholds.
     """
 
@@ -119,21 +114,19 @@ class ThresholdRule:
     ) -> ThresholdRule:
         """Choose windows, thresholds, M, N and weights on the residuals of training cases.
 
-        Candidates are windows that fill the start and share one threshold, with M of N; and up to `MOST_WINDOWS`
-        windows of a grid with thresholds of their own, any of which confirms. The one with most correct decisions on
-        the training cases is taken.
+        Candidates are windows that fill the start with one threshold and M of N; and up to `MOST_WINDOWS` windows of a
+        grid with own thresholds, of which one confirms. The most correct decisions win.
 
         Args:
             whitened: residual of each case under each class, shape (n_classes, n_cases, n_samples, n_channels).
             labels: class of each case, shape (n_cases,).
             healthy: position of the healthy class.
-            with_spread: whether the windows' variance is a feature beside their mean.
-            false_alarm_rate: share of healthy cases that may alarm, however many thresholds there are. Only the first
-                half of the healthy cases then chooses. One factor on all thresholds is the order statistic of the
-                other half: a new healthy case alarms with at most this probability (Vovk et al. 2005, ch. 2).
+            with_spread: whether the windows' variance is a feature, too.
+            false_alarm_rate: largest probability of an alarm in a new healthy case (Vovk et al. 2005, ch. 2): half of
+                the healthy cases choose the rule, the others scale its thresholds.
 
         Raises:
-            ValueError: no healthy case, or too few of them to tell the wanted false-alarm rate.
+            ValueError: no healthy case, or too few for the false-alarm rate.
         """
         at_healthy = np.flatnonzero(labels == healthy)
         _check_rate(false_alarm_rate, len(at_healthy))
@@ -169,11 +162,11 @@ class ThresholdRule:
         )
 
     def scaled(self, factor: float) -> Self:
-        """The rule with all thresholds times a factor."""
+        """Return the rule with all thresholds times a factor."""
         return replace(self, lower=self.lower * factor, upper=self.upper * factor)
 
     def statistic(self, features: FloatArray) -> FloatArray:
-        """M-th largest height of the last N windows, shape (n, n_windows - N + 1)."""
+        """Return the M-th largest height of the last N windows, shape (n, n_windows - N + 1)."""
         z = (features - self.healthy_center) / self.healthy_scale
         height = np.maximum(z / self.upper, z / self.lower).max(axis=-1)
         last = sliding_window_view(height, self.among, axis=1)
@@ -181,7 +174,7 @@ class ThresholdRule:
         return statistic
 
     def largest(self, residual: FloatArray) -> FloatArray:
-        """Largest statistic of each case from its residual under the healthy class, shape (n,)."""
+        """Return the largest statistic of each case from its healthy residual, shape (n,)."""
         features = window_features(residual, self.windows, self.with_spread)
         largest: FloatArray = self.statistic(features).max(axis=1)
         return largest
@@ -190,7 +183,7 @@ class ThresholdRule:
         return np.stack([window_features(w, self.bank_windows, self.with_spread) for w in whitened])
 
     def fault_shares(self, features: FloatArray) -> FloatArray:
-        """Probability of each fault class given that there is one, from features of the bank, shape (n, n_classes)."""
+        """Return the probability of each fault class given a fault, from bank features, shape (n, n_classes)."""
         score = _bank_scores(features, self.own_scale, self.healthy_index) / self.temperature
         share: FloatArray = softmax(score + np.log(np.maximum(self.prior, _TINY)), axis=1)
         return share
@@ -202,7 +195,7 @@ class ThresholdRule:
         return probabilities
 
     def calibrated(self, whitened: FloatArray, labels: IntArray) -> Self:
-        """The rule with its probabilities fitted to training cases (Platt 1999; temperature: Guo et al. 2017)."""
+        """Return the rule with probabilities fitted to training cases (Platt 1999; Guo et al. 2017)."""
         faulty = labels != self.healthy_index
         if not faulty.any():
             return self
@@ -222,7 +215,7 @@ class ThresholdRule:
 
 
 def window_features(whitened: FloatArray, windows: IntArray, with_spread: bool) -> FloatArray:
-    """Mean, and if wanted the variance, of white noise in windows, scaled to standard normal (Mehra & Peschon 1971).
+    """Return means, and if wanted variances, of white noise in windows, scaled to standard normal.
 
     Args:
         whitened: shape (n, n_samples, n_channels).
@@ -253,7 +246,6 @@ def window_features(whitened: FloatArray, windows: IntArray, with_spread: bool) 
 def _chosen(
     whitened: FloatArray, labels: IntArray, healthy: int, with_spread: bool, rate: float
 ) -> ThresholdRule:
-    """The candidate with most correct decisions, at most this share of healthy cases alarming."""
     layouts = _layouts(whitened.shape[2], with_spread)
     features = np.stack([window_features(w, np.concatenate(layouts), with_spread) for w in whitened])
     parts = np.split(features, np.cumsum([len(windows) for windows in layouts])[:-1], axis=2)
@@ -293,7 +285,7 @@ def _chosen(
 def _with_own_thresholds(
     rule: ThresholdRule, features: FloatArray, gain: IntArray, spare: int
 ) -> tuple[int, ThresholdRule]:
-    """From a rule on all windows of the grid, one on the few whose thresholds decide best; first what it wins."""
+    """Reduce a rule on all grid windows to the few best thresholds; return its gain, too."""
     z = ((features - rule.healthy_center) / rule.healthy_scale).reshape(len(features), -1)
     n_windows, n_features = rule.healthy_scale.shape
     window_of = np.tile(np.repeat(np.arange(n_windows), n_features), 2)
@@ -323,7 +315,6 @@ def _check_rate(rate: float | None, n_healthy: int) -> None:
 
 
 def _layouts(n_samples: int, with_spread: bool) -> list[IntArray]:
-    """Windows that fill the start, shape (n_windows, 2) each."""
     layouts = [np.linspace(0, n_samples, count + 1) for count in EQUAL_WINDOWS]
     layouts += [n_samples * np.append(0.0, 2.0 ** np.arange(1 - count, 1)) for count in DOUBLING_WINDOWS]
     windows = [np.array(list(pairwise(np.round(edges).astype(np.int64)))) for edges in layouts]
@@ -331,7 +322,7 @@ def _layouts(n_samples: int, with_spread: bool) -> list[IntArray]:
 
 
 def _grid(n_samples: int, with_spread: bool) -> IntArray:
-    """Windows between any two of the edges: tenths of the start, and doublings; shape (n_windows, 2)."""
+    """Return windows between any two edges (tenths of the start, and doublings), shape (n_windows, 2)."""
     shares = np.concatenate([np.arange(11) / 10.0, 2.0 ** -np.arange(1, 7)])
     edges = np.unique(np.round(n_samples * shares).astype(np.int64))
     return np.array([(begin, end) for begin in edges for end in edges if end > begin + with_spread])
@@ -343,7 +334,7 @@ def _rms(features: FloatArray) -> FloatArray:
 
 
 def _bank_scores(features: FloatArray, own_scale: FloatArray, healthy: int) -> FloatArray:
-    """Log-likelihood of each fault for each case, shape (n, n_classes), its windows taken as independent."""
+    """Return the log-likelihood of each fault, shape (n, n_classes), for independent windows."""
     score: FloatArray = -0.5 * np.square(features / own_scale).sum(axis=(-2, -1)).T
     score[:, healthy] = -np.inf
     return score
@@ -361,7 +352,7 @@ def _descending(heights: FloatArray) -> IntArray:
 def _best_threshold(
     heights: FloatArray, order: IntArray, gain: IntArray, spare: int
 ) -> tuple[int, int, float]:
-    """What the best single threshold wins, on which column it stands, and the threshold, halfway between two cases."""
+    """Return gain, column and value of the best single threshold, halfway between two cases."""
     ordered = np.take_along_axis(heights, order, axis=0)
     gains = gain[order]
     # After row r the cases up to r alarm, the others do not.
@@ -377,7 +368,7 @@ def _best_threshold(
 def _few_thresholds(
     heights: FloatArray, window_of: IntArray, gain: IntArray, spare: int
 ) -> tuple[int, list[tuple[int, float]]]:
-    """Thresholds on few windows: the best one more each time, then each in turn chosen anew while that wins."""
+    """Choose thresholds on few windows: add the best one at a time, then choose each anew while that gains."""
     order = _descending(heights)
     limits: list[tuple[int, float]] = []
     won = 0

@@ -1,4 +1,1 @@
-"""Trained models as files.
-
-Nothing is ever unpickled. Begin at `persistence`.
-"""
+"""Files of trained models, without pickle. Begin at `persistence`."""

@@ -1,4 +1,4 @@
-"""Archives of model files, packed and unpacked within stated sizes."""
+"""Archives of model files, within stated sizes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from motor_env.common.files import LARGEST_DATA_BYTES, read_file
 from motor_env.motor.parameters import require
 
 LARGEST_TEXT_BYTES = 32_000_000
-"""Longest JSON text: what is made of it takes up to forty times as much."""
+"""Longest JSON text, as its value takes up to forty times the memory."""
 _CENTRAL_ENTRY = b"PK\x01\x02"
 MOST_MEMBERS = 50_000
-"""Members of an archive; a forest of 200 trees has 600."""
+"""Most members of an archive; a forest of 200 trees has 600."""
 
 
 def unpacked(content: bytes) -> dict[str, bytes]:
-    """Unpack the members of an archive, no more than it says.
+    """Unpack the members of an archive.
 
     Raises:
-        ValueError: too many members, too large ones, or packed by another method than zip's own.
+        ValueError: too many or too large members, or another compression than zip's own.
         zipfile.BadZipFile, zlib.error: damaged.
     """
     require(content.count(_CENTRAL_ENTRY) <= MOST_MEMBERS, f"it has more than {MOST_MEMBERS} members")
@@ -45,10 +45,10 @@ def unpacked(content: bytes) -> dict[str, bytes]:
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays of a NumPy archive by name.
+    """Return the arrays of a NumPy archive by name.
 
     Raises:
-        InputError: no such file, too large, or with something else in it.
+        InputError: no such file, too large, or other content.
     """
     content = read_file(path, LARGEST_DATA_BYTES)
     try:
@@ -69,7 +69,7 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
 
 
 def packed(members: dict[str, bytes]) -> bytes:
-    """An archive of members, not compressed."""
+    """Return an uncompressed archive of members."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, content in members.items():
@@ -78,10 +78,10 @@ def packed(members: dict[str, bytes]) -> bytes:
 
 
 def parsed(text: bytes | str, **options: Any) -> Any:
-    """The value of a JSON text.
+    """Return the value of a JSON text.
 
     Raises:
-        ValueError: too long, no JSON, or a number that is none.
+        ValueError: too long, no JSON, or not a number.
         RecursionError: too deep.
     """
     require(len(text) <= LARGEST_TEXT_BYTES, f"a text is longer than {LARGEST_TEXT_BYTES // 1_000_000} MB")
@@ -93,7 +93,7 @@ def _no_number(text: str) -> NoReturn:
 
 
 def digest(head: str, arrays: Arrays) -> str:
-    """SHA-256 of a head and of arrays with their names, types and shapes."""
+    """Return the SHA-256 of a head and of arrays with their names, types and shapes."""
     total = hashlib.sha256(head.encode())
     for name, values in sorted(arrays.items()):
         total.update(f"\n{name} {values.dtype.str} {values.shape}\n".encode())

@@ -1,6 +1,6 @@
 """A posterior network as one ONNX graph: raw transients in, probabilities and severities out.
 
-The projection is in double precision, which the deviation from the nominal start needs; the perceptrons are in single.
+The projection is in double precision, the perceptrons in single.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from motor_env.simulation.recipes import Recipe
 
 INPUT = "transients"
 OUTPUTS = ("probabilities", "severity", "severity_low", "severity_high")
-"""Shapes (n, n_classes), and (n, n_kinds) for the severities: their mean and the bounds that hold 90 %."""
+"""Names of the outputs, (n, n_classes) or (n, n_kinds): severities have a mean and bounds of 90 %."""
 
 _TAIL = 0.05
 _EXAMPLES = 2  # cases traced; the graph takes any number
 
 
 class Deployed(nn.Module):
-    """From transients (n_cases, n_channels, n_timepoints), float32, to what `OUTPUTS` names, float32."""
+    """Graph from transients (n_cases, n_channels, n_timepoints), float32, to `OUTPUTS`, float32."""
 
     tops: torch.Tensor
 
@@ -47,7 +47,7 @@ class Deployed(nn.Module):
         self.register_buffer("tops", tops)
 
     def forward(self, transients: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Probabilities and severities; without severities the probabilities alone."""
+        """Return probabilities and severities, or the probabilities alone."""
         flat = transients.flatten(1).double()
         logits = self.classes.network(self.classes.space(flat).float())
         probabilities = torch.softmax(logits, dim=1)
@@ -59,7 +59,7 @@ class Deployed(nn.Module):
 
 
 def export_onnx(model: PosteriorNetwork, recipe: Recipe, path: Path) -> None:
-    """Write a fitted network as an ONNX file, with classes, kinds and recipe in its metadata; whole or not at all."""
+    """Write a fitted network as a whole ONNX file, with classes, kinds and recipe in its metadata."""
     instance("model", model, PosteriorNetwork)
     instance("recipe", recipe, Recipe)
     instance("path", path, Path)

@@ -1,8 +1,8 @@
-"""Models on disk without pickle: one file a model, which holds its recipe.
+"""Files of models with their recipe, without pickle.
 
-A scikit-learn pipeline is a skops archive with our own `motor.json` beside its schema. The confirmation and the
-networks are safetensors with the same JSON in the header, and a digest of both. A classifier around one of these
-(conformal) is an archive of its own values as JSON and the file of the model inside. Anything else is refused.
+A scikit-learn pipeline is a skops archive with our `motor.json`. The confirmation and the networks are safetensors
+with the same JSON in the header, and a digest of both. A conformal classifier is an archive of its values as JSON and
+the file of the model inside.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _STEPS = {
 }  # fmt: skip
 _SCHEMA = "schema.json"
 TRUSTED = [f"{made.__module__}.{made.__name__}" for made in _WITH_RECIPE]
-"""Types beyond those that skops trusts by itself."""
+"""Types allowed beside those that skops trusts."""
 
 _ALLOWED = {
     *(f"{step.__module__}.{step.__name__}" for step in _STEPS),
@@ -60,17 +60,17 @@ _ALLOWED = {
     *(f"numpy.{name}" for name in ("bool", "float32", "float64", "int32", "int64", "ndarray")),
     "sklearn.preprocessing._label.LabelBinarizer",
 }
-"""All types that a saved pipeline is made of; skops itself would take any of scikit-learn, NumPy and SciPy."""
+"""All allowed types in a saved pipeline, fewer than those of skops."""
 
 _LOADERS = {f"{name}Node" for name in ("Dict", "Json", "List", "NdArray", "Object", "Tuple", "Type")}
-"""Ways of skops to make an object; among the others are methods, operators and functions."""
+"""Allowed ways of skops to make an object."""
 
 
 def check_pipeline(model: BaseEstimator) -> None:
-    """Check that an estimator or pipeline is made of steps that could be loaded again.
+    """Check that an estimator's or pipeline's steps could be loaded again.
 
     Raises:
-        InputError: it is not; the sentence says what would be.
+        InputError: they could not.
     """
     steps = [model, *(part for part in model.get_params().values() if isinstance(part, BaseEstimator))]
     foreign = sorted({type(step).__name__ for step in steps if type(step) not in _STEPS})
@@ -86,10 +86,10 @@ def check_pipeline(model: BaseEstimator) -> None:
 
 
 def pipeline_members(model: BaseEstimator) -> dict[str, bytes]:
-    """Pack a fitted pipeline or estimator, without its recipe, as members of an archive.
+    """Pack a fitted pipeline or estimator, without its recipe, as archive members.
 
     Raises:
-        InputError: a step is of a type that could not be loaded again.
+        InputError: a step could not be loaded again.
     """
     import skops.io
 
@@ -104,10 +104,10 @@ def pipeline_members(model: BaseEstimator) -> dict[str, bytes]:
 
 
 def load_pipeline(members: dict[str, bytes], recipe: Recipe) -> Pipeline:
-    """Load the fitted pipeline of an archive, of allowed types alone.
+    """Load the fitted pipeline of an archive.
 
     Raises:
-        InputError: it would load a type or a step that no model of ours needs.
+        InputError: a type or step that is not allowed.
         ValueError: a step asks for workers.
     """
     import skops.io
@@ -127,7 +127,6 @@ def load_pipeline(members: dict[str, bytes], recipe: Recipe) -> Pipeline:
 
 
 def _foreign_types(node: Any) -> set[str]:
-    """Names of types, and of skops's ways to make them, that are in a schema and must not be."""
     if isinstance(node, list):
         return set().union(*map(_foreign_types, node))
     if not isinstance(node, dict):
@@ -141,7 +140,7 @@ def _foreign_types(node: Any) -> set[str]:
 
 
 def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
-    """Copy a fitted model whose physical steps hold another recipe."""
+    """Copy a fitted model with another recipe in its physical steps."""
     changed = copy(model)
     if isinstance(model, Pipeline):
         changed.steps = [(name, with_recipe(step, recipe)) for name, step in model.steps]
@@ -158,9 +157,9 @@ def with_recipe(model: BaseEstimator, recipe: Recipe | None) -> BaseEstimator:
 FORMAT = "motor-classifiers"
 VERSION = 1
 PRETRAINED = Path(__file__).parent / "pretrained" / "paper-motor.safetensors"
-"""The network for the paper's motor that comes with the package (pretrained/README.md)."""
+"""Network for the paper's motor in the package (pretrained/README.md)."""
 MOST_FEATURES = 1_000_000
-"""Values of a case: a recipe that asks for more comes from a damaged file, not from a motor."""
+"""Most values of a case; a larger number means a damaged file."""
 
 _KINDS: dict[str, Any] = {
     "confirmation": ThresholdConfirmationClassifier,
@@ -179,13 +178,12 @@ Loaded = tuple[BaseEstimator, Recipe, str]
 
 
 def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path | str) -> None:
-    """Write a fitted model; the file appears whole or not at all.
+    """Write a fitted model, as a whole file.
 
     Args:
-        model: a method of `METHODS`, an estimator or pipeline of scikit-learn's steps that are safe to load, or a
-            `ConformalClassifier` around one.
-        recipe: that it was trained for.
-        method: its name.
+        model: of `METHODS`, of scikit-learn's steps that are safe to load, or a `ConformalClassifier` around one.
+        recipe: of the training.
+        method: name of the method.
         path: new file.
 
     Raises:
@@ -201,20 +199,20 @@ def save_model(model: BaseEstimator, recipe: Recipe, method: str, path: Path | s
 
 
 def check_saveable(model: BaseEstimator) -> None:
-    """Check before the training that an estimator's file could be loaded again.
+    """Check before a training that an estimator's file could be loaded again.
 
     Raises:
-        InputError: it could not; the sentence says what could.
+        InputError: it could not.
     """
     if type(model) not in _NAMES:
         check_pipeline(model)
 
 
 def load_model(path: Path | str) -> Loaded:
-    """Read a model, the recipe it was trained for, and its method's name.
+    """Read a model, its recipe, and its method's name.
 
     Raises:
-        InputError: no such file, not one of ours, damaged, or with content that is not allowed.
+        InputError: no such file, another kind, damaged, or content that is not allowed.
     """
     instance("path", path, (Path, str))
     content = read_file(Path(path), LARGEST_DATA_BYTES)
@@ -296,7 +294,7 @@ def _loaded_wrapper(members: dict[str, bytes], most_wrappers: int) -> Loaded:
 
 
 def _try_out(model: BaseEstimator, recipe: Recipe) -> None:
-    """Judge one quiet case: a file whose parts do not fit each other fails here, and not in the user's hands."""
+    """Judge one quiet case, so that inconsistent files fail here."""
     starts, rest = divmod(model.n_features_in_, values_of_start(recipe))
     first = innermost(model)
     while isinstance(first, Pipeline):
@@ -321,7 +319,7 @@ def _check_format(head: dict[str, Any]) -> None:
 
 
 def _checked_recipe(head: dict[str, Any]) -> Recipe:
-    """The recipe of a head whose method and classes are such."""
+    """Return the recipe of a head, if method and classes are valid."""
     _check_format(head)
     recipe = recipe_from_dict(head["recipe"])
     classes = head["classes"]

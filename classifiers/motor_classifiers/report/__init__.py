@@ -1,4 +1,1 @@
-"""The benchmark's page: charts, tables, HTML.
-
-It never computes a score. Begin at `page`.
-"""
+"""The benchmark's page: charts, tables, HTML. Begin at `page`."""

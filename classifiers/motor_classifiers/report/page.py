@@ -26,7 +26,7 @@ def interval_chart(
     bars: Sequence[tuple[str, str, Score]], limit: float, limit_label: str, *,
     width: int = 760, left: int = 170, title: str = "",
 ) -> str:  # fmt: skip
-    """A score of each method (name, family, score) with its interval, and the limit as a line."""
+    """Chart each method's score (name, family, score) with its interval, and the limit as a line."""
     low = min([*(score.low for _, _, score in bars), limit]) - 0.01
     high = min(1.0, max([*(score.high for _, _, score in bars), limit]) + 0.01)
     shares = Axis("", low, high, round_ticks(low, high, 6 if width > 500 else 3), percent)
@@ -51,7 +51,7 @@ def interval_chart(
 
 
 def reliability_chart(binned: Reliability, low: float) -> str:
-    """Share of right decisions against the largest probability, with bars of one standard error."""
+    """Chart the share of right decisions against the largest probability, with bars of one standard error."""
     axis = Axis("", low, 1.0, (low, 1.0))
     chart = Chart(axis, axis, size=(190, 190), margins=(34, 8, 8, 26), label="Reliability")
     chart.y_numbers()
@@ -79,7 +79,7 @@ class Line(NamedTuple):
 
 
 def share_axis(values: Sequence[float]) -> Axis:
-    """Axis for shares, a point wider than the values."""
+    """Return an axis for shares, a point wider than the values."""
     low, high = min(values) - 0.01, min(1.0, max(values) + 0.01)
     return Axis("", low, high, round_ticks(low, high, 6), percent)
 
@@ -87,7 +87,7 @@ def share_axis(values: Sequence[float]) -> Axis:
 def line_chart(
     lines: Sequence[Line], x_axis: Axis, y_axis: Axis, *, named: bool = True, marked: bool = True
 ) -> str:
-    """Curves over two axes; `named` at their right ends, `marked` with points that tell their values."""
+    """Chart curves over two axes; `named` at their right ends, `marked` with points and tooltips."""
     margins = (58, 132 if named else 22, 24, 40) if y_axis.title else (52, 132 if named else 22, 12, 40)
     label = f"{y_axis.title or 'Accuracy'} against {x_axis.title}"
     chart = Chart(x_axis, y_axis, size=(520, 400), margins=margins, label=label)
@@ -110,7 +110,7 @@ def line_chart(
 
 
 def _spread_out(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Move places at least `gap` apart, so that no label covers another."""
+    """Move places at least `gap` apart."""
     order = np.argsort(wanted, kind="stable")
     placed = np.asarray(wanted, dtype=np.float64)[order]
     for n in range(len(placed)):
@@ -123,7 +123,7 @@ def _spread_out(wanted: Sequence[float], gap: float, low: float, high: float) ->
 
 
 def readable(name: str) -> str:
-    """A class name in words: bearing_10 becomes bearing 10 %."""
+    """Return a class name in words: bearing_10 becomes bearing 10 %."""
     stem, _, level = name.rpartition("_")
     return (
         f"{stem.replace('_', ' ')} {level} %" if level.replace(".", "").isdigit() else name.replace("_", " ")
@@ -131,7 +131,7 @@ def readable(name: str) -> str:
 
 
 def short(name: str) -> str:
-    """A class name for narrow columns: B 10, WC 25."""
+    """Return a class name for narrow columns: B 10, WC 25."""
     stem, _, level = name.rpartition("_")
     if not level.replace(".", "").isdigit():
         return "ok" if name == HEALTHY else name[:3]
@@ -139,7 +139,7 @@ def short(name: str) -> str:
 
 
 def render_report(plan: Plan, results: Sequence[Results], machine: str) -> str:
-    """Render the page as HTML; `machine` says what it ran on."""
+    """Render the page as HTML; `machine` describes the computer."""
     result = results[plan.reference]
     recipe, ranked = result.task.recipe, result.ranked()
     ours = [method for method in ranked if not method.answer.origin]
@@ -187,7 +187,7 @@ def _points(value: float, digits: int = 2) -> str:
 
 
 def _quantity(value: float | None) -> str:
-    """Three figures of a time or size; a dash for what is not known."""
+    """Format three figures of a time or size; a dash for unknown ones."""
     if value is None or np.isnan(value):
         return "–"
     return f"{value:.0f}" if value >= 20.0 else f"{value:.1f}"
@@ -250,7 +250,7 @@ _LINES = 10  # styles of lines, s0 to s9; more methods are drawn in a quiet colo
 
 
 def sweep_section(plan: Plan, results: Sequence[Results]) -> dict[str, Any]:
-    """Charts of a sweep, learning curves by recipe and rate and accuracies by noise; and a table of all settings."""
+    """Chart a sweep: learning curves by recipe and rate, accuracies by noise, and a table of all settings."""
     style = {name: f"s{n}" if n < _LINES else "rest" for n, name in enumerate(plan.methods)}
     recipes = dict.fromkeys(result.task.recipe.name for result in results)
     rates = sorted({result.task.recipe.timing.sampling_rate_hz for result in results}, reverse=True)
@@ -272,7 +272,7 @@ def sweep_section(plan: Plan, results: Sequence[Results]) -> dict[str, Any]:
 
 
 def _same_noise(results: Sequence[Results]) -> list[Results]:
-    """Those at the noise at which most training sizes were tried, by size."""
+    """Return the results at the noise with the most training sizes, by size."""
     noises = list(map(_noise_ma, results))
     usual = max(noises, key=noises.count, default=None)
     return sorted((result for result in results if _noise_ma(result) == usual), key=_n_train)

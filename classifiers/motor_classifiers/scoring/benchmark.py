@@ -1,4 +1,4 @@
-"""The benchmark: its plan, kept answers (its own and those of peers), and the run."""
+"""The benchmark: its plan, stored answers of methods and peers, and the run."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ def identity(train: Dataset, test: Dataset) -> dict[str, NDArray[Any]]:
 
 
 def read_peers(path: Path, task: ClassTask) -> dict[str, Answer]:
-    """Answers of peers to the starts of a setting, by name; none when the file's starts are others.
+    """Return peers' answers to the starts of a setting, by name; none for other starts.
 
-    A slow peer may have judged the first starts only.
+    Slow peers may have judged only the first starts.
 
     Raises:
-        InputError: no such file, or not one that benchmarks/aeon_peers.py wrote.
+        InputError: no such file, or not of benchmarks/aeon_peers.py.
     """
     arrays = read_arrays(path)
     try:
@@ -83,7 +83,7 @@ def read_peers(path: Path, task: ClassTask) -> dict[str, Answer]:
 
 
 def _same_starts(arrays: dict[str, NDArray[Any]], task: ClassTask) -> bool:
-    """Whether a file's answers are for the starts of this setting; it may hold more test starts."""
+    """Whether a file's answers are for this setting; it may hold more test starts."""
     if len(arrays["test_mean"]) < task.n_test or len(arrays["train_mean"]) != task.n_train:
         return False
     ours = identity(task.train(), task.starts())
@@ -112,7 +112,7 @@ REFERENCE: dict[str, Any] = {
     "noise_a": 0.02,
     "n_train": 2000,
 }
-"""The setting that the page shows in full where there are several."""
+"""Setting that the page shows in full."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,8 +121,8 @@ class Plan:
 
     Attributes:
         tasks: one a setting.
-        methods: names of `METHODS`, of entry points, or `FILE.py:NAME` (`find_method`).
-        peers: file with kept answers of peers; they join where its starts are those of a setting.
+        methods: names for `find_method`.
+        peers: file with answers of peers to the starts of a setting.
     """
 
     tasks: tuple[ClassTask, ...]
@@ -141,7 +141,7 @@ class Plan:
 
     @property
     def reference(self) -> int:
-        """Index of the setting that the page shows in full: the one nearest to `REFERENCE`."""
+        """Index of the setting nearest to `REFERENCE`."""
         settings = [task.setting() for task in self.tasks]
         return int(
             np.argmax([sum(setting[name] == REFERENCE[name] for name in REFERENCE) for setting in settings])
@@ -157,14 +157,14 @@ def make_tasks(
     n_test: int,
     seed: int,
 ) -> tuple[ClassTask, ...]:
-    """Tasks of a sweep: recipes, rates and noises crossed, and training sizes at the usual noise.
+    """Make the tasks of a sweep: recipes by rates by noises, and training sizes at the usual noise.
 
     Args:
-        recipes: what motors are drawn from.
-        rates_hz: of each recipe; its own where empty.
-        noises_a: of each recipe; its own where empty.
-        train_sizes: the first is that of the sweep over rates and noises.
-        n_test: starts to be judged on.
+        recipes: distributions of motors.
+        rates_hz: of each recipe; its own if empty.
+        noises_a: of each recipe; its own if empty.
+        train_sizes: the first is for the sweep over rates and noises.
+        n_test: test starts.
         seed: of everything.
     """
     tasks: dict[ClassTask, None] = {}
@@ -196,7 +196,7 @@ class Unit(NamedTuple):
 
 
 def units(plan: Plan) -> tuple[Unit, ...]:
-    """List the answers that a plan needs, each once: the limit does not depend on the training starts."""
+    """List the answers that a plan needs, each once, as the limit does not depend on training starts."""
     needed: dict[str, Unit] = {}
     for task in plan.tasks:
         for name in (limit_of(task), *plan.methods):
@@ -211,7 +211,7 @@ def limit_of(task: ClassTask) -> str:
 
 
 def unit_of(task: ClassTask, name: str) -> Unit:
-    """A method's answer, or the limit's, in a setting."""
+    """Return the unit of a method, or of the limit, in a setting."""
     return Unit(task, name, answer_key(name, task), _expected_seconds(name, task))
 
 
@@ -227,11 +227,11 @@ def _expected_seconds(name: str, task: ClassTask) -> float:
 
 
 class AnswerStore:
-    """Answers by key: in memory, and in a folder that a later run reads.
+    """Answers by key: in memory, and in a folder for later runs.
 
     Args:
         folder: of the files; None for none.
-        fresh: whether files of earlier runs are overwritten instead of read.
+        fresh: whether to overwrite earlier files instead of reading them.
     """
 
     def __init__(self, folder: Path | None = None, *, fresh: bool = False) -> None:
@@ -240,16 +240,16 @@ class AnswerStore:
         self._answers: dict[str, Answer | None] = {}
 
     def find(self, unit: Unit) -> Answer | None:
-        """The answer; None where there is none."""
+        """Return the answer; None without one."""
         if unit.key not in self._answers and self._folder is not None and not self._fresh:
             self._answers[unit.key] = load_answer(self._folder / f"{unit.key}.npz", unit.task)
         return self._answers.get(unit.key)
 
     def answer(self, unit: Unit) -> Answer:
-        """The answer that is there.
+        """Return the answer.
 
         Raises:
-            KeyError: there is none.
+            KeyError: no such answer.
         """
         answer = self.find(unit)
         if answer is None:
@@ -273,11 +273,10 @@ def run_plan(
     Args:
         plan: what to run.
         store: of answers; in memory by default.
-        on_unit: called before each unit, with whether its answer is already there.
+        on_unit: called before each unit, with whether its answer exists.
 
     Raises:
-        InputError: the peers' answers are to no starts of the plan; or some answer could not be had: all others were
-            tried, and stand in the store.
+        InputError: the peers' answers are for other starts; or some answer failed, after all others are in the store.
     """
     kept = AnswerStore() if store is None else store
     peers, todo, failures = _peers(plan), units(plan), []
@@ -295,7 +294,6 @@ def run_plan(
 
 
 def _peers(plan: Plan) -> list[dict[str, Answer]]:
-    """Kept answers of peers to the starts of each setting."""
     if plan.peers is None:
         return [{} for _ in plan.tasks]
     answers = [read_peers(plan.peers, task) for task in plan.tasks]

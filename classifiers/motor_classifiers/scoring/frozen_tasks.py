@@ -1,6 +1,6 @@
-"""The frozen tasks of motor-bench: cases, costs, digests, and the scores of answer files.
+"""The frozen tasks of motor-bench: cases, costs, digests, and scores of answer files.
 
-Each task has a seed of its own, and its test cases are of distinct motors: the cases of one say nothing of another's.
+Each task has its own seed, and its test cases are of distinct motors.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from motor_env.simulation.simulate import Timing, simulate
 
 @dataclass(frozen=True, slots=True)
 class ForeignFault:
-    """A departure that no fault kind explains: factors on quantities of the healthy motor.
+    """Departure that no fault kind explains: factors on quantities of the healthy motor.
 
     Attributes:
         name: for tables.
@@ -70,17 +70,17 @@ UNKNOWN_FAULTS = (
     ForeignFault("motor constants -10 %", constants=0.9),
     ForeignFault("supply -10 %", supply=0.9),
 )
-"""Faults on which no model of ours is trained: a heavier rotor, magnets that lost strength, a weak supply."""
+"""Faults without training cases: a heavier rotor, weaker magnets, a weak supply."""
 
 
 def foreign_starts(
     recipe: Recipe, fault: ForeignFault, seed: int, cases: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """Starts of otherwise healthy motors of a recipe with a foreign fault, shape (n_cases, n_channels, n_samples).
+    """Simulate starts with a foreign fault, shape (n_cases, n_channels, n_samples).
 
     Args:
         recipe: tolerances, supply, sensor and timing.
-        fault: what is wrong with them.
+        fault: the departure.
         seed: the random seed.
         cases: case numbers, shape (n_cases,).
 
@@ -99,61 +99,61 @@ def foreign_starts(
 
 
 VERSION = "2.0"
-"""Version of the frozen tasks: one with another recipe, seed or count belongs to another."""
+"""Version of the frozen tasks; another recipe, seed or count needs another version."""
 
 SEED = 20_261
-"""The seed of every task is a digest of this number, its name and the version."""
+"""Base of every task's seed, a digest of this number, its name and the version."""
 
 SMALL = 24
-"""Cases of the small counts that are checked quickly."""
+"""Cases of the small counts for quick checks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceTask(ClassTask):
-    """Name the class, given healthy starts of the same motor as further channels."""
+    """Task: name the class, given healthy starts of the same motor as further channels."""
 
     n_references: int = 1
 
     def train(self) -> Dataset:
-        """Starts with their references."""
+        """Return starts with their references."""
         return referenced_starts(self.recipe, self.seed, np.arange(self.n_train), self.n_references)
 
     def starts(self) -> Dataset:
-        """Starts of other motors, with their references."""
+        """Return starts of other motors, with their references."""
         motors = np.arange(self.n_test) + TEST_FIRST_CASE // 10
         return referenced_starts(self.recipe, self.seed, motors, self.n_references)
 
     def best(self, X: NDArray[np.float32]) -> FloatArray:
-        """The exact posterior given the references."""
+        """Return the exact posterior given the references."""
         return referenced_probabilities(self.recipe, X)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeverityTask(DrawnTask):
-    """Tell the severity of a fault whose kind is known; the answer is a number, 0.01 for a point."""
+    """Task: estimate the severity of a fault of known kind; the answer is a number, 0.01 for a point."""
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """One estimate."""
+        """Return one estimate."""
         return ("severity",)
 
     def test(self) -> Cases:
-        """Starts of other motors, severities uniform."""
+        """Return starts of other motors, with uniform severities."""
         starts = judged_starts(self.recipe, self.seed, TEST_FIRST_CASE, self.n_test)
         return Cases(starts.X, starts.severity)
 
     def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
-        """Squared error in points."""
+        """Return squared errors in points."""
         squares: FloatArray = np.square(100.0 * (answers[:, 0] - truth))
         return squares
 
     def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
-        """Root of the mean squared error, in points."""
+        """Return the root mean squared error, in points."""
         roots: FloatArray = np.sqrt(0.01 * mean_figures(costs, weights))
         return roots
 
     def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
-        """The posterior mean."""
+        """Return the posterior mean."""
         (fault,) = self.recipe.classes
         assert fault.kind is not None  # noqa: S101  # a task of one kind
         prior = SeverityPrior(fault.kind, fault.severity, fault.largest_severity)
@@ -162,19 +162,19 @@ class SeverityTask(DrawnTask):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoveltyTask(DrawnTask):
-    """Score how novel a start is: known classes against faults that nobody was trained on.
+    """Task: score the novelty of a start, with known classes against unknown faults.
 
-    The metric is 1 minus the area under the ROC curve, averaged over the unknown faults. The cost of a case is its part
-    of that area's linearisation (DeLong et al. 1988): the mean is the metric, and the scatter that of the area.
+    The metric is 1 minus the area under the ROC curve, averaged over the unknown faults. The cost of a case is its
+    part of that area's linearisation (DeLong et al. 1988).
     """
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """One novelty score, larger for novel starts."""
+        """Return one novelty score, larger for novel starts."""
         return ("strangeness",)
 
     def test(self) -> Cases:
-        """Equally many starts of the known classes and of each unknown fault, shuffled by the seed."""
+        """Return equally many starts of the known classes and of each unknown fault, shuffled."""
         per_kind = self.n_test // (1 + len(UNKNOWN_FAULTS))
         numbers = np.arange((1 + len(UNKNOWN_FAULTS)) * per_kind).reshape(-1, per_kind) + TEST_FIRST_CASE
         known = judged_starts(self.recipe, self.seed, TEST_FIRST_CASE, per_kind).X
@@ -187,7 +187,7 @@ class NoveltyTask(DrawnTask):
         return Cases(np.concatenate([known, *foreign])[order], kinds[order])
 
     def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
-        """Each case's part of 1 minus the area."""
+        """Return each case's part of 1 minus the area."""
         score, n_faults = answers[:, 0], len(UNKNOWN_FAULTS)
         is_known = truth == 0
         known = score[is_known]
@@ -203,7 +203,7 @@ class NoveltyTask(DrawnTask):
 
 
 def _share_below(others: FloatArray, score: FloatArray) -> FloatArray:
-    """Share of sorted others below each score, ties half."""
+    """Return the share of sorted others below each score, ties half."""
     below = np.searchsorted(others, score, "left") + np.searchsorted(others, score, "right")
     share: FloatArray = below / (2.0 * len(others))
     return share
@@ -211,9 +211,9 @@ def _share_below(others: FloatArray, score: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamTask(DrawnTask):
-    """Sound an alarm soon after a fault sets in: half of the motors stay healthy; the answer is a time, nan for none.
+    """Task: sound an alarm soon after a fault's onset; the answer is a time, nan for none.
 
-    A false alarm costs 1, a miss costs 1, and a delay its share of `longest_delay_s`.
+    Half of the motors stay healthy. A false alarm or a miss costs 1, a delay its share of `longest_delay_s`.
     """
 
     longest_delay_s: float = 0.2
@@ -221,19 +221,19 @@ class StreamTask(DrawnTask):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Time of the alarm after the step of the supply."""
+        """Return the time of the alarm after the step of the supply."""
         return ("alarm_s",)
 
     def test(self) -> Cases:
-        """Starts that go on; where the class is a fault, it sets in at one of the onsets."""
+        """Return long starts; a fault has one of the onsets."""
         return self._drawn(self.seed, TEST_FIRST_CASE, self.n_test)
 
     def train_streams(self) -> Cases:
-        """Starts of other motors that go on, to choose thresholds on."""
+        """Return long starts of other motors, to choose thresholds."""
         return self._drawn(self.seed, TRAIN_FIRST_CASE, self.n_train)
 
     def training_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the training streams, and when their faults set in."""
+        """Return the training streams, and their faults' onsets."""
         X, onset_s = self.train_streams()
         return {"X": X, "onset_s": onset_s}
 
@@ -253,13 +253,13 @@ class StreamTask(DrawnTask):
         return Cases(X, np.where(healthy, np.nan, grid[chosen]))
 
     def check(self, answers: FloatArray) -> None:
-        """A time is nan or not negative."""
+        """Check that a time is nan or not negative."""
         wrong = np.flatnonzero(answers[:, 0] < 0.0)
         if len(wrong):
             raise InputError(f"case {wrong[0]}: alarm_s must be >= 0 or nan, got {answers[wrong[0], 0]:g}")
 
     def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
-        """1 for a false alarm or a miss, else the delay."""
+        """Return 1 for a false alarm or a miss, else the delay."""
         alarm = np.where(np.isnan(answers[:, 0]), np.inf, answers[:, 0])
         onset = np.where(np.isnan(truth), np.inf, truth)
         late = np.where(np.isfinite(alarm) & np.isfinite(onset), alarm, 0.0) - np.where(
@@ -271,7 +271,7 @@ class StreamTask(DrawnTask):
 
 
 def task_seed(name: str) -> int:
-    """Seed of a task: 64 bits of a digest of `SEED`, name and version."""
+    """Return the seed of a task: 64 bits of a digest of `SEED`, name and version."""
     return int.from_bytes(hashlib.sha256(f"motor-bench {VERSION} {name} {SEED}".encode()).digest()[:8])
 
 
@@ -310,10 +310,10 @@ TASKS = _tasks()
 
 
 def load_task(name: str) -> DrawnTask:
-    """A frozen task of motor-bench: recipe, training starts, test cases.
+    """Return a frozen task of motor-bench: recipe, training starts, test cases.
 
     Raises:
-        InputError: there is none of this name.
+        InputError: no such task.
     """
     if not is_one_of(name, TASKS):
         raise InputError(f"task must be one of {', '.join(TASKS)}, got {shown(name)}")
@@ -335,7 +335,7 @@ def task_facts(task: DrawnTask) -> dict[str, Any]:
 
 
 def task_digests(task: DrawnTask) -> dict[str, str]:
-    """SHA-256 of the measurements and the truth of both splits."""
+    """Return the SHA-256 of the measurements and the truth of both splits."""
     numbers, test = (
         [values for values in task.training_arrays().values() if values.dtype.kind != "U"],
         task.test(),
@@ -348,28 +348,27 @@ def _digest(arrays: Iterable[NDArray[Any]]) -> str:
 
 
 def current_digests(*, whole: bool) -> dict[str, dict[str, str]]:
-    """Digests of all tasks as this code draws them, of so many cases as they have, or of `SMALL`."""
+    """Return digests of all tasks as drawn now, whole or of `SMALL` cases."""
     tasks = TASKS if whole else {n: replace(t, n_train=SMALL, n_test=SMALL) for n, t in TASKS.items()}
     return {name: task_digests(task) for name, task in tasks.items()}
 
 
 def frozen_digests() -> dict[str, Any]:
-    """Read the digests that the tasks must have; `python benchmarks/leaderboard.py freeze` wrote them."""
+    """Read the required digests, written by `python benchmarks/leaderboard.py freeze`."""
     text = (files("motor_classifiers.scoring") / "motor_bench.json").read_text(encoding="utf-8")
     digests: dict[str, Any] = json.loads(text)
     return digests
 
 
 def read_answers(path: Path, task: DrawnTask) -> FloatArray:
-    """Checked answers of a CSV file, shape (n_test, n_columns), in the order of the cases.
+    """Read answers from a CSV file, shape (n_test, n_columns), in the order of the cases.
 
     Args:
-        path: of a file with the column `case` and those of the task, in any order; an empty field is nan.
-        task: that is answered.
+        path: file with the column `case` and those of the task; an empty field is nan.
+        task: the task.
 
     Raises:
-        InputError: a file that is missing, larger than 20 MB or no such table, or that has a row too few, one twice,
-            or a value that cannot be one.
+        InputError: a missing file, one above 20 MB, no such table, missing or repeated rows, or a bad value.
     """
     content = read_file(path, LARGEST_TABLE_BYTES)
     try:
@@ -416,16 +415,16 @@ def score_answers(task: DrawnTask, answers: FloatArray) -> dict[str, Any]:
     """Score answers to a task's test cases.
 
     Args:
-        task: that is answered.
-        answers: shape (n_test, n_columns), the columns in the order of `task.columns`.
+        task: the task.
+        answers: shape (n_test, n_columns), ordered as `task.columns`.
 
     Returns:
-        For JSON: `task`, `version`, `metric`, `n_test`, the metric's `value` with `low` and `high` (95 %). Where the
-        best possible is known case by case, `limit` and `above_limit` (the paired difference) with `above_limit_low`
-        and `above_limit_high`; where it is on average, `bracket`.
+        For JSON: `task`, `version`, `metric`, `n_test`, the metric's `value` with `low` and `high` (95 %). If the best
+        possible is known by case, `limit` and `above_limit` (the paired difference) with `above_limit_low` and
+        `above_limit_high`; if on average, `bracket`.
 
     Raises:
-        InputError: a value that cannot be an answer.
+        InputError: a bad answer.
     """
     instance("task", task, DrawnTask)
     answers = real("answers", answers, (task.n_test, len(task.columns)))

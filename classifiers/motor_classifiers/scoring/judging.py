@@ -1,4 +1,4 @@
-"""Judge one method in a process of its own: its answers, time and memory."""
+"""Judge one method in its own process: answers, time and memory."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _PROCESS = Path("/proc/self")
 
 
 class Cost(NamedTuple):
-    """Time and memory that a piece of work took.
+    """Time and memory of some work.
 
     Attributes:
         seconds: processor time.
-        memory_mb: largest memory of the process beyond what it held before, in MB of a million bytes; None where the
-            system does not tell (only Linux forgets an older peak on request).
+        memory_mb: largest additional memory of the process, in MB of a million bytes; None where unknown (known on
+            Linux).
     """
 
     seconds: float
@@ -52,7 +52,7 @@ class Cost(NamedTuple):
 
 
 def with_cost(work: Callable[[], _Answer]) -> tuple[_Answer, Cost]:
-    """Do the work; what it returns and what it took."""
+    """Do the work; return its result and its cost."""
     before = _fresh_peak_mb()
     begin = time.process_time()
     answer = work()
@@ -61,7 +61,7 @@ def with_cost(work: Callable[[], _Answer]) -> tuple[_Answer, Cost]:
 
 
 def _fresh_peak_mb() -> float | None:
-    """Forget the largest memory so far; what the process holds now."""
+    """Reset the peak of memory; return the present memory."""
     try:
         (_PROCESS / "clear_refs").write_text("5")
         return _peak_mb()
@@ -75,21 +75,21 @@ def _peak_mb() -> float:
 
 
 LIMIT = "limit"
-"""Name of the posterior's answer among the methods'."""
+"""Name of the posterior's answer."""
 
 _ROUNDS = 3
 _LONG_ENOUGH_S = 2.0  # of a timing: slower methods are timed once
 
 
 class Answer(NamedTuple):
-    """Probabilities that a method gives for the test starts, and their cost.
+    """Probabilities of a method for the test starts, and their cost.
 
     Attributes:
         probabilities: in the recipe's order of classes, shape (n_test, n_classes).
         train: seconds and memory of training.
-        inference: seconds and memory of judging all starts in one batch on one thread; of quick methods the least time
-            of three.
-        origin: where a peer's answers come from; empty for methods that this run judged.
+        inference: seconds and memory of judging all starts in one batch on one thread; quick methods: least time of
+            three.
+        origin: source of a peer's answers; else empty.
     """
 
     probabilities: FloatArray
@@ -105,7 +105,7 @@ class Answer(NamedTuple):
 
     @property
     def is_graded(self) -> bool:
-        """Whether there are probabilities, and not decisions alone."""
+        """Whether there are probabilities, beside decisions."""
         return bool(((self.probabilities > 0.0) & (self.probabilities < 1.0)).any())
 
     @property
@@ -115,7 +115,7 @@ class Answer(NamedTuple):
 
 
 def in_recipe_order(model: BaseEstimator, probabilities: FloatArray, recipe: Recipe) -> FloatArray:
-    """Columns of probabilities in the order of the recipe's classes; 0 for a class never trained on."""
+    """Reorder probabilities by the recipe's classes; 0 for classes without training."""
     ordered = np.zeros((len(probabilities), len(recipe.classes)))
     names = list(recipe.class_names)
     ordered[:, [names.index(str(name)) for name in model.classes_]] = probabilities
@@ -123,14 +123,14 @@ def in_recipe_order(model: BaseEstimator, probabilities: FloatArray, recipe: Rec
 
 
 def expected_severity(recipe: Recipe, probabilities: FloatArray) -> FloatArray:
-    """Mean severity over the classes by their probabilities, shape (n_cases,)."""
+    """Return the mean severity over the classes by their probabilities, shape (n_cases,)."""
     levels = np.array([sum(part.severity for part in c.parts) for c in recipe.classes])
     expected: FloatArray = probabilities @ levels
     return expected
 
 
 def answer_of(model: BaseEstimator, recipe: Recipe, X: NDArray[np.float32]) -> FloatArray:
-    """A fitted model's probabilities in the order of the recipe's classes, shape (n_cases, n_classes)."""
+    """Return a fitted model's probabilities by the recipe's classes, shape (n_cases, n_classes)."""
     return in_recipe_order(model, model_probabilities(model, X), recipe)
 
 
@@ -153,7 +153,7 @@ def judge(name: str, task: ClassTask, random_state: int | None = None) -> Answer
 
 
 def _judge_plugin(name: str, task: ClassTask) -> Answer:
-    """Judge a plugin method: whatever it raises becomes a sentence that names its file and line."""
+    """Judge a plugin method; its errors become sentences that name file and line."""
     try:
         return judge(name, task)
     except InputError:
@@ -169,7 +169,7 @@ def judge_in_subprocess(name: str, task: ClassTask) -> Answer:
     """Train and judge in a fresh process.
 
     Raises:
-        InputError: the method cannot learn from these starts, or its process ended without an answer.
+        InputError: the method cannot learn from these starts, or its process died.
     """
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
@@ -195,7 +195,7 @@ def judge_in_subprocess(name: str, task: ClassTask) -> Answer:
 
 
 def posterior(task: ClassTask) -> Answer:
-    """Bayes-optimal probabilities of the test starts, or their estimate; nothing is trained."""
+    """Return Bayes-optimal probabilities of the test starts, or their estimate."""
     X = task.test().X
     with threadpool_limits(1):
         task.best(X[:8])  # compiles, or loads what was compiled
@@ -204,7 +204,7 @@ def posterior(task: ClassTask) -> Answer:
 
 
 def answer_key(name: str, task: ClassTask) -> str:
-    """Digest of all that an answer depends on: setting, method, version of the package."""
+    """Return a digest of setting, method and version of the package."""
     contents: dict[str, Any] = {
         "method": name,
         "recipe": recipe_to_dict(task.recipe),
@@ -218,13 +218,13 @@ def answer_key(name: str, task: ClassTask) -> str:
 
 
 def digest_of(contents: dict[str, Any]) -> str:
-    """Digest of what JSON can hold and of the package's version."""
+    """Return a digest of JSON values and of the package's version."""
     contents = {**contents, "version": __version__}
     return hashlib.sha256(json.dumps(contents, sort_keys=True).encode()).hexdigest()[:24]
 
 
 def save_answer(answer: Answer, path: Path) -> None:
-    """Write an answer; the file appears whole or not at all."""
+    """Write an answer, as a whole file."""
     costs = [*answer.train, *answer.inference]
     known = np.array([np.nan if cost is None else cost for cost in costs], dtype=np.float64)
     with replacing(path) as temporary:
@@ -232,7 +232,7 @@ def save_answer(answer: Answer, path: Path) -> None:
 
 
 def load_answer(path: Path, task: ClassTask) -> Answer | None:
-    """Read an answer; None where there is none, or only a damaged one."""
+    """Read an answer; None if there is none or it is damaged."""
     try:
         arrays = read_arrays(path)
     except InputError:

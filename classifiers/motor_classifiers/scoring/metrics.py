@@ -1,4 +1,4 @@
-"""Scores of decisions with bootstrap intervals, comparison in pairs, and calibration of probabilities."""
+"""Scores of decisions with bootstrap intervals, paired comparison, and calibration of probabilities."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from motor_env.motor.parameters import FloatArray, require
 from motor_env.simulation.recipes import Recipe
 
 BIN_EDGES: FloatArray = np.linspace(0.0, 1.0, 16)
-"""Edges of the bins of confidence, for every method and for the limit: fifteen of equal width (Guo et al. 2017)."""
+"""Edges of the bins of confidence: fifteen of equal width (Guo et al. 2017)."""
 
 _SMALLEST = 1e-15  # a probability of 0 for what happened costs this much, not infinity
 
 
 class Reliability(NamedTuple):
-    """Decisions by the probability that was given to them.
+    """Accuracy of decisions by their probability.
 
     Attributes:
-        confidence: mean largest probability in each bin, nan in an empty one, shape (n_bins,).
-        accuracy: share of right decisions in each bin, nan in an empty one.
+        confidence: mean largest probability in each bin, nan if empty, shape (n_bins,).
+        accuracy: share of right decisions in each bin, nan if empty.
         n_cases: cases in each bin.
     """
 
@@ -34,12 +34,12 @@ class Reliability(NamedTuple):
 
 
 class CalibrationScores(NamedTuple):
-    """How far probabilities are from what happens.
+    """Calibration of probabilities.
 
     Attributes:
         accuracy: share of cases whose most probable class is the true one.
         ece: expected calibration error: mean over the cases of |accuracy - confidence| in their bin (Naeini et al.
-            2015). The true posterior's is not 0 on finitely many cases.
+            2015).
         brier: mean squared distance of the probabilities from the truth, 0 to 2 (Brier 1950).
         log_loss: mean negative logarithm of the true class's probability, in nats.
         reliability: by bins of confidence.
@@ -53,7 +53,7 @@ class CalibrationScores(NamedTuple):
 
 
 def reliability(probabilities: FloatArray, truth: ArrayLike) -> Reliability:
-    """Confidence and accuracy in fixed bins of the largest probability.
+    """Compute confidence and accuracy in fixed bins of the largest probability.
 
     Args:
         probabilities: shape (n_cases, n_classes).
@@ -79,7 +79,7 @@ def reliability(probabilities: FloatArray, truth: ArrayLike) -> Reliability:
 
 
 def calibration_scores(probabilities: FloatArray, truth: ArrayLike) -> CalibrationScores:
-    """All measures at once; arguments as of `reliability`."""
+    """Compute all measures; arguments as `reliability`."""
     binned = reliability(probabilities, truth)
     labels = np.asarray(truth)
     rows = np.arange(len(labels))
@@ -99,7 +99,7 @@ IntArray = NDArray[np.int64]
 
 N_RESAMPLES = 2000
 ENDS = (0.025, 0.975)
-"""Quantiles at which every interval ends."""
+"""Quantiles of every interval's ends."""
 
 WINDING = frozenset({FaultKind.WINDING_CONTACT, FaultKind.WINDING_SHORT})
 BEARING = frozenset({FaultKind.BEARING})
@@ -107,7 +107,7 @@ BEARING = frozenset({FaultKind.BEARING})
 
 
 class Score(NamedTuple):
-    """A score and the ends of its 95 % bootstrap interval (percentile method: Efron & Tibshirani 1993, ch. 13)."""
+    """Score with its 95 % bootstrap interval (percentile method: Efron & Tibshirani 1993, ch. 13)."""
 
     value: float
     low: float
@@ -121,13 +121,12 @@ class Scores(NamedTuple):
         accuracy: share of right decisions.
         macro_f1: mean over the classes of F1.
         recall: of each class, in the recipe's order.
-        false_alarm_rate: share of healthy motors that are called faulty.
-        missed_detection_rate: share of faulty motors that are called healthy.
-        level_error: mean absolute error of the decided severity, 0.01 for a point; of a wrong kind both
-            severities count.
-        winding: sub-score: a winding fault or none, mean of sensitivity and specificity (balanced accuracy).
-        bearing: the same of bearing faults.
-        level: sub-score: level accuracy, given the right kind of fault.
+        false_alarm_rate: share of healthy motors called faulty.
+        missed_detection_rate: share of faulty motors called healthy.
+        level_error: mean absolute error of the severity, 0.01 for a point; for a wrong kind both severities count.
+        winding: balanced accuracy of winding fault or none.
+        bearing: the same for bearing faults.
+        level: level accuracy, given the right kind of fault.
         confusion: cases by true (row) and decided (column) class.
     """
 
@@ -144,7 +143,7 @@ class Scores(NamedTuple):
 
 
 def confusion_matrices(truth: IntArray, decided: IntArray, n_classes: int, weights: FloatArray) -> FloatArray:
-    """Weighted confusion matrices, shape (n_resamples, n_classes, n_classes), for weights (n_resamples, n_cases)."""
+    """Return confusion matrices (n_resamples, n_classes, n_classes) for weights (n_resamples, n_cases)."""
     cells = truth * n_classes + decided
     order = np.argsort(cells, kind="stable")
     filled, begins = np.unique(cells[order], return_index=True)
@@ -154,7 +153,7 @@ def confusion_matrices(truth: IntArray, decided: IntArray, n_classes: int, weigh
 
 
 def level_distance(recipe: Recipe) -> FloatArray:
-    """|decided - true| severity between classes, summed over kinds, shape (n_classes, n_classes)."""
+    """Return |decided - true| severity between classes, summed over kinds, shape (n_classes, n_classes)."""
     kinds = sorted({c.label_kind for c in recipe.classes} - {HEALTHY})
     severity = np.array([[c.severity * (c.label_kind == kind) for kind in kinds] for c in recipe.classes])
     distance: FloatArray = np.abs(severity[:, None] - severity[None]).sum(axis=-1)
@@ -162,15 +161,14 @@ def level_distance(recipe: Recipe) -> FloatArray:
 
 
 def resampling_weights(n_cases: int, random_state: int, groups: IntArray | None = None) -> FloatArray:
-    """How often each case is drawn, shape (1 + N_RESAMPLES, n_cases); the first row counts each case once.
+    """Return bootstrap counts of the cases, shape (1 + N_RESAMPLES, n_cases); the first row is all 1.
 
-    The same weights for all methods make their intervals comparable in pairs.
+    The same weights for all methods make them comparable in pairs.
 
     Args:
-        n_cases: cases to be resampled.
+        n_cases: number of cases.
         random_state: of the draws.
-        groups: motor of each case, shape (n_cases,): motors are drawn, each with all its starts; every case is
-            a motor of its own by default.
+        groups: motor of each case, shape (n_cases,): whole motors are drawn; by default each case is a motor.
     """
     motors = np.arange(n_cases) if groups is None else np.unique(groups, return_inverse=True)[1]
     n_motors = int(motors.max()) + 1
@@ -185,7 +183,7 @@ def _ratio(part: FloatArray, whole: FloatArray) -> FloatArray:
 
 
 def interval(values: FloatArray) -> Score:
-    """A figure and its interval, from its values under bootstrap weights: the first is the figure itself."""
+    """Return a figure and its interval from its values under bootstrap weights, the first being the figure."""
     rest = values[1:][np.isfinite(values[1:])]
     if not np.isfinite(values[0]) or not len(rest):
         return Score(float("nan"), float("nan"), float("nan"))
@@ -194,10 +192,10 @@ def interval(values: FloatArray) -> Score:
 
 
 def scores(recipe: Recipe, truth: IntArray, decided: IntArray, weights: FloatArray) -> Scores:
-    """Scores of decisions.
+    """Score decisions.
 
     Args:
-        recipe: its classes.
+        recipe: for the classes.
         truth: true class of each case as an index into `recipe.classes`, shape (n_cases,).
         decided: decided class, likewise.
         weights: from `resampling_weights`.
@@ -227,12 +225,12 @@ def scores(recipe: Recipe, truth: IntArray, decided: IntArray, weights: FloatArr
 
 
 def root_mean_square(errors: FloatArray, weights: FloatArray) -> Score:
-    """Root mean square of errors of the cases, shape (n_cases,)."""
+    """Return the root mean square of errors of shape (n_cases,)."""
     return interval(np.sqrt(weights @ np.square(errors) / weights.sum(axis=1)))
 
 
 def _share_called(matrices: FloatArray, true: NDArray[np.bool_], called: NDArray[np.bool_]) -> FloatArray:
-    """Share of the cases of some classes that are called one of others, shape (n_resamples,)."""
+    """Return the share of cases of some classes that are called others, shape (n_resamples,)."""
     cases = matrices[:, true]
     return _ratio(cases[:, :, called].sum(axis=(1, 2)), cases.sum(axis=(1, 2)))
 
@@ -242,20 +240,19 @@ def _classes_with(recipe: Recipe, kinds: frozenset[FaultKind]) -> NDArray[np.boo
 
 
 def _balanced_accuracy(matrices: FloatArray, of_group: NDArray[np.bool_]) -> FloatArray:
-    """Balanced accuracy of "of this group or not", shape (n_resamples,); nan where a recipe has only one of both."""
+    """Return the balanced accuracy of "of this group or not", shape (n_resamples,); nan for a single group."""
     sensitivity = _share_called(matrices, of_group, of_group)
     return 0.5 * (sensitivity + _share_called(matrices, ~of_group, ~of_group))
 
 
 class Comparison(NamedTuple):
-    """Two methods on the same cases.
+    """Comparison of two methods on the same cases.
 
     Attributes:
-        difference: the metric of the first minus that of the second, with its paired bootstrap interval.
-        only_first: cases that cost the first less: of class tasks those that only it decides rightly.
-        only_second: cases that cost the second less.
-        p_above: probability of so many wins of the first, or more, if both were equally good (exact one-sided
-            McNemar test, 1947).
+        difference: metric of the first minus the second, with its paired bootstrap interval.
+        only_first: cases that cost the first less (in class tasks: only it is right).
+        only_second: the opposite.
+        p_above: p-value for the first being better (exact one-sided McNemar test, 1947).
     """
 
     difference: Score
@@ -265,7 +262,7 @@ class Comparison(NamedTuple):
 
 
 def compare(task: DrawnTask, first: FloatArray, second: FloatArray, weights: FloatArray) -> Comparison:
-    """Compare in pairs; `first` and `second` are costs of the same cases, shape (n_cases,)."""
+    """Compare costs of the same cases in pairs, both of shape (n_cases,)."""
     only_first, only_second = int((first < second).sum()), int((second < first).sum())
     p_above = float(binom.sf(only_first - 1, only_first + only_second, 0.5)) if only_first else 1.0
     difference = interval(task.figures(first, weights) - task.figures(second, weights))

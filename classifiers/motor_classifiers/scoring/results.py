@@ -1,4 +1,4 @@
-"""Scores as rows of JSON and CSV, one a method and setting; and of one fitted model on a data set."""
+"""Scores as rows of JSON and CSV, one a method and setting; and scores of one fitted model on a data set."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ from motor_env.common.errors import InputError
 from motor_env.simulation.recipes import Recipe
 
 SCORES = tuple(name for name in Scores._fields if name not in ("recall", "confusion"))
-"""Scores with an interval, as they stand in the rows."""
+"""Scores with an interval."""
 
 
 def _number(value: float) -> float | None:
-    """Return the number, None for nan: JSON has none."""
     return None if math.isnan(value) else value
 
 
@@ -35,7 +34,7 @@ def _interval_fields(name: str, score: Score) -> dict[str, float | None]:
 
 
 def score_fields(recipe: Recipe, method: ClassResult) -> dict[str, Any]:
-    """Scores of a method as fields of a row."""
+    """Return a method's scores as fields of a row."""
     row: dict[str, Any] = {}
     for name in SCORES:
         row |= _interval_fields(name, getattr(method.scores, name))
@@ -49,7 +48,7 @@ def score_fields(recipe: Recipe, method: ClassResult) -> dict[str, Any]:
 
 
 def limit_fields(results: Results) -> dict[str, Any]:
-    """Return the fields of the limit, which every row of a task has."""
+    """Return the fields of the limit in every row of a task."""
     limit = results.limit
     return {
         "bayes_accuracy": limit.scores.accuracy.value,
@@ -62,7 +61,7 @@ def limit_fields(results: Results) -> dict[str, Any]:
 
 
 def comparison_fields(method: ClassResult) -> dict[str, Any]:
-    """The comparison with the limit as fields of a row; differences are the limit's accuracy minus the method's."""
+    """Return the comparison with the limit as fields; differences are the limit's accuracy minus the method's."""
     against = method.against_limit
     return {
         **_interval_fields("below_bayes", Score(*(points / 100.0 for points in against.difference))),
@@ -73,7 +72,7 @@ def comparison_fields(method: ClassResult) -> dict[str, Any]:
 
 
 def result_rows(every: Sequence[Results]) -> list[dict[str, Any]]:
-    """One row a method and setting; the limit is a method of its own name."""
+    """Return one row a method and setting, with the limit as a method."""
     rows = []
     for results in every:
         setting, recipe, of_limit = results.task.setting(), results.task.recipe, limit_fields(results)
@@ -109,12 +108,12 @@ def _own_fields(recipe: Recipe, method: ClassResult) -> dict[str, Any]:
 
 
 def family(method: ClassResult) -> str:
-    """Family of a method: threshold, scikit-learn, torch, own or peer."""
+    """Return the family of a method: threshold, scikit-learn, torch, own or peer."""
     return "peer" if method.answer.origin else find_method(method.name).family
 
 
 def as_csv(rows: Sequence[dict[str, Any]]) -> str:
-    """Rows without what has parts of its own (recalls, confusion matrix)."""
+    """Format rows as CSV, without recalls and confusion matrix."""
     columns = dict.fromkeys(
         name for row in rows for name, value in row.items() if not isinstance(value, list | dict)
     )
@@ -129,11 +128,10 @@ _UNTOLD = Cost(0.0, None)  # what answers took is not asked
 
 
 def evaluate_model(model: BaseEstimator, recipe: Recipe, test: Dataset, seed: int) -> dict[str, Any]:
-    """Scores of a fitted model on a data set, beside the Bayes limit for the recipe that the cases came from.
+    """Score a fitted model on a data set, beside the Bayes limit of its recipe.
 
     Raises:
-        InputError: the data set has other channels or another time axis than the model's recipe, or a class that it
-            does not know.
+        InputError: other channels, time axis or classes than the model's recipe.
     """
     instance("model", model, BaseEstimator)
     instance("recipe", recipe, Recipe)

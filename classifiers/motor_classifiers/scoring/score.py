@@ -25,17 +25,17 @@ from motor_classifiers.scoring.task import ClassTask, DrawnTask
 from motor_env.motor.parameters import FloatArray
 
 SIGNIFICANCE = 0.01
-"""Level of the check that no method beats the limit: shared among all comparisons of a run (Bonferroni), one-sided."""
+"""Level of the check that no method beats the limit: one-sided, shared by all comparisons of a run (Bonferroni)."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """One method on one task.
+    """Result of one method on one task.
 
     Attributes:
         costs: of each case, shape (n_test,).
         value: the task's metric; smaller is better.
-        against_limit: compared in pairs with the best possible; None where that is not known.
+        against_limit: paired comparison with the best possible; None if unknown.
     """
 
     name: str
@@ -46,15 +46,14 @@ class Result:
 
 @dataclass(frozen=True)
 class ClassResult(Result):
-    """One method on a task that asks for the class.
+    """Result of one method on a class task.
 
     Attributes:
-        against_limit: compared in pairs with the limit's decisions.
-        answer: what was said of each case.
+        against_limit: paired comparison with the limit's decisions.
+        answer: of each case.
         scores: of the decisions, with intervals.
-        calibration: of the probabilities; None for a method that only decides.
-        severity_rmse: root mean square error of the mean severity over the classes by their probabilities, 0.01 for a
-            point.
+        calibration: of the probabilities; None for pure decisions.
+        severity_rmse: root mean square error of the posterior mean severity, 0.01 for a point.
     """
 
     against_limit: Comparison
@@ -66,10 +65,10 @@ class ClassResult(Result):
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """All methods on one task that asks for the class.
+    """Results of all methods on one class task.
 
     Attributes:
-        limit: the Bayes-optimal posterior, or its estimate where the likelihood has no closed form.
+        limit: the Bayes-optimal posterior, or its estimate.
         weights: of the bootstrap, shape (1 + n_resamples, n_test).
         n_comparisons: comparisons with the limit that share `SIGNIFICANCE`.
     """
@@ -82,26 +81,26 @@ class Results:
 
     @property
     def limit_is_estimate(self) -> bool:
-        """Whether no better limit is known than an estimate."""
+        """Whether the limit is only an estimate."""
         return self.task.recipe.field is not None
 
     def is_above(self, method: ClassResult) -> bool:
-        """Whether a method of this run is significantly better than what is possible: then something leaks."""
+        """Whether a method is significantly above the limit, a sign of a leak."""
         if method.answer.origin or self.limit_is_estimate:
             return False
         return method.against_limit.p_above < SIGNIFICANCE / self.n_comparisons
 
     @property
     def leaks(self) -> tuple[str, ...]:
-        """Names of the methods that are significantly above the limit."""
+        """Names of the methods significantly above the limit."""
         return tuple(method.name for method in self.methods if self.is_above(method))
 
     def ranked(self) -> tuple[ClassResult, ...]:
-        """Methods, the most accurate first."""
+        """Return the methods, the most accurate first."""
         return tuple(sorted(self.methods, key=lambda method: -method.scores.accuracy.value))
 
     def difference(self, first: ClassResult, second: ClassResult) -> Comparison:
-        """Two methods compared in pairs."""
+        """Compare two methods in pairs."""
         return compare(self.task, first.costs, second.costs, self.weights)
 
 
@@ -115,11 +114,11 @@ def score(
     """Score answers to the same cases.
 
     Args:
-        task: what is asked.
+        task: the task.
         truth: of the task's cases.
         answers: by method, each of shape (n_test, n_columns).
         weights: from `resampling_weights`, the same for all methods.
-        limit: name of the best possible answers among them.
+        limit: name of the best possible answers.
     """
     costs = {name: task.costs(truth, answer) for name, answer in answers.items()}
     against = {
@@ -135,13 +134,13 @@ def score(
 def score_classes(
     task: ClassTask, answers: Mapping[str, Answer], limit: Answer, n_comparisons: int = 1
 ) -> Results:
-    """Score probabilities of classes in every way.
+    """Score probabilities of classes.
 
     Args:
-        task: what is asked.
+        task: the task.
         answers: by method.
-        limit: the best possible ones, or their estimate.
-        n_comparisons: methods and settings that share the check against the limit.
+        limit: best possible answers, or their estimate.
+        n_comparisons: comparisons that share the level of the check.
     """
     starts, recipe, every = task.starts(), task.recipe, {**answers, LIMIT: limit}
     weights = resampling_weights(len(starts), task.seed, groups=starts.motor_id)

@@ -1,6 +1,6 @@
 """Tasks for methods: cases, the cost of an answer, the metric, and the best possible answers.
 
-Every metric comes from costs of cases, so methods are compared in pairs.
+Every metric comes from costs of cases, for paired comparisons.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from motor_env.simulation.recipes import Recipe
 
 TRAIN_FIRST_CASE = 0
 TEST_FIRST_CASE = 1_000_000_000
-"""Training and test motors are different cases of one seed, so they never meet."""
+"""First case number of test motors, so that they differ from training motors."""
 
 _TOLERANCE = 1e-3  # of a sum of probabilities
 
@@ -32,8 +32,7 @@ class Cases(NamedTuple):
 
     Attributes:
         X: measurements, float32, shape (n_cases, n_channels, n_samples).
-        truth: what the task's costs compare answers with, shape (n_cases,): class index, severity, unknown fault
-            (0: none) or time of the onset in seconds (nan: no fault).
+        truth: class index, severity, unknown fault (0: none) or onset in seconds (nan: no fault), shape (n_cases,).
     """
 
     X: NDArray[np.float32]
@@ -45,11 +44,11 @@ class DrawnTask(ABC):
     """A task whose cases a recipe draws.
 
     Attributes:
-        title: what is asked, for a person.
-        metric: what the mean cost is called; smaller is better.
-        bracket: around the mean of the best possible, where that is not known case by case (docs/best-possible.md).
-        recipe: what motors are drawn from.
-        n_train: starts to learn from; no motor of theirs is judged.
+        title: the question.
+        metric: name of the mean cost; smaller is better.
+        bracket: bounds of the best possible mean cost, if unknown by case.
+        recipe: distribution of motors.
+        n_train: training starts, of other motors than the test.
     """
 
     name: str
@@ -65,7 +64,7 @@ class DrawnTask(ABC):
     @property
     @abstractmethod
     def columns(self) -> tuple[str, ...]:
-        """Names of the numbers that an answer has for each case."""
+        """Names of an answer's numbers for each case."""
 
     @abstractmethod
     def test(self) -> Cases:
@@ -73,21 +72,21 @@ class DrawnTask(ABC):
 
     @abstractmethod
     def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
-        """Cost of each case, shape (n_test,), for answers of shape (n_test, n_columns)."""
+        """Return the cost of each case, shape (n_test,), for answers of shape (n_test, n_columns)."""
 
     def figures(self, costs: FloatArray, weights: FloatArray) -> FloatArray:
-        """The metric, once for each row of weights, shape (n_rows,), from costs of shape (n_test,)."""
+        """Return the metric for each row of weights, shape (n_rows,), from costs of shape (n_test,)."""
         return mean_figures(costs, weights)
 
     def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
-        """Answers of the exact posterior, shape (n_test, n_columns); None where the best possible is not known."""
+        """Return answers of the exact posterior, shape (n_test, n_columns); None if unknown."""
         return None
 
     def check(self, answers: FloatArray) -> None:
         """Check answers beyond their shape.
 
         Raises:
-            InputError: a value that cannot be one; the sentence names case and column.
+            InputError: a bad value, with case and column.
         """
         wrong = np.argwhere(~np.isfinite(answers))
         if len(wrong):
@@ -97,7 +96,7 @@ class DrawnTask(ABC):
             )
 
     def train(self) -> Dataset:
-        """Labelled starts to learn from."""
+        """Return labelled training starts."""
         return judged_starts(self.recipe, self.seed, TRAIN_FIRST_CASE, self.n_train)
 
     def training_arrays(self) -> dict[str, NDArray[Any]]:
@@ -107,56 +106,56 @@ class DrawnTask(ABC):
 
 
 def mean_figures(costs: FloatArray, weights: FloatArray) -> FloatArray:
-    """Mean costs in per cent, once for each row of weights, shape (n_rows,), from costs of shape (n_cases,)."""
+    """Return mean costs in per cent for each row of weights, shape (n_rows,), from costs of shape (n_cases,)."""
     means: FloatArray = 100.0 * (weights @ costs) / weights.sum(axis=1)
     return means
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassTask(DrawnTask):
-    """Name the class; the answer is a probability of each, the decision the largest.
+    """Task: name the class; the answer is a probability of each, the decision the largest.
 
     Attributes:
-        judged_per_motor: starts of each motor that are judged; None for all but the commissioning starts.
+        judged_per_motor: judged starts of each motor; None for all but the commissioning starts.
     """
 
     judged_per_motor: int | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """One column a class."""
+        """Return one column a class."""
         return self.recipe.class_names
 
     def starts(self) -> Dataset:
-        """Return the test starts with all labels; their motors are not those of the training."""
+        """Return the test starts with all labels, of other motors than the training."""
         cases = judged_cases(self.recipe, TEST_FIRST_CASE, self.n_test, self.judged_per_motor)
         return generate_arrays(self.recipe, self.seed, cases)
 
     def test(self) -> Cases:
-        """Return the test starts with the index of their class."""
+        """Return the test starts with their class index."""
         starts = self.starts()
         return Cases(starts.X, starts.class_index)
 
     def costs(self, truth: NDArray[Any], answers: FloatArray) -> FloatArray:
-        """1 for a wrong decision."""
+        """Return 1 for a wrong decision."""
         wrong: FloatArray = (answers.argmax(axis=1) != truth).astype(np.float64)
         return wrong
 
     def best(self, X: NDArray[np.float32]) -> FloatArray:
-        """Bayes-optimal probabilities; where the likelihood has no closed form, of the motor without its field.
+        """Return Bayes-optimal probabilities; without a closed form, those of the motor without its field.
 
-        For motors at work the posterior of the motor that is linear around its fit.
+        For motors at work the motor is linear around its fit.
         """
         if self.recipe.duty is None:
             return class_probabilities(self.recipe, X)
         return work_probabilities(self.recipe, X.astype(np.float64))
 
     def limit(self, X: NDArray[np.float32]) -> FloatArray | None:
-        """The exact posterior where the likelihood has a closed form."""
+        """Return the exact posterior where the likelihood has a closed form."""
         return None if self.recipe.field is not None else self.best(X)
 
     def check(self, answers: FloatArray) -> None:
-        """Probabilities lie in 0 .. 1 and sum to 1 within a thousandth."""
+        """Check that probabilities lie in 0 .. 1 and sum to 1 within a thousandth."""
         DrawnTask.check(self, answers)
         outside = np.argwhere((answers < 0.0) | (answers > 1.0))
         if len(outside):
@@ -171,7 +170,7 @@ class ClassTask(DrawnTask):
             raise InputError(f"case {wrong[0]}: its probabilities must sum to 1, got {total[wrong[0]]:g}")
 
     def setting(self) -> dict[str, Any]:
-        """The recipe's setting and the counts as fields of a row."""
+        """Return the recipe's setting and the counts as fields of a row."""
         timing, sensor = self.recipe.timing, self.recipe.sensor
         return {
             "recipe": self.recipe.name,
@@ -186,7 +185,7 @@ class ClassTask(DrawnTask):
 
 
 def class_task(recipe: Recipe, n_train: int = 2000, n_test: int = 2000, seed: int = 0) -> ClassTask:
-    """The task to name the classes of a recipe.
+    """Return the task to name the classes of a recipe.
 
     Raises:
         ValueError: fewer than 50 starts.
@@ -200,7 +199,7 @@ def class_task(recipe: Recipe, n_train: int = 2000, n_test: int = 2000, seed: in
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GivenTask(ClassTask):
-    """Name the class of cases that are there: a split of a data set.
+    """Task: name the class of given cases, a split of a data set.
 
     Attributes:
         given: the cases with their labels.
@@ -209,16 +208,16 @@ class GivenTask(ClassTask):
     given: Dataset = field(repr=False, compare=False)
 
     def starts(self) -> Dataset:
-        """The cases that are there."""
+        """Return the given cases."""
         return self.given
 
 
 def judged_cases(recipe: Recipe, first: int, count: int, per_motor: int | None = None) -> NDArray[np.int64]:
-    """Numbers of the first cases that are no commissioning starts.
+    """Return numbers of cases without commissioning starts.
 
     Args:
-        recipe: says how many starts a motor has.
-        first: no case is before it.
+        recipe: for the starts of a motor.
+        first: least number.
         count: of cases.
         per_motor: cases of each motor; all by default.
     """
@@ -231,5 +230,5 @@ def judged_cases(recipe: Recipe, first: int, count: int, per_motor: int | None =
 
 
 def judged_starts(recipe: Recipe, seed: int, first: int, count: int) -> Dataset:
-    """The starts of these numbers (`judged_cases`)."""
+    """Return the starts with these numbers (`judged_cases`)."""
     return generate_arrays(recipe, seed, judged_cases(recipe, first, count))

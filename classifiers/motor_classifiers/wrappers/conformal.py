@@ -1,6 +1,6 @@
 """Split conformal prediction: sets of classes with a known coverage (Vovk, Gammerman & Shafer 2005).
 
-It holds for cases drawn as the calibration cases were, which the model was not trained on; not under a shift.
+It holds for cases with the distribution of the calibration cases, which must not be training cases.
 """
 
 from __future__ import annotations
@@ -28,12 +28,11 @@ BoolArray = NDArray[np.bool_]
 class ConformalSets:
     """Conformal p-values and sets of classes from probabilities.
 
-    The nonconformity of a class is the probability of all others: of all sets with that coverage, those on this
-    score are the smallest on average (Sadinle, Lei & Wasserman 2019).
+    The nonconformity of a class is the probability of all others, which gives the smallest sets (Sadinle, Lei &
+    Wasserman 2019).
 
     Attributes:
-        nonconformity: of the calibration cases, rising: one array for each class (label-conditional, Mondrian), or one
-            for all.
+        nonconformity: of the calibration cases, rising: one array for each class (label-conditional), or one for all.
     """
 
     nonconformity: tuple[FloatArray, ...]
@@ -50,12 +49,12 @@ class ConformalSets:
     def calibrate(
         cls, probabilities: FloatArray, truth: ArrayLike, *, label_conditional: bool = False
     ) -> ConformalSets:
-        """From cases that the model was not trained on.
+        """Calibrate on cases outside the training.
 
         Args:
             probabilities: shape (n_cases, n_classes).
             truth: true class of each case as a column of `probabilities`, shape (n_cases,).
-            label_conditional: whether the coverage is to hold in each class, not only over all.
+            label_conditional: whether the coverage holds in each class.
 
         Raises:
             ValueError: shapes that do not fit, or, label-conditional, a class without a case.
@@ -78,7 +77,7 @@ class ConformalSets:
     def p_values(self, probabilities: FloatArray) -> FloatArray:
         """Return the conformal p-value of each class, shape (n_cases, n_classes).
 
-        Of the true class it is at most alpha in a share alpha of the cases.
+        That of the true class is at most alpha in a share alpha of the cases.
         """
         probabilities = _probabilities(probabilities)
         n_arrays, n_classes = len(self.nonconformity), probabilities.shape[1]
@@ -94,11 +93,11 @@ class ConformalSets:
         return np.stack(shares, axis=1)
 
     def sets(self, probabilities: FloatArray, coverage: float = 0.90) -> BoolArray:
-        """Return which classes are in the set of each case, shape (n_cases, n_classes); a set may be empty.
+        """Return membership of each case's set, shape (n_cases, n_classes); a set may be empty.
 
         Args:
             probabilities: shape (n_cases, n_classes).
-            coverage: share of the cases whose set is to hold the true class.
+            coverage: share of sets with the true class.
         """
         number("coverage", coverage, above=0.0, below=1.0)
         return self.p_values(probabilities) > 1.0 - coverage
@@ -109,7 +108,6 @@ def _probabilities(given: ArrayLike) -> FloatArray:
 
 
 def _nonconformity(probabilities: FloatArray) -> FloatArray:
-    """Probability of all other classes, shape (n_cases, n_classes)."""
     # Not 1 - p, which rounds to 0 for many a clear case: among equals no set could be cut to size.
     columns = range(probabilities.shape[1])
     return np.stack([np.delete(probabilities, column, axis=1).sum(axis=1) for column in columns], axis=1)
@@ -119,10 +117,10 @@ class Coverage(NamedTuple):
     """Coverage and size of prediction sets on test cases.
 
     Attributes:
-        overall: share of the sets that hold the true class.
-        by_class: the same of the cases of each class, nan where there are none, shape (n_classes,).
+        overall: share of sets with the true class.
+        by_class: the same for each class, nan without cases, shape (n_classes,).
         mean_size: mean number of classes in a set.
-        empty: share of the sets without a class: each class has a conformal p-value of at most 1 - coverage.
+        empty: share of empty sets.
     """
 
     overall: float
@@ -132,7 +130,7 @@ class Coverage(NamedTuple):
 
 
 def measured_coverage(sets: BoolArray, truth: ArrayLike) -> Coverage:
-    """Coverage and sizes of sets, shape (n_cases, n_classes), for the true classes, shape (n_cases,)."""
+    """Measure coverage and sizes of sets, shape (n_cases, n_classes), for the true classes, shape (n_cases,)."""
     labels = np.asarray(truth)
     covered = sets[np.arange(len(labels)), labels]
     size = sets.sum(axis=1)
@@ -142,14 +140,14 @@ def measured_coverage(sets: BoolArray, truth: ArrayLike) -> Coverage:
 
 @dataclass(eq=False, repr=False)
 class ConformalClassifier(ClassifierWrapper):
-    """Any classifier with probabilities, and sets of classes with a known coverage beside its decisions.
+    """Classifier with sets of classes of a known coverage beside its decisions.
 
     Args:
-        estimator: the classifier; a logistic regression by default. In a `FrozenEstimator` it is taken as it
-            is, and `fit` calibrates on all cases.
-        coverage: share of the cases whose set is to hold the true class.
-        label_conditional: whether in each class, not only over all.
-        calibration_share: share of the cases that `fit` calibrates on.
+        estimator: any classifier with probabilities; a logistic regression by default. A `FrozenEstimator` is not
+            trained, and `fit` calibrates on all cases.
+        coverage: share of sets with the true class.
+        label_conditional: whether the coverage holds in each class.
+        calibration_share: share of the cases for calibration.
         random_state: of their choice.
 
     Attributes:
@@ -167,8 +165,8 @@ class ConformalClassifier(ClassifierWrapper):
     def fit(self, X: Any, y: Any) -> Self:
         """Train on one part of the cases and calibrate on the other.
 
-        Transients of one motor in both parts make the coverage look better than it is: freeze an estimator that was
-        trained on other motors instead.
+        If both parts have transients of the same motors, the coverage is too optimistic: freeze an estimator trained
+        on other motors instead.
         """
         number("coverage", self.coverage, above=0.0, below=1.0)
         number("calibration_share", self.calibration_share, above=0.0, below=1.0)
@@ -192,7 +190,7 @@ class ConformalClassifier(ClassifierWrapper):
         return self
 
     def predict_set(self, X: Any) -> BoolArray:
-        """Which of `classes_` are in the set of each case, shape (n_cases, n_classes)."""
+        """Return membership of each of `classes_` in each case's set, shape (n_cases, n_classes)."""
         sets: BoolArray = self.sets_.sets(self.predict_proba(X), self.coverage)
         return sets
 
@@ -203,10 +201,10 @@ class ConformalClassifier(ClassifierWrapper):
 
     @classmethod
     def from_state(cls, state: State, inner: BaseEstimator, recipe: Recipe) -> Self:
-        """The fitted wrapper around a fitted model.
+        """Restore the fitted wrapper around a fitted model.
 
         Raises:
-            ValueError, KeyError, TypeError: values of another type or range than they must have.
+            ValueError, KeyError, TypeError: values of another type or range.
         """
         coverage, strangeness = state.values["coverage"], state.values["strangeness"]
         check_share("coverage", coverage)
@@ -229,7 +227,7 @@ class ConformalClassifier(ClassifierWrapper):
 
 
 def _share(rows: NDArray[np.int64], share: float, rng: np.random.RandomState) -> NDArray[np.int64]:
-    """A share of the rows, at least one, and not all of them where there are two."""
+    """Draw a share of the rows, at least one, and not all of two or more."""
     count = min(max(1, round(share * len(rows))), max(1, len(rows) - 1))
     chosen: NDArray[np.int64] = rng.permutation(rows)[:count]
     return chosen

@@ -1,7 +1,6 @@
 """Early verdicts: a rule that stops once the largest probability is at least 1 - error.
 
-If the probabilities are calibrated, at most that share of the cases that stop is decided wrongly (Wald 1947 for two
-hypotheses; several: Baum & Veeravalli 1994).
+With calibrated probabilities, at most that share of the stopped cases is wrong (Wald 1947; Baum & Veeravalli 1994).
 """
 
 from __future__ import annotations
@@ -29,9 +28,9 @@ class Stopped(NamedTuple):
     """Verdicts of a stopping rule.
 
     Attributes:
-        decided: column of the most probable class when the rule stopped, or at the end, shape (n_cases,).
-        moment: row of the moment at which it stopped; the last one, too, where it never did.
-        sure: whether the largest probability reached the level; else the verdict is the best guess at the end.
+        decided: column of the most probable class at the stop or the end, shape (n_cases,).
+        moment: row of that moment.
+        sure: whether the rule stopped; else the verdict is the best guess at the end.
     """
 
     decided: NDArray[np.int64]
@@ -40,11 +39,11 @@ class Stopped(NamedTuple):
 
 
 def stop_when_sure(probabilities: FloatArray, error: float) -> Stopped:
-    """Stop each case at the first moment at which a class has a probability of at least 1 - error.
+    """Stop each case once a class has a probability of at least 1 - error.
 
     Args:
         probabilities: at each moment, shape (n_moments, n_cases, n_classes).
-        error: wanted share of wrong verdicts among the cases that stop.
+        error: wanted share of wrong verdicts among stopped cases.
     """
     require(0.0 < error < 1.0, f"error must lie between 0 and 1, got {error:g}")
     reached = probabilities.max(axis=2) >= 1.0 - error
@@ -58,11 +57,11 @@ class StoppingScore(NamedTuple):
     """Error and time of a stopping rule on test cases.
 
     Attributes:
-        error: share of wrong verdicts among the cases that stopped.
+        error: share of wrong verdicts among stopped cases.
         error_low: lower end of its 95 % interval (Clopper & Pearson 1934).
         error_high: upper end.
         stopped: share of the cases that stopped.
-        accuracy: share of right verdicts of all cases, the best guesses at the end included.
+        accuracy: share of right verdicts of all cases, best guesses included.
         mean_time_s: mean time of the verdict over all cases.
     """
 
@@ -97,13 +96,13 @@ def stopping_score(stopped: Stopped, truth: ArrayLike, time_s: ArrayLike) -> Sto
 
 
 def limit_by_samples(recipe: Recipe, measurements: ArrayLike, samples: ArrayLike) -> FloatArray:
-    """The Bayes-optimal posterior from the first samples of each transient, shape (n_moments, n_cases, n_classes)."""
+    """Return the Bayes-optimal posterior from the first samples, shape (n_moments, n_cases, n_classes)."""
     measured = np.asarray(measurements)
     return np.stack([class_probabilities(recipe, measured[..., :count]) for count in np.asarray(samples)])
 
 
 def shortened(estimator: BaseEstimator, n_samples: int) -> BaseEstimator:
-    """Return a fresh estimator for starts cut after so many samples."""
+    """Return an unfitted estimator for starts cut to `n_samples`."""
     fresh: BaseEstimator = clone(estimator)
     recipes = {name: value for name, value in fresh.get_params().items() if isinstance(value, Recipe)}
     for name, recipe in recipes.items():
@@ -114,13 +113,12 @@ def shortened(estimator: BaseEstimator, n_samples: int) -> BaseEstimator:
 
 @dataclass(eq=False, repr=False)
 class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
-    """Any classifier, fitted for several lengths of a start, and a rule that stops once one of them is sure.
+    """Classifier fitted for several lengths of a start, with a rule that stops once one is sure.
 
     Args:
-        estimator: the classifier, by default a logistic regression; recipes among its parameters are cut to each
-            length.
+        estimator: the classifier; a logistic regression by default. Its recipes are cut to each length.
         samples: lengths, rising; by default eight from 2 to 100 % of the transient.
-        error: wanted share of wrong verdicts among the cases that stop.
+        error: wanted share of wrong verdicts among stopped cases.
 
     Attributes:
         samples_: lengths, shape (n_moments,).
@@ -136,7 +134,7 @@ class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
         """Train a classifier on the first samples of the cases, for each length.
 
         Raises:
-            ValueError: lengths that do not rise or are longer than the cases, or what the classifier refuses.
+            ValueError: lengths do not rise or exceed the cases, or the classifier refuses.
         """
         number("error", self.error, above=0.0, below=1.0)
         flat, labels = labelled_cases(self, X, y)
@@ -159,18 +157,18 @@ class EarlyClassifier(MetaEstimatorMixin, ProbabilityClassifier):
         return self
 
     def probabilities_by_samples(self, X: Any) -> FloatArray:
-        """Probability of each class at each length, shape (n_moments, n_cases, n_classes)."""
+        """Return the probability of each class at each length, shape (n_moments, n_cases, n_classes)."""
         check_is_fitted(self)
         flat = flat_cases(self, X, reset=False)
         pairs = zip(self.estimators_, self.samples_, strict=True)
         return np.stack([model.predict_proba(self._first(flat, int(count))) for model, count in pairs])
 
     def stop(self, X: Any) -> Stopped:
-        """Verdict of each case and when it fell: `decided` indexes `classes_`, `moment` indexes `samples_`."""
+        """Return each case's verdict and time: `decided` indexes `classes_`, `moment` indexes `samples_`."""
         return stop_when_sure(self.probabilities_by_samples(X), self.error)
 
     def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class when the rule stopped, shape (n_cases, n_classes)."""
+        """Return the probability of each class at the stop, shape (n_cases, n_classes)."""
         probabilities = self.probabilities_by_samples(X)
         moment = stop_when_sure(probabilities, self.error).moment
         then: FloatArray = probabilities[moment, np.arange(len(moment))]

@@ -1,9 +1,9 @@
 """Detect starts that a recipe does not explain, and name the likely shift.
 
-Along the few directions in which starts can differ, each class is one normal distribution (plus the noise): together a
-Gaussian mixture. Outside these directions there is noise alone. The distance is the log likelihood ratio of any motor,
-in any surroundings and of any noise above the known one, to the recipe (Neyman & Pearson 1933). Its threshold is the
-quantile of fresh starts of the recipe. The likely shift is the one departure that explains the start best.
+Along the few directions in which starts differ, the classes form a Gaussian mixture; outside there is only noise. The
+distance is the log likelihood ratio of any motor, in any surroundings and of any larger noise, to the recipe (Neyman &
+Pearson 1933). Its threshold is the quantile of fresh starts of the recipe. The likely shift is the one departure that
+explains the start best.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Coordinates(NamedTuple):
 
     Attributes:
         along: coefficients along the directions, shape (n, n_directions).
-        energy: squares left outside them, shape (n,).
+        energy: squares outside them, shape (n,).
     """
 
     along: FloatArray
@@ -71,7 +71,7 @@ class GaussianMixture(NamedTuple):
     noise: FloatArray
 
     def log_density(self, at: Coordinates, freedom: int, levels: Levels) -> FloatArray:
-        """Up to one constant, shape (n,); within the levels the noise is read off what is left outside."""
+        """Return the log density up to a constant, shape (n,), with the noise estimated within the levels."""
         logs = []
         for weight, mean, covariance, noise in zip(*self, strict=True):
             level = noise * np.clip(at.energy / (freedom * noise), *levels)
@@ -89,10 +89,10 @@ _NO_MIXTURE = GaussianMixture(*(np.zeros(0),) * 4)
 
 @dataclass(frozen=True, slots=True)
 class StartDensity:
-    """Densities of a recipe's starts, as they are and with one departure.
+    """Densities of a recipe's starts, with and without one departure.
 
     Attributes:
-        recipe: what motors are drawn from, one start each.
+        recipe: distribution of motors, one start each.
         nominal: start of the nominal motor, shape (n_values,).
         noise: standard deviation of each value's noise, shape (n_values,).
         directions: orthonormal in units of the noise, shape (n_directions, n_values).
@@ -139,19 +139,19 @@ class StartDensity:
         return replace(first, own=own, alternative=alternative, departures=departures)
 
     def noiseless(self, recipe: Recipe, begin: int, count: int) -> tuple[Coordinates, NDArray[np.int64]]:
-        """Starts of the recipe without noise, and their classes."""
+        """Return starts of the recipe without noise, and their classes."""
         family = generate_arrays(_silent(recipe), SEED, np.arange(begin, begin + count))
         return self.coordinates(family.X.reshape(count, -1).astype(np.float64)), family.class_index
 
     def coordinates(self, flat: FloatArray) -> Coordinates:
-        """Coordinates of cases, `flat` of shape (n, n_values)."""
+        """Return coordinates of cases, `flat` of shape (n, n_values)."""
         deviation = (flat - self.nominal) / self.noise
         along = deviation @ self.directions.T
         return Coordinates(along, np.square(deviation - along @ self.directions).sum(axis=1))
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of what is left outside."""
+        """Degrees of freedom outside the directions."""
         return len(self.noise) - len(self.directions)
 
     def distance(self, at: Coordinates, levels: Levels) -> FloatArray:
@@ -160,7 +160,7 @@ class StartDensity:
         return alternative - self.own.log_density(at, self.freedom, levels)
 
     def likely_departure(self, at: Coordinates, levels: Levels) -> NDArray[Any]:
-        """Name the departure that explains each start best: a key of `ADVICE`, shape (n,)."""
+        """Return the departure that explains each start best, a key of `ADVICE`, shape (n,)."""
         logs = [self.own.log_density(at, self.freedom, (levels[0], np.inf))]
         logs += [mixture.log_density(at, self.freedom, levels) for mixture in self.departures.values()]
         names = np.array(["noise", *self.departures], dtype=object)
@@ -168,7 +168,7 @@ class StartDensity:
         return likeliest
 
     def calibration_starts(self, level: float) -> Coordinates:
-        """Starts of the recipe, other ones than the mixture was fitted to, at so many times the noise's variance."""
+        """Return starts outside the fitted ones, at `level` times the noise variance."""
         silent, class_index = self.noiseless(self.recipe, N_FITTED, _CALIBRATION)
         noise = level * noise_variances(self.recipe)[class_index]
         generator = np.random.default_rng(SEED)
@@ -180,18 +180,17 @@ class StartDensity:
 
 
 def single_starts(recipe: Recipe) -> Recipe:
-    """The recipe with one start of each motor."""
+    """Return the recipe with one start of each motor."""
     return replace(recipe, starts_per_motor=1, healthy_starts=0, shifts=())
 
 
 def _silent(recipe: Recipe) -> Recipe:
-    """The recipe without noise and converter."""
     field = None if recipe.field is None else replace(recipe.field, adc_bits=0)
     return replace(recipe, sensor=recipe.sensor.with_noise(0.0), field=field)
 
 
 def noise_variances(recipe: Recipe) -> FloatArray:
-    """Variance of each class's noise, the converter's with it, relative to the recipe's, shape (n_classes,)."""
+    """Return each class's noise variance (converter included) over the recipe's, shape (n_classes,)."""
     steps = ClassModel(recipe, recipe.classes[0]).steps
     converter = np.square(steps).mean() / 12.0 / np.square(recipe.sensor.noise_std).mean()
     variances: FloatArray = np.array([variance_factor(each) for each in recipe.classes]) + converter
@@ -199,7 +198,7 @@ def noise_variances(recipe: Recipe) -> FloatArray:
 
 
 def class_mixture(recipe: Recipe, at: FloatArray, class_index: NDArray[np.int64]) -> GaussianMixture:
-    """Fit one normal distribution to each class that is drawn."""
+    """Fit one normal distribution to each drawn class."""
     drawn = [n for n in range(len(recipe.classes)) if (class_index == n).sum() > 1]
     groups = [at[class_index == n] for n in drawn]
     return GaussianMixture(
@@ -211,7 +210,6 @@ def class_mixture(recipe: Recipe, at: FloatArray, class_index: NDArray[np.int64]
 
 
 def _signatures(recipe: Recipe) -> dict[str, FloatArray]:
-    """Compute what each departure adds to the nominal start, shape (n, n_values)."""
     field = Field() if recipe.field is None else recipe.field
     middle = {name: 0.5 * sum(getattr(field, name)) for name in PRIORS}
     calm = replace(field, adc_bits=0, sensor_range_a=0.0, missing_fraction=0.0)
@@ -247,7 +245,7 @@ def _signatures(recipe: Recipe) -> dict[str, FloatArray]:
 
 
 OUTSIDE = "outside what I know"
-"""The verdict on a start that the recipe does not explain."""
+"""Verdict on a start that the recipe does not explain."""
 
 ADVICE = {
     "noise": "the sensor is noisier than in training: train for its noise",
@@ -260,7 +258,7 @@ ADVICE = {
     "another motor": "it is another motor, or has a fault never trained on: use a model of its own, or "
     "`motor-env diagnose`",
 }
-"""Each departure, and what to do about it."""
+"""Each departure, with advice."""
 
 
 _QUIETEST = 1e-6
@@ -269,16 +267,16 @@ _LEVELS = 8  # of a noise that is not known
 
 @dataclass(eq=False, repr=False)
 class OutsideDetector(OutlierMixin, BaseEstimator):
-    """Finds starts that a recipe does not explain, by scikit-learn's interface for outliers.
+    """Scikit-learn detector of starts that a recipe does not explain.
 
     Args:
-        recipe: motors, faults, surroundings and sensor that are known; without one, the paper's motor at 10 kHz.
-        false_alarm_rate: share of the recipe's own starts that may be called foreign.
-        noise_range: smallest and largest factor on the recipe's noise, where its level is not known beforehand.
+        recipe: known motors, faults, surroundings and sensor; by default the paper's motor at 10 kHz.
+        false_alarm_rate: share of the recipe's own starts called foreign.
+        noise_range: bounds of the factor on the recipe's noise, if unknown.
 
     Attributes:
-        levels_: logarithms of levels of the noise's variance, shape (n_levels,).
-        offset_: `score_samples` below it is foreign, for each of these levels; in between along straight lines.
+        levels_: log levels of the noise variance, shape (n_levels,).
+        offset_: threshold on `score_samples` at these levels, linear in between.
     """
 
     recipe: Recipe | None = None
@@ -286,7 +284,7 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
     noise_range: tuple[float, float] | None = None
 
     def fit(self, X: Any = None, y: Any = None) -> Self:
-        """Set the threshold on the given starts of the known classes, or on fresh ones of the recipe.
+        """Set the threshold on given starts of the known classes, or on fresh ones of the recipe.
 
         Raises:
             ValueError: a rate outside (0, 1), or starts of another length.
@@ -312,15 +310,15 @@ class OutsideDetector(OutlierMixin, BaseEstimator):
         return -self._start_density.distance(self._at(X), self._variances)
 
     def decision_function(self, X: Any) -> FloatArray:
-        """Score over the threshold: below 0 for foreign starts, shape (n_cases,)."""
+        """Return the score over the threshold, below 0 for foreign starts, shape (n_cases,)."""
         return self._over(self._at(X))
 
     def predict(self, X: Any) -> NDArray[np.int64]:
-        """-1 for foreign starts, else 1, shape (n_cases,)."""
+        """Return -1 for foreign starts, else 1, shape (n_cases,)."""
         return np.where(self.decision_function(X) < 0.0, -1, 1)
 
     def likely_shift(self, X: Any) -> NDArray[Any]:
-        """Name what explains a foreign start best, a key of `ADVICE`; empty for other starts, shape (n_cases,)."""
+        """Return the best explanation of foreign starts, a key of `ADVICE`; empty for others, shape (n_cases,)."""
         at = self._at(X)
         foreign = self._over(at) < 0.0
         names = np.full(len(foreign), "", dtype=object)

@@ -1,4 +1,4 @@
-"""HTML pages by Jinja2, and charts as inline SVG: data in, pixels out; colours follow the page by CSS classes."""
+"""HTML pages by Jinja2, and charts as inline SVG, coloured by the page's CSS classes."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ def render(
     filters: Mapping[str, Callable[..., str]] | None = None,
     **values: Any,
 ) -> str:
-    """Render a template of a package's folder `templates`; it may extend `base.html.j2`, which holds the common style.
+    """Render a template of a package's folder `templates`; it may extend `base.html.j2`.
 
     Args:
         package: import name of the package.
         template: file name of the template.
-        filters: functions that the template applies to its values.
-        **values: what the template names.
+        filters: functions for the template.
+        **values: variables of the template.
     """
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 
@@ -49,7 +49,7 @@ def percent(share: float) -> str:
 
 
 class Axis(NamedTuple):
-    """An axis: title with unit, range, ticks and their text; `is_reversed` puts `low` at the right or at the top."""
+    """Axis: title with unit, range, ticks and their text; `is_reversed` puts `low` at the right or top."""
 
     title: str
     low: float
@@ -60,7 +60,7 @@ class Axis(NamedTuple):
     is_reversed: bool = False
 
     def place(self, value: float) -> float:
-        """Scale a value from 0 at the begin to 1 at the end; values beyond stay on the edge."""
+        """Scale a value from 0 at the begin to 1 at the end, limited to the axis."""
         low, high, at = self.low, self.high, min(max(value, self.low), self.high)
         if self.is_log:
             low, high, at = np.log([low, high, at])
@@ -78,14 +78,14 @@ def round_ticks(low: float, high: float, most: int = 5) -> list[float]:
 
 
 class Chart:
-    """An SVG drawing with a plot area; `x` and `y` turn data into pixels, which the shapes take.
+    """SVG drawing with a plot area; `x` and `y` turn data into pixels, which shapes take.
 
     Args:
-        x_axis: of the plot area's width.
-        y_axis: of its height, upwards.
+        x_axis: horizontal axis.
+        y_axis: vertical axis, upwards.
         size: width and height in pixels.
         margins: pixels left, right, above and below the plot area.
-        label: what the chart shows, for readers who cannot see it.
+        label: description for screen readers.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Chart:
         return self.bottom - (self.bottom - self.top) * self.y_axis.place(value)
 
     def shape(self, tag: str, style: str = "", content: str = "", **attributes: float | str) -> None:
-        """Add an element with its attributes; `content` is markup."""
+        """Add an element with attributes; `content` is markup."""
         named = "".join(
             f' {name}="{value if isinstance(value, str) else format(value, ".1f")}"'
             for name, value in attributes.items()
@@ -122,7 +122,7 @@ class Chart:
 
     @contextmanager
     def group(self, style: str, title: str = "") -> Iterator[None]:
-        """Group shapes that share a style, and a text that shows when they are pointed at."""
+        """Group shapes that share a style and a tooltip."""
         self._parts.append(f'<g class="{escape(style)}">' + _title(title))
         yield
         self._parts.append("</g>")
@@ -144,7 +144,7 @@ class Chart:
         self.shape("polyline", style, points=self.points(xs, ys))
 
     def points(self, xs: Values, ys: Values) -> str:
-        """Write points in data coordinates as SVG does."""
+        """Format points in data coordinates for SVG."""
         return " ".join(f"{self.x(x):.1f},{self.y(y):.1f}" for x, y in zip(xs, ys, strict=True))
 
     def across(self, style: str, y: float) -> None:

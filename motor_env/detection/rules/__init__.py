@@ -1,9 +1,9 @@
-"""Decision rules: when does a residual count as a fault, and how often does a healthy motor alarm?
+"""Decision rules: alarms on residuals, at a chosen rate of false alarms.
 
 Each rule has `statistic(whitened)`, `alarm_index(whitened, threshold)`, `stream()` with `update(sample)`, and
 `threshold_for(arl0=...)`, `threshold_for(false_alarm_probability=..., n_samples=...)` or
-`threshold_for(false_alarm_probability=..., recipe=...)`. They read `FilterResult.whitened`, or `TolerantFilter.white`
-of a motor known up to its tolerances; rules on the NIS all channels, others the first.
+`threshold_for(false_alarm_probability=..., recipe=...)`. They read `FilterResult.whitened` or `TolerantFilter.white`:
+rules on the NIS all channels, others the first.
 """
 
 from motor_env.detection.rules.base import Rule, RuleStream, first_above

@@ -25,26 +25,25 @@ _LARGEST_SHIFT = 1e3
 
 
 def checked_shift(shift: float) -> float:
-    """A mean of whitened innovations; `ValueError` unless it is a number of sensible size."""
+    """Return a mean of whitened innovations; `ValueError` unless it is a number of sensible size."""
     return number("shift", shift, least=-_LARGEST_SHIFT, most=_LARGEST_SHIFT)
 
 
 class Rule(Statistic):
-    """A decision rule on whitened innovations, which are white and standard normal while the motor is healthy.
+    """Decision rule on whitened innovations, standard normal while the motor is healthy (Kailath 1968).
 
-    White: Kailath 1968; faults show in them: Mehra & Peschon 1971. A rule holds settings and no running state; `start`
-    and `scan` define both the batch and the stream.
+    A rule holds settings and no running state; `start` and `scan` define both the batch and the stream.
     """
 
     __slots__ = ()
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
-        """Average samples to the alarm, from the start, for samples of one channel and of mean `shift`.
+        """Return the average samples to the alarm, for samples of one channel and of mean `shift`.
 
-        A shift of 0 gives ARL0. Exact where theory gives it, else the mean of 2,000 simulated runs.
+        A shift of 0 gives ARL0. Without a theory it is the mean of 2,000 simulated runs.
 
         Raises:
-            ValueError: a number is not finite, or so high a threshold that the runs would take too long.
+            ValueError: a number is not finite, or the threshold is too high to simulate.
         """
         threshold, shift = number("threshold", threshold), checked_shift(shift)
         lengths = calibration.run_lengths(self, threshold, _RUNS, mean=shift, most_samples=_SAMPLES)
@@ -61,7 +60,7 @@ class Rule(Statistic):
         runs: int | None = None,
         seed: int = calibration.CALIBRATION_SEED,
     ) -> Threshold:
-        """Threshold for a wanted rate of false alarms: exact where theory gives it, else by calibrated simulation.
+        """Return the threshold for a wanted rate of false alarms: exact where theory gives it, else simulated.
 
         Give `arl0`, or `false_alarm_probability` with `n_samples` or a `recipe`, whose threshold is for the residuals
         of `TolerantFilter.from_recipe(recipe)`.
@@ -69,16 +68,15 @@ class Rule(Statistic):
         Args:
             arl0: average samples between false alarms.
             false_alarm_probability: probability of a false alarm in a transient.
-            n_samples: length of the transient; that of the recipe where there is one.
-            n_channels: measured channels; those of the recipe where there is one.
-            recipe: what healthy motors are drawn from.
-            runs: healthy runs to simulate where needed; by default 100,000 transients, or 1,000 to 10,000 runs to an
-                alarm.
-            seed: of that simulation.
+            n_samples: length of the transient, unless the recipe sets it.
+            n_channels: measured channels, unless the recipe sets them.
+            recipe: distribution of healthy motors.
+            runs: healthy runs to simulate; by default 100,000 transients, or 1,000 to 10,000 runs to an alarm.
+            seed: of the simulation.
 
         Raises:
-            ValueError: both or none is given, a recipe comes with `arl0`, `n_samples` or `n_channels`, no such
-                threshold, or too few runs.
+            ValueError: both rates or none, a recipe with `arl0`, `n_samples` or `n_channels`, no such threshold, or
+                too few runs.
         """
         seed = whole("seed", seed, most=LARGEST_SEED)
         n_channels = whole("n_channels", n_channels, 1, _MOST_CHANNELS)
@@ -98,7 +96,7 @@ class Rule(Statistic):
         return calibration.threshold_of(self, request, runs=runs, n_channels=n_channels, seed=seed)
 
     def alarm_index(self, whitened: ArrayLike, threshold: float | Threshold) -> NDArray[np.int64]:
-        """First sample at which the statistic is above the threshold, -1 where there is none; shape (...).
+        """Return the first sample with the statistic above the threshold, -1 if none; shape (...).
 
         Args:
             whitened: shape (..., n_samples, n_channels).
@@ -108,12 +106,12 @@ class Rule(Statistic):
         return first_above(self.statistic(whitened), number("threshold", limit))
 
     def stream(self, n_streams: int = 1) -> RuleStream:
-        """A running copy of the rule, fed one sample at a time."""
+        """Return a running copy of the rule, fed one sample at a time."""
         return RuleStream(self, n_streams)
 
 
 class ExactRule(Rule):
-    """A rule whose false alarms a Markov chain or an integral equation gives (Brook & Evans 1972)."""
+    """Rule whose false alarms a Markov chain or an integral equation gives (Brook & Evans 1972)."""
 
     __slots__ = ()
 
@@ -121,31 +119,31 @@ class ExactRule(Rule):
 
     @abstractmethod
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
-        """Law of the samples to the alarm, from the start, for samples of mean `shift`; 0 while healthy."""
+        """Return the law of the samples to the alarm, for samples of mean `shift`; 0 while healthy."""
 
     @property
     def lowest(self) -> tuple[float, float]:
-        """A threshold that is surely too low, and the first step upwards from there."""
+        """Return a threshold that is surely too low, and the first step upwards from there."""
         return 1e-3, 0.5
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
-        """Average samples to the alarm, from the start, for samples of mean `shift`: 0 gives ARL0."""
+        """Return the average samples to the alarm, for samples of mean `shift`: 0 gives ARL0."""
         return self.run_law(number("threshold", threshold), checked_shift(shift)).average_run_length()
 
     def alarm_probability(self, threshold: float, n_samples: int) -> float:
-        """Probability of an alarm within n samples, while healthy."""
+        """Return the probability of an alarm within `n_samples`, while healthy."""
         n_samples = whole("n_samples", n_samples, 1, LONGEST)
         return self.run_law(number("threshold", threshold)).alarm_probability(n_samples)
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
-        """Exact threshold."""
+        """Return the exact threshold."""
         low, step = self.lowest
         value = request.solve(lambda threshold: self.run_law(threshold, 0.0, n_channels), low=low, step=step)
         return Threshold(value, 0.0, self.method)
 
 
 class RuleStream:
-    """A rule in service: `update(sample)` gives what the batch gives at that sample.
+    """Running rule: `update(sample)` gives what the batch gives at that sample.
 
     Attributes:
         rule: the rule.
@@ -159,14 +157,14 @@ class RuleStream:
             raise ValueError(f"n_streams {n_streams} of this rule need more memory than there is") from None
 
     def update(self, whitened: ArrayLike) -> FloatArray:
-        """Statistic after one more sample, shape (n_streams,), from shape (n_streams, n_channels)."""
+        """Return the statistic after one more sample, shape (n_streams,), from shape (n_streams, n_channels)."""
         values, n = numbers("whitened", whitened, missing=True), len(self.state)
         if not values.size or values.size % n:
             raise ValueError(f"whitened must have shape ({n}, n_channels), got {values.shape}")
         return self.rule.scan(self.state, values.reshape(n, 1, -1))[:, 0]
 
     def reset(self, streams: NDArray[np.bool_] | None = None) -> None:
-        """Begin anew: all streams, or those where the mask is true."""
+        """Restart all streams, or those where the mask is true."""
         fresh = self.rule.start(len(self.state))
         if streams is not None:
             chosen = flags("streams", streams, (len(fresh),))
@@ -175,7 +173,7 @@ class RuleStream:
 
 
 def first_above(statistic: FloatArray, threshold: float) -> NDArray[np.int64]:
-    """Index of the first value above the threshold along the last axis, -1 where there is none."""
+    """Return the index of the first value above the threshold along the last axis, -1 if there is none."""
     above = statistic > threshold
     index: NDArray[np.int64] = np.where(above.any(axis=-1), above.argmax(axis=-1), -1).astype(np.int64)
     return index

@@ -1,4 +1,4 @@
-"""Thresholds: what they are for, and simulated ones for rules whose false alarms no equation gives."""
+"""Thresholds by theory, or by simulation for rules whose false alarms no equation gives."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ LONGEST = 10**9
 
 
 class Threshold(NamedTuple):
-    """Threshold of a rule for a wanted false-alarm rate, with how it was found.
+    """Threshold of a rule for a wanted false-alarm rate.
 
     Attributes:
         value: the rule alarms where its statistic is larger.
-        standard_error: 0 where the threshold is exact, else that of the calibrating simulation.
+        standard_error: that of the simulation; 0 for an exact threshold.
         method: how it was found.
     """
 
@@ -41,7 +41,7 @@ class Threshold(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a threshold is asked for: an average run length, or a probability within some samples."""
+    """Wanted rate of false alarms: an average run length, or a probability within some samples."""
 
     arl0: float | None
     probability: float | None
@@ -51,7 +51,7 @@ class Request:
     def checked(
         cls, arl0: float | None, false_alarm_probability: float | None, n_samples: int | None
     ) -> Request:
-        """The request, refused in one sentence unless exactly one of the two is given and sensible."""
+        """Return the request; `ValueError` unless exactly one of the two is given and sensible."""
         require(
             (arl0 is None) != (false_alarm_probability is None),
             "give one of arl0 and false_alarm_probability, got " + ("none" if arl0 is None else "both"),
@@ -65,15 +65,15 @@ class Request:
         return cls(None, probability, whole("n_samples", n_samples, 1, LONGEST))
 
     def solve(self, law: Callable[[float], RunLaw], *, low: float, step: float) -> float:
-        """Threshold that meets the request.
+        """Return the threshold that meets the request.
 
         Args:
-            law: of the samples to an alarm, for a threshold.
+            law: of the samples to an alarm, as a function of the threshold.
             low: threshold that is surely too low.
             step: first step upwards from there.
 
         Raises:
-            ValueError: no threshold gives as many false alarms, or the equation cannot be solved for it.
+            ValueError: no threshold gives as many false alarms, or the equation cannot be solved.
         """
 
         def excess(threshold: float) -> float:
@@ -92,17 +92,17 @@ class Request:
 
 
 class Statistic(ABC):
-    """A running statistic of whitened innovations, and the exact threshold on it where theory gives one."""
+    """Running statistic of whitened innovations, with an exact threshold where theory gives one."""
 
     __slots__ = ()
 
     def start(self, n_streams: int) -> FloatArray:
-        """State before the first sample, shape (n_streams, width): one number, 0, unless a rule says otherwise."""
+        """Return the state before the first sample, shape (n_streams, width): one zero unless overridden."""
         return np.zeros((n_streams, 1))
 
     @abstractmethod
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """Statistic after each sample, shape (n_streams, n_samples); the state is carried on in place.
+        """Return the statistic after each sample, shape (n_streams, n_samples); update the state in place.
 
         Args:
             state: as `start` gives it.
@@ -110,17 +110,14 @@ class Statistic(ABC):
         """
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold | None:
-        """Threshold by theory, None where there is none and it has to be simulated."""
+        """Return the threshold by theory; None where it has to be simulated."""
         return None
 
     def statistic(self, whitened: ArrayLike) -> FloatArray:
-        """Statistic after each sample.
+        """Return the statistic after each sample, shape (..., n_samples).
 
         Args:
             whitened: shape (..., n_samples, n_channels), as in `FilterResult.whitened`.
-
-        Returns:
-            Shape (..., n_samples).
         """
         values = numbers("whitened", whitened, ("...", "n_samples", "n_channels"), missing=True)
         flat = values.reshape(-1, *values.shape[-2:])
@@ -145,15 +142,15 @@ _AT_ONCE = 400_000  # values in one array: they stay in the cache
 def threshold_of(
     rule: Statistic, request: Request, *, runs: int | None, n_channels: int, seed: int
 ) -> Threshold:
-    """Exact threshold where theory gives it; else from simulated healthy runs of white noise, with its standard error.
+    """Return the exact threshold where theory gives it; else one from simulated white noise.
 
-    For a probability: an order statistic of the runs' largest values. For an average run length: runs to their alarm at
-    a range of thresholds from a pilot; the logarithm of the mean is near linear in the threshold (Siegmund 1985).
+    For a probability: an order statistic of the runs' largest values. For an average run length: runs to their alarm
+    at a range of thresholds, as its logarithm is near linear in the threshold (Siegmund 1985).
 
     Args:
-        rule: to be calibrated.
+        rule: the rule.
         request: a run length or a probability.
-        runs: healthy runs to simulate; None for as many as `Rule.threshold_for` says.
+        runs: healthy runs to simulate; None for the default of `Rule.threshold_for`.
         n_channels: measured channels.
         seed: seed of the noise.
     """
@@ -196,14 +193,14 @@ def recipe_thresholds(
     runs: int | None = None,
     seed: int = CALIBRATION_SEED,
 ) -> list[Threshold]:
-    """Thresholds of several rules from the same simulated healthy motors of a recipe; one: `Rule.threshold_for`.
+    """Return thresholds of several rules from the same simulated healthy motors of a recipe.
 
-    Monte Carlo critical values (Barnard 1963), with the standard error of an order statistic (Mosteller 1946); without
-    tolerances the rules' own thresholds.
+    Monte Carlo critical values (Barnard 1963; standard error: Mosteller 1946); without tolerances the rules' own
+    thresholds.
 
     Args:
         rules: on the residual that `TolerantFilter.from_recipe(recipe).white` gives.
-        recipe: what healthy motors are drawn from.
+        recipe: distribution of healthy motors.
         false_alarm_probability: in a transient.
         runs: healthy motors to simulate, by default 100,000; at least 10 / probability.
         seed: of the motors and their noise.
@@ -227,7 +224,7 @@ def recipe_thresholds(
 
 
 def healthy_measurements(recipe: Recipe, seed: int, cases: ArrayLike) -> NDArray[np.float32]:
-    """Measured transients of healthy motors drawn from the recipe, shape (n_cases, n_channels, n_samples)."""
+    """Return transients of healthy motors of the recipe, shape (n_cases, n_channels, n_samples)."""
     healthy = replace(recipe, classes=(FaultClass(),), healthy_starts=0)
     return measure_draw(draw(healthy, seed, cases), healthy, seed)
 
@@ -235,7 +232,7 @@ def healthy_measurements(recipe: Recipe, seed: int, cases: ArrayLike) -> NDArray
 def largest_values(
     rule: Statistic, n_samples: int, cases: IntArray, n_channels: int, seed: int
 ) -> FloatArray:
-    """Largest statistic of each of many healthy runs, shape (n_cases,)."""
+    """Return the largest statistic of each of many healthy runs, shape (n_cases,)."""
     answer = np.empty(len(cases))
     batch = max(1, _AT_ONCE // (n_samples * n_channels))
     for first in range(0, len(cases), batch):
@@ -260,7 +257,7 @@ def run_lengths(
     mean: ArrayLike = 0.0,
     most_samples: float = np.inf,
 ) -> IntArray:
-    """Samples to the alarm of simulated runs, each followed to its alarm, shape (runs, n_levels) (Page 1954).
+    """Return samples to the alarm of simulated runs, shape (runs, n_levels).
 
     Args:
         rule: the rule.
@@ -268,11 +265,11 @@ def run_lengths(
         runs: how many.
         n_channels: measured channels.
         seed: of the noise; run n depends on (seed, n) alone.
-        mean: of the samples: scalar, or shape (n,), whose last value stays; 0 while healthy.
+        mean: of the samples, scalar or shape (n,) whose last value stays; 0 while healthy.
         most_samples: of all runs together.
 
     Raises:
-        ValueError: a number is not finite, or the alarms are so seldom that the runs would need more samples.
+        ValueError: a number is not finite, or the runs would need more samples.
     """
     thresholds, profile = np.atleast_1d(numbers("levels", levels)), np.atleast_1d(numbers("mean", mean))
     runs, n_channels = whole("runs", runs, 1), whole("n_channels", n_channels, 1)
@@ -306,7 +303,6 @@ def run_lengths(
 
 
 def _noise(seed: int, cases: IntArray, block: int, count: int, n_channels: int) -> FloatArray:
-    """White noise of a block of samples of each run, shape (n_cases, count, n_channels)."""
     numbers = cases + (block << 32)  # each block is a case of its own to the streams
     return normals(seed, Stream.CALIBRATION, numbers, count * n_channels).reshape(
         len(cases), count, n_channels

@@ -1,4 +1,4 @@
-"""Rules for an onset in mid-run: CUSUM, Shiryaev-Roberts, Wald's test that both come from, and a bank of models.
+"""Rules for an onset in mid-run: CUSUM, Shiryaev-Roberts, Wald's test, and a bank of models.
 
 They read the first channel of the whitened innovations.
 """
@@ -21,7 +21,7 @@ _SMALLEST_SHIFT, _LARGEST_SHIFT = 1e-6, 1e3  # in standard deviations: others ar
 
 
 def first_channel(whitened: FloatArray) -> FloatArray:
-    """Standard normal samples, shape (n_streams, n_samples); NaN where nothing was measured."""
+    """Return standard normal samples, shape (n_streams, n_samples); NaN where nothing was measured."""
     return np.ascontiguousarray(whitened[..., 0])
 
 
@@ -32,14 +32,14 @@ def _keep_shift(rule: Rule, shift: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Cusum(ExactRule):
-    """CUSUM: S = max(0, S + r - d/2), for a shift d of the mean that begins at an unknown time (Page 1954).
+    """CUSUM: S = max(0, S + r - d/2), for a shift d of the mean from an unknown time on (Page 1954).
 
-    With the true shift it has the least worst-case delay for its ARL0 (Moustakides 1986). Exact thresholds by integral
-    equation (Goel & Wu 1971).
+    With the true shift it has the least worst-case delay for its ARL0 (Moustakides 1986). Thresholds are exact (Goel &
+    Wu 1971).
 
     Attributes:
-        shift: d, the shift looked for, in standard deviations of the innovation; > 0.
-        two_sided: whether a fall is looked for beside a rise.
+        shift: d, in standard deviations of the innovation; > 0.
+        two_sided: whether a fall counts, too.
     """
 
     shift: float
@@ -50,16 +50,16 @@ class Cusum(ExactRule):
         instance("two_sided", self.two_sided, (bool, np.bool_))
 
     def start(self, n_streams: int) -> FloatArray:
-        """Sums of 0."""
+        """Return sums of 0."""
         return np.zeros((n_streams, 2 if self.two_sided else 1))
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """The larger sum."""
+        """Return the larger sum."""
         statistic: FloatArray = kernels.cusum(first_channel(whitened), 0.5 * self.shift, state)
         return statistic
 
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
-        """By integral equation from S = 0; a `shift` of d gives the worst-case delay."""
+        """Return the law by integral equation from S = 0; a `shift` of d gives the worst-case delay."""
         up = cusum_chain(0.5 * self.shift, threshold, shift)
         if not self.two_sided:
             return up
@@ -70,8 +70,7 @@ class Cusum(ExactRule):
 class ShiryaevRoberts(ExactRule):
     """Shiryaev-Roberts: R = (1 + R) L, with L the likelihood ratio of a shift d; the statistic is log R.
 
-    Optimal on average over onsets long after the start (Shiryaev 1963, Roberts 1966, Pollak & Tartakovsky 2009). Exact
-    thresholds by integral equation.
+    Optimal on average over onsets long after the start (Shiryaev 1963, Roberts 1966, Pollak & Tartakovsky 2009).
 
     Attributes:
         shift: d, > 0.
@@ -83,30 +82,30 @@ class ShiryaevRoberts(ExactRule):
         _keep_shift(self, self.shift)
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """Log R, a bank of one model."""
+        """Return log R, a bank of one model."""
         with np.errstate(over="ignore"):  # the odds have a largest value
             return kernels.mixture(first_channel(whitened), np.array([self.shift]), np.ones(1), state)
 
     @property
     def lowest(self) -> tuple[float, float]:
-        """A threshold on log R that is surely too low, and the first step upwards from there."""
+        """Return a threshold on log R that is surely too low, and the first step upwards from there."""
         return -self.shift * (0.5 * self.shift + 8.0), 1.0
 
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
-        """By integral equation from R = 0."""
+        """Return the law by integral equation from R = 0."""
         return shiryaev_roberts_chain(self.shift, threshold, shift)
 
 
 @dataclass(frozen=True, slots=True)
 class Sprt(ExactRule):
-    """Wald's sequential probability ratio test of a shift d, there from the start (Wald 1945).
+    """Wald's sequential probability ratio test of a shift d from the start on (Wald 1945).
 
     The statistic is the log-likelihood ratio; at `lower` the motor is accepted as healthy.
 
     Attributes:
         shift: d, > 0.
         lower: log(missed / (1 - false alarms)) in Wald's approximation; < 0.
-        restart: whether an accepted test begins anew; else it stays silent.
+        restart: whether an accepted test restarts; else it stays silent.
     """
 
     shift: float
@@ -119,22 +118,22 @@ class Sprt(ExactRule):
         instance("restart", self.restart, (bool, np.bool_))
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins."""
+        """Return the log-likelihood ratio; minus infinity once accepted, or 0 at a restart."""
         series = first_channel(whitened)
         statistic: FloatArray = kernels.sprt(series, self.shift, self.lower, self.restart, state)
         return statistic
 
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
-        """By integral equation from ratio 1."""
+        """Return the law by integral equation from ratio 1."""
         return sprt_chain(self.shift, self.lower, threshold, restart=self.restart, shift=shift)
 
     def average_run_length(self, threshold: float, shift: float = 0.0) -> float:
-        """Average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
+        """Return the average samples to the alarm with restarts, for samples of mean `shift`; infinite without."""
         threshold, shift = number("threshold", threshold), checked_shift(shift)
         return ExactRule.average_run_length(self, threshold, shift) if self.restart else np.inf
 
     def exact_threshold(self, request: Request, n_channels: int) -> Threshold:
-        """Exact upper bound (integral equation)."""
+        """Return an exact upper bound (integral equation)."""
         require(
             request.arl0 is None or self.restart,
             "arl0 needs restart=True: a test that stays silent has no average run length",
@@ -144,7 +143,7 @@ class Sprt(ExactRule):
 
 @dataclass(frozen=True, slots=True)
 class ModelBank(Rule):
-    """Multiple models with an onset: model j is a shift d_j of the whitened innovation from any sample on.
+    """Bank of models: model j is a shift d_j of the whitened innovation from any sample on.
 
     With a hazard rho of an onset in each sample the odds of model j against health obey O_j = (O_j + rho w_j) L_j / (1
     - rho) (Shiryaev 1963; multiple models: Magill 1965, Willsky 1976). The statistic is the log of the summed odds over
@@ -165,24 +164,21 @@ class ModelBank(Rule):
         object.__setattr__(self, "shifts", tuple(shifts.tolist()))
 
     def start(self, n_streams: int) -> FloatArray:
-        """Odds over rho of each model; none so far."""
+        """Return the odds over rho of each model, 0."""
         return np.zeros((n_streams, len(self.shifts)))
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """Log of the summed odds over rho."""
+        """Return the log of the summed odds over rho."""
         weights = np.full(len(self.shifts), 1.0 / len(self.shifts))
         with np.errstate(over="ignore"):
             return kernels.mixture(first_channel(whitened), np.asarray(self.shifts), weights, state)
 
     def probabilities(self, whitened: FloatArray, hazard: float) -> FloatArray:
-        """Posterior of health and of each model after each sample.
+        """Return the posterior of health and of each model, shape (..., n_samples, 1 + n_models), health first.
 
         Args:
             whitened: shape (..., n_samples, n_channels).
             hazard: rho, the probability of an onset in a sample, between 0 and 1.
-
-        Returns:
-            Shape (..., n_samples, 1 + n_models), health first.
         """
         hazard = number("hazard", hazard, above=0.0, below=1.0)
         values = numbers("whitened", whitened, ("...", "n_samples", "n_channels"), missing=True)

@@ -1,4 +1,4 @@
-"""Compiled scans of the rules: one pass over each stream, its state carried on in place.
+"""Compiled scans of the rules: one pass over each stream; its state changes in place.
 
 `series` has shape (n_streams, n_samples), NaN where nothing was measured; `squares` likewise, 0 there; `out` is the
 statistic after each sample.
@@ -17,7 +17,7 @@ LARGEST_ODDS = 1e250
 
 @njit(cache=True)
 def square(whitened: FloatArray) -> FloatArray:
-    """Normalised innovation squared; a missing channel adds nothing."""
+    """Compute the normalised innovation squared; a missing channel adds nothing."""
     out = np.empty(whitened.shape[:2])
     for n in range(whitened.shape[0]):
         for k in range(whitened.shape[1]):
@@ -32,7 +32,7 @@ def square(whitened: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def cusum(series: FloatArray, half: float, sums: FloatArray) -> FloatArray:
-    """S <- max(0, S +- r - d/2); one column of `sums` for each sign (Page 1954)."""
+    """Compute S <- max(0, S +- r - d/2); one column of `sums` for each sign (Page 1954)."""
     out = np.empty(series.shape)
     two_sided = sums.shape[1] == 2
     for n in range(series.shape[0]):
@@ -53,7 +53,7 @@ def cusum(series: FloatArray, half: float, sums: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def sprt(series: FloatArray, shift: float, lower: float, restart: bool, ratios: FloatArray) -> FloatArray:
-    """Log-likelihood ratio; minus infinity once accepted, or 0 where a new test begins (Wald 1945)."""
+    """Compute the log-likelihood ratio; minus infinity once accepted, or 0 at a restart (Wald 1945)."""
     out = np.empty(series.shape)
     accepted = 0.0 if restart else -np.inf
     for n in range(series.shape[0]):
@@ -70,7 +70,7 @@ def sprt(series: FloatArray, shift: float, lower: float, restart: bool, ratios: 
 
 
 def mixture(series: FloatArray, shifts: FloatArray, weights: FloatArray, odds: FloatArray) -> FloatArray:
-    """Log of the summed odds O_j <- (O_j + w_j) L_j, L_j the likelihood ratio of the shift d_j (Shiryaev 1963)."""
+    """Compute the log of the summed odds O_j <- (O_j + w_j) L_j, L_j the likelihood ratio of d_j (Shiryaev 1963)."""
     total = np.zeros(series.shape)
     for j, (shift, weight) in enumerate(zip(shifts, weights, strict=True)):
         _add_odds(np.exp(shift * (series - 0.5 * shift)), weight, odds[:, j], total)
@@ -92,7 +92,7 @@ def _add_odds(ratios: FloatArray, weight: float, odds: FloatArray, total: FloatA
 
 @njit(cache=True)
 def m_of_n(squares: FloatArray, needed: int, recent: FloatArray) -> FloatArray:
-    """M-th largest of the last N (Schwartz 1956); `recent` is a ring of them, and the place of the oldest."""
+    """Compute the M-th largest of the last N (Schwartz 1956); `recent` is a ring of them and the oldest's index."""
     out = np.empty(squares.shape)
     among = recent.shape[1] - 1
     largest = np.empty(needed)
@@ -117,7 +117,7 @@ def m_of_n(squares: FloatArray, needed: int, recent: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def windowed_sum(squares: FloatArray, recent: FloatArray) -> FloatArray:
-    """Sum of the last w (Bar-Shalom, Li & Kirubarajan 2001); `recent`: a ring, the place of the oldest, the sum."""
+    """Compute the sum of the last w; `recent` is a ring of them, the oldest's index, and the sum."""
     out = np.empty(squares.shape)
     window = recent.shape[1] - 2
     for n in range(squares.shape[0]):
@@ -137,7 +137,7 @@ def windowed_sum(squares: FloatArray, recent: FloatArray) -> FloatArray:
 def first_passages(
     statistic: FloatArray, begin: int, levels: FloatArray, passed: NDArray[np.int64], out: NDArray[np.int64]
 ) -> None:
-    """Number of samples to the first value above each of rising levels; `passed` counts the levels left behind."""
+    """Count samples to the first value above each of rising levels; `passed` counts the levels already passed."""
     for n in range(statistic.shape[0]):
         k = 0
         while k < statistic.shape[1] and passed[n] < len(levels):

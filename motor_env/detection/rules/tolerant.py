@@ -1,4 +1,4 @@
-"""The residual of a motor that is known only up to its tolerances, made white for the rules."""
+"""White residuals of a motor that is known only up to its tolerances."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _UNSEEN = 0.01
 
 @dataclass(frozen=True, slots=True)
 class TolerantFilter:
-    """Filter of a recipe's nominal motor, and a whitening that takes out what the recipe's tolerances explain.
+    """Filter of a recipe's nominal motor, with a whitening that removes the effect of the tolerances.
 
-    The tolerances are further states that the filter only considers (Schmidt 1966; second order: Athans et al. 1968).
+    The tolerances are considered states (Schmidt 1966; second order: Athans et al. 1968).
 
     Attributes:
         belief: filter of the nominal motor.
         voltage_v: nominal voltage, shape (n_samples,).
-        bias: what the tolerances add to the whitened innovation on average, shape (n_samples, n_channels).
+        bias: mean effect of the tolerances on the whitened innovation, shape (n_samples, n_channels).
         whitener: whitens with S + J P J' (`motor_env.inference.whitening`).
     """
 
@@ -48,7 +48,7 @@ class TolerantFilter:
 
     @classmethod
     def from_recipe(cls, recipe: Recipe) -> Self:
-        """From the recipe's motor, supply, tolerances, sensor and timing; its fault classes are not looked at."""
+        """Return the filter of the recipe's motor, supply, tolerances, sensor and timing."""
         instance("recipe", recipe, Recipe)
         recipe.require_step()
         belief = KalmanFilter.from_parameters(
@@ -59,7 +59,7 @@ class TolerantFilter:
         return cls(belief, voltage, bias, MarginalWhitener.from_slopes(_significant_directions(slopes)))
 
     def white(self, measurements: ArrayLike) -> FloatArray:
-        """Residuals for the rules, white for healthy motors of the recipe, shape (..., n_samples, n_channels).
+        """Return residuals, white for healthy motors of the recipe, shape (..., n_samples, n_channels).
 
         Args:
             measurements: whole transients, shape (..., n_channels, n_samples).
@@ -70,14 +70,14 @@ class TolerantFilter:
         return self.whitener.whiten(innovation - self.bias)
 
     def stream(self, n_streams: int = 1) -> TolerantStream:
-        """A running copy of the filter, fed one sample at a time from the start of a transient."""
+        """Return a running copy of the filter, fed one sample at a time."""
         return TolerantStream(self, n_streams)
 
 
 class TolerantStream:
-    """A tolerant filter in service: `update(sample)` gives what `TolerantFilter.white` gives at that sample.
+    """Running tolerant filter: `update(sample)` gives what `TolerantFilter.white` gives at that sample.
 
-    Each motor's place within the tolerances has a mean and a covariance (recursive least squares: Plackett 1950).
+    Recursive least squares (Plackett 1950) estimate each motor's tolerances.
     """
 
     def __init__(self, tolerant: TolerantFilter, n_streams: int) -> None:
@@ -90,7 +90,7 @@ class TolerantStream:
         self._at = 0
 
     def update(self, measurement: ArrayLike) -> FloatArray:
-        """White residual of one more sample, shape (n_streams, n_channels), from measurements of that shape.
+        """Return the white residual of one more sample, shape (n_streams, n_channels), from measurements of that shape.
 
         Raises:
             ValueError: the transient is over.
@@ -113,11 +113,10 @@ class TolerantStream:
 
 
 def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, FloatArray]:
-    """Mean of the whitened innovation over the recipe's healthy motors, and its slopes, to second order.
+    """Return the whitened innovation's mean over healthy motors, and its slopes, to second order.
 
-    With tolerances z ~ N(0, 1) the innovation is r = G z + z'Hz / 2 + e. The products z_i z_j and (z_i^2 - 1) / sqrt(2)
-    are uncorrelated with z and with each other and have unit variance: further tolerances (second-order filter: Athans,
-    Wishner & Bertolini 1968).
+    With tolerances z ~ N(0, 1) the innovation is r = G z + z'Hz / 2 + e. The products z_i z_j and (z_i^2 - 1) /
+    sqrt(2) are uncorrelated, of unit variance, and count as further tolerances (Athans, Wishner & Bertolini 1968).
 
     Returns:
         Mean, shape (n_samples, n_channels); slopes, shape (n_samples, n_channels, n_slopes).
@@ -147,7 +146,7 @@ def second_order(recipe: Recipe, belief: KalmanFilter) -> tuple[FloatArray, Floa
 
 
 def _significant_directions(slopes: FloatArray) -> FloatArray:
-    """Return the slopes along the principal components that noise does not hide (Hotelling 1933)."""
+    """Return the slopes along the principal components above the noise (Hotelling 1933)."""
     if slopes.shape[-1] == 0:
         return slopes
     left, sizes, _ = np.linalg.svd(slopes.reshape(-1, slopes.shape[-1]), full_matrices=False)

@@ -1,4 +1,4 @@
-"""Rules over a window: hits of the NIS, its sum, and the generalised likelihood ratio with a scanned onset."""
+"""Rules over a window: M of N, sum of the NIS, and the generalised likelihood ratio with an unknown onset."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from motor_env.motor.parameters import FloatArray, require
 class MOfN(ExactRule):
     """Alarm when at least M of the last N samples have a NIS above the threshold.
 
-    The statistic is the M-th largest NIS of the last N (Schwartz 1956). The threshold is exact: chi-square for a hit,
-    Markov chain for the rule (Brook & Evans 1972).
+    The statistic is the M-th largest NIS of the last N (Schwartz 1956). The threshold is exact (Brook & Evans 1972).
 
     Attributes:
         needed: M.
@@ -40,21 +39,21 @@ class MOfN(ExactRule):
         object.__setattr__(self, "among", checked.among)
 
     def start(self, n_streams: int) -> FloatArray:
-        """A ring of the last N squares, none so far, and the place of the oldest."""
+        """Return a ring of the last N squares, empty, and the oldest's index."""
         return np.zeros((n_streams, self.among + 1))
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """M-th largest of the last N squares."""
+        """Return the M-th largest of the last N squares."""
         squares: FloatArray = kernels.square(whitened)
         return squares if self.among == 1 else kernels.m_of_n(squares, self.needed, state)
 
     @property
     def lowest(self) -> tuple[float, float]:
-        """No square is below 0."""
+        """Return 0, as no square is below it, and a first step."""
         return 0.0, 1.0
 
     def run_law(self, threshold: float, shift: float = 0.0, n_channels: int = 1) -> RunLaw:
-        """By the chain of the last hits, for innovations whose mean has the length `shift`."""
+        """Return the law by the chain of the last hits, for innovations whose mean has the length `shift`."""
         if not shift:
             return HitChain(float(chdtrc(n_channels, max(threshold, 0.0))), self.needed, self.among)
         from scipy.stats import ncx2  # it takes long to import, and the tail of this law stands nowhere else
@@ -63,12 +62,12 @@ class MOfN(ExactRule):
 
 
 def nis_rule() -> MOfN:
-    """Rule that alarms when the NIS of one sample is above a threshold (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4)."""
+    """Return the rule that alarms at one NIS above the threshold (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4)."""
     return MOfN(1, 1)
 
 
 def in_a_row(count: int) -> MOfN:
-    """`count` samples in a row with a NIS above the threshold (paper, Figure 1: confirmation; Feller 1968)."""
+    """Return the rule of `count` NIS in a row above a threshold (paper, Figure 1: confirmation; Feller 1968)."""
     return MOfN(count, count)
 
 
@@ -82,11 +81,10 @@ def glr(
     state: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Largest x|x| + bonus over the ages, or x^2 + bonus; x = sum of shape * sample over the root of that of shape^2.
+    """Compute the largest x|x| (or x^2) + bonus over the ages; x = sum(shape * sample) / sqrt(sum(shape^2)).
 
-    Willsky & Jones 1976; the grid of ages: Lai 1995.
-    The state holds the last samples (their running sums for a step: `shape` is empty), then how many it holds and how
-    many there have been. When it is full, all but the last that are needed are dropped.
+    The state holds the last samples (their running sums for a step: `shape` is empty), their number, and that of all
+    samples so far. A full state keeps only the samples still needed.
     """
     longest, room = ages[-1], state.shape[1] - 2
     of_steps = len(shape) == 0
@@ -133,7 +131,7 @@ def glr_of_block(
     total: FloatArray,
     best: FloatArray,
 ) -> None:
-    """Raise the best statistics of the `count` samples from place `stored` on, age by age."""
+    """Raise the best statistics of the `count` samples from index `stored` on, age by age."""
     last = stored + count
     for j in range(len(ages)):
         age = ages[j]
@@ -156,7 +154,7 @@ def glr_of_block(
 def glr_of_one(
     sums: FloatArray, stored: int, n_past: int, ages: NDArray[np.int64], bonus: FloatArray, two_sided: bool
 ) -> float:
-    """The statistic of a step after one more sample."""
+    """Return the statistic of a step after one more sample."""
     best = -np.inf
     for j in range(len(ages)):
         age = ages[j]
@@ -173,14 +171,14 @@ def glr_of_one(
 
 @njit(cache=True)
 def difference(later: FloatArray, earlier: FloatArray, total: FloatArray) -> None:
-    """Differences of running sums."""
+    """Compute differences of running sums."""
     for i in range(len(later)):
         total[i] = later[i] - earlier[i]
 
 
 @njit(cache=True)
 def raise_best(total: FloatArray, weight: float, bonus: float, two_sided: bool, best: FloatArray) -> None:
-    """Raise the best to weighted squares where they are larger; one-sided with the sign of what is squared."""
+    """Raise the best to weighted squares where they are larger; one-sided ones keep their sign."""
     for i in range(len(best)):
         size = abs(total[i])
         value, stored = size * (size if two_sided else total[i]) * weight + bonus, best[i]
@@ -196,7 +194,7 @@ _LEAST_BUFFER = 512  # samples that the GLR holds beside the longest age, so tha
 class WindowedNis(Rule):
     """Sum of the NIS over the last w samples (Bar-Shalom, Li & Kirubarajan 2001, ch. 5.4).
 
-    Chi-square at one look, with w degrees of freedom a channel; watched all along, its threshold is simulated.
+    Chi-square at one sample, with w degrees of freedom a channel; over a run, its threshold is simulated.
 
     Attributes:
         window: w.
@@ -208,28 +206,28 @@ class WindowedNis(Rule):
         object.__setattr__(self, "window", whole("window", self.window, 1, _LONGEST))
 
     def start(self, n_streams: int) -> FloatArray:
-        """A ring of the last w squares, the place of the oldest, and their sum."""
+        """Return a ring of the last w squares, the oldest's index, and their sum."""
         return np.zeros((n_streams, self.window + 2))
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """Sum of the last w squares."""
+        """Return the sum of the last w squares."""
         total: FloatArray = kernels.windowed_sum(kernels.square(whitened), state)
         return total
 
 
 @dataclass(frozen=True, slots=True)
 class Glr(Rule):
-    """Generalised likelihood ratio of a fault of unknown size that began m samples ago, maximised over m and size.
+    """Generalised likelihood ratio of a fault of unknown size and age m.
 
     The statistic is the largest of x|x| + 2 ln m over the ages m, x = sum_i s_i r_i / sqrt(sum_i s_i^2), i = 1 .. m
-    samples since the onset, s the fault's signature in the whitened innovation (Willsky & Jones 1976; geometric grid of
-    ages: Lai 1995; the term 2 ln m evens out the ages' false alarms: Dumbgen & Spokoiny 2001).
+    samples since the onset, s the fault's signature in the whitened innovation (Willsky & Jones 1976). 2 ln m evens
+    out the ages' false alarms (Dumbgen & Spokoiny 2001).
 
     Attributes:
-        shortest: least age of an onset that is scanned, in samples.
-        longest: greatest one.
-        two_sided: whether both signs of the fault count (|x|^2 for x|x|); else a positive multiple of the signature.
-        signature: shape (n,); beyond its end it keeps its last value. None: a step.
+        shortest: least age, in samples.
+        longest: greatest age.
+        two_sided: whether both signs of the fault count (|x|^2 for x|x|).
+        signature: s, shape (n,); beyond its end it keeps its last value. None: a step.
     """
 
     shortest: int = 1
@@ -252,7 +250,7 @@ class Glr(Rule):
 
     @property
     def ages(self) -> NDArray[np.int64]:
-        """Ages of an onset that are scanned: a grid that is near geometric (Lai 1995)."""
+        """Return the ages, a nearly geometric grid (Lai 1995)."""
         count = 1 + int(np.ceil(np.log(self.longest / self.shortest) / np.log(_AGE_RATIO)))
         grid = np.round(np.geomspace(self.shortest, self.longest, count))
         return np.unique(grid.astype(np.int64))
@@ -264,14 +262,14 @@ class Glr(Rule):
         return np.concatenate([given, np.full(self.longest - len(given), given[-1])])
 
     def start(self, n_streams: int) -> FloatArray:
-        """The last samples (their running sums for a step), how many are held, and how many there have been."""
+        """Return the last samples (running sums for a step), their number, and that of all samples so far."""
         held = self.longest + 1 + max(self.longest + 1, _LEAST_BUFFER)
         state = np.zeros((n_streams, held + 2))
         state[:, -2] = 1.0  # the sum of no sample
         return state
 
     def scan(self, state: FloatArray, whitened: FloatArray) -> FloatArray:
-        """Largest value over the ages that fit into the samples so far; minus infinity before there is one."""
+        """Return the largest value over the ages up to now; minus infinity before there is one."""
         answer, ages = np.empty(whitened.shape[:2]), self.ages
         glr(first_channel(whitened), ages, self._shape(), 2.0 * np.log(ages), self.two_sided, state, answer)
         return answer

@@ -15,9 +15,9 @@ from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import Channel, FloatArray, SensorParameters, require, require_positive
 
 DEAD_AFTER = 4
-"""Samples without a current where the model has much, and none with one between them, that show a dead sensor."""
+"""Successive samples without a current, where the model's is large, that show a dead sensor."""
 LARGE_CURRENT_SHARE = 0.1
-"""Share of a held rotor's current above which the model's current is much."""
+"""Share of the stall current above which the model's current is large."""
 DEADBAND = 0.01
 _HEADROOM = 2.0
 _YEAR_S = 365.25 * 86_400.0
@@ -42,10 +42,9 @@ class Readings(NamedTuple):
 class CusumBank:
     """Two-sided CUSUMs of several shifts on the innovation of the current, each times a sign.
 
-    The sign is known before the sample, so the product stays white and each sum has its exact threshold. Friction moves
-    the current with the sign of the speed, averaged over the mechanical time constant, a resistance against that of the
-    current less such an average. False alarm rates add up, except a share of 12 / sqrt(ARL0) of joint alarms (by
-    simulation).
+    The sign is known before the sample, so the product stays white and each sum has its exact threshold. Friction
+    moves the current with the sign of the speed, averaged over the mechanical time constant, a resistance against that
+    of the current less such an average. False alarm rates nearly add up.
 
     Attributes:
         friction: shifts with the first sign, in standard deviations of a sample.
@@ -61,7 +60,7 @@ class CusumBank:
         return (*self.friction, *self.winding)
 
     def thresholds_for(self, arl0: float) -> tuple[float, ...]:
-        """Solve the threshold of each sum, at equal shares of the false alarms."""
+        """Return the threshold of each sum, at equal shares of the false alarms."""
         overlap = min(_OVERLAP / math.sqrt(arl0), 0.1) if len(self.shifts) > 1 else 0.0
         own_arl0 = arl0 * len(self.shifts) * (1.0 - overlap)
         return tuple(Cusum(shift, two_sided=True).threshold_for(arl0=own_arl0).value for shift in self.shifts)
@@ -77,7 +76,7 @@ class Monitor:
         rule: bank of CUSUMs.
         thresholds: of each sum.
         limits: of the sensors.
-        stuck_after: so many equal readings in a row, with voltage on, are no readings.
+        stuck_after: equal readings in a row, with voltage on, of a stuck sensor.
     """
 
     motor: Motor
@@ -106,7 +105,7 @@ def steady_schedule(kalman: KalmanFilter) -> Schedule:
 def sensor_of(
     motor: Motor, current_noise_a: float | None = None, speed_noise_rad_s: float | None = None
 ) -> SensorParameters:
-    """Describe the current sensor, and the speed sensor where its noise is given.
+    """Return the current sensor, with a speed sensor where its noise is given.
 
     Raises:
         ValueError: the noise of the current is unknown.
@@ -132,16 +131,16 @@ def monitor_of(
     """Build the monitor of an exactly known motor without a load.
 
     Args:
-        motor: as its file says.
+        motor: with the filter's parameters.
         rate_hz: samples a second.
         rule: bank of CUSUMs.
         sensor: current, or current and speed, with their noise.
-        voltage_v: level of the supply; the sensors' limits are twice what it can cause.
+        voltage_v: level of the supply; the sensors' limits are twice its effect.
         false_alarms_per_year: of the healthy motor.
-        stuck_after: equal readings in a row, with voltage on, that show a stuck sensor.
+        stuck_after: equal readings in a row, with voltage on, of a stuck sensor.
 
     Raises:
-        ValueError: a value out of range, or too few false alarms for the rule's equation.
+        ValueError: a value out of range, or too few false alarms to solve for.
     """
     for name, value in (
         ("rate_hz", rate_hz),

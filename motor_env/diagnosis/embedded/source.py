@@ -46,7 +46,7 @@ _MARK = "author=motor-env export-c\n"
 
 
 class Check(NamedTuple):
-    """One sample of the self test."""
+    """Sample of the self test."""
 
     readings: Values
     statistic: Values
@@ -59,18 +59,17 @@ def write_library(
     """Write the C library of a monitor, complete or not at all.
 
     Args:
-        monitor: what it computes.
-        folder: new, empty, or of such a library, which is replaced.
-        steps: size of one count of each reading in fixed point; None for single precision.
+        monitor: the monitor.
+        folder: new, empty, or an earlier library.
+        steps: size of one count of each reading (fixed point); None for single precision.
         name: of the library, and prefix of its names.
-        wanted: the rate of false alarms in words.
+        wanted: rate of false alarms in words.
 
     Returns:
         The files.
 
     Raises:
-        InputError: no valid name, another content of the folder, a number that does not fit, or a file that cannot be
-            written.
+        InputError: no valid name, other files in the folder, a number that does not fit, or an unwritable file.
         ValueError: the steps do not suit the ranges.
     """
     if (
@@ -131,7 +130,7 @@ def _values(monitor: Monitor, n: Numbers, name: str, wanted: str) -> dict[str, A
 
 
 def literal(value: Any) -> str:
-    """Write a number as C source; single precision keeps every bit.
+    """Format a number as C source; single precision keeps every bit.
 
     Raises:
         InputError: it is no number of 32 bits.
@@ -146,7 +145,7 @@ def literal(value: Any) -> str:
 
 
 def checks(monitor: Monitor, n: Numbers) -> list[Check]:
-    """Make samples of a healthy start, then of a current that alarms, then one out of range."""
+    """Make samples: a healthy start, a current that alarms, one out of range."""
     model, sensor, voltage_v = (
         monitor.kalman.model,
         monitor.kalman.observation,

@@ -1,7 +1,6 @@
 """Compute as the C source does: the same operations in the same order, in NumPy.
 
-In single precision the rounding error of each addition to current and speed is carried to the next (Kahan 1965);
-without that the statistics drift.
+In single precision, sums of current and speed are compensated (Kahan 1965).
 """
 
 from __future__ import annotations
@@ -61,19 +60,19 @@ class Numbers:
 
     Attributes:
         dtype: of all numbers: float32, float64 or int64.
-        is_fixed: whether they are whole numbers.
+        is_fixed: whether they are integers.
         n_channels: number of measured channels.
         scales: factor from a reading of current, speed, voltage to its value; powers of two.
         readings: size of one count of each reading; 1 for floats.
-        model: growth of current and speed in a sample, by current, speed and voltage.
+        model: change of current and speed in a sample, by current, speed and voltage.
         drag: loss of current and speed by brushes and dry friction, and the speed below which they are 0.
         gain: corrections of current and speed from the innovations.
         white: from the current's innovation to each sum.
         halves: half the shift of each sum.
         threshold: of the statistic: 1, or 1 << STATISTIC_BITS.
         ranges: largest readings of current, speed, voltage.
-        stuck_after: equal readings in a row that show a stuck sensor.
-        large_current: the model's current above which a reading of nothing shows a dead sensor.
+        stuck_after: equal readings in a row of a stuck sensor.
+        large_current: the model's current above which a zero reading shows a dead sensor.
         n_friction: number of sums for friction, the first ones.
         memory: mechanical time constant in samples, as the nearest exponent of two.
     """
@@ -164,7 +163,7 @@ def _numbers(
 
 
 class SampleVerdict(IntEnum):
-    """Verdict of a sample, with the number that it has in C."""
+    """Verdict of a sample, with its number in C."""
 
     HEALTHY = 0
     FAULT = 1
@@ -181,7 +180,7 @@ class TwinResult(NamedTuple):
 
 
 def readings_of(numbers: Numbers, measurements: ArrayLike, voltage_v: ArrayLike) -> Values:
-    """Convert measurements (n_cases, m, n_samples) and voltage (n_samples,) to what the controller reads.
+    """Convert measurements (n_cases, m, n_samples) and voltage (n_samples,) to the controller's readings.
 
     Returns:
         Shape (n_cases, m + 1, n_samples): current, speed where measured, voltage.
@@ -233,7 +232,7 @@ class _Twin:
         return np.where(used, fault, sensor)
 
     def _dead(self, growth: Values, reading: Values, wrong: Any) -> NDArray[np.bool_]:
-        """Find dead current sensors: nothing is read whenever the model has much, until something is."""
+        """Find dead current sensors: they read nothing while the model's current is large."""
         numbers, predicted = self.numbers, np.abs(self.state[0] + growth[0])
         predicted = clamp(predicted) if numbers.is_fixed else predicted
         shown = np.abs(reading * numbers.scales[0])
@@ -262,7 +261,7 @@ class _Twin:
             self.lost = (self.state - before) - rest
 
     def _forward(self, growth: Values) -> Values:
-        """Return the values whose signs multiply the innovation, for windings and for friction."""
+        """Return the signs that multiply the innovation, for windings and for friction."""
         is_fixed, predicted = self.numbers.is_fixed, self.state + growth
         predicted = clamp(predicted) if is_fixed else predicted
         shared = np.floor_divide if is_fixed else np.divide
@@ -270,7 +269,6 @@ class _Twin:
         return np.array([predicted[0] - self.slow[0], self.slow[1]])
 
     def _decided(self, white: Values, forward: Values, used: NDArray[np.bool_]) -> Values:
-        """Update the statistic, where the sample is used."""
         numbers = self.numbers
         sign = np.repeat(forward[::-1], [numbers.n_friction, len(white) - numbers.n_friction], axis=0)
         signed = np.where(sign < 0, -white, white)

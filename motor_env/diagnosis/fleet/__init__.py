@@ -1,6 +1,6 @@
 """Judge motors of one make by each other: fit their records, learn the healthy population, compare each unit with it.
 
-It never trusts a single motor: some of those that teach may be sick. Begin at `judging.diagnose_fleet`.
+Some of the motors may be faulty. Begin at `judging.diagnose_fleet`.
 
 Example:
     >>> from pathlib import Path

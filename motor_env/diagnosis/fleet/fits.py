@@ -1,8 +1,7 @@
 """Fit the records of a fleet with one model: the terms that most of them prefer.
 
 The first fit of each record chooses its own terms. The second begins at the medians of the first. For a motor at work
-it is the fit of a window: R, K, J and the drag are the motor's own, all else is the fleet's. A short record does not
-separate dry friction from a constant load.
+it fits a window: R, K, J and the drag are the motor's own, all else is the fleet's.
 """
 
 from __future__ import annotations
@@ -41,18 +40,18 @@ from motor_env.diagnosis.verdict.hypotheses import NAMES, Fitted, FittedWindow
 from motor_env.motor.healthy import Windows
 
 REASONS = (ValueError, ArithmeticError, LookupError)
-"""What a fit raises on values far from any motor."""
+"""Errors of a fit on values far from any motor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How the records are read.
+    """Options for reading records.
 
     Attributes:
-        columns: by the user.
+        columns: of the user.
         regime: start, operation, or auto.
         voltage_v: level of the supply where none was recorded.
-        circuit: what is known of the measuring circuit.
+        circuit: measuring circuit.
     """
 
     columns: Sequence[ColumnChoice] = ()
@@ -62,7 +61,7 @@ class Reading:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Return these as arguments of `motor_env.diagnose`."""
+        """Return the arguments of `motor_env.diagnose`."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def start(self, path: Path) -> Start:
@@ -80,7 +79,7 @@ class InitialFit(NamedTuple):
     """First fit of a record.
 
     Attributes:
-        trouble: why there is no fit.
+        trouble: reason without a fit.
         names: of the terms.
         quantities: determined by the fit.
         values: physical values, or the quantities' logarithms of a start.
@@ -146,13 +145,13 @@ _FIRST: TypeAdapter[InitialFit] = TypeAdapter(InitialFit)
 
 
 class FitCache:
-    """Keep first fits by file, in memory and in a file of JSON lines.
+    """Cache of first fits by file, in memory and in a file of JSON lines.
 
-    A fit is valid while its file keeps size and time and is read in the same way.
+    A fit is valid while its file keeps size and time, and the options stay.
 
     Args:
         path: of the file; None for memory alone.
-        reading: how the records are read.
+        reading: options for reading.
 
     Raises:
         InputError: the file holds other content, or is damaged before its last line.
@@ -212,7 +211,6 @@ class FitCache:
 
 
 def _record(path: Path) -> str:
-    """Name a file by path, size and time."""
     try:
         stat = path.stat()
     except OSError:
@@ -234,9 +232,9 @@ class FleetFits:
         by_file: the fits.
         quantities: determined by them.
         windows: of logs; None for starts.
-        failures: why a record has no fit, by its file.
+        failures: reason without a fit, by file.
         reading: with the regime start or operation.
-        read: how their columns were understood, in words.
+        read: interpretation of the columns, in words.
     """
 
     by_file: dict[Path, Fitted]
@@ -259,7 +257,7 @@ def fit_fleet(
 
     Args:
         files: recordings, one motor each.
-        reading: how they are read.
+        reading: options for reading.
         each: maps over files, see `processes`.
         kept: file of first fits, to continue a stopped run.
         progress: called with each file, twice.
@@ -304,7 +302,6 @@ def fit_fleet(
 
 
 def _majority_terms(initial_fits: Sequence[InitialFit]) -> list[str]:
-    """List the terms that more than half of the records prefer."""
     count = Counter(name for fit in initial_fits for name in fit.names)
     return [name for name, wanting in count.items() if wanting > 0.5 * len(initial_fits)]
 
@@ -328,7 +325,7 @@ def _fit_start(
 
 
 def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) -> Windows:
-    """Choose what logs share; of the share of dry friction, the one with the least misfit."""
+    """Choose the common model of logs; the share of dry friction has the least misfit."""
     initial = list(initial_fits.values())
     known = np.median([fit.values for fit in initial], axis=0)
     known[_NOT_COMMON] = 0.0
@@ -357,12 +354,10 @@ def _common_log_model(initial_fits: dict[Path, InitialFit], reading: Reading) ->
 
 
 def _drag(first: InitialFit) -> float:
-    """Divide the drag by the speed."""
     return float(first.values[index.B] + first.values[index.COULOMB] / first.speed_rad_s)
 
 
 def _fit_window(reading: Reading, windows: Windows, path: Path) -> WindowFit | str:
-    """Fit a log with the shared values; return the reason if that fails."""
     try:
         record = replace(from_recordings([reading.log(path)]), hold=windows.hold)
         return fit_window(record, windows.physical, windows.terms)

@@ -41,7 +41,7 @@ class FleetUnit:
         records: diagnosis of each of its files.
         quantities: of the fleet's records.
         difference: from the healthy population of the other motors; None without a fit.
-        common_cause: wrong scale that all motors of its machine share; empty for none.
+        common_cause: wrong scale of all motors of its machine; empty for none.
     """
 
     unit_id: UnitId
@@ -52,14 +52,14 @@ class FleetUnit:
 
     @property
     def ratios(self) -> dict[str, float]:
-        """Divide its quantities by those of a healthy motor; empty without a fit."""
+        """Quantities over those of a healthy motor; empty without a fit."""
         if self.difference is None:
             return {}
         return dict(zip(self.quantities, np.exp(self.difference.log_ratios).tolist(), strict=True))
 
     @property
     def deviations(self) -> dict[str, float]:
-        """Deviations of its quantities from the population, in standard deviations."""
+        """Deviations of its quantities, in standard deviations of the population."""
         if self.difference is None:
             return {}
         sd = np.sqrt(np.diag(self.difference.covariance))
@@ -77,7 +77,7 @@ class FleetUnit:
 
     @property
     def decisive(self) -> Diagnosis:
-        """Choose the decisive record: the surest with a fault, else the first healthy one."""
+        """Decisive record: the surest with a fault, else the first healthy one."""
         faults = [record for record in self.records.values() if record.verdict.is_fault]
         calm = [record for record in self.records.values() if record.verdict is Verdict.HEALTHY]
         rest = next(iter([*calm, *self.records.values()]))
@@ -90,7 +90,7 @@ class FleetUnit:
 
     @property
     def odd(self) -> str:
-        """List the quantities that lie farthest from the population."""
+        """Quantities farthest from the population."""
         ratios = self.ratios
         return ", ".join(f"{name} {ratios[name] - 1.0:+.0%}" for name in self._far)
 
@@ -121,7 +121,7 @@ class FleetUnit:
 
     @property
     def shown_severity(self) -> str:
-        """Format the severity of its fault; empty without one."""
+        """Severity of its fault as text; empty without one."""
         severity = self.decisive.severity
         return f"{severity:+.0%}" if severity and self.verdict.is_fault else ""
 
@@ -136,7 +136,6 @@ class FleetUnit:
 
     @property
     def _reason(self) -> str:
-        """Give the first reason, consistent with the quantities that the table names."""
         reason, kind, far = self.decisive.reasons[0], self.decisive.decisive.fault_kind, self._far
         if kind is None or not far:
             return reason
@@ -156,7 +155,7 @@ class FleetDiagnosis:
 
     Attributes:
         units: the motors, the oddest first.
-        quantities: that were compared.
+        quantities: compared ones.
         false_alarm_rate: of each healthy motor.
     """
 
@@ -223,7 +222,7 @@ def diagnose_fleet(
     Args:
         files: see `learn_fleet`.
         group: see `unit_ids`.
-        reading: how the files are read.
+        reading: options for reading.
         false_alarm_rate: per healthy motor.
         each: maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
         kept: file of first fits, to continue a stopped run.
@@ -242,7 +241,6 @@ def diagnose_fleet(
 
 
 def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[FleetUnit]:
-    """Judge the motors of a machine by those of all others."""
     population, units = fleet.population_without(machine), []
     for unit_id in dict.fromkeys(each for each in fleet.unit_of.values() if each.machine == machine):
         if unit_id.motor not in fleet.positions:
@@ -263,10 +261,7 @@ def _diagnose_machine(fleet: LearnedFleet, rate: float, machine: str) -> list[Fl
 
 
 def common_cause(differences: Sequence[Difference], names: tuple[str, ...], rate: float) -> str:
-    """Find one sensor or supply at a wrong scale that the motors of a machine share; empty for nothing.
-
-    The change of a single motor may be too small to find.
-    """
+    """Find one wrong scale of a sensor or supply that a machine's motors share; empty for none."""
     if len(differences) < 2:
         return ""
     deviations = np.mean([each.log_ratios for each in differences], axis=0)
@@ -281,7 +276,6 @@ def common_cause(differences: Sequence[Difference], names: tuple[str, ...], rate
 def _difference_from(
     fleet: LearnedFleet, population: HealthyPopulation, unit_id: UnitId
 ) -> Difference | None:
-    """Compare a motor with the population; None without a fit."""
     if unit_id not in fleet.motors:
         return None
     number = fleet.motors.index(unit_id)

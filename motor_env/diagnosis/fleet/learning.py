@@ -51,11 +51,11 @@ _LEAST_PROBABILITY = 0.5  # of a healthy motor, for its starts to count
 
 
 class UnitId(NamedTuple):
-    """Machine and place of a motor.
+    """Machine and motor.
 
     Attributes:
-        machine: of the motor.
-        motor: its place in the machine, such as left; empty for machines of one motor.
+        machine: its name.
+        motor: place in the machine, such as left; empty for machines of one motor.
     """
 
     machine: str
@@ -63,7 +63,7 @@ class UnitId(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Join both, as tables show it."""
+        """Both names, as in tables."""
         return f"{self.machine} {self.motor}".strip()
 
 
@@ -72,11 +72,11 @@ def unit_ids(files: Sequence[Path], group: str | None) -> list[UnitId]:
 
     Args:
         files: recordings.
-        group: regular expression for the stem of a file's name, with named groups machine, motor and repeat; None if
-            each file is a machine.
+        group: regular expression for the stem of a name, with groups machine, motor and repeat; None if each file is a
+            machine.
 
     Raises:
-        InputError: no such expression, or a name that it does not match.
+        InputError: not a regular expression, or no match.
     """
     if group is None:
         return [UnitId(path.stem) for path in files]
@@ -115,12 +115,12 @@ class LearnedFleet:
 
     @cached_property
     def motors(self) -> list[UnitId]:
-        """List the motors whose records were fitted."""
+        """Motors whose records were fitted."""
         return list(dict.fromkeys(self.unit_of[path] for path in self.fits.by_file))
 
     @property
     def positions(self) -> list[str]:
-        """List the places in a machine."""
+        """Places in a machine."""
         return sorted({motor.motor for motor in self.motors})
 
     @cached_property
@@ -161,7 +161,7 @@ class LearnedFleet:
         Args:
             name: of the motor.
             population: of healthy motors; that of all unless given.
-            position: place in the machine; without it, a motor of any place.
+            position: place in the machine; any without.
         """
         healthy = self._healthy(self.population if population is None else population, position)
         if self.fits.windows is not None:
@@ -170,7 +170,6 @@ class LearnedFleet:
         return to_motor(self._healthy_starts, name, healthy=healthy)
 
     def _healthy(self, population: HealthyPopulation, position: str | None = None) -> Healthy:
-        """Predict another healthy motor."""
         centre, covariance = self._predictive(population, position)
         count = len(population.probability)
         return Healthy(
@@ -187,14 +186,12 @@ class LearnedFleet:
 
     @cached_property
     def _healthy_starts(self) -> list[StartFit]:
-        """List the starts of motors that seem healthy."""
         pairs = zip(self.fits.by_file.values(), self.population.probability[self.records.motor], strict=True)
         return [fit for fit, sure in pairs if isinstance(fit, StartFit) and sure > _LEAST_PROBABILITY]
 
     def _predictive(
         self, population: HealthyPopulation, position: str | None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return centre and covariance of another healthy motor's record."""
         if position is not None:
             at = self.positions.index(position)
             return population.centres[at], population.next_motor(at) + population.within
@@ -237,7 +234,7 @@ class LearnedFleet:
 
 
 def directions_of(exponents: FloatArray) -> FloatArray:
-    """List the directions in which faults and gains of sensors move quantities, shape (m, p).
+    """List the directions of faults and sensor gains, shape (m, p).
 
     Args:
         exponents: of (R, L, K, J, B, V) in each quantity, shape (p, 6).
@@ -250,7 +247,6 @@ def directions_of(exponents: FloatArray) -> FloatArray:
 
 
 def _regulariser(exponents: FloatArray) -> FloatArray:
-    """Return a small covariance that makes that of dependent quantities invertible."""
     return np.eye(len(exponents)) * 1e-4**2
 
 
@@ -275,9 +271,9 @@ def learn_fleet(
     """Learn a healthy motor from motors of one make; some may be faulty.
 
     Args:
-        files: recordings, each of another motor without `group`.
+        files: recordings; without `group` each of another motor.
         group: regular expression for names, see `unit_ids`.
-        reading: how the files are read.
+        reading: options for reading.
         each: maps over files, see `motor_env.diagnosis.fleet.fits.processes`.
         kept: file of first fits, to continue a stopped run.
         progress: called with each file, twice.
@@ -307,10 +303,10 @@ def update_unit(
         files: healthy records of this motor.
         fleet_motor: learned from a fleet, or by this function.
         name: of the motor.
-        reading: how the files are read.
+        reading: options for reading.
 
     Raises:
-        InputError: the motor was not learned from a fleet, or a record cannot be used.
+        InputError: the motor does not come from a fleet, or a record cannot be used.
     """
     healthy = fleet_motor.healthy
     if healthy is None or healthy.fleet is None:
@@ -325,11 +321,7 @@ def update_unit(
 
 
 def unit_quantities(motor: Motor) -> dict[str, dict[str, Any]]:
-    """List value, interval (95 %) and unit of each quantity.
-
-    Args:
-        motor: of `update_unit`.
-    """
+    """List value, interval (95 %) and unit of each quantity of a motor of `update_unit`."""
     healthy = motor.healthy
     assert healthy is not None  # noqa: S101  # it was learned
     assert healthy.fleet is not None  # noqa: S101  # it was learned from a fleet
@@ -367,7 +359,7 @@ def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
     """Fit a record's pieces.
 
     Raises:
-        InputError: it has none, or of other quantities than the fleet's records.
+        InputError: no pieces, or other quantities than the fleet.
     """
     diagnosis = diagnose(path, fleet_motor, **reading.options)
     fits = [
@@ -386,7 +378,6 @@ def _fits(path: Path, fleet_motor: Motor, reading: Reading) -> list[Fitted]:
 
 
 def _within_covariance(logs: FloatArray, errors: FloatArray, fleet: Fleet) -> FloatArray:
-    """Estimate the scatter from record to record by the own records and the fleet's."""
     deviations = logs - logs.mean(axis=0)
     scatter = deviations.T @ deviations - max(len(logs) - 1, 0) * errors.mean(axis=0)
     spread = (scatter + PRIOR_WEIGHT * fleet.log_within) / (len(logs) - 1 + PRIOR_WEIGHT)

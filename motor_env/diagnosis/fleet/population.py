@@ -1,9 +1,8 @@
 """Learn mean and spread of the healthy core of a population that includes faulty motors.
 
 The logarithms of a record are the centre of its core plus deviations from motor to motor and record to record, and the
-fit's own error. A motor is of the core, or sick: it deviates along one quantity, a fault or gain, or all (contaminated
-normal distribution; Tukey 1960). Expectation-maximisation gives the probability of the core (Dempster, Laird & Rubin
-1977). Only the core judges.
+fit's own error. A motor outside the core deviates along one quantity, a fault or gain, or all (contaminated normal
+distribution; Tukey 1960). Expectation-maximisation gives the probability of the core (Dempster, Laird & Rubin 1977).
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ class Motors:
     Attributes:
         logs: logarithms of each record, shape (n_records, p).
         errors: their covariance by the fit, shape (n_records, p, p).
-        motor: number of each record's motor, 0 to n_motors - 1, shape (n_records,).
-        position: number of each motor's place in its machine, shape (n_motors,).
+        motor: index of each record's motor, shape (n_records,).
+        position: index of each motor's place, shape (n_motors,).
         between, within: prior covariance from motor to motor, and from record to record, shape (p, p).
         directions: of faults that move several quantities, shape (m, p).
     """
@@ -51,7 +50,7 @@ class Motors:
 
     @cached_property
     def sick(self) -> list[FloatArray]:
-        """List the additional covariances of sick motors: along each direction, and along all, shape (p, p) each."""
+        """Return the additional covariances of sick motors: along each direction, and along all, (p, p) each."""
         p = len(self.between)
         axes = np.eye(p) if self.directions is None else np.vstack([np.eye(p), self.directions])
         inverse = np.linalg.inv(self.between)
@@ -74,7 +73,7 @@ class Motors:
     def within_covariance(self) -> FloatArray:
         """Estimate the covariance from record to record by repeated motors, shape (p, p).
 
-        The median deviation is robust to wrong records.
+        It uses the robust median deviation.
         """
         residual, freedom = [], 0
         for motor in np.flatnonzero(np.bincount(self.motor) > 1):
@@ -90,7 +89,7 @@ class Motors:
         return (freedom * np.diag(variance) + PRIOR_WEIGHT * self.within) / (freedom + PRIOR_WEIGHT)
 
     def means(self, within: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Average each motor's logarithms; with their covariance, shapes (n_motors, p) and (n_motors, p, p).
+        """Return each motor's mean logarithms and their covariance, (n_motors, p) and (n_motors, p, p).
 
         Args:
             within: covariance from record to record, shape (p, p).
@@ -134,12 +133,11 @@ class HealthyPopulation:
 def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> HealthyPopulation:
     """Find the healthy core of some motors.
 
-    Records are first independent, weighted by their motor. Repeated motors then give the part of the spread from record
-    to record.
+    Records are first independent; repeated motors then give the spread from record to record.
 
     Args:
         motors: their records.
-        begin: core of nearly the same motors, to start from.
+        begin: initial core, of similar motors.
     """
     repeats = np.bincount(motors.motor)
     share = 1.0 / repeats[motors.motor]
@@ -166,7 +164,7 @@ def learn_population(motors: Motors, begin: HealthyPopulation | None = None) -> 
 def _run_em(
     population: HealthyPopulation, motors: Motors, share: FloatArray
 ) -> tuple[HealthyPopulation, float]:
-    """Iterate to convergence; also return the log posterior probability."""
+    """Iterate to convergence; return also the log posterior."""
     for _ in range(_ROUNDS):
         before, (population, likelihood) = population, _em_round(population, motors, share)
         moved = max(
@@ -187,7 +185,7 @@ def _run_em(
 def _initial_population(motors: Motors, part: float = _INITIAL_SHARE) -> HealthyPopulation:
     """Choose the part of the records with the least spread (Rousseeuw & Van Driessen 1999).
 
-    A known factor corrects its spread to that of a normal distribution.
+    A known factor corrects its spread.
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
     (count, p), places = logs.shape, int(position.max()) + 1
@@ -230,7 +228,7 @@ def floor_covariance(covariance: FloatArray, least: FloatArray) -> FloatArray:
 
 
 def _log_density(residual: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Compute logarithms of normal densities without their constant; shapes (n, p) and (n, p, p)."""
+    """Compute normal log densities without their constant; shapes (n, p) and (n, p, p)."""
     root = np.linalg.cholesky(covariance)
     white = np.linalg.solve(root, residual[..., None])[..., 0]
     size = np.log(root.diagonal(axis1=-2, axis2=-1)).sum(axis=-1)
@@ -241,9 +239,9 @@ def _log_density(residual: FloatArray, covariance: FloatArray) -> FloatArray:
 def _em_round(
     population: HealthyPopulation, motors: Motors, share: FloatArray
 ) -> tuple[HealthyPopulation, float]:
-    """Update probabilities, centres and spread once; also return the log likelihood before.
+    """Update probabilities, centres and spread; return also the log likelihood before.
 
-    Each record counts by its share of its motor, shape (n_records,).
+    `share` weights each record, shape (n_records,).
     """
     logs, errors, position = motors.logs, motors.errors, motors.position[motors.motor]
     residual, spread = logs - population.centres[position], population.between + errors

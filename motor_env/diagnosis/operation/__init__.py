@@ -1,4 +1,4 @@
-"""Judge a motor at work window by window: its healthy baseline, the verdict on a log, and the sequential monitor.
+"""Judge a motor at work window by window: healthy baseline, verdict on a log, sequential monitor.
 
-It never reads a file; windows are fitted in `estimation`. Begin at `windows.WindowJudge`.
+Begin at `windows.WindowJudge`.
 """

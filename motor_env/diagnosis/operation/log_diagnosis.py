@@ -1,4 +1,4 @@
-"""Diagnose a log of a motor at work: its windows against the healthy motor.
+"""Diagnose a log of a motor at work by its windows.
 
 A motor that was not commissioned at work is compared with its data sheet or healthy starts.
 """
@@ -88,7 +88,7 @@ def judge_log(
 
 
 def _until_read(recording: Recording) -> Recording:
-    """Return a log up to the last sample of current and speed: what fills the rest looks like a stuck sensor."""
+    """Return a log up to the last sample of current and speed, as padding looks like a stuck sensor."""
     missing = np.zeros((1, 3)) if recording.missing is None else recording.missing
     read = np.flatnonzero(~missing[:, 1:].any(axis=1))
     return (
@@ -97,10 +97,9 @@ def _until_read(recording: Recording) -> Recording:
 
 
 def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -> list[Judgement]:
-    """Check a log that is far from the healthy motor for a wrong scale, by a fit of the whole.
+    """Check a log far from the healthy motor for a wrong scale, by a fit of the whole.
 
-    Windows are fitted from the healthy motor, the whole log from anywhere. A scale is found to some percent; friction
-    that is not viscous has another power.
+    Fits of windows start at the healthy motor, that of the whole log anywhere.
     """
     with suppress(UnusableError):
         joint = identify_record(from_recordings([whole]))
@@ -121,7 +120,6 @@ def _as_a_whole(judged: list[Judgement], whole: Recording, judge: WindowJudge) -
 
 
 def _misread(judgement: Judgement, scaling: str) -> Judgement:
-    """Replace the reasons of a window's own fit by that of the whole log."""
     own = (
         reason for reason in judgement.reasons if reason != BEYOND_WEAR and not reason.startswith(EXPLAINED)
     )
@@ -131,8 +129,8 @@ def _misread(judgement: Judgement, scaling: str) -> Judgement:
 def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = None) -> WindowJudge:
     """Make the judge of the windows of a log.
 
-    Without commissioned windows the motor file gives R, K, J and the drag at one speed. Terms, voltage hold and the
-    shares of viscous and dry friction come from a fit of stretches of the log.
+    Without commissioned windows, R, K, J and the drag at one speed come from the motor file; terms, voltage hold and
+    shares of friction from a fit of stretches of the log.
 
     Raises:
         UnusableError: no current or speed, or no motor explains the log.
@@ -178,7 +176,6 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
 
 
 def _enough(record: Record, settles_s: float) -> Record:
-    """Choose stretches of a record that are long enough for a motor to settle."""
     samples = max(_FEW, STRETCHES * math.ceil(_SETTLED * settles_s / record.dt_s))
     return record.sample(samples) if samples < len(record.voltage_v) else record
 
@@ -186,7 +183,7 @@ def _enough(record: Record, settles_s: float) -> Record:
 def _friction_scale(motor: Motor, physical: FloatArray, speed_rad_s: float) -> float:
     """Divide the healthy motor's drag over the speed in this log by the friction of its file.
 
-    The file's friction is that at the no-load speed. The shares of the drag are those of the log.
+    The file's friction is that at the no-load speed.
     """
     p = motor.parameters
     if motor.nominal_voltage_v is None:

@@ -1,9 +1,9 @@
-"""Monitor a motor at work sequentially: each window gives a verdict and updates the statistics of an alarm.
+"""Monitor a motor at work: each window gives a verdict and updates the statistics of an alarm.
 
 Each window gives a normal score along each fault direction, for an e-detector (Shin, Ramdas & Rinaldo 2023). exp(d u -
 d^2 / 2) is an e-value of a shift d if the score u is at most standard normal. The Shiryaev-Roberts sum M <- (M + 1) e,
-and any mixture of such sums, grows by at most 1 a window on average. So it passes a threshold A after A windows on
-average or later, as far as the fitted tails hold.
+and any mixture of such sums, grows by at most 1 a window on average. So it passes a threshold A after at least A
+windows on average, if the fitted tails hold.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _NAMED_WEIGHT = 4.0  # of a fault with a name, over that of any other change
 def fault_directions() -> tuple[FloatArray, FloatArray]:
     """Return unit vectors of the faults in log R, K, J and B, shape (n, 4), and their weights, shape (n,).
 
-    The vectors are those of the named faults, and each quantity up and down. The weights sum to 1.
+    They are those of the named faults, and each quantity up and down.
     """
     named = [
         identifiable.visible_direction(kind, EXPONENTS) for kind in identifiable.nameable_kinds(EXPONENTS)
@@ -48,10 +48,9 @@ def fault_directions() -> tuple[FloatArray, FloatArray]:
 def learn_calibration(
     logs: FloatArray, errors: FloatArray, prior_sd: FloatArray, *, temperature_k: float
 ) -> ScoreCalibration:
-    """Learn the scatter of healthy windows, and the drift of a healthy motor.
+    """Learn the scatter of healthy windows, and the healthy drift.
 
-    Student's t with f degrees of freedom has the kurtosis 3 + 6 / (f - 4). The estimate is raised by one standard
-    error.
+    The degrees of freedom f match the kurtosis 3 + 6 / (f - 4), raised by one standard error.
 
     Args:
         logs: of R, K, J and B over the healthy ones, shape (n, 4).
@@ -77,7 +76,7 @@ def learn_calibration(
 
 
 def uncompared_calibration(log_covariance: FloatArray, freedom: float, windows: int) -> ScoreCalibration:
-    """Return the calibration of a motor whose windows were not compared: all spread counts as drift."""
+    """Return the calibration of a motor without compared windows: all spread counts as drift."""
     return ScoreCalibration(max(windows, 2), np.eye(_P), max(freedom, 2.0), log_covariance)
 
 
@@ -88,10 +87,10 @@ def normal_scores(
     directions: FloatArray,
     windows_between_alarms: float,
 ) -> FloatArray:
-    """Score a window along directions, shape (n,): at most standard normal while the motor is healthy.
+    """Score a window along directions, shape (n,): at most standard normal while healthy.
 
-    Each is the linear discriminant of a fault against scatter and drift. Slow healthy drift is a bias bound, not noise.
-    With the inverse covariance of few windows it has a t distribution of fewer degrees and a larger scale (Hotelling).
+    Each is the linear discriminant of a fault against scatter and drift; healthy drift is a bias bound, not noise.
+    With few windows it has a t distribution of fewer degrees and a larger scale (Hotelling).
 
     Args:
         calibration: of the healthy windows.
@@ -122,8 +121,7 @@ THRESHOLDS = 4.0 ** np.arange(1, 13)
 """Mean windows between false alarms at which healthy windows are cross-checked."""
 _LARGEST_SCORE, _LARGEST_SUM = 10.0, 1e100
 _OVERSHOOT = 0.5
-"""Share of the threshold, for the overshoot at an alarm. By simulation normal scores then alarm after 1.2 times as many
-windows as is asked; any others at most twice as often."""
+"""Share of the threshold, for the overshoot at an alarm: scores of any law alarm at most twice as often as asked."""
 _ONGOING = 2.0  # score of a window up to which an alarm goes on
 _UNLIKELY = 0.01
 _NONE_SEEN = 3.0  # upper 95 % bound of a Poisson mean without an event
@@ -133,7 +131,7 @@ def updated_sums(sums: FloatArray, scores: FloatArray) -> FloatArray:
     """Update Shiryaev-Roberts sums with the scores of a window.
 
     Args:
-        sums: for each direction and size of an effect, shape (n, n_sizes); 0 at the begin.
+        sums: for each direction and effect size, shape (n, n_sizes); 0 at the begin.
         scores: normal scores along each direction, shape (n,).
     """
     u = np.minimum(scores, _LARGEST_SCORE)[:, None]
@@ -142,16 +140,16 @@ def updated_sums(sums: FloatArray, scores: FloatArray) -> FloatArray:
 
 
 def is_alarm(sums: FloatArray, weights: FloatArray, windows: float) -> bool:
-    """Whether the mixture of the sums alarms, at one false alarm in so many windows."""
+    """Whether the mixture of the sums alarms, at one false alarm in `windows` windows."""
     return bool(weights @ sums.mean(axis=1) >= _OVERSHOOT * windows)
 
 
 def checked_calibration(
     logs: FloatArray, errors: FloatArray, prior_sd: FloatArray, *, temperature_k: float
 ) -> ScoreCalibration:
-    """Learn a calibration, and check its tails on the healthy windows by leaving one out.
+    """Learn a calibration, and check its tails on the healthy windows by leave-one-out.
 
-    The tails hold if the number of alarms at each of THRESHOLDS is plausible (Poisson). Arguments as in
+    The tails hold if the number of alarms at each of THRESHOLDS is plausible (Poisson). Arguments:
     `learn_calibration`.
     """
     (directions, weights), count = fault_directions(), len(logs)
@@ -184,10 +182,10 @@ class SequentialMonitor:
 
     Attributes:
         windows: wanted mean number of windows between false alarms.
-        alarm_active: whether the last alarm still goes on.
+        alarm_active: whether the last alarm goes on.
 
     Raises:
-        InputError: the state is that of another motor.
+        InputError: the state is of another motor.
     """
 
     def __init__(
@@ -210,12 +208,12 @@ class SequentialMonitor:
             self._load_state_dict(state)
 
     def diagnose(self, window: Recording) -> Judgement:
-        """Judge a window, and update the evidence; the verdict is a fault while an alarm lasts.
+        """Judge a window and update the evidence; the verdict is a fault during an alarm.
 
-        A window under an operating condition that was not commissioned is judged by itself, and is no evidence.
+        A window under an unknown operating condition is judged by itself and is no evidence.
 
         Raises:
-            UnusableError: it is outside the commissioned regime.
+            UnusableError: outside the commissioned regime.
         """
         place, distance = self.judge.condition_of(window)
         reference = self.judge.under(place).reference
@@ -276,7 +274,6 @@ class SequentialMonitor:
 
 
 def _time(seconds: float) -> str:
-    """Format a time in its largest unit."""
     sizes = {"year": YEAR_S, "day": 86_400.0, "hour": 3600.0, "minute": 60.0}
     unit = next((unit for unit, size in sizes.items() if seconds >= size), "minute")
     number = f"{seconds / sizes[unit]:.3g}"

@@ -1,4 +1,4 @@
-"""The baseline of a motor at work: what its healthy windows teach about the next one."""
+"""Baseline of a motor at work: the distribution of its next healthy window."""
 
 from __future__ import annotations
 
@@ -45,25 +45,24 @@ _DEFAULT_WINDOWS, _SHORTEST = 20, 400  # samples
 TEMPERATURE_K = 15.0
 """Standard deviation of a healthy motor's temperature."""
 _SEPARABLE_SD = 0.1
-"""Largest relative standard deviation of the drag beside an unknown load, by the fits and by their scatter, if the two
-are separable."""
+"""Largest relative standard deviation of the drag at which it is separable from an unknown load."""
 _ONE_WAY = 0.9  # of the turns
 _UNEXPLAINED_TORQUE = 0.05
-"""White torque noise over the drag, above which the model lacks an effect."""
+"""White torque noise over the drag, above which the model is incomplete."""
 _NOISES = slice(index.NOISE_I, index.WALK + 1)
 
 
 def learn_windows(
     recordings: Sequence[Recording], window_s: float | None = None, *, steady: bool = False
 ) -> tuple[Healthy, list[FittedWindow]]:
-    """Learn from windows of a healthy motor at work; return their statistics and their fits.
+    """Learn from windows of a healthy motor at work; return their statistics and fits.
 
-    The spread is that of windows, with their errors as a prior worth 4 of them, plus that from record to record.
+    The spread is that of windows, with their errors as a prior worth 4 of them, plus that between records.
 
     Args:
         recordings: of the healthy motor at work.
-        window_s: length of a window; by default a twentieth of all recordings together.
-        steady: temperature, load and the sensors' offsets are constant, as on a test bench.
+        window_s: length of a window; by default a twentieth of all recordings.
+        steady: temperature, load and offsets are constant, as on a test bench.
 
     Raises:
         UnusableError: no current or speed, too few windows, or no motor explains them.
@@ -138,7 +137,7 @@ def learn_windows(
 
 
 def _has_unexplained_torque(joint: OperationFit) -> bool:
-    """Whether the model leaves torque unexplained. If not, its error grows only under very different conditions."""
+    """Whether the model leaves torque unexplained."""
     physical = joint.solution.values
     drag = physical[index.COULOMB] + physical[index.B] * effective_speed(joint)
     return bool(physical[index.WALK] > 0.0 or physical[index.NOISE_T] > _UNEXPLAINED_TORQUE * drag)
@@ -155,8 +154,7 @@ def choose_window_terms(
 ) -> tuple[FloatArray, tuple[str, ...], list[WindowFit]]:
     """Choose a window's terms; return the shared physical values, the terms, and the fits.
 
-    Without reversals any braking torque counts as friction, since only its shape near standstill could separate a load.
-    Otherwise a load is a term if windows determine it.
+    Without reversals any braking torque counts as friction. Otherwise a load is a term if windows determine it.
     """
     physical, terms = joint.solution.values, joint.solution.names
     one_way, own = turns_one_way(joint), tuple(name for name in terms if name not in LOAD)
@@ -179,7 +177,6 @@ def choose_window_terms(
 def _condition(
     pieces: Sequence[int], usual: Sequence[int], features: FloatArray, healthy_fits: Sequence[FittedWindow]
 ) -> OperatingCondition:
-    """Learn the statistics of windows under one condition, beside those of the usual one."""
     centre, covariance, freedom = next_window(
         [healthy_fits[n] for n in pieces], steady=False, usual=[healthy_fits[n] for n in usual]
     )
@@ -188,7 +185,7 @@ def _condition(
 
 
 def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float = 0.0) -> float:
-    """Choose a window's length: a part of all recordings, at most one fit or one recording."""
+    """Choose a window's length: a part of all recordings, at most one recording."""
     dt_s = recordings[0].dt_s
     lengths_s = [len(recording.time_s) * recording.dt_s for recording in recordings]
     part_s = min(sum(lengths_s) / parts, MOST_SAMPLES * dt_s)
@@ -196,12 +193,11 @@ def window_length_s(recordings: Sequence[Recording], parts: int, least_s: float 
 
 
 def effective_speed(joint: OperationFit) -> float:
-    """Return the root mean square of the speed, where the drag is determined best."""
+    """Return the root mean square of the speed."""
     return max(float(np.sqrt(np.mean(np.square(joint.expected[:, 1])))), 1e-9)
 
 
 def _squares(ratios: Sequence[FloatArray], spreads: Sequence[FloatArray]) -> float:
-    """Sum the squared distances per dimension."""
     pairs = zip(ratios, spreads, strict=True)
     return sum(
         float(deviations @ np.linalg.solve(spread, deviations)) / len(NAMES) for deviations, spread in pairs

@@ -1,8 +1,8 @@
-"""A motor at work, window by window: each is fitted, and compared with a healthy motor.
+"""Fits of a motor at work, window by window, compared with a healthy motor.
 
 All windows share the terms of the joint healthy fit, and its brush drop, inductance and ratio of dry to viscous
-friction. Each window has its own R, K, J and drag. A slowly varying load is a further unknown if the healthy windows
-separate it from friction, as reversals do; otherwise it is part of the drag.
+friction. Each has its own R, K, J and drag. A slowly varying load is a further unknown if reversals separate it from
+friction; otherwise it is part of the drag.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ from motor_env.motor.healthy import Healthy, OperatingCondition, Windows
 from motor_env.motor.parameters import FloatArray
 
 ALIKE, FAR = 0.12, 3.0
-"""Largest distance of two windows under one condition, see `condition_distance`; multiple beyond which no fault is
-reported."""
+"""Largest `condition_distance` of windows under one condition; multiple beyond which no fault is reported."""
 NEEDED = "windows of a running motor are judged only if voltage, current and speed were recorded"
 _LEVELS, _HALVINGS = np.linspace(0.05, 0.95, 10), range(3, 10)
 
@@ -55,9 +54,9 @@ def rms_volts(recording: Recording) -> float:
 
 
 def condition_features(part: Recording) -> FloatArray:
-    """Describe an operating condition by 10 quantiles and 7 moves of voltage, current and speed, shape (3, 17).
+    """Describe an operating condition by quantiles and moves of voltage, current and speed, shape (3, 17).
 
-    The moves are the root mean squares of the change within an eighth of the recording, a sixteenth, ... a 512th.
+    The 7 moves are root mean squares of the change within an eighth of the recording, a sixteenth, ... a 512th.
     """
     volts, speed = needed_columns(part)
     columns = np.array([volts, part.current_a, speed])
@@ -67,11 +66,11 @@ def condition_features(part: Recording) -> FloatArray:
 
 
 def condition_distance(features: FloatArray, others: FloatArray) -> FloatArray:
-    """Measure the distance of a window's condition from each of some others, shape (n,).
+    """Return the distance of a window's condition from others, shape (n,).
 
-    A drive commands voltage, speed or current, and a fault does not change the commanded column. So the nearest column
-    counts: the larger of the mean distances of its quantiles (Wasserstein) and of its moves, over the root mean square
-    of the quantiles.
+    A controller commands voltage, speed or current, and a fault does not change the commanded column. So the nearest
+    column counts: the larger of the mean distances of its quantiles (Wasserstein) and moves, over the quantiles' root
+    mean square.
 
     Args:
         features: of the window, shape (3, 17).
@@ -84,20 +83,18 @@ def condition_distance(features: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def nearest(features: FloatArray, conditions: Sequence[OperatingCondition]) -> tuple[int, float]:
-    """Find the condition with the nearest window: its index and its distance."""
+    """Return index and distance of the condition with the nearest window."""
     distances = [float(condition_distance(features, each.moved).min()) for each in conditions]
     place = int(np.argmin(distances))
     return place, distances[place]
 
 
 def group_by_condition(features: FloatArray, times: float) -> tuple[NDArray[np.intp], float]:
-    """Group windows by condition: return the group of each, shape (n,), and the distance that links two windows.
-
-    That distance is a multiple of the largest one between nearest neighbours.
+    """Group windows by condition: return each one's group, shape (n,), and the linking distance.
 
     Args:
         features: of the windows, shape (n, 3, 17).
-        times: the multiple.
+        times: linking distance over the largest one between nearest neighbours.
     """
     distances = np.array([condition_distance(window, features) for window in features])
     others = distances + np.diag(np.full(len(features), np.inf))
@@ -109,7 +106,7 @@ def group_by_condition(features: FloatArray, times: float) -> tuple[NDArray[np.i
 def condition_offsets(conditions: Sequence[OperatingCondition]) -> FloatArray:
     """Subtract the median of the other conditions from log R, K, J and B of each, shape (n_conditions, 4).
 
-    It is 0 for a condition with most of the windows, and without conditions.
+    It is 0 for a condition with most of the windows.
     """
     offset = np.zeros((max(len(conditions), 1), 4))
     logs, counts = [np.log(each.values) for each in conditions], [len(each.pieces) for each in conditions]
@@ -125,14 +122,13 @@ _TOGETHER = 50  # windows that are screened at once
 _REGIME = 2.0
 _SAME_STEP = 1.1  # times the commissioned interval
 CONDITION_SPREAD = np.array([0.035, 0.018, 0.035, 0.4])
-"""Standard deviation of the logarithms of R, K, J and B under another condition, from unmodelled effects (stiction,
-gear, brushes)."""
+"""Standard deviation of log R, K, J and B between conditions, from unmodelled effects (stiction, gear, brushes)."""
 DRIVEN_OTHERWISE = "this operating condition was not commissioned"
 WARMTH = identifiable.warmth_direction(EXPONENTS)
 
 
 def viscous(physical: FloatArray, speed_rad_s: float) -> float:
-    """Return the drag over the speed of physical values, at a speed."""
+    """Return the drag over the speed, at a speed."""
     dry, fan = physical[index.COULOMB] / speed_rad_s, physical[index.SQUARE] * speed_rad_s
     return float(max(physical[index.B] + dry + fan, 1e-300))
 
@@ -193,7 +189,7 @@ class WindowJudge:
         return with_drag_over_speed(fit, windows.physical, windows.speed_rad_s)
 
     def condition_of(self, recording: Recording) -> tuple[int, float]:
-        """Find the condition nearest to a recording's last window, and its relative distance: above 1 it is new."""
+        """Return index and relative distance of the condition nearest to the last window; above 1 it is new."""
         if not self.windows.drives:
             return 0, 0.0
         last = cut(recording, slice(-round(self.windows.window_s / recording.dt_s), None))
@@ -201,7 +197,7 @@ class WindowJudge:
         return place, distance / self.windows.alike
 
     def under(self, place: int) -> WindowJudge:
-        """Return the judge of windows under one of several conditions."""
+        """Return the judge of windows under one condition."""
         if len(self.references) < 2:
             return self
         return replace(self, reference=self.references[place])
@@ -209,11 +205,10 @@ class WindowJudge:
     def condition_spread(self, place: int, fit: FittedWindow) -> FloatArray:
         """Return the standard deviation of log R, K, J and B under another condition, shape (4,).
 
-        R, K and J do not depend on the condition, so their differences between conditions measure the model's error. An
-        error of the torque adds to the friction, which moves its logarithm by more downwards.
+        R, K and J do not depend on the condition, so their differences between conditions measure the model's error.
 
         Args:
-            place: of the nearest condition.
+            place: index of the nearest condition.
             fit: of the window.
         """
         offset = condition_offsets(self.windows.drives)[place]
@@ -227,12 +222,12 @@ class WindowJudge:
     ) -> tuple[list[Judgement], int]:
         """Judge each window; return also the number of windows. Together they alarm at the rate (Bonferroni).
 
-        Of more than MANY windows MOST_JUDGED are judged: half evenly spread, half those with the largest misfit.
+        Of more than MANY windows MOST_JUDGED are judged, half of them for their largest misfit.
 
         Args:
             recording: of a motor at work.
             rate: of false alarms.
-            is_alarm: decides on a window's fit; None to judge each by itself.
+            is_alarm: decides on a window's fit; by default each window is judged by itself.
 
         Raises:
             UnusableError: outside the commissioned regime, or shorter than a window.
@@ -259,7 +254,6 @@ class WindowJudge:
         return judged if len(self.references) < 2 else _require_half_of_windows(judged), len(parts)
 
     def _choose_windows(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:
-        """Choose the windows to judge."""
         values, length = self.physical(), len(parts[0].time_s)
         values[index.KNEE] = 0.0  # a third of the time, and the same change of all windows
         misfits = np.zeros(len(parts))
@@ -310,7 +304,7 @@ class WindowJudge:
 
 
 def _as_unusable(judged: Judgement, reason: str) -> Judgement:
-    """Judge a window under another condition unusable, with the reason that would hold under the commissioned one."""
+    """Judge a window under another condition unusable; the reason includes the verdict under the commissioned one."""
     why = f"{DRIVEN_OTHERWISE}: commission it, too; under a commissioned one the verdict would be that"
     return replace(judged.as_other(f"{why} {reason}"), verdict=Verdict.UNUSABLE, confidence=None)
 
@@ -318,7 +312,7 @@ def _as_unusable(judged: Judgement, reason: str) -> Judgement:
 def _require_half_of_windows(judged: list[Judgement]) -> list[Judgement]:
     """Keep faults under unknown conditions only if half of these windows show one.
 
-    Such windows are compared with all conditions together. A fault moves all of them, the model's error only a few.
+    A fault moves all of them, the model's error only a few.
     """
     otherwise = [any(why.startswith(DRIVEN_OTHERWISE) for why in window.reasons) for window in judged]
     faults = [
@@ -334,7 +328,7 @@ def judge_of(healthy: Healthy, motor: str = "this motor", temperature_c: float |
     """Make the judge of a motor learned from windows.
 
     Raises:
-        UnusableError: the healthy pieces are no windows, or do not determine R, K, J and B.
+        UnusableError: no healthy windows, or they do not determine R, K, J and B.
         InputError: a wrong number of physical values.
     """
 

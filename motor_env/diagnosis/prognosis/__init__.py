@@ -1,6 +1,6 @@
-r"""Judge how a motor's quantities move over many starts: trend, and remaining life until a limit.
+r"""Trends of a motor's quantities over many starts, and remaining life until a limit.
 
-It never judges a single recording. Begin at `trend_report.trend`.
+Begin at `trend_report.trend`.
 
 Example:
     >>> from pathlib import Path

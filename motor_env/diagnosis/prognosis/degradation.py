@@ -4,7 +4,7 @@
     dx   = drift dc + diffusion dW(c)              after it, c the time scale (Whitmore 1995; Si, Wang, Hu & Zhou 2011)
     y_i  = x(t_i) + e_i,  var e_i = se_i^2 + scatter^2
 
-docs/trend.md has the time scales and the priors. Given time scale, onset, diffusion and scatter, a Kalman filter of
+Given time scale, onset, diffusion and scatter, a Kalman filter of
 [level, drift] is exact; these four are summed over a grid. The first passage is inverse Gaussian in the time scale, in
 closed form for a Gaussian drift (Whitmore & Schenkelberg 1997), and the level is integrated by quadrature.
 """
@@ -45,9 +45,9 @@ def time_scale(elapsed: FloatArray, exponent: FloatArray, growth: FloatArray) ->
 
 
 class Grid(NamedTuple):
-    """Hypotheses: c time scales times s sizes of diffusion and scatter.
+    """Hypotheses: c time scales times s pairs of diffusion and scatter.
 
-    The last two time scales have no drift: chance alone, and a steady motor.
+    The last two time scales have no drift: pure diffusion, and a steady motor.
 
     Attributes:
         elapsed: value of each time scale at each estimate, in units of its span, shape (n, c).
@@ -70,8 +70,8 @@ class Grid(NamedTuple):
 def hypotheses(times: FloatArray, typical_error: float, distance: float) -> Grid:
     """Combine all time scales, onsets, diffusions and scatters with their log priors.
 
-    Priors: onsets after the first estimate are equally likely, the drift is Gaussian about 0, the diffusion is even in
-    the logarithm up to its scale, the scatter is half-Cauchy (Gelman 2006).
+    Priors: uniform onset after the first estimate, Gaussian drift about 0, log-uniform diffusion up to its scale,
+    half-Cauchy scatter (Gelman 2006).
     """
     onsets = np.linspace(0.0, len(times) - 2.0, min(len(times) - 1, _MOST_ONSETS))
     onsets = np.unique(onsets.round().astype(int))
@@ -141,8 +141,8 @@ class RemainingLife(NamedTuple):
     """Time from the last estimate until the limit is first reached, in the unit of the time axis.
 
     Attributes:
-        low: lower end of the central interval; 0 if the limit may have been reached.
-        median: infinite if the limit is reached with a probability below one half.
+        low: lower end of the interval; 0 if the limit may have been reached.
+        median: infinite if the limit is ever reached with a probability below 0.5.
         high: upper end; infinite if the limit may never be reached.
         level: nominal probability of the interval.
         probability_reached: that the limit has been reached.
@@ -166,8 +166,8 @@ def first_passage_cdf(
 ) -> FloatArray:
     """Compute the probability that a Wiener process with Gaussian drift rises by `distance` within `life`.
 
-    Arrays broadcast. Whitmore & Schenkelberg (1997), random drift, rewritten with exp(z^2) erfc(z): two large exponents
-    cancel, so a small diffusion loses no digits.
+    Arrays broadcast. Whitmore & Schenkelberg (1997), with exp(z^2) erfc(z) in place of two large exponents that
+    cancel.
     """
     spread = drift_variance * life * life + diffusion**2 * life
     root = np.sqrt(spread)
@@ -229,15 +229,12 @@ class Degradation:
         return float(self.forecast(0.0)[0])
 
     def _scale_ahead(self, times: FloatArray) -> FloatArray:
-        """Advance the time scales to times after the last estimate, in units of `span`, shape (..., n)."""
+        """Advance the time scales to times after the last estimate, over `span`, shape (..., n)."""
         ahead = 1.0 + times[..., None] / self.span
         return self.span * (time_scale(ahead, self.exponent, self.growth) - 1.0)
 
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
-        """List distance, conditional drift, its variance, diffusion, weight and grid point of each node.
-
-        More than 300 grid points are thinned at even steps of the cumulated weight.
-        """
+        """Return distance, conditional drift, its variance, diffusion, weight and index of at most 300 nodes."""
         chosen, share = np.arange(len(self.weights)), self.weights
         if len(chosen) > _MOST_PASSAGES:
             even = (np.arange(_MOST_PASSAGES) + 0.5) / _MOST_PASSAGES
@@ -311,9 +308,9 @@ def fit_degradation(
         time: rising, any unit, shape (n,).
         estimate: shape (n,).
         standard_error: >= 0, shape (n,).
-        limit: level whose first passage counts.
-        sign: +1 for a limit above, -1 below; None to compare with the first estimates.
-        limit_errors: standard deviation of the limit, over that of one estimate.
+        limit: of the level.
+        sign: +1 for a limit above, -1 below; None to derive it from the first estimates.
+        limit_errors: standard deviation of the limit over that of one estimate.
 
     Raises:
         ValueError: a value that is not finite, or a limit at the first level.

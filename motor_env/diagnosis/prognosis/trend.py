@@ -1,6 +1,6 @@
 """Judge trends of a motor's quantities against limits.
 
-Each quantity is relative to the mean of its first estimates. A history must hold no repair and one temperature.
+Each quantity is relative to the mean of its first estimates, without repairs and at one temperature.
 """
 
 from __future__ import annotations
@@ -26,14 +26,13 @@ from motor_env.motor import identifiable
 from motor_env.motor.parameters import FloatArray
 
 DEFAULT_LIMITS = (0.75, 1.25)
-"""Default limits, as factors on the reference: the paper's larger fault level. L has none: no fault moves it alone.
-"""
+"""Default limits, as factors on the reference: the paper's larger fault level. L has none."""
 
 CLOSE_SHARE = 0.8
 """Share of the way beyond which a limit is close."""
 
 CLOSE_PROBABILITY = 0.25
-"""Least probability of lying beyond that share: a missed limit costs more than an inspection."""
+"""Least probability of lying beyond that share, low because a missed limit costs more than an inspection."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +44,7 @@ class Series:
         time: rising, in `unit`, shape (n,).
         estimate: shape (n,).
         standard_error: shape (n,).
-        unit: of the time: days from the first estimate, or the table's.
+        unit: of the time.
         start: date of time 0, where dates are known.
     """
 
@@ -64,11 +63,11 @@ class Forecast:
     Attributes:
         factor: the limit over the reference.
         reached: whether the last level lies beyond it with a probability >= 0.5.
-        close: whether it lies beyond `CLOSE_SHARE` of the way with a probability >= `CLOSE_PROBABILITY`.
-        trends: whether it degrades towards the limit with a probability >= `TREND_PROBABILITY`.
+        close: the same for `CLOSE_SHARE` of the way and `CLOSE_PROBABILITY`.
+        trends: whether it degrades with a probability >= `TREND_PROBABILITY`.
         wear: the fitted degradation of estimate / reference.
         life: remaining life; valid only if `has_remaining_life`.
-        withheld: why no remaining life is given; empty if it is.
+        withheld: reason against a remaining life; empty for none.
     """
 
     factor: float
@@ -133,7 +132,7 @@ def judge(
 
     Args:
         series: its estimates.
-        factors: limits over the reference, each different from 1; `DEFAULT_LIMITS` if None.
+        factors: limits over the reference, not 1; `DEFAULT_LIMITS` if None.
         level: probability of the interval of the remaining life.
         reference_count: number of first estimates whose mean is the reference.
         temperature: in degrees Celsius, where recorded.
@@ -194,7 +193,7 @@ def judge(
 
 
 def _jump(relative: Series, factors: Sequence[float]) -> str:
-    """Describe the last jump, and its consequence for limits on the other side."""
+    """Describe the last jump, and its effect on limits on the other side."""
     jump = last_jump(relative)
     if jump is None:
         return ""
@@ -234,7 +233,7 @@ def _sentence(trend: Trend) -> str:
 
 
 def describe(forecast: Forecast, unit: str) -> str:
-    """Describe the remaining life, or why none is given."""
+    """Describe the remaining life, or the reason against it."""
     life, share = forecast.life, f"{100.0 * forecast.life.level:.0f} %"
     if forecast.withheld:
         return f"no remaining life is given: {forecast.withheld}"
@@ -276,7 +275,7 @@ _BESIDE, _FEWEST = 8, 3  # estimates on either side of a jump
 _JUMP = 6.0
 _MAD = 1.4826
 _UNKNOWN_TEMPERATURE_K = 30.0
-"""Largest unrecorded change of the temperature."""
+"""Largest temperature change that goes unrecorded."""
 _KNOWN = {
     name
     for has_voltage, has_speed in product((False, True), repeat=2)
@@ -292,15 +291,14 @@ def at_one_temperature(series: Series, temperature: Series) -> Series:
 
 
 def _per_kelvin(name: str) -> float:
-    """Return the change of the logarithm of a quantity per kelvin; 0 for an unknown one."""
     return float(identifiable.warmth_direction(identifiable.matrix((name,)))[0]) if name in _KNOWN else 0.0
 
 
 def last_jump(series: Series, sign: float = 0.0) -> tuple[int, float] | None:
-    """Find the first estimate after the last jump, and its size; None without one. `sign` selects a direction.
+    """Find index and size of the last jump; None without one. `sign` selects a direction.
 
-    At each interval a straight line with a step is fitted to the eight estimates on either side. A jump is a step of
-    six robust standard deviations of all steps.
+    A straight line with a step is fitted to eight estimates on either side. A jump is a step of six robust standard
+    deviations.
     """
     n = len(series.time)
     if n < _BESIDE:
@@ -322,7 +320,7 @@ def last_jump(series: Series, sign: float = 0.0) -> tuple[int, float] | None:
 
 
 def starting_at(series: Series, first: int) -> Series:
-    """Select the estimates from one on."""
+    """Select the estimates from index `first` on."""
     return replace(
         series,
         time=series.time[first:],
@@ -336,7 +334,7 @@ def reason_withheld(series: Series, wear: Degradation, *, knows_temperature: boo
 
     Args:
         series: relative to the reference, without jumps.
-        wear: fitted to it.
+        wear: fitted degradation.
         knows_temperature: whether the estimates are at one temperature.
     """
     change = abs(wear.mean_level - float(series.estimate[:_FEWEST].mean()))

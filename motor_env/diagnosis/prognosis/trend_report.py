@@ -52,7 +52,6 @@ _TIME_COLUMN = re.compile(r"(time|date)(_\w+)?", re.IGNORECASE)
 
 
 _Row = tuple[str, Any, str, Any, Any, str]
-"""Estimate of a file: place, time, parameter, estimate, standard error, unit of the time."""
 
 
 def date_of(text: str) -> float | None:
@@ -69,12 +68,12 @@ def date_of(text: str) -> float | None:
 def read_estimates(path: Path) -> list[Series]:
     """Read a table of estimates.
 
-    CSV, long: columns time, parameter, estimate, standard_error. CSV, wide: time, and for each parameter a column with
-    its name and one with its name and `_se`. JSON: a list of objects with the keys of the long table. Times are ISO
-    dates or numbers; a number's unit is the ending of its column's name (`time_hours`), else `starts`.
+    CSV, long: columns time, parameter, estimate, standard_error. CSV, wide: time, and for each parameter its name and
+    its name with `_se`. JSON: objects with the keys of the long table. Times are ISO dates or numbers, whose unit ends
+    the column's name (`time_hours`), else `starts`.
 
     Raises:
-        InputError: what cannot be read, with the line and the value.
+        InputError: a bad line, with its value.
     """
     entries: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     units: set[str | None] = set()
@@ -156,8 +155,8 @@ def build_series(
 ) -> list[Series]:
     """Build series from (time, estimate, standard error) of each quantity, in any order.
 
-    Estimates of the same time are averaged by precision. Times without a unit are days since 1970; series count from
-    the first of all.
+    Estimates of one time are averaged by precision. Times without a unit are days since 1970; series count from the
+    first.
     """
     origin = min(entry[0] for entries in estimates.values() for entry in entries) if unit is None else 0.0
     start = datetime.fromtimestamp(origin * SECONDS_PER_DAY, tz=UTC) if unit is None else None
@@ -200,7 +199,7 @@ def _read_recordings(
     date: DateSource,
     notes: list[str],
 ) -> list[tuple[float, Recording]]:
-    """Read recordings and their days (or numbers) in the order of time; notes say which cannot be read."""
+    """Read recordings and their days (or numbers) in the order of time; collect notes on unreadable ones."""
     files: list[Path] = []
     for path in paths:
         files += sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
@@ -234,7 +233,7 @@ def _fit_recordings(
     notes: list[str],
     progress: Callable[[Path], None],
 ) -> list[Series]:
-    """Fit every recording with the model of the first three: another model would be a jump."""
+    """Fit every recording with the model of the first three, as another model would be a jump."""
     model: tuple[str, ...] | None = None
     estimates: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     for number, (day, recording) in enumerate(recordings):
@@ -262,7 +261,7 @@ class Trends:
 
     Attributes:
         trends: one a quantity.
-        notes: a sentence for every recording that could not be used.
+        notes: on unusable recordings.
     """
 
     trends: tuple[Trend, ...]
@@ -342,9 +341,9 @@ def trend(
     """Find trends of a motor's quantities over its starts, and the remaining life.
 
     Args:
-        paths: a table of estimates (CSV or JSON), a folder of dated recordings, or several of these.
+        paths: tables of estimates (CSV or JSON) or folders of dated recordings.
         limits: factors on the mean of the first estimates, by quantity; see `DEFAULT_LIMITS`.
-        level: probability that the interval of the remaining life holds.
+        level: probability of the interval of the remaining life.
         voltage_v: level of the supply where none was recorded.
         columns: columns named by the user.
         date: source of a recording's date.
@@ -384,7 +383,6 @@ def trend(
 
 
 def _page_row(trend: Trend) -> dict[str, str]:
-    """Collect what the page says of a quantity."""
     series, chosen = trend.series, trend.leading
     when = f" since {series.start:%Y-%m-%d}" if series.start else ""
     return {
@@ -401,7 +399,6 @@ def _page_row(trend: Trend) -> dict[str, str]:
 
 
 def _draw_chart(trend: Trend) -> str:
-    """Draw estimates and limits; of a trend also the forecast and the interval of the remaining life."""
     series = trend.series
     relative = series.estimate / trend.reference
     error = _Z90 * series.standard_error / abs(trend.reference)
@@ -445,7 +442,6 @@ def _change(factor: float) -> str:
 
 
 def _draw_forecast(chart: Chart, forecast: Forecast, last: float, ahead: FloatArray) -> None:
-    """Draw the expected levels, and on the limit the interval of the remaining life."""
     mean, std = forecast.wear.forecast(ahead)
     time, upper, lower = last + ahead, mean + _Z90 * std, mean - _Z90 * std
     chart.shape("polygon", points=chart.points([*time, *time[::-1]], [*upper, *lower[::-1]]))

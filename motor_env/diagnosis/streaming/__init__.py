@@ -1,6 +1,6 @@
 """Watch a motor at work: read lines from a source, judge windows of them, keep the state.
 
-It decides nothing itself: windows are judged in `operation`. Begin at `watch.Watch`.
+Begin at `watch.Watch`.
 
 Example:
     >>> from motor_env import watch

@@ -24,7 +24,7 @@ NEW_FILE = "new_file"
 SILENCE_S = 5.0
 LONGEST_LINE = 1 << 16
 BLOCK_BYTES = 512
-"""Bytes before its place by which a reader recognises its file."""
+"""Bytes before a place in a file that identify it."""
 _PAUSE_S = 0.2
 _CHUNK = 1 << 16
 _MOST_WAITING_BYTES = 1 << 26
@@ -44,9 +44,9 @@ SILENCE = Notice("silence", f"no line for {SILENCE_S:g} s: is the cable plugged 
 
 
 def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
-    """Frame pieces as whole lines; yield SILENCE once if none come for a while.
+    """Split pieces into lines; yield SILENCE once if none come for a while.
 
-    A line beyond LONGEST_LINE comes in parts; only the last has a line end.
+    A line beyond LONGEST_LINE comes in parts.
 
     Args:
         pieces: of a source.
@@ -75,10 +75,10 @@ def lines(pieces: Iterator[Piece], *, rest: bool = True) -> Iterator[Piece]:
 
 
 def identity(name: str | None) -> str:
-    """Name a source in states and sentences: a file by its absolute path, a broker without a password.
+    """Name a source: a file by its absolute path, a broker without a password.
 
     Raises:
-        InputError: it names no source.
+        InputError: no such source.
     """
     if name is None:
         return "standard input"
@@ -99,9 +99,9 @@ def source(
 
     Args:
         name: of the source.
-        follow: whether to wait for more of a file, or its successor.
+        follow: whether to wait for more of a file or its successor.
         baud: of a serial port.
-        offset: bytes of a file that were read before.
+        offset: bytes of a file already read.
         last_read: the last BLOCK_BYTES of them.
 
     Raises:
@@ -137,7 +137,7 @@ def _standard_input() -> Iterator[Piece]:
 
 
 def _file(path: Path, at: int, before: bytes, *, follow: bool) -> Iterator[Piece]:
-    """Read a file. Each read repeats the block before it, which recognises another file."""
+    """Read a file. Each read repeats the last block, to detect another file."""
     file, successor = _open(path), None
     try:
         while True:
@@ -176,7 +176,7 @@ def _open(path: Path) -> FileIO:
 
 
 def _open_successor(path: Path, file: FileIO) -> FileIO | None:
-    """Open another file in its place once it is not empty; until then the old one may grow."""
+    """Open another file of the same name once it is not empty; until then the old one may grow."""
     with suppress(FileNotFoundError):
         now = path.stat()
         if now.st_size > 0 and not os.path.samestat(now, os.fstat(file.fileno())):
@@ -185,7 +185,7 @@ def _open_successor(path: Path, file: FileIO) -> FileIO | None:
 
 
 def _serial(port: str, baud: int) -> Iterator[Piece]:
-    """Read in a thread, so that nothing is lost while a window is judged; reopen an unplugged port."""
+    """Read in a thread, so that nothing is lost during fits; reopen an unplugged port."""
     try:
         import serial
     except ImportError:
@@ -235,7 +235,6 @@ def _broker(url: str) -> _Broker:
 
 
 def _mqtt(broker: _Broker) -> Iterator[Piece]:
-    """Read messages of one or more lines; the library's own thread reconnects."""
     try:
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion
@@ -264,14 +263,13 @@ def _mqtt(broker: _Broker) -> Iterator[Piece]:
 
 
 class _BoundedQueue(queue.Queue[Piece | None]):
-    """Queue pieces for a watch that lags behind, and count those that find no room."""
+    """Bounded queue of pieces for a slow watch, which counts the discarded ones."""
 
     def __init__(self) -> None:
         self._bytes, self._lost = 0, 0
         super().__init__(_MOST_WAITING_BYTES)
 
     def offer(self, piece: Piece) -> None:
-        """Put a piece in, if there is room."""
         try:
             if self._lost:
                 words = f"{self._lost} parts of lines came faster than they could be judged"
@@ -299,7 +297,6 @@ def _size(item: Piece | None) -> int:
 
 
 def _from(waiting: queue.Queue[Piece | None]) -> Iterator[Piece]:
-    """Yield what threads have put in, up to None."""
     piece: Piece | None = b""
     while piece is not None:
         yield piece

@@ -1,4 +1,4 @@
-"""Keep the state of a watch in a file, so that a new start continues it."""
+"""Keep the state of a watch in a file, to continue it later."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class State:
     Attributes:
         motor: digest of the motor file; empty while the motor is being learned.
         source: of the lines, without a password.
-        offset: bytes of the file that are judged.
-        last_read: the last of these bytes as Latin-1; they recognise the file.
+        offset: judged bytes of the file.
+        last_read: the last of these bytes as Latin-1, to identify the file.
         counts: of verdicts on windows and of other events.
         header: line that names the columns.
         memory: evidence against the healthy motor, see `SequentialMonitor.state_dict`.
@@ -67,7 +67,7 @@ class State:
         """Read a state from its file; a new one without a file.
 
         Raises:
-            InputError: the file is no state, or that of another motor or source.
+            InputError: no state, or one of another motor or source.
         """
         if path is None or not path.exists():
             return cls(motor, source)
@@ -97,7 +97,7 @@ class State:
         write_text(path, json.dumps(vars(self)))
 
     def advance(self, line: bytes) -> None:
-        """Count bytes that are judged."""
+        """Count judged bytes."""
         self.offset += len(line)
         self.last_read = (self.last_read + line[-BLOCK_BYTES:].decode("latin-1"))[-BLOCK_BYTES:]
 

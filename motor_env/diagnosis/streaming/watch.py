@@ -1,7 +1,7 @@
-"""Watch a motor at work sample by sample: windows of a stream are judged as those of a log.
+"""Watch a motor at work: windows of a stream are judged as those of a log.
 
-Each window gives an event. So does, at once, a fault of the stream: a malformed line, a gap, a jump of time, a stuck
-sensor, silence. It restarts the window.
+Each window gives an event. So does a fault of the stream (a malformed line, a gap, a jump of time, a stuck sensor,
+silence), which restarts the window.
 """
 
 from __future__ import annotations
@@ -63,7 +63,6 @@ _QUANTITIES = ("time", "voltage", "current", "speed")
 _NAME_THEM = 'name all columns in their order, such as --columns "t [s],I [mA],U [V],n [rpm]"'
 _SECOND = 1.0
 _OFTEN = frozenset(("malformed", "gap", "time_jump"))
-"""Kinds that garbage may give with every line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +76,10 @@ class Event:
         text: verdict of a window, or description.
         ratios: quantities of the window over the healthy ones.
         reason: why a window is unusable, or a sensor failed.
-        fault_kind: kind of the fault, if distinguished from others of its family.
-        also: further faults of the window at once, each by its kind where distinguished.
-        undecided: quantities whose doubling would not show.
-        count: number of this kind since the last such event.
+        fault_kind: kind of the fault, if distinguished within its family.
+        also: further simultaneous faults, each by its kind where distinguished.
+        undecided: quantities whose doubling would be invisible.
+        count: events of this kind since the last shown one.
     """
 
     time_s: float
@@ -95,7 +94,7 @@ class Event:
 
     @property
     def name(self) -> str:
-        """Name by which it is counted."""
+        """Name for the counts."""
         return f"{WINDOW}{self.text}" if self.kind == "window" else self.kind
 
     def as_json(self) -> str:
@@ -120,8 +119,7 @@ class Event:
 class EventThrottle:
     """Limit events of frequent kinds to one a second, with their count.
 
-    A second of the stream, so that the events of a log do not depend on the reading speed, or of the wall clock, for a
-    stream of garbage alone.
+    A second of the stream, so that events do not depend on the reading speed, or of the wall clock.
     """
 
     def __init__(self) -> None:
@@ -158,7 +156,7 @@ class LearningPhase:
     Attributes:
         window_s: length of a window.
         learn_s: wanted length of all windows.
-        steady: nothing but a fault moves the motor.
+        steady: only a fault changes the motor.
         recordings: the windows so far.
     """
 
@@ -175,7 +173,7 @@ class LearningPhase:
 
     @property
     def dt_s(self) -> float:
-        """Sampling interval; the longest that can be learned from until it is known."""
+        """Sampling interval; until known, the longest that is allowed."""
         return self.recordings[0].dt_s if self.recordings else self.window_s / _FEWEST_A_WINDOW
 
 
@@ -187,12 +185,12 @@ class Watch:
     """Turn lines into events.
 
     Args:
-        healthy: statistics of healthy windows, or the phase that learns them from the stream.
+        healthy: statistics of healthy windows, or the phase that learns them.
         state: of the watch so far.
         false_alarms_per_year: of a healthy motor that always runs.
 
     Raises:
-        InputError: the state is that of another motor.
+        InputError: the state is of another motor.
     """
 
     def __init__(
@@ -238,7 +236,6 @@ class Watch:
 
     @property
     def _timing(self) -> Windows | LearningPhase:
-        """Length of a window and sampling interval."""
         return self._phase if isinstance(self._phase, LearningPhase) else self._phase.judge.windows
 
     def events(self, lines: Iterable[Piece]) -> Iterator[Event]:
@@ -368,7 +365,7 @@ class Watch:
         return self._last[0] if self._last is not None else 0.0
 
     def _read_header(self, text: str) -> bool:
-        """Whether a line names the columns; if so, use them from now on.
+        """Return whether a line names the columns; if so, use them.
 
         Raises:
             InputError: the first such line lacks a column.
@@ -452,12 +449,10 @@ def watch(
 
 
 def _digest(motor: Path) -> str:
-    """Digest the motor file; empty without one."""
     return hashlib.sha256(read_file(motor, LARGEST_NOTE_BYTES)).hexdigest() if motor.exists() else ""
 
 
 def _load_healthy(motor: Path) -> Healthy:
-    """Load the statistics of healthy windows from a motor file."""
     try:
         return _windows_of(load_motor(motor))
     except InputError as error:
@@ -480,7 +475,7 @@ def _windows_of(motor: Motor) -> Healthy:
 
 @contextmanager
 def showing(counts: Counter[str]) -> Iterator[Callable[[Event], None]]:
-    """Yield a function that shows an event beside the counts of all."""
+    """Yield a function that shows an event beside all counts."""
     if not sys.stdout.isatty():
         yield _print_line
         return

@@ -27,7 +27,7 @@ class Runs(NamedTuple):
         declared: number of the declared kind, 0 for none.
         right: number of the right kind, 0 for healthy.
         onset: in samples, -1 without a fault.
-        probing: share of the steps with the voltage moved.
+        probing: share of the steps with a voltage offset.
     """
 
     returns: FloatArray
@@ -40,18 +40,18 @@ class Runs(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Score of a policy over a number of episodes.
+    """Score of a policy over episodes.
 
     Attributes:
         episodes: their number.
         mean_return: mean return of an episode.
         return_half_width: half the width of its 95 % interval.
-        false_alarm_share: share of all episodes with a declaration before any fault had acted.
-        detected_share: share of the episodes with a fault and no false alarm that have a declaration after it.
-        isolated_share: share of those declarations that name the right kind.
-        median_delay_s: median time from onset to declaration among the detected.
+        false_alarm_share: share of episodes with a declaration before any fault.
+        detected_share: share of episodes with a declaration, of those with a fault and no false alarm.
+        isolated_share: share of those declarations of the right kind.
+        median_delay_s: median time from onset to declaration.
         late_share: share of the faults whose onset leaves less than 1 % of the horizon.
-        probing_share: share of the steps with the voltage moved.
+        probing_share: share of the steps with a voltage offset.
     """
 
     episodes: int
@@ -65,14 +65,14 @@ class Score:
     probing_share: float
 
     def as_row(self) -> dict[str, float]:
-        """The fields by name."""
+        """Return the fields by name."""
         return asdict(self)
 
 
 def _steps(
     envs: StreamVectorEnv[Any], policy: Player, seed: int
 ) -> Iterator[tuple[BoolArray, NDArray[Any], FloatArray, Info]]:
-    """Play one episode in each sub-environment; yield who still plays, actions, rewards and info of each step."""
+    """Play one episode each; yield which still run, actions, rewards and info of each step."""
     observations, _ = envs.reset(seed=seed)
     policy.start(envs.num_envs)
     alive = np.ones(envs.num_envs, dtype=np.bool_)
@@ -84,13 +84,13 @@ def _steps(
 
 
 def _require_vector(envs: Any) -> None:
-    """Raise `TypeError` for what has no sub-environments; wrappers of one's own are no class of Gymnasium's."""
+    """Raise `TypeError` without sub-environments; custom wrappers need no class of Gymnasium's."""
     if not hasattr(envs, "num_envs"):
         raise TypeError(f"envs must be a vector of environments, got {shown(envs)}")
 
 
 def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
-    """Return of one episode in each sub-environment, of any family, shape (num_envs,)."""
+    """Return the return of one episode in each sub-environment, of any family, shape (num_envs,)."""
     _require_vector(envs)
     returns = np.zeros(envs.num_envs)
     for alive, _, rewards, _ in _steps(envs, policy, seed):
@@ -99,7 +99,7 @@ def returns_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatAr
 
 
 def parts_of(envs: StreamVectorEnv[Any], policy: Player, seed: int) -> FloatArray:
-    """Parts of the same returns, in the order of the info's `reward_*`, shape (parts, num_envs)."""
+    """Return the parts of these returns, in the order of the info's `reward_*`, shape (parts, num_envs)."""
     _require_vector(envs)
     parts = np.zeros((len(envs.part_names), envs.num_envs))
     for alive, _, _, info in _steps(envs, policy, seed):
@@ -126,10 +126,10 @@ def run_episodes(envs: MotorVectorEnv, policy: Policy, seed: int) -> Runs:
 def sweep(
     envs: MotorVectorEnv, policy: ThresholdPolicy, thresholds: Sequence[float], seed: int
 ) -> list[Runs]:
-    """Play every threshold of a policy at once: until it declares, nothing depends on its threshold.
+    """Play all thresholds of a policy at once, as nothing depends on them before a declaration.
 
     Raises:
-        ValueError: a declaration has to be confirmed, or energy has a price, which is known at the end alone.
+        ValueError: a declaration needs confirmation, or energy has a price, known only at the end.
     """
     instance("envs", envs, VectorEnv)
     for name, wanted in (("confirm_steps", 1), ("energy_cost_per_j", 0)):
@@ -169,7 +169,7 @@ def sweep(
 def _verdict(
     envs: MotorVectorEnv, actions: Actions, step: int, right: NDArray[np.int64], onset: NDArray[np.int64]
 ) -> FloatArray:
-    """Reward of declaring now, verdict and delay, see `motor_env.envs.kernel.settle`."""
+    """Return the reward of declaring now, verdict and delay, see `motor_env.envs.kernel.settle`."""
     options = envs.options
     acting = np.where(onset >= 0, step * options.samples_per_step - onset, 0)
     happened = acting > 0
@@ -183,17 +183,17 @@ def _verdict(
 
 
 def joined(runs: Sequence[Runs]) -> Runs:
-    """Episodes of several seeds, one after the other."""
+    """Concatenate episodes of several seeds."""
     return Runs._make(np.concatenate(parts) for parts in zip(*runs, strict=True))
 
 
 def interval(values: FloatArray) -> tuple[float, float]:
-    """Mean of independent values, and half the width of its 95 % interval."""
+    """Return mean of independent values, and half the width of its 95 % interval."""
     return float(values.mean()), float(1.96 * values.std(ddof=1) / np.sqrt(len(values)))
 
 
 def score(envs: MotorVectorEnv, runs: Runs) -> Score:
-    """Mean return, false alarms, detections and delays of a policy's episodes."""
+    """Compute mean return, false alarms, detections and delays of a policy's episodes."""
     instance("envs", envs, VectorEnv)
     instance("runs", runs, Runs)
     options = envs.options

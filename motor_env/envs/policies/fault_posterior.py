@@ -1,12 +1,12 @@
-"""Likelihood and posterior of every fault and onset of a known motor, whatever voltage was applied.
+"""Likelihood and posterior of every fault and onset of a known motor, for any voltage.
 
-Under the hypothesis (class c, onset k) plant and filter are deterministic but for the sensor's noise, so the innovation
-is a known mean plus white noise of standard deviation 1. The log-likelihood ratio to a healthy motor grows by
-mean (innovation - mean / 2) a step. Its sum over the prior is the posterior (Shiryaev 1963), its maximum over onset and
-severity the generalised likelihood ratio of a kind (Lorden 1971).
+Under the hypothesis (class c, onset k) the innovation is a known mean plus white noise of standard deviation 1. The
+log-likelihood ratio to a healthy motor grows by mean (innovation - mean / 2) a step. Its sum over the prior is the
+posterior (Shiryaev 1963), its maximum over onset and severity the generalised likelihood ratio of a kind (Lorden
+1971).
 
-The innovation is the sum over a step, over the root of its number of samples. An onset is taken in the middle of a
-step. Onsets older than `LONGEST_AGE_S` share one hypothesis.
+The innovation is summed over a step, over the root of its samples. An onset counts as the middle of a step. Onsets
+older than `LONGEST_AGE_S` share one hypothesis.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ class StepModel(NamedTuple):
 
 
 def known_faults(setup: Setup) -> list[int]:
-    """Classes of the recipe that have a fault.
+    """Return the recipe's classes with a fault.
 
     Raises:
-        ValueError: the task has no exact posterior; the sentence says why.
+        ValueError: the task has no exact posterior, with the reason.
     """
     options, recipe = setup.options, setup.options.task
     recipe.require_motor_faults()
@@ -54,7 +54,7 @@ def known_faults(setup: Setup) -> list[int]:
 
 
 def known_motor(setup: Setup) -> list[int]:
-    """Classes with a fault of a task whose motor rests and is known; `ValueError` for another one."""
+    """Return the classes with a fault; `ValueError` unless the motor is known and runs at a steady operating point."""
     options, recipe = setup.options, setup.options.task
     require(not recipe.spread.std.any(), f"recipe {recipe.name} must have no spread for the exact posterior")
     noisy = any(kind.changes_noise for kind in recipe.kinds)
@@ -69,13 +69,13 @@ def known_motor(setup: Setup) -> list[int]:
 
 
 def kind_matrix(setup: Setup, classes: list[int]) -> FloatArray:
-    """1 where a class has the verdict, shape (n_classes, n_kinds)."""
+    """Return 1 where a class has the verdict, shape (n_classes, n_kinds)."""
     verdicts = [FaultKind(setup.labels[m]).component for m in classes]
     return np.array([[v == kind for kind in setup.kinds] for v in verdicts], dtype=np.float64)
 
 
 def sample_model(setup: Setup, fault_class: int | None) -> FloatArray:
-    """Matrix of one sample on (state, u, 1); its last row is the whitened innovation: shape (5, 6)."""
+    """Return the matrix of one sample on (state, u, 1), shape (5, 6); its last row is the whitened innovation."""
     options, recipe = setup.options, setup.options.task
     gain, covariance = converged_gain(setup.belief)
     faults = () if fault_class is None else recipe.classes[fault_class].faults
@@ -97,7 +97,7 @@ def sample_model(setup: Setup, fault_class: int | None) -> FloatArray:
 
 
 def step_of(samples: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Samples in a row under one voltage: state rows (4, 6) and innovation row (6,), on (state, u, 1)."""
+    """Return state rows (4, 6) and innovation row (6,) of samples under one voltage, on (state, u, 1)."""
     total, state = np.zeros(6), np.eye(6)
     for sample in samples:
         total += sample[4] @ state
@@ -106,7 +106,7 @@ def step_of(samples: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 
 def step_models(setup: Setup, classes: list[int]) -> tuple[StepModel, StepModel]:
-    """Step of every class after its onset, and step in which the onset falls; entry 0 is the healthy motor."""
+    """Return the step of every class after its onset, and that of the onset; entry 0 is the healthy motor."""
     n = setup.options.samples_per_step
     healthy = sample_model(setup, None)
     whole, split = [], []
@@ -128,7 +128,7 @@ LONGEST_AGE_S = 40e-3
 
 
 class Hypotheses(NamedTuple):
-    """Hypotheses of every class and onset: the newest onset has age 0, the last age gathers the old ones."""
+    """Hypotheses of every class and onset: the newest onset has age 0, the last age includes all older ones."""
 
     ratio: FloatArray  # log-likelihood ratio to a healthy motor, shape (n_lanes, n_classes, n_ages)
     weight: FloatArray  # the same plus the logarithm of the onset's prior; -inf where there is no onset yet
@@ -136,9 +136,9 @@ class Hypotheses(NamedTuple):
 
 
 def worth(options: MonitorOptions, quiet: FloatArray, kinds: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Expected reward of declaring the likeliest kind, and of silence at the horizon, each of shape (count,).
+    """Return the expected rewards of declaring the likeliest kind, and of silence at the horizon, (count,).
 
-    `quiet` is the probability that no fault has set in, shape (count,), `kinds` that of each kind, (count, n_kinds).
+    `quiet` is the probability of no fault so far, shape (count,), `kinds` that of each kind, (count, n_kinds).
     """
     faulty = kinds.sum(axis=1)
     right = kinds.max(axis=1)
@@ -152,20 +152,20 @@ def worth(options: MonitorOptions, quiet: FloatArray, kinds: FloatArray) -> tupl
 def final_worth(
     options: MonitorOptions, at_end: NDArray[np.bool_] | bool, quiet: FloatArray, kinds: FloatArray
 ) -> FloatArray:
-    """Expected reward of declaring the likeliest kind; at the horizon inf where silence is worth less, else -inf."""
+    """Return the expected reward of declaring the likeliest kind; at the horizon inf if above silence's, else -inf."""
     value, silence = worth(options, quiet, kinds)
     return np.where(at_end, np.where(value > silence, np.inf, -np.inf), value)
 
 
 def onset_law(options: MonitorOptions) -> tuple[float, int]:
-    """Probability that the onset is one sample later, and the first sample at which it may be."""
+    """Return the probability of the onset being one sample later, and its first possible sample."""
     mean = options.mean_onset_s / options.dt_s
     return mean / (1.0 + mean), round(options.earliest_onset_s / options.dt_s)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _mean_and_move(model: StepModel, c: int, u: float, s: FloatArray) -> float:
-    """Mean innovation of a step of class c, clipped as an observation is; moves the state s."""
+    """Return the mean innovation of a step of class c, clipped as an observation; update the state s."""
     s0, s1, s2, s3 = s[0], s[1], s[2], s[3]
     row = model.row[c]
     mean = row[0] * s0 + row[1] * s1 + row[2] * s2 + row[3] * s3
@@ -179,7 +179,7 @@ def _mean_and_move(model: StepModel, c: int, u: float, s: FloatArray) -> float:
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _age(ratio: FloatArray, weight: FloatArray, states: FloatArray, begun: int) -> None:
-    """Shift all ages by one; where all are in use, the two oldest become one."""
+    """Shift all ages by one; once all are in use, merge the two oldest."""
     n_ages = ratio.shape[0]
     newest_free = begun
     if begun == n_ages:
@@ -211,11 +211,11 @@ def _update(
         hypotheses: of all lanes.
         begun: number of ages in use in every lane.
         healthy: state without a fault, shape (n_lanes, 4).
-        voltage: offset that was applied, shape (n_lanes,).
+        voltage: applied offset, shape (n_lanes,).
         innovation: observed, shape (n_lanes,).
-        born: log prior probability that the fault set in within this step; -inf: it cannot have.
+        born: log prior probability of an onset in this step.
         whole: see `step_models`, as `split`.
-        split: the step in which the onset falls.
+        split: the step of the onset.
     """
     n_lanes, n_classes, n_ages = hypotheses.ratio.shape
     for n in range(n_lanes):
@@ -240,20 +240,20 @@ def _update(
 
 
 class ProbeBelief:
-    """Likelihood ratios and posterior of many sub-environments, from what an agent observes.
+    """Likelihood ratios and posterior of many sub-environments, from an agent's observations.
 
     Args:
-        setup: of a task that starts running, with an abrupt fault and a recipe without spread or noise faults, which
-            observes `innovation_current` and `voltage`.
+        setup: of a task that starts running, with an abrupt fault, a recipe without spread or noise faults, and
+            observations `innovation_current` and `voltage`.
 
     Raises:
         ValueError: the task is another one.
 
     Attributes:
-        quiet: posterior probability that no fault has set in, shape (count,).
+        quiet: posterior probability of no fault so far, shape (count,).
         classes: posterior probability of each class of fault, shape (count, n_classes).
         kinds: the same of each kind, shape (count, n_kinds).
-        ratios: generalised log-likelihood ratio of each kind to a healthy motor, shape (count, n_kinds); at least 0.
+        ratios: generalised log-likelihood ratio of each kind to healthy, >= 0, shape (count, n_kinds).
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -272,7 +272,7 @@ class ProbeBelief:
         self._stay, self._earliest = onset_law(options)
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         shape = (count, len(self._log_prior), self._n_ages)
         self._hypotheses = Hypotheses(
             np.full(shape, -np.inf), np.full(shape, -np.inf), np.zeros((*shape, N_HYPOTHESIS))
@@ -284,13 +284,13 @@ class ProbeBelief:
         self._conclude()
 
     def watch(self, observations: Observations) -> None:
-        """Update by the observation that a policy acts on; the first follows no step."""
+        """Update by the observation before an action; the first follows no step."""
         if self._has_begun:
             self.update(observations)
         self._has_begun = True
 
     def restart(self, over: NDArray[np.bool_]) -> None:
-        """Begin anew where an episode is over."""
+        """Restart where an episode is over."""
         if over.any():
             self._hypotheses.ratio[over], self._hypotheses.weight[over] = -np.inf, -np.inf
             self._path[over], self._begun[over], self.steps[over] = 0.0, 0, 0
@@ -319,7 +319,6 @@ class ProbeBelief:
         self._conclude()
 
     def _conclude(self) -> None:
-        """Set posterior and generalised ratios."""
         weight = self._hypotheses.weight
         high = np.maximum(weight.max(axis=(1, 2)), 0.0)
         mass = np.exp(weight - high[:, None, None]).sum(axis=2) * np.exp(self._log_prior)
@@ -333,7 +332,7 @@ class ProbeBelief:
 
     @property
     def coming(self) -> FloatArray:
-        """Probability that no fault has set in but one of a class will, shape (count, n_classes)."""
+        """Return the probability of each class's fault being still to come, shape (count, n_classes)."""
         begun = np.maximum(self.steps * self.setup.options.samples_per_step - self._earliest, 0)
         unborn = np.exp(self._log_prior) * self._stay ** begun[:, None]
         coming: FloatArray = (
@@ -342,7 +341,7 @@ class ProbeBelief:
         return coming
 
     def expected_reward(self, actions: Actions) -> FloatArray:
-        """Expected reward of an action under the posterior, shape (count,): less noise (Rao-Blackwell)."""
+        """Return the expected reward of an action under the posterior, shape (count,): less noise (Rao-Blackwell)."""
         setup, options = self.setup, self.setup.options
         declared = setup.declarations[actions]
         faulty = self.kinds.sum(axis=1)
@@ -361,7 +360,7 @@ class ProbeBelief:
         return reward
 
     def summary(self) -> NDArray[np.float32]:
-        """Sufficient statistics for an agent, scaled to about 1, shape (count, 5 + n_classes + 2 n_kinds).
+        """Return sufficient statistics, scaled to about 1, shape (count, 5 + n_classes + 2 n_kinds).
 
         Remaining time; posterior of no fault, of each class and kind; log-odds of each kind and of any fault (a fifth
         of them, from -2 to 2); the last offset; the healthy motor's deviation of speed, as back-EMF in volt.

@@ -1,9 +1,8 @@
-"""Policies that decide by the posterior of fault and onset, with and without moving the voltage.
+"""Policies that decide by the posterior of fault and onset, with or without probing the voltage.
 
-A known motor at its operating point is deterministic but for the sensor's noise: fault c with onset k adds the
-signature s_c[age] to the current. So the likelihood ratio of every hypothesis (c, k) is a product over the samples, and
-the posterior a sum over the geometric prior of the onset (Shiryaev 1963, with a signature and several faults). Onsets
-older than `LONGEST_AGE_S` share one hypothesis: their transient is over.
+In a known motor at its operating point, fault c with onset k adds the signature s_c[age] to the current. So the
+likelihood ratio of (c, k) is a product over the samples, and the posterior a sum over the geometric prior of the onset
+(Shiryaev 1963). Onsets older than `LONGEST_AGE_S` share one hypothesis.
 """
 
 from __future__ import annotations
@@ -41,13 +40,13 @@ from motor_env.simulation.simulate import simulate_states
 
 
 class Bursts(NamedTuple):
-    """An open-loop probe: bursts of steps with the voltage moved; times in steps.
+    """An open-loop probe: bursts of voltage offsets; times in steps.
 
     Attributes:
         start: of the first burst.
         period: from burst to burst.
         length: of a burst; at most `period`.
-        half_period: steps before the voltage changes sign; `length` or more: one pulse, always of the same sign.
+        half_period: steps before a change of sign; from `length` on, one pulse of the same sign.
     """
 
     start: int
@@ -56,7 +55,7 @@ class Bursts(NamedTuple):
     half_period: int = 1
 
     def actions(self, n_steps: int) -> Actions:
-        """Action of every step of an episode; actions 1 and 2 are the two signs, 1 first."""
+        """Return the action of every step of an episode; actions 1 and 2 are the two signs, 1 first."""
         require(1 <= self.length <= self.period, f"length must be from 1 to {self.period}, got {self.length}")
         since = np.arange(n_steps) - self.start
         within = since % self.period
@@ -66,7 +65,7 @@ class Bursts(NamedTuple):
 
 
 class ExpectedRewardTest(ThresholdPolicy):
-    """Declares a kind once its expected reward reaches a threshold; at the last step, once it is above silence's.
+    """Declares a kind once its expected reward reaches a threshold; at the last step, that of silence.
 
     Args:
         setup: see `ProbeBelief`.
@@ -78,12 +77,12 @@ class ExpectedRewardTest(ThresholdPolicy):
         self._declarations = declarations(setup)
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         super().start(count)
         self.belief.start(count)
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """Expected reward of the best declaration, and that."""
+        """Return the expected reward of the best declaration, and that declaration."""
         self.belief.watch(observations)
         return self._statistic()
 
@@ -100,7 +99,7 @@ class Probing(ThresholdPolicy):
         self.test, self.threshold = test, test.threshold
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         super().start(count)
         self.test.start(count)
 
@@ -110,14 +109,14 @@ class Probing(ThresholdPolicy):
 
 
 class OpenLoop(Probing):
-    """Moves the voltage by a schedule, an action for every step."""
+    """Moves the voltage by a schedule of actions."""
 
     def __init__(self, test: ThresholdPolicy, schedule: Actions) -> None:
         super().__init__(test)
         self._schedule, self._step = schedule, -1
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         super().start(count)
         self._step = -1
 
@@ -127,12 +126,12 @@ class OpenLoop(Probing):
         return super().judge(observations)
 
     def probe(self) -> Actions:
-        """The action of this step."""
+        """Return the action of this step."""
         return np.full(self.count, self._schedule[self._step])
 
 
 def winding_of(setup: Setup) -> int:
-    """Number of the kind `winding`."""
+    """Return the number of the kind `winding`."""
     kinds = setup.kinds
     require("winding" in kinds, f"a probe needs a recipe with winding faults, got {', '.join(kinds)}")
     return kinds.index("winding")
@@ -145,7 +144,7 @@ class EventTriggeredProbing(Probing):
 
     Args:
         test: decides.
-        above: probability of a winding fault at which the voltage is moved.
+        above: probability of a winding fault at which to move it.
     """
 
     test: ExpectedRewardTest
@@ -155,7 +154,7 @@ class EventTriggeredProbing(Probing):
         self.above, self._winding = above, winding_of(test.belief.setup)
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         super().start(count)
         self._side: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
 
@@ -168,15 +167,15 @@ class EventTriggeredProbing(Probing):
 
 
 class PosteriorView(VectorWrapper[Any, Any, Any]):
-    """Vector environment that observes the summary of `ProbeBelief`, and pays its expected reward.
+    """Vector environment with the summary of `ProbeBelief` as observation and its expected reward.
 
-    Both follow from observations and actions. The expected reward is the true one on average, with less noise.
+    The expected reward has the true one's mean, with less noise.
 
     Args:
-        envs: a vector of a task that `ProbeBelief` knows, with the autoreset mode SameStep.
+        envs: vector of a task of `ProbeBelief`, with the autoreset mode SameStep.
 
     Raises:
-        ValueError: the vector has another autoreset mode, or its task another posterior.
+        ValueError: another autoreset mode or task.
     """
 
     def __init__(self, envs: MotorVectorEnv) -> None:
@@ -218,7 +217,7 @@ class PosteriorView(VectorWrapper[Any, Any, Any]):
 
 
 class BeliefPolicy(Policy):
-    """Policy of an environment that was learned in a `PosteriorView` of it.
+    """Policy that was trained in a `PosteriorView` of the environment.
 
     Args:
         belief: of the environment's setup.
@@ -229,7 +228,7 @@ class BeliefPolicy(Policy):
         self.belief, self._choose = belief, choose
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         super().start(count)
         self.belief.start(count)
 
@@ -246,7 +245,7 @@ LARGEST_WEIGHT = 1e40  # before it times exp(LARGEST_EXPONENT) is more than a fl
 
 
 def signatures(setup: Setup, n_samples: int) -> FloatArray:
-    """Change of the current by each class, in standard deviations of the noise, shape (n_classes, n_samples)."""
+    """Return the change of the current by each class, in standard deviations of the noise, (n_classes, n_samples)."""
     options, recipe = setup.options, setup.options.task
     answer = np.zeros((len(recipe.classes), n_samples))
     for row, fault_class in zip(answer, recipe.classes, strict=True):
@@ -270,15 +269,15 @@ def _update(
     prior: FloatArray,
     mass: FloatArray,
 ) -> None:
-    """Update by one sample; weights[lane, class, age] are prior times likelihood ratio, the last age gathers old ones.
+    """Update by one sample; weights[lane, class, age] are prior times likelihood ratio.
 
     Args:
-        weights: changed in place; the newest onset has age 0.
+        weights: changed in place; the last age includes all older ones.
         begun: number of ages in use.
         deviation: of the current from rest, in standard deviations, shape (n_lanes,).
         signature: shape (n_classes, n_ages).
-        prior: probability that the fault set in with this sample, in the unit of the weights, shape (n_lanes,).
-        mass: written: sum of the weights over the onsets, shape (n_lanes, n_classes).
+        prior: of an onset at this sample, in the unit of the weights, shape (n_lanes,).
+        mass: written: sum over the onsets, shape (n_lanes, n_classes).
     """
     n_ages = weights.shape[2]
     for n in range(weights.shape[0]):
@@ -302,13 +301,13 @@ class PosteriorPolicy(ThresholdPolicy):
     Args:
         setup: of the task.
         threshold: of the expected reward.
-        faults: numbers of the recipe's classes that are faults.
+        faults: indices of the recipe's classes with a fault.
 
     Raises:
-        ValueError: a step has several samples, or the measured current is not observed.
+        ValueError: several samples a step, or no observed current.
 
     Attributes:
-        quiet: posterior probability that no fault has set in, shape (count,).
+        quiet: posterior probability of no fault so far, shape (count,).
         classes: of each class of fault, shape (count, n_classes).
         kinds: of each kind of fault, shape (count, n_kinds).
     """
@@ -325,16 +324,16 @@ class PosteriorPolicy(ThresholdPolicy):
         self._stay, self._earliest = onset_law(options)
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         super().start(count)
         self._sample = -1
 
     def _deviation(self, observations: Observations) -> FloatArray:
-        """Deviation of the current from its nominal value, in standard deviations of the noise."""
+        """Return the current's deviation from nominal, in standard deviations of the noise."""
         return observations[:, self._measured].astype(np.float64) * self._to_stds - self._rest_stds
 
     def _decision(self, quiet: FloatArray, classes: FloatArray) -> tuple[FloatArray, Actions]:
-        """Expected reward of the best declaration, and that, from an unnormalised posterior."""
+        """Return the best declaration and its expected reward, from an unnormalised posterior."""
         total = quiet + classes.sum(axis=1)
         self.quiet, self.classes = quiet / total, classes / total[:, None]
         self.kinds = self.classes @ self._kind_of
@@ -346,8 +345,8 @@ class PosteriorPolicy(ThresholdPolicy):
 class BayesPolicy(PosteriorPolicy):
     """Declares a kind once its expected reward under the exact posterior reaches a threshold.
 
-    At the last step it declares what is worth more than silence. Its return is a lower bound of the best one, for the
-    threshold is fixed; `benchmarks/bounds.py` has an upper bound.
+    At the last step it declares if that is worth more than silence. The threshold is fixed, so its return is a lower
+    bound of the best one.
 
     Args:
         setup: of a MonitorInstant-v0 that starts running, with an abrupt fault and a recipe without spread or noise
@@ -355,7 +354,7 @@ class BayesPolicy(PosteriorPolicy):
         threshold: of the expected reward.
 
     Raises:
-        ValueError: the task is another one.
+        ValueError: another task.
     """
 
     def __init__(self, setup: Setup, threshold: float) -> None:
@@ -365,7 +364,7 @@ class BayesPolicy(PosteriorPolicy):
         self._signature = signatures(setup, round(LONGEST_AGE_S / setup.options.dt_s))[faults]
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         super().start(count)
         n_classes, n_ages = self._signature.shape
         self._weights = np.zeros((count, n_classes, n_ages))
@@ -374,7 +373,7 @@ class BayesPolicy(PosteriorPolicy):
         self._begun, self._unborn = 0, 1.0
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """Expected reward of the best declaration, and that."""
+        """Return the expected reward of the best declaration, and that declaration."""
         self._sample += 1
         interval = self._sample - 1  # the interval at whose end this sample was read; none for the first
         if interval >= self._earliest:
@@ -388,7 +387,6 @@ class BayesPolicy(PosteriorPolicy):
         return self._decision(quiet, self._mass * self._class_prior)
 
     def _rescale(self) -> None:
-        """Count the weights of a lane in a larger unit where they have become large."""
         largest = self._mass.max(axis=1)
         large = largest > LARGEST_WEIGHT
         if large.any():

@@ -1,8 +1,8 @@
-"""The bank of hypotheses of a monitor: every class of fault, of the motor or of a sensor, at every onset.
+"""Bank of hypotheses for Monitor: every class of fault, of motor or sensor, at every onset.
 
-A motor that rests answers to a fault with a signature: the mean of its whitened innovations since the onset. Around it
-they are white noise of standard deviation 1. The two channels tell a motor from a sensor (analytical redundancy: Chow &
-Willsky 1984): a worse winding moves current and speed together, as the equations say; a sensor moves its own reading.
+A fault has a signature: the mean of the whitened innovations since the onset. Around it they are white noise of
+standard deviation 1. Two channels separate motor from sensor faults (analytical redundancy: Chow & Willsky 1984): a
+winding moves current and speed together, a sensor only its own reading.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from motor_env.simulation.simulate import Scenario, simulate_states
 
 
 def innovation_signatures(setup: Setup, classes: list[int], n_samples: int, onset: int = 0) -> FloatArray:
-    """Mean whitened innovations of classes whose faults set in at sample `onset`.
+    """Return mean whitened innovations of classes with an onset at sample `onset`.
 
     Returns:
         Shape (n_classes, n_samples, n_channels).
 
     Raises:
-        ValueError: a sensor that repeats its last reading, or a fault that recovers.
+        ValueError: a stuck sensor, or a fault that recovers.
     """
     options, recipe, dt_s = setup.options, setup.options.task, setup.options.dt_s
     sensor, begins = recipe.sensor, dt_s * np.arange(n_samples, dtype=np.float64)
@@ -88,11 +88,11 @@ def _weigh(
 
     Args:
         weight: changed in place, shape (n_lanes, n_classes, n_steps).
-        step: that the observation follows.
-        born: logarithm of the prior of an onset in it.
+        step: before the observation.
+        born: log prior of an onset in it.
         seen: innovations, shape (n_lanes, n_channels).
         signature: their means by age in steps, shape (n_classes, n_steps, n_channels).
-        mass: written: logarithm of the sum over the onsets, shape (n_lanes, n_classes).
+        mass: written: log of the sum over the onsets, shape (n_lanes, n_classes).
     """
     for n in range(weight.shape[0]):
         for c in range(weight.shape[1]):
@@ -109,19 +109,19 @@ def _weigh(
 
 
 class ResidualPosterior(ThresholdPolicy):
-    """Declares what is likeliest to have failed once its expected reward under the posterior reaches a threshold.
+    """Declares the likeliest failure once its expected reward reaches a threshold.
 
     Args:
-        setup: of a Monitor that starts running, with a known motor, whose faults may grow and may be of its sensors; it
-            observes the innovation of each channel.
+        setup: of a Monitor that starts running, with a known motor whose faults may grow or be of its sensors, and
+            observed innovations of each channel.
         threshold: of the expected reward.
 
     Raises:
-        ValueError: the task is another one.
+        ValueError: another task.
 
     Attributes:
-        quiet: posterior probability that no fault has set in, shape (count,).
-        kinds: of each that can be declared, shape (count, n_kinds).
+        quiet: posterior probability of no fault so far, shape (count,).
+        kinds: of each declarable kind, shape (count, n_kinds).
     """
 
     def __init__(self, setup: Setup, threshold: float) -> None:
@@ -142,14 +142,14 @@ class ResidualPosterior(ThresholdPolicy):
         self._unborn = stay ** np.maximum(np.arange(options.n_steps + 1) * samples - earliest, 0)
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         super().start(count)
         shape = (count, len(self._log_prior))
         self._weight = np.full((*shape, self.setup.options.n_steps), -np.inf)
         self._mass, self._step = np.full(shape, -np.inf), -1
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """Expected reward of the best declaration, and that."""
+        """Return the expected reward of the best declaration, and that declaration."""
         if self._step >= 0:
             with np.errstate(divide="ignore"):
                 born = np.log(self._unborn[self._step] - self._unborn[self._step + 1])

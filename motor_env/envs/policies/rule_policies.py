@@ -1,6 +1,6 @@
-"""Policies for many sub-environments at once, from what an agent observes; decision rules with the bank of filters.
+"""Policies for many sub-environments at once: decision rules with the bank of filters.
 
-    policy.start(n)                     begin anew with n sub-environments
+    policy.start(n)                     reset to n sub-environments
     actions = policy.act(observations)  one action for each
 
 A rule detects a fault. Its kind is the one with the largest `evidence_*` in the observation, see `baseline_features`.
@@ -28,7 +28,7 @@ Observations = NDArray[np.float32]
 
 
 def baseline_features(recipe: Recipe | str) -> tuple[str, ...]:
-    """Features that these policies read."""
+    """Return the features that these policies read."""
     return (
         "measured_current",
         "innovation_current",
@@ -39,15 +39,15 @@ def baseline_features(recipe: Recipe | str) -> tuple[str, ...]:
 
 
 def declarations(setup: Setup) -> Actions:
-    """The action that declares each kind."""
+    """Return the action that declares each kind."""
     return len(setup.offsets_v) - len(setup.kinds) + np.arange(len(setup.kinds))
 
 
 def column(setup: Setup, name: str) -> int:
-    """Column of a feature in the observation.
+    """Return the column of a feature in the observation.
 
     Raises:
-        ValueError: the environment does not observe it.
+        ValueError: no such column.
     """
     names = list(setup.observed)
     require(name in names, f"this policy needs the feature {name}; observed are {', '.join(names)}")
@@ -55,38 +55,38 @@ def column(setup: Setup, name: str) -> int:
 
 
 class Player(Protocol):
-    """What acts in many sub-environments at once."""
+    """Actor in many sub-environments at once."""
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
 
     def act(self, observations: Observations) -> NDArray[Any]:
-        """One action for each."""
+        """Return one action for each."""
 
 
 class Policy(ABC):
     """Maps observations to actions, with a state of its own."""
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         self.count = count
 
     @abstractmethod
     def act(self, observations: Observations) -> Actions:
-        """One action for each sub-environment; observations have shape (count, n_features)."""
+        """Return one action for each sub-environment; observations have shape (count, n_features)."""
 
 
 class ThresholdPolicy(Policy):
-    """Declares once a statistic reaches `threshold`; until then statistic and voltage do not depend on it."""
+    """Declares once a statistic reaches `threshold`; before that nothing depends on it."""
 
     threshold: float
 
     @abstractmethod
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """Statistic, and the declaration where it reaches the threshold; both of shape (count,)."""
+        """Return the statistic, and the declaration at the threshold; both of shape (count,)."""
 
     def probe(self) -> Actions:
-        """Actions where nothing is declared: wait."""
+        """Return the actions without a declaration: wait."""
         return np.zeros(self.count, dtype=np.int64)
 
     def act(self, observations: Observations) -> Actions:
@@ -101,12 +101,12 @@ class Never(ThresholdPolicy):
     threshold = 1.0
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """A statistic below the threshold."""
+        """Return a statistic below the threshold."""
         return np.zeros(self.count), np.zeros(self.count, dtype=np.int64)
 
 
 class Random:
-    """Takes every action of a space with the same probability.
+    """Takes random actions with equal probability.
 
     Args:
         space: actions of one sub-environment.
@@ -117,7 +117,7 @@ class Random:
         self._rng, self._space = np.random.default_rng(whole("seed", seed)), space
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         self._count = count
 
     def act(self, observations: Observations) -> NDArray[Any]:
@@ -159,12 +159,12 @@ class RulePolicy(_Isolating):
         self._stream: RuleStream | None = None
 
     def start(self, count: int) -> None:
-        """Begin anew with `count` sub-environments."""
+        """Reset to `count` sub-environments."""
         super().start(count)
         self._stream = None
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """The rule's statistic. The first observation follows no sample, so the rule does not see it."""
+        """Return the rule's statistic; the first observation follows no sample and does not count."""
         declaration = self._isolate(observations)
         if self._stream is None:
             self._stream = self.rule.stream(self.count)
@@ -185,6 +185,6 @@ class BankPolicy(_Isolating):
         self.threshold = threshold
 
     def judge(self, observations: Observations) -> tuple[FloatArray, Actions]:
-        """The largest log-likelihood ratio."""
+        """Return the largest log-likelihood ratio."""
         evidence = observations[:, self._columns].max(axis=1) / EVIDENCE_SCALE
         return evidence.astype(np.float64), self._isolate(observations)

@@ -1,1 +1,1 @@
-"""Torch networks behind scikit-learn's interface, trained by one loop. Begin at `epoch_classifier`."""
+"""Torch networks as scikit-learn classifiers, trained by one loop. Begin at `epoch_classifier`."""

@@ -1,4 +1,4 @@
-"""Classifiers trained in epochs over given cases: perceptron, ResNet, and any torch module of one's own."""
+"""Classifiers trained in epochs over given cases: perceptron, ResNet, and custom torch modules."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ MOST_LAYERS = 1000
 
 
 class LogitClassifier(cases.ProbabilityClassifier):
-    """A classifier whose `_logits` are log-probabilities up to a constant of each case."""
+    """Classifier whose `_logits` are log-probabilities up to a constant."""
 
     def predict_proba(self, X: Any) -> FloatArray:
-        """Probability of each class, shape (n_cases, n_classes)."""
+        """Return the probability of each class, shape (n_cases, n_classes)."""
         probabilities: FloatArray = softmax(self._logits(X), axis=1)
         return probabilities
 
     @abstractmethod
     def _logits(self, X: Any) -> FloatArray:
-        """Shape (n_cases, n_classes), in the order of `classes_`."""
+        """Return logits, shape (n_cases, n_classes), in the order of `classes_`."""
 
 
 def logits_in_parts(network: nn.Module, flat: FloatArray, at_once: int) -> FloatArray:
-    """Outputs of a network for inputs, shape (n_cases, ...), some at a time: that bounds the memory."""
+    """Return a network's outputs, shape (n_cases, ...), computed in parts to bound the memory."""
     inputs = torch.from_numpy(
         flat if flat.flags.writeable else flat.copy()
     )  # torch shares memory to write to
@@ -55,7 +55,7 @@ def logits_in_parts(network: nn.Module, flat: FloatArray, at_once: int) -> Float
 
 
 def perceptron(n_in: int, n_hidden: int, n_layers: int, n_out: int) -> nn.Sequential:
-    """Fully connected layers with SiLU between, float64, without memory for their weights."""
+    """Return fully connected layers with SiLU between, float64, without memory for their weights."""
     require(0 <= n_layers <= MOST_LAYERS, f"n_layers must be from 0 to {MOST_LAYERS}, got {n_layers!r}")
     whole("n_hidden", n_hidden, 1)
     whole("n_layers", n_layers)
@@ -67,12 +67,12 @@ def perceptron(n_in: int, n_hidden: int, n_layers: int, n_out: int) -> nn.Sequen
 
 @dataclass(eq=False, repr=False)
 class EpochClassifier(LogitClassifier):
-    """A network on standardised inputs that sees the training cases once in each epoch.
+    """Network on standardised inputs, trained in epochs.
 
     Args:
-        recipe: the motor; what a subclass takes of it, it says.
+        recipe: the motor; its use depends on the subclass.
         epochs: passes over the training cases.
-        batch_size: most cases of a step.
+        batch_size: largest number of cases in a step.
         learning_rate: highest rate of the cycle.
         weight_decay: of AdamW.
         random_state: of initial weights, order and noise.
@@ -96,7 +96,7 @@ class EpochClassifier(LogitClassifier):
         """Minimise the cross-entropy by AdamW with one cosine cycle (Loshchilov & Hutter 2019).
 
         Raises:
-            ValueError: fewer than two classes, labels that are no classes, or shapes that do not fit.
+            ValueError: fewer than two classes, invalid labels, or shapes that do not fit.
         """
         for name in ("epochs", "batch_size"):
             whole(name, getattr(self, name), 1)
@@ -129,7 +129,7 @@ class EpochClassifier(LogitClassifier):
         return self
 
     def to_state(self) -> State:
-        """The fitted network as arrays and values."""
+        """Return the fitted network as arrays and values."""
         arrays = module_arrays(self.network_, "network") | {"center": self.center_, "scale": self.scale_}
         if self.projection_ is not None:
             arrays |= {"weights": self.projection_.weights_, "offset": self.projection_.offset_}
@@ -137,7 +137,7 @@ class EpochClassifier(LogitClassifier):
 
     @classmethod
     def from_state(cls, state: State, recipe: Recipe) -> Self:
-        """The fitted network again.
+        """Restore the fitted network.
 
         Raises:
             ValueError, KeyError, TypeError, RuntimeError: values or arrays of a wrong type or shape.
@@ -165,7 +165,6 @@ class EpochClassifier(LogitClassifier):
                 yield inputs[rows], labels[rows]
 
     def _inputs(self, features: FloatArray) -> FloatArray:
-        """Return the network's inputs from features."""
         standard: FloatArray = (features - self.center_) / self.scale_
         return standard
 
@@ -177,21 +176,20 @@ class EpochClassifier(LogitClassifier):
         return logits_in_parts(self.network_, self._inputs(features), self._at_once)
 
     def _projection(self) -> ResidualProjection | None:
-        """How cases become features; None where the values themselves are."""
+        """Return the map from cases to features; None for the raw values."""
         return None
 
     @abstractmethod
     def _network(self, n_inputs: int) -> nn.Module:
-        """The network on the device `meta`: no memory is taken for its weights, which are not yet set."""
+        """Return the network on the device `meta`, where weights take no memory."""
 
 
 class WaveformClassifier(EpochClassifier):
-    """A network that sees the samples of each channel, each standardised by the training set."""
+    """Network on the samples of each channel, each standardised by the training set."""
 
     _at_once = 256
 
     def _shape(self) -> tuple[int, int]:
-        """Channels and samples of a case; one channel without a recipe."""
         if self.recipe is None:
             return 1, self.n_features_in_
         channels = cases.fitting_recipe(self.recipe, self.n_features_in_).channels
@@ -203,15 +201,15 @@ class WaveformClassifier(EpochClassifier):
 
 @dataclass(eq=False, repr=False)
 class PerceptronClassifier(EpochClassifier):
-    """A perceptron on the filter's residual along the model's own signal directions.
+    """Perceptron on the filter's residual along the model's signal directions.
 
-    The first linear map is `ResidualProjection`, standardised by the training set, never by the transient.
+    The first linear map is `ResidualProjection`, standardised by the training set.
 
     Args:
-        recipe: the motor, its nuisances and faults; without one, directions come from the training cases.
-        n_components: directions the network sees.
+        recipe: motor, nuisances and faults; without one, directions come from the training cases.
+        n_components: number of directions.
         n_hidden: width of a hidden layer.
-        n_layers: hidden layers.
+        n_layers: number of hidden layers.
 
     Attributes:
         projection_: the fitted first map.
@@ -231,21 +229,21 @@ class PerceptronClassifier(EpochClassifier):
 
 @dataclass(eq=False, repr=False)
 class TorchClassifier(WaveformClassifier):
-    """Train a torch module of your own as a classifier.
+    """Classifier around a torch module of your own.
 
     The module gets (n_cases, n_channels, n_samples), each sample standardised by the training set, and gives a logit
     for each class.
 
     Args:
-        recipe: tells the number of channels; one without it.
-        module: from the numbers of channels, samples and classes to the untrained module; one linear layer without it.
+        recipe: for the number of channels; one without it.
+        module: makes the untrained module from the numbers of channels, samples and classes; default: a linear layer.
     """
 
     _: KW_ONLY
     module: Callable[[int, int, int], nn.Module] | None = None
 
     def __sklearn_tags__(self) -> Tags:
-        """It takes transients with their channels, and flat ones."""
+        """Accept transients with channels, and flat ones."""
         tags = super().__sklearn_tags__()
         tags.input_tags.three_d_array = True
         return tags
@@ -262,14 +260,11 @@ def _linear(n_channels: int, n_samples: int, n_classes: int) -> nn.Module:
 
 
 def _convolution(n_in: int, n_out: int, kernel: int, stride: int = 1) -> nn.Module:
-    """A convolution and its normalisation over the batch."""
     convolution = nn.Conv1d(n_in, n_out, kernel, stride=stride, padding=kernel // 2, bias=False)
     return nn.Sequential(convolution, nn.BatchNorm1d(n_out))
 
 
 class _Block(nn.Module):
-    """Two convolutions, and the input added to their output."""
-
     def __init__(self, n_in: int, n_out: int, *, kernel: int) -> None:
         super().__init__()
         self.first = _convolution(n_in, n_out, kernel, stride=2)
@@ -282,18 +277,17 @@ class _Block(nn.Module):
 
 @dataclass(eq=False, repr=False)
 class ResNetClassifier(WaveformClassifier):
-    """A one-dimensional residual network on the raw transient.
+    """One-dimensional residual network on the raw transient.
 
-    Residual blocks after He et al. (2016), for time series Wang, Yan & Oates (2017). Batch normalisation alone: a norm
-    over one transient (layer, group, instance) would take away its level, and with it every bearing fault. Fresh noise
-    on the inputs keeps the network from learning the transients by heart.
+    Residual blocks: He et al. (2016), for time series Wang, Yan & Oates (2017). Only batch normalisation: a norm over
+    one transient would remove its level, the sign of bearing faults. Fresh noise on the inputs prevents overfitting.
 
     Args:
-        recipe: only its number of channels is used; one channel without it.
-        width: channels of the first layers; the last ones have twice as many.
-        stem: samples that the first layer moves on by.
+        recipe: for the number of channels; one without it.
+        width: channels of the first layers, half those of the last.
+        stem: stride of the first layer in samples.
         kernel: length of the other convolutions.
-        noise: standard deviation of the added noise, in standard deviations of a time sample.
+        noise: standard deviation of the added noise over that of a time sample.
     """
 
     width: int = 12
@@ -308,7 +302,7 @@ class ResNetClassifier(WaveformClassifier):
     def _batches(
         self, inputs: torch.Tensor, labels: torch.Tensor, generator: torch.Generator
     ) -> Iterator[Batch]:
-        """Batches of nearly equal size: a batch of one has no variance to normalise by."""
+        """Yield batches of nearly equal size, as batch normalisation fails on a batch of one."""
         for _ in range(self.epochs):
             order = torch.randperm(len(inputs), generator=generator)
             for rows in torch.tensor_split(order, -(-len(inputs) // int(self.batch_size))):
@@ -316,7 +310,6 @@ class ResNetClassifier(WaveformClassifier):
                 yield inputs[rows] + self.noise * noise, labels[rows]
 
     def _network(self, n_inputs: int) -> nn.Module:
-        """A stem that thins the samples out, three residual blocks, the mean over time, logits."""
         width, kernel = self.width, self.kernel
         sizes = (width, self.stem, kernel)
         require(min(sizes) >= 1, f"width, stem and kernel must be >= 1, got {sizes}")

@@ -1,4 +1,4 @@
-"""The network of a posterior: signal coordinates, a perceptron, and how it is trained."""
+"""Network of a posterior (signal coordinates and a perceptron), and its training."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _AVERAGE_BEGINS = 20
 
 
 class Posterior(nn.Module):
-    """Map flattened cases to the numbers of a posterior: signal coordinates, then a perceptron."""
+    """Map from flattened cases to the numbers of a posterior: signal coordinates, then a perceptron."""
 
     def __init__(self, space: SignalSpace, *, n_hidden: int, n_layers: int, n_out: int) -> None:
         super().__init__()
@@ -34,7 +34,7 @@ class Posterior(nn.Module):
         self.network = perceptron(space.n_coordinates, n_hidden, n_layers, n_out)
 
     def forward(self, X: torch.Tensor) -> torch.Tensor:
-        """Outputs of the network, shape (n_cases, n_out)."""
+        """Return outputs of the network, shape (n_cases, n_out)."""
         outputs: torch.Tensor = self.network(self.space(X))
         return outputs
 
@@ -50,15 +50,15 @@ class Posterior(nn.Module):
         weight_decay: float = 0.0,
         on_step: OnStep = lambda count: None,
     ) -> None:
-        """Minimise the mean loss by AdamW, the rate falling along a cosine (Loshchilov & Hutter 2019).
+        """Minimise the mean loss by AdamW with a cosine schedule (Loshchilov & Hutter 2019).
 
-        Kept is a moving average of the weights.
+        The result is a moving average of the weights.
 
         Args:
-            batches: begins a stream, from its number and the size of its batches: 0 first, 1 for the last steps.
-            loss: from outputs and targets to a number.
+            batches: makes a stream from its number (0 first, 1 for the last steps) and batch size.
+            loss: of outputs and targets.
             generator: of the initial weights.
-            steps: batches seen.
+            steps: number of batches.
             batch_size: cases of a batch; the last ones are four times as large.
             learning_rate: highest rate.
             weight_decay: of AdamW.
@@ -88,7 +88,7 @@ class Posterior(nn.Module):
     def from_arrays(
         cls, arrays: Arrays, *, sees_noise: Any, n_features: int, sizes: tuple[Any, Any, int]
     ) -> Self:
-        """The network of a file.
+        """Restore the network of a file.
 
         Args:
             arrays: of its part of the file.
@@ -117,7 +117,7 @@ class Posterior(nn.Module):
 def batch_schedule(
     make: Callable[[int, int], Iterator[Batch]], batch_size: int, steps: int
 ) -> Iterable[Batch]:
-    """Yield the batches of a training: of one stream `make(0, size)`, then larger ones of `make(1, size)`."""
+    """Yield the batches of a training: `make(0, size)`, then larger ones of `make(1, size)`."""
     last = round(_LAST_SHARE * steps)
     return chain(islice(make(0, batch_size), steps - last), islice(make(1, _LARGER * batch_size), last))
 
@@ -131,6 +131,6 @@ def total_cases(batch_size: int, steps: int) -> int:
 def _moving_average(
     average: torch.Tensor, weight: torch.Tensor, n_averaged: torch.Tensor | int
 ) -> torch.Tensor:
-    """Update the moving average of a weight; its memory grows with the number of steps."""
+    """Update the moving average of a weight, whose memory grows with the steps."""
     done = int(n_averaged)
     return average.lerp(weight, 1.0 - min(_AVERAGED, done / (done + _AVERAGE_BEGINS)))

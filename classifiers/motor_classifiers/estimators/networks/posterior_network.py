@@ -1,7 +1,7 @@
 """The amortised posterior: a network trained on a recipe's stream approximates the exact one.
 
-Trained by cross-entropy, it tends to the posterior probabilities (Bishop 2006, ch. 5.2; "neural posterior estimation":
-Papamakarios & Murray 2016). A second network gives the density of the severity for each fault kind.
+Cross-entropy makes it tend to the posterior probabilities (Bishop 2006, ch. 5.2; Papamakarios & Murray 2016). A second
+network gives the density of the severity for each fault kind.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _CASES_WEIGHT_DECAY = 0.1
 _CHUNK = 4096  # cases judged at once
 
 UNKNOWN_NOISE = (0.15, 5.0)
-"""Factors on the recipe's noise between which a network for a motor file reads the noise off the start."""
+"""Range of the noise over the recipe's that a network for a motor file estimates from the start."""
 
 Progress = Callable[[int, int], object]
 """Called with the starts seen and all starts."""
@@ -76,7 +76,7 @@ class SeverityEstimate(NamedTuple):
 
 @dataclass(eq=False, repr=False)
 class PosteriorNetwork(LogitClassifier):
-    """The amortised posterior of a recipe behind scikit-learn's interface.
+    """The amortised posterior of a recipe as a scikit-learn classifier.
 
     With a recipe it learns from fresh cases that the recipe draws, classes and severities: `from_recipe(recipe)`, and
     `fit`, which only checks the cases that it is given. Without one `fit` learns the classes alone, from these cases.
@@ -87,10 +87,10 @@ class PosteriorNetwork(LogitClassifier):
             differ by a tenth of the noise or more, at least 10 and at most 32.
         steps: batches seen by each of the two networks.
         batch_size: cases of a batch; the last ones are four times as large.
-        noise_range: smallest and largest factor on the recipe's noise, where the network shall read its level off the
-            transient; None for the recipe's own.
-        with_severity: whether the second network, that of the severities, is trained too.
-        n_references: healthy starts of the same motor that come with each start (`reference_starts.referenced_starts`).
+        noise_range: bounds of the factor on the recipe's noise, if the network shall estimate it; None for the
+            recipe's noise.
+        with_severity: whether to train the network of severities.
+        n_references: healthy starts of the same motor with each start (`reference_starts.referenced_starts`).
 
     Attributes:
         classes_: labels: all classes of the recipe, or those of the given cases.
@@ -126,7 +126,7 @@ class PosteriorNetwork(LogitClassifier):
             parameters: of the constructor.
 
         Raises:
-            ValueError: a recipe with fewer than two classes, or a noise range that does not fit.
+            ValueError: fewer than two classes, or a bad noise range.
         """
         return cls(recipe, **parameters).fit_stream(on_step)
 
@@ -134,7 +134,7 @@ class PosteriorNetwork(LogitClassifier):
         """Train on the stream of the recipe; without one, on the given cases, in random batches.
 
         Raises:
-            ValueError: fewer than two classes, labels that the recipe does not know, or shapes that do not fit.
+            ValueError: fewer than two classes, labels unknown to the recipe, or shapes that do not fit.
         """
         self._check_training()
         flat, labels = labelled_cases(self, X, y)
@@ -178,7 +178,7 @@ class PosteriorNetwork(LogitClassifier):
             on_step: called after each step, with the starts seen and all starts.
 
         Raises:
-            ValueError: no recipe, a recipe with fewer than two classes, or a noise range that does not fit.
+            ValueError: no recipe, fewer than two classes, or a bad noise range.
         """
         self._check_training()
         recipe = self._stream_recipe()
@@ -227,7 +227,6 @@ class PosteriorNetwork(LogitClassifier):
         seed: int,
         on_step: OnStep,
     ) -> Posterior:
-        """Train a network on the recipe's stream; return it in double precision."""
         low, high = self._checked_noise()
         space = self._space(recipe)
         posterior = Posterior(space, n_hidden=self.n_hidden, n_layers=self.n_layers, n_out=n_out).float()
@@ -249,7 +248,7 @@ class PosteriorNetwork(LogitClassifier):
         return posterior.double()
 
     def _stream_recipe(self) -> Recipe:
-        """Return the recipe to train on: each start of another motor, at the least noise."""
+        """Return the recipe to train on: one start a motor, at the least noise."""
         if self.recipe is None:
             raise ValueError("fit_stream needs a recipe, got None")
         # Commissioning starts are known to be healthy and never judged; a motor of its own for each start teaches more.
@@ -264,7 +263,7 @@ class PosteriorNetwork(LogitClassifier):
         return recipe
 
     def _space(self, recipe: Recipe) -> SignalSpace:
-        """Coordinates of the recipe's cases, the level of the noise among them where it is not known."""
+        """Return coordinates of the recipe's cases, with the noise level where it is unknown."""
         low, high = self._checked_noise()
         sees_noise = high > low or _tells_noise(recipe)
         return SignalSpace.from_recipe(
@@ -275,16 +274,15 @@ class PosteriorNetwork(LogitClassifier):
         return {name: getattr(self, name) for name in ("steps", "batch_size", "learning_rate")}
 
     def predict_severity(self, X: Any, kind: str | None = None, coverage: float = 0.90) -> SeverityEstimate:
-        """How large the fault is, with an interval.
+        """Estimate the severity of the fault, with an interval.
 
         Args:
             X: shape (n_cases, n_channels, n_timepoints), or flattened.
-            kind: fault kind; without one, the most probable kind of each case, also where healthy is more probable.
+            kind: fault kind; by default the most probable one of each case, even if healthy is more probable.
             coverage: of the interval.
 
         Raises:
-            ValueError: not trained on a recipe's stream, a kind that the network does not know, or a coverage outside
-                (0, 1).
+            ValueError: not trained on a recipe's stream, an unknown kind, or a coverage outside (0, 1).
         """
         check_is_fitted(self)
         number("coverage", coverage, above=0.0, below=1.0)
@@ -306,7 +304,6 @@ class PosteriorNetwork(LogitClassifier):
         return SeverityEstimate(np.array(names)[column], mean, low, high)
 
     def _probable_kind(self, flat: FloatArray, names: list[str]) -> NDArray[np.int64]:
-        """Column of the most probable fault kind of each case."""
         probabilities = self.predict_proba(flat)
         by_name = {c.name: c for c in self.recipe.classes}  # type: ignore[union-attr]  # there is one where severities are
         kinds = [[str(part.kind) for part in by_name[label].parts] for label in self.classes_.tolist()]
@@ -319,7 +316,7 @@ class PosteriorNetwork(LogitClassifier):
         return logits_in_parts(self.posterior_, flat_cases(self, X, reset=False), _CHUNK)
 
     def to_state(self) -> State:
-        """The fitted network as arrays and values; in single precision where that loses nothing."""
+        """Return the fitted network as arrays and values, in single precision if that is lossless."""
         modules = {"classes": self.posterior_}
         if self.severity_ is not None:
             modules["severity"] = self.severity_
@@ -335,7 +332,7 @@ class PosteriorNetwork(LogitClassifier):
 
     @classmethod
     def from_state(cls, state: State, recipe: Recipe) -> Self:
-        """The fitted network again.
+        """Restore the fitted network.
 
         Raises:
             ValueError, KeyError, TypeError, RuntimeError: values or arrays of a wrong type or shape.
@@ -374,7 +371,6 @@ class PosteriorNetwork(LogitClassifier):
         number("learning_rate", self.learning_rate, above=0.0)
 
     def _checked_noise(self) -> tuple[float, float]:
-        """The noise range as factors on the recipe's noise."""
         if self.noise_range is None:
             return 1.0, 1.0
         low, high = numbers("noise_range", self.noise_range, (2,)).tolist()

@@ -1,7 +1,7 @@
-"""The density of severities that a network learns: normal, cut at the bounds of the range.
+"""Density of a severity from a network: normal, truncated to the range.
 
-A transient's log-likelihood is nearly quadratic in the severity, so two numbers are enough (docs/classifiers.md).
-Everything is summed over one fine grid, in steps that ONNX has too. Positions run from 0 to 1 over the range.
+A transient's log-likelihood is nearly quadratic in the severity, so two numbers suffice. Sums run over one fine grid,
+by operations of ONNX. Positions run from 0 to 1 over the range.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from motor_env.motor.faults import FaultKind
 from motor_env.simulation.recipes import FaultClass, Recipe
 
 PARAMETERS = 2
-"""Numbers of a density: where it lies, and the logarithm of how wide it is."""
+"""Numbers of a density: location, and logarithm of the width."""
 
 _GRID = 201
 _MIDDLE, _LOG_WIDTH = 0.5, -1.0  # of a network's zeros
@@ -24,7 +24,7 @@ _LEAST_RANGE, _BEYOND, _LARGEST_LOSS = 0.30, 1.2, 0.95
 
 
 def severity_priors(recipe: Recipe) -> tuple[SeverityPrior, ...]:
-    """Ranges of severities by kind: from 0 to 30 %, or to 1.2 times the largest among the recipe's classes."""
+    """Return ranges of severities by kind: from 0 to 30 %, or to 1.2 times the largest of the recipe's classes."""
     largest: dict[FaultKind, float] = dict.fromkeys(_ALWAYS, _LEAST_RANGE)
     for part in (part for c in recipe.classes for part in c.parts):
         if part.kind is not None:
@@ -36,11 +36,11 @@ def severity_priors(recipe: Recipe) -> tuple[SeverityPrior, ...]:
 
 
 def severity_recipe(recipe: Recipe, *, with_healthy: bool = False) -> Recipe:
-    """The recipe with one class a kind, its severity uniform over the range of `severity_priors`.
+    """Return the recipe with one class a kind, its severity uniform over the range of `severity_priors`.
 
     Args:
-        recipe: the motor, its nuisances, faults and sensor.
-        with_healthy: whether a healthy class, which is never drawn, stands behind them: reference starts need one.
+        recipe: motor, nuisances, faults and sensor.
+        with_healthy: whether to append a healthy class that is never drawn, for reference starts.
     """
     classes = [FaultClass(p.kind, 0.0, severity_to=p.largest) for p in severity_priors(recipe)]
     if with_healthy:
@@ -49,41 +49,40 @@ def severity_recipe(recipe: Recipe, *, with_healthy: bool = False) -> Recipe:
 
 
 def grid_like(parameters: torch.Tensor) -> torch.Tensor:
-    """The grid of positions, in the type of the parameters."""
+    """Return the grid of positions, in the type of the parameters."""
     return torch.linspace(0.0, 1.0, _GRID, dtype=parameters.dtype)
 
 
 def _log_density(parameters: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
-    """Without the normalisation; parameters (..., 2), position (..., n) or (n,)."""
+    """Return the unnormalised log density; parameters (..., 2), position (..., n) or (n,)."""
     deviation = (position - _MIDDLE - parameters[..., :1]) * torch.exp(-_LOG_WIDTH - parameters[..., 1:2])
     return -0.5 * deviation.square()
 
 
 def _log_mass(parameters: torch.Tensor) -> torch.Tensor:
-    """Logarithm of each grid point's share of the prior, by the trapezoid's rule."""
     edge = torch.arange(_GRID) % (_GRID - 1) == 0
     mass = torch.where(edge, 0.5, 1.0) / (_GRID - 1)
     return torch.log(mass.to(parameters.dtype))
 
 
 def negative_log_likelihood(parameters: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
-    """Loss of each position, shape (n,), under its density, (n, 2), relative to the uniform prior."""
+    """Return the loss of each position, shape (n,), under its density, (n, 2), relative to the uniform prior."""
     total = torch.logsumexp(_log_density(parameters, grid_like(parameters)) + _log_mass(parameters), dim=-1)
     return total - _log_density(parameters, position[:, None])[:, 0]
 
 
 def weights(parameters: torch.Tensor) -> torch.Tensor:
-    """Probability of each grid point, shape (..., n_grid)."""
+    """Return the probability of each grid point, shape (..., n_grid)."""
     return torch.softmax(_log_density(parameters, grid_like(parameters)) + _log_mass(parameters), dim=-1)
 
 
 def mean(share: torch.Tensor) -> torch.Tensor:
-    """Mean position of weights, shape (...)."""
+    """Return the mean position of weights, shape (...)."""
     return share @ grid_like(share)
 
 
 def quantile(share: torch.Tensor, probability: float) -> torch.Tensor:
-    """Position below which the weights hold the probability, shape (...)."""
+    """Return the position quantile of weights, shape (...)."""
     # Half of a point's weight lies on either side of it.
     cumulated = torch.cumsum(share, dim=-1) - 0.5 * share
     above = (cumulated < probability).sum(dim=-1, keepdim=True).clamp(1, _GRID - 1)
@@ -94,13 +93,13 @@ def quantile(share: torch.Tensor, probability: float) -> torch.Tensor:
 
 
 def summary(parameters: torch.Tensor, tail: float) -> torch.Tensor:
-    """Mean, and the positions with the probability `tail` below and above them, shape (3, ...)."""
+    """Return mean, lower and upper quantile with tails `tail`, shape (3, ...)."""
     share = weights(parameters)
     return torch.stack([mean(share), quantile(share, tail), quantile(share, 1.0 - tail)])
 
 
 def severity_loss(outputs: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
-    """Mean negative log-likelihood of the severity of each case under the density of its own kind.
+    """Return the mean negative log-likelihood of severities under the densities of their kinds.
 
     Args:
         outputs: shape (n, n_kinds * 2).

@@ -1,7 +1,6 @@
-"""Coordinates of a start: its deviation from the nominal motor along the few directions in which starts differ.
+"""Coordinates of a start: its deviation from nominal along the few directions in which starts differ.
 
-In white noise nothing else enters the likelihood (docs/classifiers.md); outside the directions stands the level of the
-noise.
+In white noise nothing else enters the likelihood; the remainder gives the noise level.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ _SMALLEST_NOISE = 1e-6  # of the cases' own scatter, where nothing is left outsi
 class SignalSpace(nn.Module):
     """Standardised coordinates of transients, shape (n_cases, n_coordinates).
 
-    Each coordinate is divided by its standard deviation over the recipe's starts, noise included. Where
-    `sees_noise`, the noise's level, from what is left outside the directions, is the last coordinate.
+    Each coordinate is divided by its standard deviation over the recipe's starts, noise included. With `sees_noise`,
+    the noise level outside the directions is the last coordinate.
 
     Args:
         n_features: values of a case.
-        n_components: how many directions.
-        sees_noise: whether the level of the noise is not known beforehand, and may tell a class.
+        n_components: number of directions.
+        sees_noise: whether the noise level is unknown, and may identify a class.
 
     Attributes:
         nominal: start of the nominal motor, shape (n_features,).
@@ -75,7 +74,7 @@ class SignalSpace(nn.Module):
     def from_recipe(
         cls, recipe: Recipe, n_components: int | None, *, sees_noise: bool, n_references: int = 0
     ) -> SignalSpace:
-        """Directions, means and variances of noise-free starts of a recipe, each with so many reference starts.
+        """Fit directions, means and variances to a recipe's noise-free starts with `n_references` starts each.
 
         Raises:
             ValueError: a recipe of motors at work.
@@ -95,7 +94,7 @@ class SignalSpace(nn.Module):
 
     @classmethod
     def from_cases(cls, flat: FloatArray, n_components: int | None) -> SignalSpace:
-        """Directions of given cases about their mean; the noise is what is left outside them."""
+        """Fit directions to given cases about their mean; the remainder is the noise."""
         n_components = _FEWEST if n_components is None else n_components
         nominal = flat.mean(axis=0)
         scatter = flat - nominal
@@ -114,7 +113,7 @@ class SignalSpace(nn.Module):
         *,
         sees_noise: bool,
     ) -> SignalSpace:
-        """From deviations of noise-free starts, shape (n_starts, n_features)."""
+        """Return coordinates from deviations of noise-free starts, shape (n_starts, n_features)."""
         deviation = scatter / noise
         singular, directions = np.linalg.svd(deviation, full_matrices=False)[1:]
         if n_components is None:
@@ -139,23 +138,23 @@ class SignalSpace(nn.Module):
         return space
 
     def observe_level(self, standardised: torch.Tensor) -> None:
-        """Centre and scale the coordinate of the noise's level, from coordinates of noisy cases."""
+        """Centre and scale the noise-level coordinate, from coordinates of noisy cases."""
         if self.sees_noise:
             log_level = standardised[:, -1] * self.level[1] + self.level[0]
             self.level.copy_(torch.stack([log_level.mean(), log_level.std()]))
 
     @property
     def n_coordinates(self) -> int:
-        """How many numbers a transient becomes."""
+        """Number of coordinates."""
         return len(self.center) + self.sees_noise
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of what is left outside the directions."""
+        """Degrees of freedom outside the directions."""
         return len(self.noise) - len(self.center)
 
     def coordinates(self, X: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Coefficients in units of the noise, (n, n_components), and squares left outside, (n,)."""
+        """Return coefficients in units of the noise, (n, n_components), and squares left outside, (n,)."""
         deviation = (X - self.nominal) / self.noise
         coefficients = deviation @ self.directions.T
         if not self.sees_noise:
@@ -164,7 +163,7 @@ class SignalSpace(nn.Module):
         return coefficients, left.square().sum(dim=1)
 
     def standardise(self, coefficients: torch.Tensor, energy: torch.Tensor) -> torch.Tensor:
-        """Coordinates with unit variance over the recipe's starts."""
+        """Scale coordinates to unit variance over the recipe's starts."""
         if not self.sees_noise:
             return (coefficients - self.center) / torch.sqrt(self.variance + 1.0)
         level = (energy / self.freedom).clamp(min=_QUIETEST)
@@ -173,7 +172,7 @@ class SignalSpace(nn.Module):
         return torch.cat([scaled, log_level[:, None]], dim=1)
 
     def forward(self, X: torch.Tensor) -> torch.Tensor:
-        """Standardised coordinates of flattened cases, shape (n_cases, n_coordinates)."""
+        """Return standardised coordinates of flattened cases, shape (n_cases, n_coordinates)."""
         return self.standardise(*self.coordinates(X))
 
 
@@ -184,10 +183,10 @@ def with_more_noise(
     factor: FloatArray,
     generator: np.random.Generator,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Coordinates of starts under more noise: what `SignalSpace.coordinates` would be.
+    """Return `SignalSpace.coordinates` of starts under more noise.
 
-    White noise along orthonormal directions is white; outside them n is added to what is left, v, of which only the
-    squares matter: |v + n|^2 is (|v| + n_1)^2 and a chi-square with one degree of freedom less. Both are exact.
+    White noise along orthonormal directions is white. Outside, the noise n adds to the remainder v:
+    |v + n|^2 is (|v| + n_1)^2 plus a chi-square with one degree of freedom less.
 
     Args:
         coefficients: in units of the recipe's noise, shape (n, n_components).
@@ -214,15 +213,15 @@ def fresh_cases(
     most_noise: float = 1.0,
     n_references: int = 0,
 ) -> Iterator[tuple[torch.Tensor, Dataset]]:
-    """Draw endless batches of standardised coordinates, and the cases with their truth.
+    """Yield batches of standardised coordinates, and the cases with their truth.
 
     Args:
         space: in single precision.
-        recipe: what to draw from.
+        recipe: distribution of the cases.
         seed: of the stream.
         batch_size: cases of a batch.
-        most_noise: largest factor on the recipe's noise; it is drawn log-uniformly from 1 for each case.
-        n_references: healthy starts of the same motor that come with each case.
+        most_noise: largest factor on the recipe's noise, log-uniform from 1 on.
+        n_references: healthy starts of the same motor with each case.
     """
     generator = np.random.default_rng(seed)
     for number in count():

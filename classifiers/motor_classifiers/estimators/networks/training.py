@@ -1,4 +1,4 @@
-"""The training loop of all networks: on one thread, from a generator of its own, repeatable to the bit."""
+"""The training loop of all networks: on one thread, with its own generator, bit by bit reproducible."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LARGEST_SEED = 2**31 - 1
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run torch on one thread: sums are taken in one order."""
+    """Run torch on one thread, for a fixed order of sums."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -31,12 +31,12 @@ def one_thread() -> Iterator[None]:
 
 
 def seed_of(random_state: int | np.random.RandomState | None) -> int:
-    """A seed below 2^31 from what scikit-learn takes for one."""
+    """Return a seed below 2^31 from a random state of scikit-learn."""
     return int(check_random_state(random_state).randint(_LARGEST_SEED))
 
 
 def initialise(network: nn.Module, generator: torch.Generator) -> None:
-    """Weights by He et al. (2015), biases zero, from the generator alone; a module that has weights keeps them."""
+    """Draw weights by He et al. (2015), with zero biases, from the generator; existing weights stay."""
     if not any(values.is_meta for values in network.parameters()):
         return
     network.to_empty(device="cpu")
