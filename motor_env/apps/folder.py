@@ -17,7 +17,7 @@ from motor_env.diagnosis.readers.tables import ENDINGS
 from motor_env.motor.data_sheet import load_motor
 
 _FEWEST_STARTS = 3
-_PAUSE_S = 0.5
+_PAUSE_S, _PAUSES = 0.5, 4  # through which a file must stand still
 
 
 def recordings_in(paths: Iterable[Path]) -> list[Path]:
@@ -65,17 +65,17 @@ def trend_of(outcomes: Sequence[Outcome], voltage_v: float | None = None, **read
 
 
 def appearing(folder: Path, *, follow: bool, sleep: Callable[[float], None] = time.sleep) -> Iterator[Path]:
-    """Yield the recordings of a folder once each; with `follow` also later ones, when complete."""
-    done: set[Path] = set()
-    sizes: dict[Path, int] = {}
+    """Yield the recordings of a folder; with `follow` those that appear or change, too, once they stand still."""
+    stood: dict[Path, tuple[tuple[int, int], int]] = {}
     while True:
-        before, sizes = sizes, {}
         for path in _files(folder):
             with suppress(FileNotFoundError):  # it is gone again
-                sizes[path] = path.stat().st_size
-            if path not in done and path in sizes and (not follow or before.get(path) == sizes[path]):
-                done.add(path)
-                yield path
+                now = path.stat()
+                stamp = (now.st_size, now.st_mtime_ns)
+                before, pauses = stood.get(path, (stamp, -1))
+                stood[path] = (stamp, pauses + 1 if stamp == before else 0)
+                if stood[path][1] == follow * _PAUSES:
+                    yield path
         if not follow:
             return
         sleep(_PAUSE_S)
@@ -88,12 +88,12 @@ def watch_folder(motor: Path, folder: Path, *, follow: bool) -> int:
         InputError: the motor cannot be used.
     """
     known = load_motor(motor)
-    outcomes: list[Outcome] = []
+    outcomes: dict[Path, Outcome] = {}
     with suppress(KeyboardInterrupt):  # the usual end of a watch
         for path in appearing(folder, follow=follow):
-            outcomes += diagnose_files([path], motor=str(motor))
-            _print(_event(outcomes[-1]))
-    found = trend_of(outcomes, known.nominal_voltage_v)
+            (outcomes[path],) = diagnose_files([path], motor=str(motor))
+            _print(_event(outcomes[path]))
+    found = trend_of([*outcomes.values()], known.nominal_voltage_v)
     for each in () if found is None else found.to_json():
         _print(
             {
@@ -103,7 +103,7 @@ def watch_folder(motor: Path, folder: Path, *, follow: bool) -> int:
                 "reason": each["sentence"],
             }
         )
-    return int(worst(outcome.status for outcome in outcomes))
+    return int(worst(outcome.status for outcome in outcomes.values()))
 
 
 def _event(outcome: Outcome) -> dict[str, Any]:

@@ -36,8 +36,9 @@ from motor_env.diagnosis.verdict.healthy_spread import (
     learn_starts,
 )
 from motor_env.diagnosis.verdict.hypotheses import Fitted
+from motor_env.diagnosis.verdict.judgement import percent
 from motor_env.diagnosis.verdict.report_text import UNITS, describe_friction_share
-from motor_env.diagnosis.verdict.sensor_diagnosis import explain_coupling, learn_signs
+from motor_env.diagnosis.verdict.sensor_diagnosis import learn_signs
 from motor_env.motor.data_sheet import Motor, lines as lines_of
 from motor_env.motor.healthy import Healthy
 from motor_env.motor.model import steady_state
@@ -69,7 +70,7 @@ def interval_lines(rows: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Format each interval as a line, in per cent of the value."""
     return [
         f"  {name:<12} {row['value']:11.4g} {row['unit']:<12}"
-        f" {row['interval'][0] / row['value'] - 1.0:+.1%} to {row['interval'][1] / row['value'] - 1.0:+.1%}"
+        f" {percent(row['interval'][0] / row['value'] - 1.0)} to {percent(row['interval'][1] / row['value'] - 1.0)}"
         for name, row in rows.items()
     ]
 
@@ -120,7 +121,9 @@ class Commissioned:
             drives = len(healthy.windows.drives)
         explained = [fit.r2_current for fit in self.fits if isinstance(fit, StartFit)]
         quality = [f"  R2 of the current {min(explained):.4f} to {max(explained):.4f}"] if explained else []
-        smallest = ", ".join(f"{fault} {severity:.1%}" for fault, severity in self.smallest.items())
+        smallest = ", ".join(
+            f"{fault} {percent(severity, '.1%')}" for fault, severity in self.smallest.items()
+        )
         friction = describe_friction_share(healthy.own_friction)
         interval = f"({1.0 - rate:.0%}, Student t, {healthy.degrees_of_freedom:.0f} degrees)"
         lines = [
@@ -150,7 +153,9 @@ class Commissioned:
         from motor_env.diagnosis.verdict.report_page import page_of_fits, spread_chart
 
         starts = [fit for fit in self.fits if isinstance(fit, StartFit)]
-        smallest = ", ".join(f"{kind.replace('_', ' ')} {share:.0%}" for kind, share in self.smallest.items())
+        smallest = ", ".join(
+            f"{kind.replace('_', ' ')} {percent(share, '.0%')}" for kind, share in self.smallest.items()
+        )
         return page_of_fits(
             f"Interval of the next healthy {'start' if starts else 'window'} ({1.0 - self.false_alarm_rate:.0%})",
             {f"Healthy start {number}": fit for number, fit in enumerate(starts, 1)},
@@ -228,9 +233,6 @@ def commission(
                 raise InputError(f"--{option} belongs to starts, and these are logs of a motor at work")
         try:
             whole = [at_terminals(recording, voltage_v, circuit) for recording in read]
-            for log in whole:
-                if (reason := explain_coupling(log)) is not None:
-                    raise InputError(f"{log.path}: a healthy log cannot be used: {reason}")
             healthy, windows = learn_windows(whole, window_s, steady=steady)
         except UnusableError as error:
             raise InputError(f"the logs cannot be used: {error}") from None
@@ -303,7 +305,7 @@ def fit_starts(
     if len({fit.quantity_names for fit in fits}) > 1:
         raise InputError(f"the healthy {word}s hold different columns; give such that agree")
     for number, part in enumerate(starts):
-        fit = behind_capacitor(fits[number], constant=constant) or fits[number]
+        fit = behind_capacitor(fits[number], constant=constant, can_be_slow=True) or fits[number]
         reason = explain_unusable(fit) or explain_outlier(fits, number)
         if reason is not None:
             raise InputError(f"{part.path}: a healthy {word} cannot be used: {reason}")

@@ -48,8 +48,8 @@ from motor_env.diagnosis.verdict.hypotheses import alarm_share, compare
 from motor_env.diagnosis.verdict.judgement import NOTHING_ELSE, JudgedRecording, Judgement, Verdict
 from motor_env.diagnosis.verdict.scaling_errors import SWAPPED, is_unlike_motor
 from motor_env.diagnosis.verdict.sensor_diagnosis import (
-    AC_COUPLED,
     check_coupling,
+    describe_coupling,
     diagnose_sensors,
     sensor_judgement,
 )
@@ -318,8 +318,8 @@ def _reference_shift(start: Start, motor: Motor) -> ReferenceShift:
 
 def explain_unusable(fit: StartFit) -> str | None:
     """Explain why a fit cannot carry a verdict; None if it can."""
-    if fit.coupling_per_s is not None:
-        return AC_COUPLED.format(1.0 / fit.coupling_per_s)
+    if fit.start.is_coupled:
+        return describe_coupling(fit.start.sizes[-1])
     clipped = fit.start.alignment.saturation
     if clipped:
         return f"the recording is clipped, {clipped}"

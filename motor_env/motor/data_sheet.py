@@ -182,19 +182,19 @@ def _to_motor(file: _File, given: Collection[str]) -> Motor:
     numbers = {key: number for key, number in asdict(file.motor).items() if number is not None}
     si, is_sheet = in_si(numbers), file.kind == "data_sheet"
     notes, guessed = complete(si, numbers, may_guess=is_sheet)
-    usual = {name: "usual" for name in _TOLERANCES if name not in given}
-    wide = {_TOLERANCE_OF[quantity]: _GUESSED for quantity in guessed}
-    usual |= dict.fromkeys(wide, _MISSING)
-    if "viscous_friction_n_m_s_per_rad" not in si:
-        si["viscous_friction_n_m_s_per_rad"] = _friction(si)
+    usual, wide = {name: "usual" for name in _TOLERANCES if name not in given}, dict[str, float]()
+    if _B not in si:
+        si[_B] = _friction(si)
         if "friction" not in given:
             wide["friction"], usual["friction"] = _NO_LOAD, "from a no-load current, and those scatter"
-    if si["viscous_friction_n_m_s_per_rad"] == 0.0 == si.get("coulomb_friction_n_m", 0.0):
-        notes.append("its friction is 0, which no motor has: is it unknown?")
+    if is_sheet and si[_B] == 0.0 == si.get("coulomb_friction_n_m", 0.0):
+        guessed.append(_B)
+    wide |= {_TOLERANCE_OF[quantity]: _GUESSED for quantity in guessed}
+    usual |= {_TOLERANCE_OF[quantity]: _MISSING for quantity in guessed}
     if guessed:
+        lacking = " and ".join("friction, as its friction is 0" if name == _B else name for name in guessed)
         notes.append(
-            f"the sheet does not give {' and '.join(guessed)}: a recording's own value counts, and no change"
-            " of it shows;"
+            f"the sheet does not give {lacking}: a recording's own value counts, and no change of it shows;"
             " motor-env commission start1.csv start2.csv start3.csv -o motor.toml learns all from healthy starts"
         )
     unknown = [key for key in file.assumed if key not in numbers]
@@ -216,9 +216,7 @@ def _to_motor(file: _File, given: Collection[str]) -> Motor:
 
 
 def _friction(si: Mapping[str, float]) -> float:
-    """Return viscous friction: given, or from the no-load point, where Kt i0 = Tc + B w0."""
-    if "viscous_friction_n_m_s_per_rad" in si:
-        return si["viscous_friction_n_m_s_per_rad"]
+    """Return viscous friction from the no-load point, where Kt i0 = Tc + B w0."""
     require(
         "no_load_current_a" in si,
         "motor.viscous_friction_n_m_s_per_rad is missing, and so is motor.no_load_current_ma,"
@@ -269,10 +267,10 @@ def to_toml(motor: Motor) -> str:
 
 _TOLERANCES = tuple(f.name for f in fields(Tolerance))
 _NO_LOAD, _GUESSED = 0.3, 1.5  # tolerance of friction from a no-load current; of a guess
-_TOLERANCE_OF = {"inductance_h": "inductance", "inertia_kg_m2": "inertia"}
+_J, _B, _V = "rotor_inertia_kg_m2", "viscous_friction_n_m_s_per_rad", "nominal_voltage_v"
+_TOLERANCE_OF = {"inductance_h": "inductance", "inertia_kg_m2": "inertia", _B: "friction"}
 _MISSING = "a guess, as the sheet has none"
 _K = ("torque_constant_n_m_per_a", "back_emf_constant_v_s_per_rad")
-_J, _B, _V = "rotor_inertia_kg_m2", "viscous_friction_n_m_s_per_rad", "nominal_voltage_v"
 _GUESS = "a guess, 1/100 of the voltage: the current alone determines K^2/J and B/J, not K, J and B"
 
 
@@ -290,9 +288,10 @@ def assumptions(quantities: Sequence[str], *, has_voltage: bool) -> dict[str, st
 
 def require_told(motor: Motor) -> None:
     """Raise `ValueError` for a data sheet that lacks what a simulation needs."""
+    lacking = [name for name in motor.guesses if name != _B]  # without friction a motor can be simulated
     require(
-        not motor.guesses,
-        f"{motor.name}: the data sheet lacks {' and '.join(motor.guesses)}, so that nothing of it can be simulated:"
+        not lacking,
+        f"{motor.name}: the data sheet lacks {' and '.join(lacking)}, so that nothing of it can be simulated:"
         " add it, or commission the motor",
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from motor_env.motor.parameters import RAD_S_PER_RPM, require
@@ -98,7 +99,7 @@ def complete(
         "motor gives a speed constant and a back-EMF constant; give one of them",
     )
     notes, guessed = _add_constants(si, numbers), []
-    squared, speed_rpm = max(si[_KT] * si[_KB], _TINY), _volts(si) / si[_KB] / RAD_S_PER_RPM
+    squared = max(si[_KT] * si[_KB], _TINY)
     for quantity, key, word, formula, factor in (
         (_J, "rotor_inertia_g_cm2", "mechanical", "R J / (Kt Kb)", squared / si[_R]),
         (_L, "inductance_mh", "electrical", "L / R", si[_R]),
@@ -113,10 +114,10 @@ def complete(
             f"motor gives a time constant of {1e3 * (stated or 0.0):.4g} ms, but {formula} of its other numbers is"
             f" {1e3 * follows:.4g} ms; correct the one that is wrong",
         )
-    if si[_L] > 0.1 * si[_R]:
-        notes.append(f"L / R is {si[_L] / si[_R]:.3g} s, more than a usual motor has: is the unit right?")
-    if speed_rpm > 0.0 and not 50.0 < speed_rpm < 2e5:
-        notes.append(f"V / K is {speed_rpm:.3g} rpm, unlike a usual motor's: is the unit right?")
+    for doubt, is_far in _doubts(numbers).items():
+        hint = _unit_hint(numbers)
+        require(not (is_far and may_guess and hint), f"motor: {doubt}, which no motor has{hint}")
+        notes.append(f"{doubt}, unlike a usual motor's: is the unit right?")
     return notes, guessed
 
 
@@ -160,14 +161,34 @@ def _constants(si: Mapping[str, float]) -> dict[str, float]:
     return found
 
 
+def _doubts(numbers: Mapping[str, float]) -> dict[str, bool]:
+    """What follows from the numbers of a sheet and no usual motor has, in words; and whether it is far from it."""
+    si = in_si(numbers)
+    resistance, constant = si[_R], next(iter(_constants(si).values()))
+    drawn, speed = (si.get(name, math.nan) for name in ("no_load_current_a", "no_load_speed_rad_s"))
+    volts = _volts(si) if _volts(si) > 0.0 else constant * speed + resistance * drawn
+    follows = {  # least and largest, and how far beyond them is far
+        "L / R is {:.3g} s": (si.get(_L, math.nan) / resistance, 1e-6, 0.1, 1.0),
+        "R J / K^2 is {:.3g} s": (resistance * si.get(_J, math.nan) / constant**2, 1e-4, 30.0, 1.0),
+        "V / K is {:.3g} rpm": (volts / constant / RAD_S_PER_RPM, 50.0, 2e5, 10.0),
+        "R i0 / V is {:.3g}": (resistance * drawn / volts, 0.0, 0.5, 1.0),
+    }
+    return {
+        words.format(value): not low / far <= value <= high * far
+        for words, (value, low, high, far) in follows.items()
+        if 0.0 < value < low or value > high
+    }
+
+
 def _unit_hint(numbers: Mapping[str, float]) -> str:
-    """Name the other units in which the constants would agree; empty if there are none."""
+    """Name the keys of other units with which nothing is in doubt and no constant contradicts another; or empty."""
     found: dict[str, str] = {}
     for key, number in numbers.items():
         others = {k: numbers[k] for k in numbers if k != key}
         for other in next(keys for keys in UNITS.values() if key in keys):
-            constants = _constants(in_si(others | {other: number})).values()
-            if len(constants) > 1 and _apart(min(constants), max(constants)) < _LARGEST_DISAGREEMENT:
+            changed = others | {other: number}
+            constants = _constants(in_si(changed)).values()
+            if _apart(min(constants), max(constants)) < _LARGEST_DISAGREEMENT and not _doubts(changed):
                 found.setdefault(key, f"{key} = {number:g} looks like {other}")
     return f": {', or '.join(found.values())}" if found else ""
 

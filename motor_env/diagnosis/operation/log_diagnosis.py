@@ -42,7 +42,7 @@ from motor_env.diagnosis.verdict.scaling_errors import (
     find_scaling_errors,
     is_far_from_healthy,
 )
-from motor_env.diagnosis.verdict.sensor_diagnosis import check_coupling, diagnose_sensors
+from motor_env.diagnosis.verdict.sensor_diagnosis import diagnose_sensors
 from motor_env.motor.data_sheet import Motor
 from motor_env.motor.healthy import Windows
 from motor_env.motor.model import steady_state
@@ -84,7 +84,7 @@ def judge_log(
             from_recordings([whole])  # may raise the reason
     except UnusableError as error:
         return [Judgement(Verdict.UNUSABLE, (str(error),)).on(whole)], 1
-    return [check_coupling(judgement) for judgement in judged], count
+    return judged, count
 
 
 def _until_read(recording: Recording) -> Recording:
@@ -152,8 +152,9 @@ def judge_for(recording: Recording, motor: Motor, temperature_c: float | None = 
                 records.append(replace(from_recordings([part]), hold=joint.record.hold))
         if records:
             physical, terms, _ = choose_window_terms(records, joint)
+    own = {"inertia_kg_m2": physical[index.J], "viscous_friction_n_m_s_per_rad": viscous(physical, speed)}
     reference = reference_of(
-        motor.with_guesses_of(replace(motor.parameters, inertia_kg_m2=float(physical[index.J]))),
+        motor.with_guesses_of(replace(motor.parameters, **own)),
         NAMES,
         are_starts=False,
         temperature_c=temperature_c,

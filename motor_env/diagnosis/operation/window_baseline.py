@@ -36,6 +36,7 @@ from motor_env.diagnosis.operation.windows import (
 from motor_env.diagnosis.readers.recording import Recording, UnusableError
 from motor_env.diagnosis.verdict.healthy_spread import RECORD_SPREAD, next_window, usual_condition_windows
 from motor_env.diagnosis.verdict.hypotheses import NAMES, FittedWindow
+from motor_env.diagnosis.verdict.sensor_diagnosis import explain_coupling
 from motor_env.motor.healthy import Healthy, OperatingCondition, Windows
 from motor_env.motor.parameters import FloatArray
 
@@ -67,6 +68,9 @@ def learn_windows(
     Raises:
         UnusableError: no current or speed, too few windows, or no motor explains them.
     """
+    for recording in recordings:
+        if (reason := explain_coupling(recording)) is not None:
+            raise UnusableError(f"{recording.path}: {reason}")
     if window_s is None:
         window_s = window_length_s(recordings, _DEFAULT_WINDOWS)
     parts = [part for recording in recordings for part in windows_of(recording, window_s)]

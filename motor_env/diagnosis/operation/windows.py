@@ -26,7 +26,7 @@ from motor_env.diagnosis.verdict.decision import decide
 from motor_env.diagnosis.verdict.healthy_motor import Reference, add_normal_spread, reference_of_pieces
 from motor_env.diagnosis.verdict.hypotheses import EXPONENTS, NAMES, FittedWindow, alarm_share
 from motor_env.diagnosis.verdict.judgement import Judgement, Verdict
-from motor_env.diagnosis.verdict.sensor_diagnosis import ChannelRecord, find_failure
+from motor_env.diagnosis.verdict.sensor_diagnosis import ChannelRecord, check_coupling, find_failure
 from motor_env.motor import identifiable
 from motor_env.motor.healthy import Healthy, OperatingCondition, Windows
 from motor_env.motor.parameters import FloatArray
@@ -250,7 +250,8 @@ class WindowJudge:
                 f"outside the commissioned regime: {volts:.3g} V effective, commissioned {low:.3g} to {high:.3g} V"
             )
         chosen = range(len(parts)) if len(parts) <= MANY else self._choose_windows(sampled, parts)
-        judged = [self._judge_window(parts[n], rate / len(parts), is_alarm).on(parts[n]) for n in chosen]
+        each = ((parts[n], self._judge_window(parts[n], rate / len(parts), is_alarm)) for n in chosen)
+        judged = [check_coupling(one, part=part).on(part) for part, one in each]
         return judged if len(self.references) < 2 else _require_half_of_windows(judged), len(parts)
 
     def _choose_windows(self, recording: Recording, parts: Sequence[Recording]) -> list[int]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import ndtr
@@ -21,10 +22,10 @@ _FEWEST_FOR_SPECTRUM, _FLOOR_SHARE = 40, 0.9
 _MOST_NOISE = 0.6  # of the variance: a record of noise alone shows no motor
 _FEWEST_FOR_WILD = 50
 _WILD_NOISES = 10.0
-_WILD_SHARE = 0.05  # of the current's range: a smaller jump spoils no fit
+_WILD_SHARE = 0.05  # of the current's range: a smaller jump of one sample spoils no fit
 _AGREE = 0.2  # of the jump: the neighbours of a wild sample agree so well among themselves
 _SAMPLES_PER_WILD = 1000
-_OUTSIDE = 2.0  # times the largest of the others
+_OUTSIDE, _LONGEST_RUN = 2.0, 3  # times the largest of the others; samples
 _FEWEST_SAMPLES = 64
 _MOST_LINES = 8
 
@@ -75,38 +76,43 @@ def floor_noise(values: FloatArray) -> float:
 
 
 def outlier_samples(current: FloatArray) -> tuple[int, ...]:
-    """Find single samples far off two neighbours on each side; none where they are more than one in a thousand."""
+    """Find up to three samples in a row far off two neighbours on each side; none of too many runs."""
     if len(current) < _FEWEST_FOR_WILD:
         return ()
-    around = np.stack([current[:-4], current[1:-3], current[3:-1], current[4:]])
-    jump = np.abs(current[2:-2] - np.median(around, axis=0))
     second = np.diff(current, n=2)
     noise = _MAD_TO_STD * float(np.median(np.abs(second - np.median(second)))) / math.sqrt(6.0)
     level = float(np.percentile(np.abs(current - np.median(current)), 99))
-    is_wild = (jump > max(_WILD_NOISES * noise, _WILD_SHARE * level)) & (
-        np.ptp(around, axis=0) < _AGREE * jump
-    )
-    wild = np.flatnonzero(is_wild) + 2
-    return tuple(wild.tolist()) if len(wild) <= len(current) / _SAMPLES_PER_WILD else ()
+    wild: dict[int, int] = {}
+    for run in range(1, _LONGEST_RUN + 1):
+        windows = sliding_window_view(current, run + 4)
+        around = windows[:, [0, 1, -2, -1]]
+        jump = np.abs(windows[:, 2:-2] - np.median(around, axis=1, keepdims=True)).min(axis=1)
+        share = _WILD_SHARE if run == 1 else 1.0
+        is_wild = (jump > max(_WILD_NOISES * noise, share * level)) & (np.ptp(around, axis=1) < _AGREE * jump)
+        wild |= dict.fromkeys((np.flatnonzero(is_wild) + 2).tolist(), run)
+    is_few = len(wild) <= len(current) / _SAMPLES_PER_WILD
+    return tuple(sorted(k + n for k, run in wild.items() for n in range(run))) if is_few else ()
 
 
 def lone_outliers(values: FloatArray) -> NDArray[np.bool_]:
-    """Flag single readings more than twice as large as all others, one in a thousand at most, shape (n,)."""
+    """Flag up to three readings in a row more than twice as large as all others, few of a thousand, shape (n,)."""
     size = np.abs(np.nan_to_num(values))
-    most = 1 + len(size) // _SAMPLES_PER_WILD
-    if len(size) <= most:
+    most = _LONGEST_RUN + len(size) // _SAMPLES_PER_WILD
+    if len(size) <= 2 * most:
         return np.zeros(len(size), dtype=np.bool_)
     rest = float(np.partition(size, -1 - most)[-1 - most])
-    far = np.pad(size > _OUTSIDE * rest, 1) & (rest > 0.0)
-    return np.asarray(far[1:-1] & ~far[:-2] & ~far[2:], dtype=np.bool_)
+    far = np.asarray((size > _OUTSIDE * rest) & (rest > 0.0))
+    edges = np.flatnonzero(np.diff(far, prepend=False, append=False))
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        far[first:end] = end - first <= _LONGEST_RUN
+    return far
 
 
 def without_outliers(current: FloatArray, wild: Sequence[int]) -> FloatArray:
-    """Replace each outlier by the mean of its neighbours."""
+    """Replace outliers by what lies between their neighbours."""
     mended = current.copy()
-    for k in wild:
-        mended[k] = 0.5 * (mended[k - 1] + mended[k + 1])
-    return mended
+    mended[list(wild)] = np.nan
+    return filled(mended)
 
 
 def filled(values: FloatArray) -> FloatArray:

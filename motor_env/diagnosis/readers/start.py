@@ -109,10 +109,13 @@ class Start:
 
     @property
     def beside(self) -> FloatArray:
-        """Shapes that are fitted beside the motor, shape (n_samples, m): hum, and the charge behind a capacitor."""
+        """Shapes that are fitted beside the motor, shape (n_samples, m): hum, and what a capacitor takes off.
+
+        That is the charge, and a ramp: the charge of an error of the offset.
+        """
         hum = waves(self.time_s, self.hum_hz)
         hum[: self.alignment.onset_index * self.is_hum_of_supply] = 0.0
-        return np.column_stack([hum, -self.charge_a_s]) if self.is_coupled else hum
+        return np.column_stack([hum, self.time_s, -self.charge_a_s]) if self.is_coupled else hum
 
     def with_hum(self, hum_hz: tuple[float, ...], residual_a: FloatArray) -> Start:
         """Return the start with hum, by what else leaves of the current, shape (n_samples,)."""

@@ -25,7 +25,7 @@ from motor_env.common.files import LARGEST_DATA_BYTES, LARGEST_TABLE_BYTES, read
 from motor_env.diagnosis.readers import array_parser
 from motor_env.diagnosis.readers.headers import understand
 from motor_env.diagnosis.readers.text_block import FEWEST_SAMPLES, MOST_COLUMNS, Table, TextTable, cells
-from motor_env.diagnosis.readers.text_numbers import large_block, whole_block
+from motor_env.diagnosis.readers.text_numbers import NULL_SHARE, large_block, whole_block, with_nulls
 from motor_env.motor.parameters import FloatArray
 
 LARGEST_WHOLE_BYTES = 50_000_000
@@ -37,7 +37,6 @@ ENDINGS = (
 """Endings of files in a folder that are recordings; a file that is named may have any other."""
 _CONTROL = bytes(code for code in range(32) if code not in (9, 10, 11, 12, 13))
 _CONTROL_SHARE = 0.01  # more control characters than that are no text
-_NULL_SHARE = 0.2  # of a text
 _MOST_STRAY = 5  # cells that are told
 _WIDE = (b"\xff\xfe", b"\xfe\xff")
 _FOREIGN = {  # how they begin, and what helps
@@ -93,9 +92,7 @@ def read_table(path: Path, wanted: Sequence[str] = ()) -> Table:
             return large_block(path)
         case _:
             content = _content(path)
-            table, nulls = whole_block(path, _decoded(path, content)), _nulls(content)
-            words = f"{nulls} NUL byte{'s are' if nulls > 1 else ' is'} skipped"
-            return replace(table, remarks=(*table.remarks, words)) if nulls else table
+            return with_nulls(whole_block(path, _decoded(path, content)), _nulls(content))
     return _columns(path, arrays, averaged, wanted)
 
 
@@ -120,7 +117,7 @@ def _decoded(path: Path, content: bytes) -> str:
     _refuse_foreign(path, content)
     wide = content[:2] in _WIDE
     whole = content.rstrip(b"\0")  # a power cut may leave any number of them
-    if _nulls(whole) < _NULL_SHARE * len(whole):
+    if _nulls(whole) < NULL_SHARE * len(whole):
         content = content if wide else whole.replace(b"\0", b"")
     for encoding in ["utf-16"] if wide else ["utf-8-sig", "cp1252"]:
         with suppress(UnicodeDecodeError):

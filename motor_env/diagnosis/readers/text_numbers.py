@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -28,6 +29,8 @@ from motor_env.diagnosis.readers.text_block import (
 from motor_env.motor.parameters import FloatArray
 
 MOST_ROWS = 4_000_000
+NULL_SHARE = 0.2
+"""Bytes of 0 in what is no text any more."""
 _AT_ONCE = 2  # pieces: pandas lets other threads run while it parses
 _HEAD_BYTES, _TAIL_BYTES, _PIECE_BYTES = 2_000_000, 65_536, 8_000_000
 _SMALL_BYTES = 4_000_000
@@ -57,9 +60,11 @@ def large_block(path: Path) -> Table:
         size = file.seek(0, io.SEEK_END)
         file.seek(-min(_TAIL_BYTES, size), io.SEEK_END)
         tail = file.read().partition(b"\n")[2]
-        if not head or not tail or b"\0" in head:
+        if not head or not tail or head.count(0) > NULL_SHARE * len(head):
             raise InputError(f"{path}: is no text with lines; only plain text may be so large")
-        first, last = (part.decode("utf-8-sig", "replace").splitlines() for part in (head, tail))
+        first, last = (
+            part.replace(b"\0", b"").decode("utf-8-sig", "replace").splitlines() for part in (head, tail)
+        )
         block = block_of(path, [*first, *last], tail.endswith((b"\n", b"\r")))
         if block.clocks:
             raise InputError(f"{path}: so large a file needs its time in seconds, or --sampling-rate HZ")
@@ -70,16 +75,27 @@ def large_block(path: Path) -> Table:
             file.readline()
         if not file.peek(1):  # what ends with a return alone is no line of a file
             raise InputError(f"{path}: is no text with lines; only plain text may be so large")
-        values = _means(_pieces(file, block), factor)
-    return table_of(block, values, range(block.begin, block.begin + len(values) * factor, factor), factor)
+        nulls: list[int] = []
+        values = _means(_pieces(file, block, nulls), factor)
+    lines = range(block.begin, block.begin + len(values) * factor, factor)
+    return with_nulls(table_of(block, values, lines, factor), sum(nulls))
 
 
-def _pieces(file: BinaryIO, block: Block) -> Iterator[FloatArray]:
-    """Yield the numbers of each piece of whole lines, shape (rows, columns)."""
+def with_nulls(table: Table, count: int) -> Table:
+    """Return a table with a note on bytes of 0 that were skipped."""
+    words = f"{count} NUL byte{'s are' if count > 1 else ' is'} skipped"
+    return replace(table, remarks=(*table.remarks, words)) if count else table
+
+
+def _pieces(file: BinaryIO, block: Block, nulls: list[int]) -> Iterator[FloatArray]:
+    """Yield the numbers of each piece of whole lines, shape (rows, columns), and count bytes of 0."""
     line = block.begin
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         waiting: deque[Future[tuple[FloatArray, Sequence[int]]]] = deque()
         while piece := file.read(_PIECE_BYTES) + file.readline():
+            nulls.append(piece.count(0))
+            if not (piece := piece.replace(b"\0", b"")):
+                break
             if CUT_OFF in block.remarks and not piece.endswith(b"\n"):
                 piece = piece.rpartition(b"\n")[0]
             piece = piece.replace(b" -> ", block.arrow.encode()) if block.arrow else piece

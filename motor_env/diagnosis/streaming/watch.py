@@ -345,12 +345,13 @@ class Watch:
             return Event(
                 self._time_s, "another_motor", "constants and inertia are those of another motor", ratios
             )
+        is_told = window.verdict in (Verdict.UNUSABLE, Verdict.SENSOR, Verdict.OTHER)
         return Event(
             self._time_s,
             "window",
             str(window.verdict),
             ratios,
-            reason=window.reasons[0] if window.verdict in (Verdict.UNUSABLE, Verdict.SENSOR) else "",
+            reason=window.reasons[-1 if window.verdict is Verdict.OTHER else 0] if is_told else "",
             fault_kind=None if window.kind is None else str(window.kind),
             also=tuple(str(fault.kind or fault.verdict) for fault in window.also),
             undecided=tuple(change.name for change in window.changes if change.verdict == "undecided"),

@@ -47,6 +47,7 @@ from motor_env.diagnosis.verdict.judgement import (
     Judgement,
     Verdict,
     describe_findings,
+    percent,
 )
 from motor_env.diagnosis.verdict.load_hypotheses import LOADS
 from motor_env.diagnosis.verdict.scaling_errors import (
@@ -55,12 +56,15 @@ from motor_env.diagnosis.verdict.scaling_errors import (
     limit_to_wear,
 )
 from motor_env.motor.faults import FaultKind, motor_kinds
+from motor_env.motor.identifiable import PARAMETERS
 from motor_env.motor.parameters import FloatArray
 
 DEFAULT_FALSE_ALARM_RATE = 0.01
 _NOTABLE_WARMTH_K = 8.0
-# Sizes of changes; a ratio beyond the last is of a quantity that the healthy pieces hardly determine.
-_DOUBLED, _TENFOLD, _MANYFOLD = 1.0, 9.0, 100.0
+# Of a start from rest: standard deviations of its temperature, beyond which K must move as magnets do: per kelvin (1 sd
+# about that of ferrite and NdFeB), but in 1 of 20.
+_HOT, _MAGNETS, _BEYOND = 2.5, 0.0005, 0.05
+_DOUBLED, _TENFOLD = 1.0, 9.0
 _LEFT_OVER = 0.01
 _MACHINE, _MACHINE_LOG_SD = 5.0, 1.0  # its drag over the motor's own: the median, and the sd of the logarithm
 # What inertia and drag of a machine move, and whether upwards.
@@ -118,6 +122,9 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         quiet = None if alarm else hypotheses[0]
     hypothesis = quiet or hypotheses[0]
     same_warmth = covariance_at_one_temperature(fit, reference)
+    warming, is_plausible = _describe_warming(hypothesis, same_warmth, reference)
+    if alarm is None and isinstance(fit, StartFit) and not is_plausible:
+        quiet = None
     # As fitted; those of a hypothesis are linearised in the temperature.
     rows, load = shared_rows(fit, reference), hypotheses[0].load
     log_ratios = fit.log_values[rows] - reference.log_values - reference.warmer_k * load.warmth
@@ -125,7 +132,7 @@ def decide(fit: Fitted, reference: Reference, rate: float, *, alarm: bool | None
         Verdict.HEALTHY,
         (
             f"no quantity has moved further than {reference.source} and the fit's own error allow",
-            *_describe_warming(hypothesis, same_warmth, reference),
+            *warming,
             *filter(None, (reference.assumed,)),
         ),
         severity=0.0,
@@ -231,8 +238,8 @@ def _explain_alarm(
     unnamed = tuple(kind for kind in motor_kinds() if kind not in nameable)
     # These cannot be named: a coupled load would look the same.
     unnameable = (
-        f"it may be {fault.kind} by {fault.severity:.0%} ({fault.kind.finding}), or a coupled load: a recording of the"
-        " speed tells which"
+        f"it may be {fault.kind} by {percent(fault.severity, '.0%')} ({fault.kind.finding}), or a coupled load: a"
+        " recording of the speed tells which"
         for fault in filter(suffices, explain(first.difference, unnamed))
     )
     is_up = {change.name: change.ratio > 1.0 for change in healthy.changes if change.significant}
@@ -249,19 +256,29 @@ def _explain_alarm(
 
 def _describe_warming(
     hypothesis: Hypothesis, same_warmth: FloatArray, reference: Reference
-) -> tuple[str, ...]:
-    """Describe a change of the temperature that explains the changes: its posterior mean in kelvin."""
+) -> tuple[tuple[str, ...], bool]:
+    """Describe a change of the temperature that explains the changes: its posterior mean in kelvin.
+
+    Also return whether it can be, as K falls with it.
+    """
     if reference.temperature_k == 0.0:
-        return ()
-    kelvin, sd = estimate_warming(
-        hypothesis.difference.log_ratios, same_warmth, hypothesis.load.warmth, reference.temperature_k
+        return (), True
+    difference, warmth = hypothesis.difference, hypothesis.load.warmth
+    kelvin, sd = estimate_warming(difference.log_ratios, same_warmth, warmth, reference.temperature_k)
+    powers = difference.exponents[:, PARAMETERS.index("K")]
+    k = int(np.argmax(np.abs(powers)))
+    left = float(difference.log_ratios[k] - kelvin * warmth[k])
+    allowed = math.hypot(math.sqrt(same_warmth[k, k]), powers[k] * _MAGNETS * kelvin)
+    can_explain = abs(kelvin) < _HOT * reference.temperature_k or abs(left) < allowed * -float(
+        stdtrit(difference.degrees_of_freedom, 0.5 * _BEYOND)
     )
     if abs(kelvin) < max(_NOTABLE_WARMTH_K, 2.0 * sd):
-        return ()
+        return (), can_explain
     word = "warmer" if kelvin > 0.0 else "colder"
-    return (
-        f"the motor is some {abs(kelvin):.0f} K {word} than when it was healthy: that explains its R, K and friction",
+    words = (
+        f"the motor is some {abs(kelvin):.0f} K {word} than when it was healthy: that explains its R and K"
     )
+    return (words,), can_explain
 
 
 def _is_in_table(fault: Explanation, changes: tuple[Change, ...]) -> bool:
@@ -283,25 +300,22 @@ def _find_pair(
 ) -> tuple[list[Explanation], dict[str, float]] | None:
     """Find two faults at once, the stronger one first, and the probabilities with them.
 
-    Each must be significant beside the other and show in a quantity's interval, and both must leave nothing
-    unexplained: no p-value below `rate`. If `kind` explains the difference alone, it is one of the two; else both must
-    explain it better than "other".
+    Each must be significant beside the other and show in the table, and both must leave nothing unexplained: no p-value
+    below `rate`. If `kind` explains the difference alone, it is one of the two; else both must explain it better than
+    "other".
     """
-
-    def shows(fault: Explanation) -> bool:
-        rows = zip(changes, fault.direction.tolist(), strict=True)
-        return any(c.excludes_healthy and slope * (c.ratio - 1.0) > 0.0 for c, slope in rows)
-
     limit = -float(stdtrit(difference.degrees_of_freedom, _FALSE_SECOND / max(len(faults) - 1, 1)))
+    limit = _NAMED if kind is None else limit
     pairs = {}
     for kinds in combinations([fault.kind for fault in faults], 2):
-        pair = [] if kinds[0].verdict == kinds[1].verdict else explain_by(difference, kinds)
+        same = kinds[0].verdict == kinds[1].verdict or not any(c.excludes_healthy for c in changes)
+        pair = [] if same else explain_by(difference, kinds)
         if (
             pair
             and kind in (None, *kinds)
             and min(fault.z for fault in pair) > limit
             and pair[0].p_left_over > rate
-            and all(map(shows, pair))
+            and all(_is_in_table(fault, changes) for fault in pair)
             and all(is_separable(difference, one, other) for one, other in (kinds, kinds[::-1]))
         ):
             pairs["+".join(kinds)] = sorted(pair, key=lambda fault: -fault.z)
@@ -425,10 +439,8 @@ def _describe_changes(changes: tuple[Change, ...], source: str) -> tuple[str, ..
         changes, key=lambda c: abs(math.log(c.ratio)) / math.log(c.high / c.low), reverse=True
     )[:1]
     words = [
-        f"{c.name} is up more than {_MANYFOLD:.0f}-fold"
-        if c.ratio > _MANYFOLD
-        else f"{c.name} is {'up' if c.ratio > 1.0 else 'down'} by {abs(c.ratio - 1.0):.0%}"
-        f" ({c.low - 1.0:+.0%} to {c.high - 1.0:+.0%})"
+        f"{c.name} is {'up' if c.ratio > 1.0 else 'down'} by {percent(abs(c.ratio - 1.0), '.0%')}"
+        f" ({percent(c.low - 1.0, '+.0%')} to {percent(c.high - 1.0, '+.0%')})"
         for c in moved
     ]
     if any(c.name.startswith("K^2") for c in moved):

@@ -142,8 +142,9 @@ def reference_of(
     logs = identifiable.logarithms(motor.parameters, motor.nominal_voltage_v or 1.0)
     shift = shift or ReferenceShift()
     logs += shift.logs
+    kind = "data sheet" if motor.kind == "data_sheet" else f"{motor.kind} motor"
     return Reference(
-        source=f"{'data sheet' if motor.kind == 'data_sheet' else f'{motor.kind} motor'} {motor.name}",
+        source=motor.name if motor.name.startswith(kind) else f"{kind} {motor.name}",
         names=names,
         log_values=exponents @ logs,
         log_covariance=exponents @ identifiable.tolerance_covariance(motor.tolerance) @ exponents.T

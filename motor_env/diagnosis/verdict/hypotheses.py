@@ -38,8 +38,8 @@ _ALONG = 0.95  # cosine of two directions that are one
 _COARSER = 5  # the nodes of each of two steps
 _POWER_QUANTILE = 1.645  # 95 of 100
 _LARGEST_LOG = 30.0
-# Standard deviation of each parameter beside a fault, over the square of the fault's step; and the largest step.
-_MODEL_ERROR, _FURTHEST = 0.04, math.log(10.0)
+# Standard deviation of R, L, K, J and B beside a fault, over the fault's step; and the largest step.
+_MODEL_ERROR, _FURTHEST = np.array([0.025, 0.02, 0.02, 0.1, 0.1]), math.log(10.0)
 _LAG_IN_L = 0.3  # of the step of R's logarithm, by which L may move as well
 _R, _L, _VOLTAGE, *_IMITATED = (identifiable.PARAMETERS.index(name) for name in "RLVKJB")
 _LEAST = 1e-3  # length of a direction; a fault that shows has about 1
@@ -206,11 +206,12 @@ def joint_share(rate: float, covariance: FloatArray, exponents: FloatArray, free
 def faulty_covariance(difference: Difference, kinds: Sequence[FaultKind], steps: FloatArray) -> FloatArray:
     """Return the covariance in the presence of faults, shape (n, n).
 
-    The model error of each parameter grows with the squared step. An unmodelled lag is fitted as L, in proportion to R.
+    The model error of each parameter grows with the step: what a dry friction brakes is fitted as inertia, too, and
+    hardly as resistance. An unmodelled lag is fitted as L, in proportion to R.
     """
     parameters, variances = difference.exponents[:, :_VOLTAGE], np.zeros(_VOLTAGE)
     for kind, step in zip(kinds, steps, strict=True):
-        variances += (_MODEL_ERROR * min(abs(step), _FURTHEST) ** 2) ** 2
+        variances += np.square(_MODEL_ERROR * min(abs(step), _FURTHEST))
         variances[_L] += (_LAG_IN_L * step * identifiable.fault_direction(kind)[_R]) ** 2
     return np.asarray(difference.covariance + parameters * variances @ parameters.T, dtype=np.float64)
 

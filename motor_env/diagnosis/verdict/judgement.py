@@ -23,6 +23,12 @@ SURE_OF_KIND = 0.95
 """Least posterior probability of a named kind."""
 _FEWEST_FOR_WHITENESS = 40
 NOTHING_ELSE = " and nothing else moved"
+_LARGEST = 100.0  # of a quantity that the healthy motor determines
+
+
+def percent(share: float, form: str = "+.1%") -> str:
+    """Format a relative change, up to 10,000 %."""
+    return format(share, form) if share <= _LARGEST else f"over {_LARGEST:,.0%}"
 
 
 class Verdict(StrEnum):
@@ -143,14 +149,15 @@ def describe_findings(kinds: Sequence[FaultKind], changes: Sequence[Change]) -> 
     powers, of_sensor = np.array([fault_direction(k) for k in kinds]), any(k.is_sensor for k in kinds)
     moved = [change for change in changes if change.excludes_healthy and not of_sensor]
     beside = [change for change in moved if not np.any(powers @ matrix((change.name,)).T)]
+    is_decided = all(change.verdict != "undecided" for change in changes)
     for kind in kinds:
         what, colon, where = kind.finding.partition(":")
-        alone = len(kinds) == 1 and not beside and not of_sensor
+        alone = len(kinds) == 1 and not beside and not of_sensor and is_decided
         yield f"{what}{NOTHING_ELSE if alone else ''}{colon}{where}"
     for change in beside:
         yield (
-            f"{change.name} changed, too, by {change.ratio - 1.0:+.1%} ({change.low - 1.0:+.1%} to"
-            f" {change.high - 1.0:+.1%}): a further fault, or the model's error beside so large a one"
+            f"{change.name} changed, too, by {percent(change.ratio - 1.0)} ({percent(change.low - 1.0)} to"
+            f" {percent(change.high - 1.0)}): a further fault, or the model's error beside so large a one"
         )
 
 

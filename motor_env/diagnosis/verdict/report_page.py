@@ -14,7 +14,7 @@ from motor_env.diagnosis.estimation.operation_fit import OperationFit
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit
 from motor_env.diagnosis.estimation.starts.start_prior import absolute_parameters
 from motor_env.diagnosis.verdict.hypotheses import Change, Fitted
-from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, Verdict, percent
 from motor_env.diagnosis.verdict.report_text import as_text, describe_r2, warnings_of
 from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
@@ -220,7 +220,8 @@ def page(diagnosis: JudgedRecording) -> str:
         part=f"{_END}: " if _END in current else "",
         residual=residual,
         smallest=[
-            (KIND_TEXTS.get(kind, kind), f"{share:.0%}") for kind, share in decisive.smallest_changes.items()
+            (KIND_TEXTS.get(kind, kind), percent(share, ".0%"))
+            for kind, share in decisive.smallest_changes.items()
         ],
         expert=printable(as_text(diagnosis, verbose=True)),
     )
@@ -293,8 +294,8 @@ def _size(judgement: Judgement) -> str:
     size, interval, kind = judgement.severity, judgement.severity_interval, judgement.fault_kind
     if not size or not judgement.verdict.is_fault or kind is None:
         return ""
-    between = "" if interval is None else f", between {interval[0]:.0%} and {interval[1]:.0%}"
-    return SIZE_TEXTS.get(kind, "Size {}").format(f"{size:.0%}") + between
+    between = "" if interval is None else f", between {' and '.join(percent(end, '.0%') for end in interval)}"
+    return SIZE_TEXTS.get(kind, "Size {}").format(percent(size, ".0%")) + between
 
 
 def reference_current(judgement: Judgement) -> FloatArray | None:
@@ -330,7 +331,7 @@ def _bars(changes: tuple[Change, ...], pieces: Mapping[str, FloatArray] | None =
     for row, change in enumerate(changes):
         y, style = 34.0 * row + 17.0, "moved" if change.significant else "still"
         name = change.name.replace(" V)", ")").removesuffix("/V").replace("(J)", "J")
-        with chart.group(style, f"{change.name}: {change.ratio - 1.0:+.1%}"):
+        with chart.group(style, f"{change.name}: {percent(change.ratio - 1.0)}"):
             chart.text((0.0, y + 5.0), _QUANTITY.get(name, change.name), "name")
             chart.line("interval", (chart.x(change.low), y), (chart.x(change.high), y))
             if pieces is not None:
@@ -338,7 +339,7 @@ def _bars(changes: tuple[Change, ...], pieces: Mapping[str, FloatArray] | None =
                     chart.dot("dot", (chart.x(ratio), y), 4.0)
                 continue
             chart.dot("dot", (chart.x(change.ratio), y), 6.0)
-            chart.text((_WIDTH, y + 5.0), f"{round(change.ratio - 1.0, 2) + 0.0:+.0%}", "value", "end")
+            chart.text((_WIDTH, y + 5.0), percent(round(change.ratio - 1.0, 2) + 0.0, "+.0%"), "value", "end")
     return chart.svg()
 
 
@@ -475,7 +476,7 @@ def _history(name: str, changes: Sequence[tuple[Judgement, Change]]) -> str:
     chart.text((66.0, 14.0), what, "name")
     for piece, change in changes:
         middle = chart.x(piece.begin_s + 0.5 * piece.duration_s)
-        with chart.group("moved" if change.significant else "still", f"{change.ratio - 1.0:+.1%}"):
+        with chart.group("moved" if change.significant else "still", percent(change.ratio - 1.0)):
             chart.line("interval", (middle, chart.y(change.low)), (middle, chart.y(change.high)))
             chart.dot("dot", (middle, chart.y(change.ratio)), 4.0)
     return chart.svg()

@@ -11,7 +11,7 @@ import numpy as np
 from motor_env.diagnosis.estimation.starts.start_fit import StartFit, constants_at, find_ripple, implausible
 from motor_env.diagnosis.readers.recording import Recording
 from motor_env.diagnosis.verdict.hypotheses import Fitted
-from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement
+from motor_env.diagnosis.verdict.judgement import JudgedRecording, Judgement, percent
 from motor_env.motor.parameters import RAD_S_PER_RPM
 
 TWO_SIDED = 1.96
@@ -219,7 +219,9 @@ def as_text(diagnosis: JudgedRecording, *, verbose: bool = False) -> str:
     if verbose:
         lines += expert_lines(decisive)
     if decisive.smallest_changes:
-        smallest = ", ".join(f"{kind} {severity:.0%}" for kind, severity in decisive.smallest_changes.items())
+        smallest = ", ".join(
+            f"{kind} {percent(severity, '.0%')}" for kind, severity in decisive.smallest_changes.items()
+        )
         own = describe_friction_share(None if decisive.reference is None else decisive.reference.own_friction)
         lines.append(f"  smallest change that this comparison finds in 95 of 100 cases: {smallest} ({own})")
     return "\n".join(lines)
@@ -235,7 +237,7 @@ def _count_agreeing(diagnosis: JudgedRecording) -> str:
 
 def _piece_line(diagnosis: JudgedRecording, piece: Judgement) -> str:
     """Format one of several pieces: begin, verdict, and changes of its quantities."""
-    moved = ", ".join(f"{c.name} {c.ratio - 1.0:+.1%}" for c in piece.changes)
+    moved = ", ".join(f"{c.name} {percent(c.ratio - 1.0)}" for c in piece.changes)
     mark = " <" if piece is diagnosis.decisive else ""
     return f"  from {piece.begin_s:.6g} s: {headline(piece)}; {moved or '; '.join(piece.reasons)}{mark}"
 
@@ -246,7 +248,8 @@ def _piece_table(judgement: Judgement) -> list[str]:
     if fit is None:
         return []
     moved = {
-        c.name: f"{c.ratio - 1.0:+6.1%} from the reference (95 %: {c.low - 1.0:+.1%} to {c.high - 1.0:+.1%})"
+        c.name: f"{percent(c.ratio - 1.0, '+6.1%')} from the reference"
+        f" (95 %: {percent(c.low - 1.0)} to {percent(c.high - 1.0)})"
         + (", undecided" if c.verdict == "undecided" else "")
         for c in judgement.changes
     }
@@ -299,9 +302,9 @@ def _fault_words(fault: Judgement) -> str:
     if fault.kind is not None and str(fault.kind) != words:
         words += f" ({fault.kind})"
     if fault.severity and fault.verdict.is_fault:
-        words += f" {fault.severity:+.0%}"
+        words += f" {percent(fault.severity, '+.0%')}"
         if interval is not None:
-            words += f" (95 %: {interval[0]:+.0%} to {interval[1]:+.0%})"
+            words += f" (95 %: {percent(interval[0], '+.0%')} to {percent(interval[1], '+.0%')})"
     if fault.confidence is not None:
         words += f", confidence {fault.confidence:.2f}"
     return words

@@ -105,12 +105,15 @@ _MOVES, _NOISE_BEFORE = 0.2, 200  # of a channel's range; samples
 _ON = 0.1  # of the largest voltage
 _ABOVE, _MOSTLY = 1.1, 0.5  # what the motor shows over the top of a clipped channel; share of the samples
 _OFFSET_AT_REST, _OFFSET = 0.05, 0.15  # of the current of a rotor that is held
-AC_COUPLED = (
-    "the current is AC-coupled: a high pass of about {:.2g} s takes its level away: set the probe to DC"
-)
 _BLOCK_S = 0.02  # of samples that are averaged: L/R is shorter
-_CLEARLY, _CERTAIN = 0.85, 50.0  # of the error (rms), and -2 log likelihood, by one more unknown
+_CLEARLY, _CERTAIN = 0.95, 40.0  # of the error (rms), and -2 log likelihood, by one more unknown
 _STANDS, _TURNS_BACK = 0.02, 0.1  # of the largest voltage and speed; share of the samples
+
+
+def describe_coupling(per_s: float) -> str:
+    """Describe a current behind a capacitor, with its time constant if it is that of a probe."""
+    about = f" of about {1.0 / per_s:.2g} s" if COUPLINGS_PER_S[0] < per_s < COUPLINGS_PER_S[1] else ""
+    return f"the current is AC-coupled: a high pass{about} takes its level away: set the probe to DC"
 
 
 def sensor_judgement(kind: str, why: str) -> Judgement:
@@ -232,33 +235,36 @@ def _motor_runs_on(
     return speed is not None and bool(np.ptp(speed[first:]) > _MOVES * np.ptp(speed))
 
 
-def explain_coupling(recording: Recording) -> str | None:
+def explain_coupling(record: ChannelRecord | Recording) -> str | None:
     """Explain that the current of a log is AC-coupled; None where nothing says so."""
-    record = _record_channels(recording, None)
-    return None if record is None else _explain_coupled(record)
+    rate, gain = _coupling(record)
+    return describe_coupling(rate) if gain > _CERTAIN else None
 
 
 def _check_coupled(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
     """Find a current behind a capacitor."""
-    reason = _explain_coupled(record)
+    reason = explain_coupling(record)
     return None if reason is None else Judgement(Verdict.UNUSABLE, (reason,))
 
 
-def _explain_coupled(record: ChannelRecord) -> str | None:
-    """Explain that a current lacks its charge over a time constant s: V = K w + R (i + charge / s), for any load."""
+def _coupling(record: ChannelRecord | Recording) -> tuple[float, float]:
+    """Fit the charge that a current lacks over a time constant s: V = K w + R (i + charge / s), for any load.
+
+    Return 1/s, and the fall of -2 log likelihood by it; 0 where it is that of no probe.
+    """
+    if record.voltage_v is None or record.current_a is None or record.speed_rad_s is None:
+        return 0.0, 0.0
     n, block = len(record.voltage_v), max(round(_BLOCK_S / record.dt_s), 1)
-    if record.current_a is None or record.speed_rad_s is None or n < _FEWEST * block:
-        return None
+    if n < _FEWEST * block:
+        return 0.0, 0.0
     charge = record.dt_s * np.cumsum(record.current_a - record.current_a.mean())
     channels = (record.speed_rad_s, np.ones(n), np.arange(n), record.current_a, charge, record.voltage_v)
     *shown, volts = np.column_stack(channels)[: n // block * block].reshape(-1, block, 6).mean(axis=1).T
     fits = [np.linalg.lstsq(np.column_stack(some), volts)[0] for some in (shown, shown[:-1])]
     left, direct = (rms(volts - np.column_stack(shown[: len(fit)]) @ fit) for fit in fits)
     rate = float(fits[0][4] / fits[0][3]) if fits[0][3] else 0.0
-    is_told = 0.0 < left < _CLEARLY * direct and 2.0 * len(volts) * np.log(direct / left) > _CERTAIN
-    if not (is_told and COUPLINGS_PER_S[0] < rate < COUPLINGS_PER_S[1]):
-        return None
-    return AC_COUPLED.format(1.0 / rate)
+    is_one = COUPLINGS_PER_S[0] < rate < COUPLINGS_PER_S[1] and 0.0 < left < _CLEARLY * direct
+    return (rate, 2.0 * len(volts) * float(np.log(direct / left))) if is_one else (0.0, 0.0)
 
 
 def _check_swapped(record: ChannelRecord, expected: ChannelRecord, physical: FloatArray) -> Judgement | None:
@@ -421,7 +427,9 @@ _LEAST_GAIN_BY_SHEET, _LEAST_GAIN = -6.0, 6.0  # -2 log likelihood
 _OWN_DRAG = 0.1  # of the drag of a motor in its machine: it keeps more than that without its load
 
 
-def check_coupling(judgement: Judgement, constant: float | None = None) -> Judgement:
+def check_coupling(
+    judgement: Judgement, constant: float | None = None, part: Recording | None = None
+) -> Judgement:
     """Judge a piece that no fault explains, and whose friction fell alone, or beside its resistance: none lowers it.
 
     Over the time constant s an AC coupling lowers B/J by 1/s. A machine may have lost its load, so there a start must
@@ -441,6 +449,8 @@ def check_coupling(judgement: Judgement, constant: float | None = None) -> Judge
     if fit is not None:
         direct = replace(fit.start, current_a=fit.start.current_a + rate * fit.start.charge_a_s)
         gain = likelihood_gain(fit, identify(direct, fit.model, constant=constant, typical=reference.values))
+    elif part is not None:
+        gain = _coupling(part)[1]
     may_lose_load = reference.is_taught and down.ratio > _OWN_DRAG
     if gain < (_LEAST_GAIN if may_lose_load else _LEAST_GAIN_BY_SHEET):
         return replace(judgement, reasons=(*judgement.reasons, _LIKE_COUPLED.format(1.0 / rate)))

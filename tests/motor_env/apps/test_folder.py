@@ -64,9 +64,9 @@ def test_a_recording_is_judged_once_it_grows_no_more(folder: Path) -> None:
     grown = folder / "4.csv"
 
     def sleep(_: float) -> None:
-        if grown.exists():
-            grown.write_text(grown.read_text() + "1\n" * (len(grown.read_text()) < 6))
-        else:
+        if grown.exists() and len(grown.read_text()) < 6:
+            grown.write_text(grown.read_text() + "1\n")
+        elif not grown.exists():
             grown.write_text("")
 
     found = appearing(folder, follow=True, sleep=sleep)

@@ -76,7 +76,7 @@ def test_a_mechanical_time_constant_must_follow_from_the_others(tmp_path: Path) 
     ("line", "field", "si"),
     [
         ("resistance_mohm = 2180.0", "resistance_ohm", 2.18),
-        ("inductance_h = 0.25", "inductance_h", 0.25),
+        ("inductance_h = 0.00025", "inductance_h", 2.5e-4),
         ("inductance_uh = 238.0", "inductance_h", 0.238e-3),
         ("torque_constant_n_m_per_a = 0.024", "torque_constant_n_m_per_a", 0.024),
         ("torque_constant_oz_in_per_a = 3.25", "torque_constant_n_m_per_a", 3.25 * 7.0615518333e-3),
@@ -85,7 +85,7 @@ def test_a_mechanical_time_constant_must_follow_from_the_others(tmp_path: Path) 
         ("back_emf_constant_v_s_per_rad = 0.024", "back_emf_constant_v_s_per_rad", 0.024),
         ("back_emf_constant_v_per_krpm = 2.5", "back_emf_constant_v_s_per_rad", 2.5 * 0.06 / (2.0 * np.pi)),
         ("back_emf_constant_mv_per_rpm = 2.5", "back_emf_constant_v_s_per_rad", 2.5 * 0.06 / (2.0 * np.pi)),
-        ("rotor_inertia_kg_m2 = 0.5", "inertia_kg_m2", 0.5),
+        ("rotor_inertia_kg_m2 = 0.000005", "inertia_kg_m2", 5e-6),
         ("rotor_inertia_kg_cm2 = 0.5", "inertia_kg_m2", 0.5e-4),
         ("rotor_inertia_oz_in_s2 = 0.0006", "inertia_kg_m2", 4.2369311e-6),
         ("rotor_inertia_oz_in2 = 0.5", "inertia_kg_m2", 0.5 * 1.82899783e-5),
@@ -198,7 +198,7 @@ def test_points_that_contradict_the_constants_are_refused(
     ("old", "new", "needle"),
     [
         ("4860.0", "4300.0", "(V - R i0) / w0 is 0.02652 V s/rad"),
-        ("inductance_mh", "inductance_h", "L / R is 0.109 s"),
+        ("inductance_mh = 0.238", "inductance_uh = 238000.0", "L / R is 0.109 s"),
         ("no_load_current_ma = 26.3", "viscous_friction_n_m_s_per_rad = 0.0", "friction is 0"),
         ("nominal_voltage_v = 12.0", "nominal_voltage_v = 0.1", "V / K is 40.6 rpm"),
     ],

@@ -91,11 +91,6 @@ class StartFit:
         return float(self.start.alignment.onset_s + late)
 
     @property
-    def coupling_per_s(self) -> float | None:
-        """1 / time constant of a probe that is coupled by a capacitor; None for any other."""
-        return self.start.sizes[-1] if self.start.is_coupled else None
-
-    @property
     def offset_a(self) -> float:
         """Fitted offset of the current."""
         return float(self.start.alignment.offset_a + self.physical[index.OFFSET_I])

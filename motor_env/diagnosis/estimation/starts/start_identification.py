@@ -39,7 +39,7 @@ _UNSCORED = ("supply_curve", "dead_zone")
 _NO_DRAG = 0.003  # current at no load over that of a held rotor: brushed motors take more
 COUPLINGS_PER_S = (0.2, 100.0)
 """Least and largest 1 / time constant of a probe's coupling."""
-_CERTAIN = 25.0  # -2 log likelihood
+_CERTAIN = 40.0  # -2 log likelihood
 _PROMISING = 6.0  # of a chi-square with one degree; strong evidence takes 12 and more
 
 
@@ -259,6 +259,7 @@ def behind_capacitor(
     *,
     constant: float | None = None,
     typical: Mapping[str, float] | None = None,
+    can_be_slow: bool = False,
 ) -> StartFit | None:
     """Return the fit of a start whose drag vanishes behind the capacitor of a probe, where that explains it; else None.
 
@@ -269,15 +270,15 @@ def behind_capacitor(
         fit: with a probe that is coupled directly.
         constant: see `identify`.
         typical: see `identify`.
+        can_be_slow: whether the start need not tell s.
     """
     values, level_v = fit.physical, fit.start.level_v
     drag = values[index.B] / values[index.K] + values[index.COULOMB] / level_v
     if fit.start.is_coupled or drag * values[index.R] > _NO_DRAG * values[index.K]:
         return None
-    start = replace(fit.start, is_coupled=True, sizes=(*fit.start.sizes, 0.0))
+    start = replace(fit.start, is_coupled=True, sizes=(*fit.start.sizes, 0.0, 0.0))
     behind = identify(start, fit.model, constant=constant, typical=typical)
-    low, high = COUPLINGS_PER_S
-    is_one = low < (behind.coupling_per_s or 0.0) < high
+    is_one = can_be_slow or COUPLINGS_PER_S[0] < behind.start.sizes[-1] < COUPLINGS_PER_S[1]
     return behind if is_one and likelihood_gain(fit, behind) > _CERTAIN else None
 
 

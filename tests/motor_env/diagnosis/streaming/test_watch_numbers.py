@@ -227,7 +227,7 @@ def test_verdicts_become_events(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [one.get("verdict") for one in told[2:]] == ["other", "winding", "winding", *(2 * ["unusable"])]
     assert [one.get("kind") for one in told] == [*(4 * [None]), "winding_contact", None, None]
     assert [one.get("also") for one in told] == [*(4 * [None]), ["bearing"], None, None]
-    assert [one.get("reason") for one in told[2:]] == [None, None, None, "the motor stands", "too short"]
+    assert [one.get("reason") for one in told[2:]] == ["because", None, None, "the motor stands", "too short"]
     assert dict(state.counts) == {
         "window bearing": 1,
         "another_motor": 1,

@@ -227,7 +227,7 @@ def test_a_kind_is_told_from_a_probability_of_19_in_20_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [(99.0, "B/J is up by 9800% ("), (101.0, "B/J is up more than 100-fold; ")]
+    ("factor", "said"), [(99.0, "B/J is up by 9800% ("), (102.0, "B/J is up by over 10,000% (")]
 )
 def test_how_far_a_friction_moved_that_nothing_told_before(factor: float, said: str) -> None:
     """Its percents would be of a friction that healthy starts had not told."""
@@ -454,12 +454,16 @@ def test_a_fit_that_explains_too_little_is_unusable() -> None:
     for noise, least in ((1e-3, 0.75), (1.0, 0.375), (9.0, 0.3)):
         shown = moves + noise * rng.standard_normal(4000)
         start = SimpleNamespace(
-            alignment=fit.start.alignment, counted=count, ripple_a=0.5 * moves, speed_rad_s=shown
+            alignment=fit.start.alignment,
+            counted=count,
+            ripple_a=0.5 * moves,
+            speed_rad_s=shown,
+            is_coupled=False,
         )
         start.current_a = start.ripple_a + np.where(count, shown, 1e6)
         for off, is_refused in ((-0.02, True), (0.02, False)):
             for channel in ("r2_current", "r2_speed"):
-                given = {"r2_current": 1.0, "r2_speed": None, "coupling_per_s": None, channel: least + off}
+                given = {"r2_current": 1.0, "r2_speed": None, channel: least + off}
                 fake = SimpleNamespace(start=start, log_covariance=fit.log_covariance, **given)
                 assert (explain_unusable(cast("Any", fake)) is not None) is is_refused
     # Whatever else it tells, what does not tell R is no start.

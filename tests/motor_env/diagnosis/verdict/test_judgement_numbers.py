@@ -29,18 +29,19 @@ from motor_env.diagnosis.verdict.hypotheses import (
 from motor_env.motor.identifiable import matrix, nameable_kinds, visible_direction
 from motor_env.motor.parameters import FloatArray
 
-PARAMETERS_MOVED = EXPONENTS[:, :5] @ EXPONENTS[:, :5].T
-"""Covariance of the quantities where each parameter but the voltage has a variance of 1."""
+PARAMETERS_MOVED = (EXPONENTS[:, :5] * np.square([0.025, 0.02, 0.02, 0.1, 0.1])) @ EXPONENTS[:, :5].T
+"""Covariance of the quantities where R, L, K, J and B move beside a fault of the size e."""
 
 
 def beside_a_fault(kind: str, step: float) -> FloatArray:
     """Covariance of what a fault moves beside it.
 
-    Each parameter by 0.04 of the step's square; L by 0.3 of what R moves, which contact and shorted turns do by 1.
+    R by 0.025 of the step, L and K by 0.02, J and B by 0.1; L by 0.3 of what R moves, which contact and shorted turns
+    do by 1.
     """
     lag = np.zeros((4, 4))
     lag[1, 1] = 0.0 if kind == "bearing" else (0.3 * step) ** 2
-    return np.asarray((0.04 * step**2) ** 2 * PARAMETERS_MOVED + lag)
+    return np.asarray(step**2 * PARAMETERS_MOVED + lag)
 
 
 def test_tests_share_the_rate_of_false_alarms() -> None:
@@ -114,7 +115,7 @@ def test_a_fault_may_move_no_more_beside_it_than_a_tenfold_one(step: float, beyo
     """A friction that healthy starts did not tell has any size, and would excuse a resistance twice as large."""
     direction = visible_direction(FaultKind.BEARING, EXPONENTS)
     (found,) = explain(difference(step * direction, spread(4)), (FaultKind.BEARING,))
-    expected = spread(4) + (0.04 * beyond**2) ** 2 * PARAMETERS_MOVED
+    expected = spread(4) + beyond**2 * PARAMETERS_MOVED
     np.testing.assert_allclose(found.covariance, expected, rtol=1e-12)
 
 
