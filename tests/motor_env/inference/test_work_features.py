@@ -40,32 +40,22 @@ def test_the_severity_of_a_winding_the_fit_and_the_classes() -> None:
 
 def test_of_a_linear_motor_features_are_exact(monkeypatch: pytest.MonkeyPatch) -> None:
     """Readings that are linear in the coordinates make the fit a regression, and the classes distances in it."""
-    rng, classes = (
-        np.random.default_rng(4),
-        (
-            FaultClass(),
-            FaultClass(FaultKind.BEARING, 0.25),
-            FaultClass(FaultKind.WINDING_CONTACT, 0.10, severity_to=0.50),
-            FaultClass(FaultKind.BEARING, 0.20, 2.0, also=(FaultClass(FaultKind.WINDING_CONTACT, 0.15),)),
-        ),
+    rng, contact = np.random.default_rng(4), FaultKind.WINDING_CONTACT
+    classes = (
+        FaultClass(),
+        FaultClass(FaultKind.BEARING, 0.25),
+        FaultClass(contact, 0.10, severity_to=0.50),
+        FaultClass(FaultKind.BEARING, 0.20, 2.0, also=(FaultClass(contact, 0.15),)),
     )
     assert OPERATION.field is not None
     # A converter's step of 4 / 2^11 A has the error of a uniform number beside the noise of 2 mA.
     coarse = replace(OPERATION.field, sensor_range_a=2.0, adc_bits=11)
     recipe = replace(OPERATION, classes=classes, shifts=(), field=coarse)
     names = work_feature_names(recipe)
-    uncertain = (
-        "coulomb_ratio",
-        "brush_drop_v",
-        "temperature_rise_k",
-        "load_ratio",
-        "load_end_ratio",
-        "fan_ratio",
-    )
-    severities = ("winding_contact", "bearing")
-    assert names[:13] == (*FACTORS, *uncertain, *severities)
+    assert names[:5] == FACTORS
+    assert names[11:13] == ("winding_contact", "bearing")
     assert names[13:] == (
-        *(f"log_std_{name}" for name in severities),
+        *(f"log_std_{name}" for name in names[11:13]),
         *(f"log_probability_{name}" for name in recipe.class_names),
         "log1p_chi2",
     )
@@ -76,21 +66,19 @@ def test_of_a_linear_motor_features_are_exact(monkeypatch: pytest.MonkeyPatch) -
         return values @ slopes + model.voltage_v
 
     monkeypatch.setattr(ClassModel, "readings", readings)
-    truth = np.array([*(0.3 * rng.standard_normal((3, 5))).T, *rng.uniform(0.3, 0.7, (8, 3))]).T
+    truth = np.hstack([0.3 * rng.standard_normal((3, 5)), rng.uniform(0.3, 0.7, (3, 8))])
     voltage = rng.standard_normal((3, 500))
     read = truth @ slopes + voltage + sigma * rng.standard_normal((3, 500))
     features = work_features(recipe, np.stack([read, voltage], axis=1))
     # Standard normal factors; uniform numbers as normal ones of their variance; severities that hardly have a prior.
-    precision = np.array([1.0] * 5 + [12.0] * 6 + [0.01] * 2)
-    centre = np.array([0.0] * 5 + [0.5] * 6 + [0.2] * 2)
+    precision, centre = np.repeat([1.0, 12.0, 0.01], [5, 6, 2]), np.repeat([0.0, 0.5, 0.2], [5, 6, 2])
     covariance = np.linalg.inv(slopes @ slopes.T / sigma**2 + np.diag(precision))
     mean = ((read - voltage) @ slopes.T / sigma**2 + precision * centre) @ covariance
     np.testing.assert_allclose(features[:, :13], mean, rtol=1e-6)
     logs = np.tile(0.5 * np.log(np.diag(covariance)[-2:]), (3, 1))
     np.testing.assert_allclose(features[:, 13:15], logs, rtol=1e-6)
     # In units of twice the largest, 0.3 and 0.25: the winding's range counts by its middle.
-    points = np.array([[0.0, 0.0], [0.0, 0.5], [0.5, 0.0], [0.25, 0.4]])
-    away = mean[:, None, -2:] - points
+    away = mean[:, None, -2:] - np.array([[0.0, 0.0], [0.0, 0.5], [0.5, 0.0], [0.25, 0.4]])
     distance = np.einsum("nci,ij,ncj->nc", away, np.linalg.inv(covariance[-2:, -2:]), away)
     expected = log_softmax(np.log([0.2, 0.2, 0.2, 0.4]) - 0.5 * distance, axis=1)
     np.testing.assert_allclose(features[:, 15:19], np.maximum(expected, -12.0), rtol=1e-5)
