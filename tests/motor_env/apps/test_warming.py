@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -82,11 +83,14 @@ for name in ("Monitor", "Probe", "ProbeContinuous", "Drive", "Maintain", "Monito
 """
 
 
-def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
+def run(
+    program: str, folder: Path, environment: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """With an empty cache of what is compiled, if no environment is given."""
     return subprocess.run(
         [sys.executable, "-c", program],
         cwd=folder,
-        env=os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")},
+        env=environment or os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")},
         capture_output=True,
         text=True,
         check=True,
@@ -96,14 +100,7 @@ def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 def test_a_diagnosis_of_a_start_needs_no_heavy_library(tmp_path: Path) -> None:
     program = f"import sys\nfrom motor_env.cli import main\nassert {DIAGNOSE} == 1\n"
-    again = subprocess.run(
-        [sys.executable, "-c", f"{program}print([name for name in {HEAVY} if name in sys.modules])"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=100,
-    )
+    again = run(f"{program}print([name for name in {HEAVY} if name in sys.modules])", tmp_path, os.environ)
     assert again.stdout.splitlines()[-1] == "[]"
 
 

@@ -8,38 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
+from present import present
 from started_motor import step_start
 
-from motor_env import (
-    PAPER_MOTOR,
-    Diagnosis,
-    Fault,
-    FaultKind,
-    Motor,
-    MotorParameters,
-    Recording,
-    Verdict,
-    commission,
-    diagnose,
-)
+from motor_env import PAPER_MOTOR, Diagnosis, FaultKind, Motor, MotorParameters, Recording, Verdict, diagnose
 from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.readers.regime import taken_for
-from motor_env.diagnosis.verdict.decision import decide
 from motor_env.diagnosis.verdict.healthy_motor import (
     Reference,
     ReferenceShift,
     motor_of_windows,
     reference_of,
 )
-from motor_env.diagnosis.verdict.hypotheses import Difference, FittedWindow, joint_share
 from motor_env.diagnosis.verdict.report_page import reference_current
-from motor_env.diagnosis.verdict.scaling_errors import find_scaling_errors
 
 # Reaches in: a window is off in the direction of a fault.
-from motor_env.motor.faults import apply_fault
 from motor_env.motor.healthy import Healthy, Starts, Windows
-from motor_env.motor.identifiable import matrix, visible_direction
 from motor_env.motor.model import steady_state
 from motor_env.motor.parameters import FloatArray
 
@@ -88,8 +72,10 @@ def start(
     return Recording(Path("start"), TIME_S, noisy[:, 0], None, noisy[:, 1] if has_speed else None)
 
 
-@pytest.mark.parametrize(("has_speed", "names"), [(False, ("R", "K^2/J", "B/J")), (True, RKJB)])
-@pytest.mark.parametrize("dry_n_m", [0.0, 4e-4])
+@pytest.mark.parametrize(
+    ("dry_n_m", "has_speed", "names"),
+    [(4e-4, False, ("R", "K^2/J", "B/J")), (0.0, True, RKJB), (4e-4, True, RKJB)],
+)
 def test_windows_judge_a_start_without_its_inductance(
     dry_n_m: float, has_speed: bool, names: tuple[str, ...]
 ) -> None:
@@ -130,8 +116,7 @@ def test_a_start_counts_brush_drop_and_dry_friction_in(has_speed: bool, by_windo
     worn = judged(PAPER_MOTOR.scaled(resistance_ohm=1.25), motor)
     assert (worn.verdict, worn.kind) == (Verdict.WINDING, FaultKind.WINDING_CONTACT)
     assert worn.severity == pytest.approx(0.25, abs=0.03)
-    for wrong_v in (0.0, 2.0 * volts):
-        assert judged(PAPER_MOTOR, replace(motor, brush_drop_v=wrong_v)).verdict is not Verdict.HEALTHY
+    assert judged(PAPER_MOTOR, replace(motor, brush_drop_v=0.0)).verdict is not Verdict.HEALTHY
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
@@ -159,9 +144,7 @@ def test_a_sheet_does_not_say_how_much_of_its_friction_is_dry(share: float) -> N
 
 
 def reference(motor: Motor, names: tuple[str, ...], friction: float = 1.0) -> Reference:
-    found = reference_of(motor, names, are_starts=False, shift=ReferenceShift(friction=friction))
-    assert found is not None
-    return found
+    return present(reference_of(motor, names, are_starts=False, shift=ReferenceShift(friction=friction)))
 
 
 def test_the_kind_of_the_pieces_tells_whose_errors_the_spread_holds() -> None:
@@ -174,8 +157,7 @@ def test_the_kind_of_the_pieces_tells_whose_errors_the_spread_holds() -> None:
         by_starts.log_covariance, spread[np.ix_([0, 2, 3, 4], [0, 2, 3, 4])], atol=1e-12
     )
     assert (by_starts.includes_fit_error, by_starts.log_noise, by_starts.model) == (False, None, None)
-    same = reference_of(of_starts(("R", "L", "K", "J", "B"), spread), ("R", "B/J"))
-    assert same is not None
+    same = present(reference_of(of_starts(("R", "L", "K", "J", "B"), spread), ("R", "B/J")))
     assert (same.includes_fit_error, same.log_noise, same.model) == (True, math.log(0.02), ("supply_ramp",))
     assert same.log_covariance == pytest.approx(np.diag([0.03**2, 0.03**2 + 0.06**2]), abs=1e-12)
     own, other = reference(of_windows(), RKJB), reference_of(of_windows(), ("R", "L", "K^2/J", "B/J"))
@@ -187,63 +169,15 @@ def test_the_kind_of_the_pieces_tells_whose_errors_the_spread_holds() -> None:
     assert reference(of_starts(("R", "L", "K^2/J", "B/J"), spread[:4, :4]), RKJB).names == ("R",)
 
 
-def test_starts_judge_a_window_by_its_own_error_beside_their_spread() -> None:
-    spread = np.diag([0.03, 0.2, 0.02, 0.03, 0.06]) ** 2
-    motor = of_starts(("R", "L", "K", "J", "B"), spread)
-    healthy, error = reference(motor, RKJB, 0.5), np.diag([0.01, 0.01, 0.02, 0.03]) ** 2
-    covariance = healthy.log_covariance + error
-    g = visible_direction(FaultKind.BEARING, matrix(RKJB))
-    sd = (g @ np.linalg.inv(covariance) @ g) ** -0.5
-    limit = stats.t.isf(joint_share(0.01, covariance, matrix(RKJB), 8.0), 8.0)  # no noise is tested
-    for size, verdict in ((0.995, Verdict.HEALTHY), (1.005, Verdict.BEARING)):
-        window = FittedWindow(np.log(TRUE * [1.0, 1.0, 1.0, 0.5]) + size * limit * sd * g, error)
-        found = decide(window, healthy, 0.01)
-        assert found.verdict is verdict
-        assert found.smallest_changes["bearing"] == pytest.approx(math.expm1((limit + 1.645) * sd) / 0.8)
-    assert found.severity == pytest.approx(
-        math.expm1(1.005 * limit * sd) / 0.8
-    )  # of the motor's own friction
-    assert [change.name for change in found.changes if change.significant] == ["B"]
-
-
-def test_the_voltage_of_the_commissioning_is_that_of_a_start_without_one() -> None:
-    """And where there was none, a start is judged per volt: a third more resistance never hides behind a unit."""
-    healthy = [start(PAPER_MOTOR, 0.0, has_speed=False)] * 3
-    worn = start(apply_fault(PAPER_MOTOR, Fault(FaultKind.WINDING_CONTACT, 0.3)), 0.0, has_speed=False)
-    known = commission(healthy, "with", voltage_v=12.0).motor
-    found = diagnose(worn, known)
-    assert found.verdict is Verdict.WINDING
-    assert found.severity == diagnose(worn, known, voltage_v=12.0).severity
-    per_volt = commission(healthy, "without").motor
-    assert diagnose(worn, per_volt).verdict is Verdict.WINDING
-    mixed = diagnose(worn, per_volt, voltage_v=12.0)
-    assert mixed.verdict is Verdict.NO_REFERENCE
-    assert mixed.reasons[0].startswith(
-        "the motor file was commissioned without a voltage, and this recording has"
-    )
-
-
-def test_a_scale_that_nothing_compared_has_explains_nothing() -> None:
-    difference = Difference(np.array([0.5]), np.array([[1e-4]]), matrix(("B/J",)), 10.0)
-    found = find_scaling_errors(difference, ("B/J",), 3.0, 0.01)
-    assert {scale.column for scale in found} <= {"time"}
-
-
-def test_a_recording_as_long_as_a_healthy_window_is_judged_as_a_window() -> None:
+@pytest.mark.parametrize(("samples", "chosen"), [(499, None), (500, None), (500, 1)])
+def test_a_recording_as_long_as_a_healthy_window_is_judged_as_a_window(
+    samples: int, chosen: int | None
+) -> None:
     """A motor that stands at its begin, and is switched on: a start by what its voltage does."""
-    cases: list[tuple[int, str, int | None, str]] = [
-        (499, "auto", None, "start"),
-        (500, "auto", None, "operation"),
-        (500, "start", None, "start"),
-        (500, "auto", 1, "start"),
-    ]
-    for samples, regime, chosen, expected in cases:
-        time_s = 1e-3 * np.arange(-20.0, samples - 20.0)
-        states = step_start(PAPER_MOTOR, time_s, 0.0, 12.0, COULOMB=0.0)
-        noisy = states + np.random.default_rng(4).standard_normal(states.shape) * [0.003, 0.2]
-        volts = np.where(time_s >= 0.0, 12.0, 0.0)
-        recording = Recording(Path("x"), time_s, noisy[:, 0], volts, noisy[:, 1])
-        found = diagnose(recording, of_windows(), regime=regime, start=chosen)
-        assert found.taken.regime == expected
-        assert (found.taken.why == "as its healthy recordings") is (expected == "operation")
-        assert taken_for(recording).regime == "start"
+    time_s = 1e-3 * np.arange(-20.0, samples - 20.0)
+    states = step_start(PAPER_MOTOR, time_s, 0.0, 12.0, COULOMB=0.0)
+    noisy = states + np.random.default_rng(4).standard_normal(states.shape) * [0.003, 0.2]
+    recording = Recording(Path("x"), time_s, noisy[:, 0], np.where(time_s >= 0.0, 12.0, 0.0), noisy[:, 1])
+    taken = diagnose(recording, of_windows(), start=chosen).taken
+    assert (taken == ("operation", "as its healthy recordings")) is (samples == 500 and chosen is None)
+    assert taken_for(recording).regime == "start"

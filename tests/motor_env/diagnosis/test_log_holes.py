@@ -1,62 +1,28 @@
 """Logs and starts with missing samples, and logs that change their rate: no fault of the motor."""
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from captures import bearing, contact, taught_by_windows
 from numpy.typing import NDArray
+from present import present
 from recording_csv import csv_text, write_csv
 
-from motor_env import (
-    PAPER_MOTOR,
-    Fault,
-    FaultKind,
-    InputError,
-    Recording,
-    Verdict,
-    diagnose,
-    load_motor,
-    simulate_states,
-    watch,
-)
+from motor_env import PAPER_MOTOR, InputError, Recording, Verdict, diagnose, simulate_states, watch
 from motor_env.diagnosis.commission import commission
-from motor_env.diagnosis.estimation import parameter_index as index
 from motor_env.diagnosis.readers.recording import UnusableError
 from motor_env.diagnosis.readers.start import prepare
-
-# Reaches in: what a window tells, by name.
-from motor_env.diagnosis.verdict.hypotheses import NAMES
 from motor_env.diagnosis.verdict.judgement import Judgement
-from motor_env.motor.healthy import Healthy, Windows
+from motor_env.motor.faults import FaultKind
 from motor_env.motor.parameters import FloatArray
 
-FINE_S, DT_S, EACH_S = 5e-4, 2e-3, 0.05  # of the simulation, of the log; how long a voltage lasts
-KINDS = {
-    "healthy": (),
-    "bearing": (Fault(FaultKind.BEARING, 1.0),),
-    "winding": (Fault(FaultKind.WINDING_CONTACT, 0.25),),
-}
+FINE_S, EACH_S = 5e-4, 0.05  # of the simulation; how long a voltage lasts
+KINDS = {"healthy": (), "bearing": (bearing(1.0),), "winding": (contact(0.25),)}
+MOTOR = taught_by_windows()
 Columns = dict[str, FloatArray]
 Holes = NDArray[np.bool_]
-
-
-def taught() -> Healthy:
-    """The paper's motor, as windows of a second would have taught it."""
-    p, physical = PAPER_MOTOR, np.zeros(index.N_VALUES)
-    known = (p.resistance_ohm, p.inductance_h, p.back_emf_constant_v_s_per_rad, p.inertia_kg_m2)
-    physical[[index.R, index.L, index.K, index.J]] = [float(np.mean(one)) for one in known]
-    physical[index.B] = float(np.mean(p.viscous_friction_n_m_s_per_rad))
-    physical[[index.NOISE_I, index.NOISE_W]] = 0.02, 1.0
-    terms = ("R", "K", "J", "B", "noise_current", "noise_speed")
-    windows = Windows(1.0, terms, physical, "late", DT_S, 200.0, (3.0, 9.0), (10.0, 6.0, 430.0))
-    quantities = physical[[index.R, index.K, index.J, index.B]]
-    spread = np.diag([0.005, 0.005, 0.005, 0.06]) ** 2
-    return Healthy(20, 23.0, NAMES, quantities, spread, temperature_k=0.0, windows=windows)
-
-
-MOTOR = replace(load_motor("paper"), healthy=taught())
 
 
 @cache
@@ -64,13 +30,10 @@ def simulated(kind: str, seed: int = 1) -> Columns:
     """Four seconds at 2 kHz."""
     rng = np.random.default_rng(seed)
     volts = np.repeat(rng.uniform(-10.0, 10.0, 80), round(EACH_S / FINE_S))
-    current, speed = simulate_states(PAPER_MOTOR, volts, FINE_S, faults=KINDS[kind]).T
-    return {
-        "time_s": FINE_S * np.arange(len(volts)),
-        "voltage_v": volts,
-        "current_a": current + rng.normal(0.0, 0.02, len(volts)),
-        "speed_rad_s": speed + rng.normal(0.0, 1.0, len(volts)),
-    }
+    states = simulate_states(PAPER_MOTOR, volts, FINE_S, faults=KINDS[kind])
+    current, speed = (states + rng.standard_normal(states.shape) * [0.02, 1.0]).T
+    time_s = FINE_S * np.arange(len(volts))
+    return {"time_s": time_s, "voltage_v": volts, "current_a": current, "speed_rad_s": speed}
 
 
 def log(kind: str, every: int = 4) -> Columns:
@@ -80,17 +43,6 @@ def log(kind: str, every: int = 4) -> Columns:
     return {name: values[some] for name, values in simulated(kind).items()}
 
 
-def bursts(n: int) -> Holes:
-    missing = np.zeros(n, dtype=np.bool_)
-    for first in range(60, n, 500):
-        missing[first : first + 25] = True
-    return missing
-
-
-def at_steps(columns: Columns) -> Holes:
-    return np.append(False, np.diff(columns["voltage_v"]) != 0.0)
-
-
 def scattered(n: int) -> Holes:
     return np.random.default_rng(5).random(n) < 0.05
 
@@ -98,17 +50,18 @@ def scattered(n: int) -> Holes:
 def holed(columns: Columns, pattern: str) -> Columns:
     """With NaN, in all channels or in one, or without the lines."""
     how, which = pattern.split(" ", 1)
-    n = len(columns["time_s"])
+    places = np.arange(len(columns["time_s"]))
+    at_steps = np.append(False, np.diff(columns["voltage_v"]) != 0.0)
     missing = {
-        "at steps": at_steps(columns),
-        "before steps": np.append(at_steps(columns)[1:], False),
-        "in bursts": bursts(n),
-        "anywhere": scattered(n),
-        "of every 20th": np.arange(n) % 20 == 10,
-        "of every 2nd": np.arange(n) % 2 == 1,
-        "of every 4th": np.arange(n) % 4 == 1,
-        "2 of every 5": np.isin(np.arange(n) % 5, (1, 3)),
-        "at the end": np.arange(n) >= n - 51,
+        "at steps": at_steps,
+        "before steps": np.append(at_steps[1:], False),
+        "in bursts": (places - 60) % 500 < 25,
+        "anywhere": scattered(len(places)),
+        "of every 20th": places % 20 == 10,
+        "of every 2nd": places % 2 == 1,
+        "of every 4th": places % 4 == 1,
+        "2 of every 5": np.isin(places % 5, (1, 3)),
+        "at the end": places >= len(places) - 51,
     }[which]
     if how == "lines":
         return {name: values[~missing] for name, values in columns.items()}
@@ -118,6 +71,12 @@ def holed(columns: Columns, pattern: str) -> Columns:
 
 def verdicts(path: Path, columns: Columns) -> list[str]:
     return [str(piece.verdict) for piece in diagnose(write_csv(path, columns), MOTOR).pieces]
+
+
+def streamed(columns: Columns) -> list[str]:
+    """What is said of the windows of a stream."""
+    events = watch(MOTOR, csv_text(columns).splitlines())
+    return [event.text for event in events if event.kind == "window"]
 
 
 @pytest.mark.parametrize(
@@ -153,10 +112,10 @@ def test_a_log_that_changes_its_rate_is_judged_where_it_has_its_own(tmp_path: Pa
     found = diagnose(write_csv(tmp_path / "log.csv", log("healthy", every)), MOTOR).pieces
     said = [str(piece.verdict) for piece in found]
     assert said[0] == said[-1] == "healthy"
-    assert "unusable" in said
     assert set(said) == {"healthy", "unusable"}
     told = next(piece.reasons[0] for piece in found if piece.verdict is Verdict.UNUSABLE)
     assert "samples are there, and follow others 0.002 s apart without a hole" in told
+    assert streamed(log("healthy", 5)) == ["healthy", "unusable", "unusable"]
 
 
 @pytest.mark.parametrize("which", ["of every 2nd", "of every 4th", "2 of every 5"])
@@ -168,36 +127,23 @@ def test_holes_that_leave_another_interval_are_unusable(tmp_path: Path, which: s
 
 
 @pytest.mark.parametrize(
-    ("channel", "size", "place"),
+    ("channel", "size", "place", "kind"),
     [
-        ("voltage_v", 61.0, 700),
-        ("voltage_v", 1e3, 501),
-        ("current_a", -999.0, 900),
-        ("speed_rad_s", 1e5, 499),
+        ("voltage_v", 61.0, 700, "winding"),
+        ("voltage_v", 1e3, 501, "healthy"),
+        ("current_a", -999.0, 900, "winding"),
+        ("speed_rad_s", 1e5, 499, "healthy"),
     ],
 )
 def test_a_lone_outlier_is_no_fault_and_hides_none(
-    tmp_path: Path, channel: str, size: float, place: int
+    tmp_path: Path, channel: str, size: float, place: int, kind: str
 ) -> None:
-    for kind in ("healthy", "winding"):
-        columns = log(kind)
-        columns[channel][place] = size
-        assert set(verdicts(tmp_path / "log.csv", columns)) == {kind}
-        assert {text for text in streamed(columns)[:2] if text != "healthy"} <= {kind}
-    assert f"lone outliers count as missing: {channel} of {size:.4g}" in " ".join(
-        diagnose(tmp_path / "log.csv", MOTOR).recording.columns
-    )
-
-
-def streamed(columns: Columns) -> list[str]:
-    """What is said of the windows of a stream."""
-    events = watch(MOTOR, csv_text(columns).splitlines())
-    return [event.text for event in events if event.kind == "window"]
-
-
-def test_a_stream_with_holes_is_judged_and_one_that_changes_its_rate_is_not() -> None:
-    assert streamed(holed(log("healthy"), "all at steps")) == ["healthy"] * 3
-    assert streamed(log("healthy", 5)) == ["healthy", "unusable", "unusable"]
+    columns = log(kind)
+    columns[channel][place] = size
+    found = diagnose(write_csv(tmp_path / "log.csv", columns), MOTOR)
+    assert {str(piece.verdict) for piece in found.pieces} == {kind}
+    assert {text for text in streamed(columns)[:2] if text != "healthy"} <= {kind}
+    assert f"lone outliers count as missing: {channel} of {size:.4g}" in " ".join(found.recording.columns)
 
 
 @pytest.mark.long
@@ -219,16 +165,16 @@ def started(*missing: int, noise_v: float = 0.0, channel: str = "") -> Recording
     """A start at 10 kHz, switched on at 20 ms (sample 200), with missing samples."""
     rng, n = np.random.default_rng(4), 1200
     volts = np.where(np.arange(n) >= 200, 12.0, 0.0)
-    current, speed = simulate_states(load_motor("paper").parameters, volts, 1e-4).T
-    columns: list[FloatArray] = [
-        current + rng.normal(0.0, 0.02, n),
-        volts + noise_v * rng.standard_normal(n),
-        speed + rng.normal(0.0, 1.0, n),
-    ]
-    for name, values in zip(("current", "voltage", "speed"), columns, strict=True):
-        if channel in ("", name):
-            values[list(missing)] = np.nan
-    return Recording(Path("start"), np.linspace(0.0, 1e-4 * (n - 1), n), columns[0], columns[1], columns[2])
+    current, speed = simulate_states(PAPER_MOTOR, volts, 1e-4).T
+    columns: dict[str, FloatArray] = {
+        "current": current + rng.normal(0.0, 0.02, n),
+        "voltage": volts + noise_v * rng.standard_normal(n),
+        "speed": speed + rng.normal(0.0, 1.0, n),
+    }
+    for name in columns if channel == "" else [channel]:
+        columns[name][list(missing)] = np.nan
+    time_s, (amps, shown_v, rad_s) = np.linspace(0.0, 1e-4 * (n - 1), n), columns.values()
+    return Recording(Path("start"), time_s, amps, shown_v, rad_s)
 
 
 def test_a_start_is_fitted_without_its_missing_samples() -> None:
@@ -241,18 +187,13 @@ def test_a_start_is_fitted_without_its_missing_samples() -> None:
     assert prepare(started(200)).voltage_v is None
 
 
-def test_swapped_columns_keep_their_holes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read the other way round, what is missing of the voltage is missing of the current."""
-    holes: list[list[list[int]]] = []
-
-    def judged(start: Recording, *_: object, **__: object) -> Judgement:
-        assert start.missing is not None
-        holes.append(np.argwhere(start.missing).tolist())
-        return Judgement(Verdict.UNUSABLE, ("not that of a motor",))
-
-    monkeypatch.setattr("motor_env.diagnosis.diagnose.judge_start", judged)
-    diagnose(started(300, noise_v=0.01, channel="voltage"), "paper")
-    assert holes == [[[300, 0]], [[300, 1]]]
+def test_a_start_whose_rise_is_missing_is_unusable() -> None:
+    with pytest.raises(UnusableError, match=r"voltage are missing where it goes from .* to 12 V"):
+        prepare(started(200, noise_v=0.01))
+    prepare(started(100, 101, 102, 300, noise_v=0.01))
+    with pytest.raises(UnusableError, match="14 samples of the current are missing where it begins to rise"):
+        prepare(started(*range(198, 212), channel="current"))
+    prepare(started(201, channel="current"))
 
 
 @pytest.mark.parametrize(
@@ -262,34 +203,14 @@ def test_swapped_columns_keep_their_holes(monkeypatch: pytest.MonkeyPatch) -> No
 def test_columns_are_swapped_where_the_motor_is_judged_the_other_way_round(
     again: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is strange either way, or of which a sensor failed, is no motor whose columns are swapped."""
-    verdicts = [Judgement(Verdict(word), ("because",)) for word in ("unusable", again)]
-    monkeypatch.setattr("motor_env.diagnosis.diagnose.judge_start", lambda *_, **__: verdicts.pop(0))
-    found = diagnose(started(noise_v=0.01), "paper")
+    """What is strange either way, or of which a sensor failed, is no motor with swapped columns."""
+    verdicts = {0: "unusable", 1: again}  # by the column whose sample is missing
+
+    def judged(start: Recording, *_: object, **__: object) -> Judgement:
+        ((_, channel),) = np.argwhere(present(start.missing))
+        return Judgement(Verdict(verdicts[channel]), ("because",))
+
+    monkeypatch.setattr("motor_env.diagnosis.diagnose.judge_start", judged)
+    found = diagnose(started(300, noise_v=0.01, channel="voltage"), "paper")
     assert found.verdict == said
     assert found.kind == (FaultKind("swapped") if said == "sensor" else None)
-
-
-@pytest.mark.parametrize(
-    ("windings", "of", "said"), [(1, 3, "unusable"), (1, 2, "unusable"), (2, 3, "sensor")]
-)
-def test_columns_are_swapped_where_most_windows_are_then_of_the_motor(
-    windings: int, of: int, said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One window of three that can be judged the other way round may be so by chance."""
-    unusable, winding = (Judgement(Verdict(word), ("because",)) for word in ("unusable", "winding"))
-    pieces = [[unusable] * of, [winding] * windings + [unusable] * (of - windings)]
-    monkeypatch.setattr(
-        "motor_env.diagnosis.operation.log_diagnosis.judge_log", lambda *_, **__: (pieces.pop(0), of)
-    )
-    assert diagnose(started(noise_v=0.01), "paper", regime="operation").verdict == said
-
-
-def test_a_start_whose_rise_is_missing_is_unusable() -> None:
-    with pytest.raises(UnusableError, match=r"voltage are missing where it goes from .* to 12 V"):
-        prepare(started(200, noise_v=0.01))
-    prepare(started(100, 101, 102, 300, noise_v=0.01))
-    hole = range(198, 212)
-    with pytest.raises(UnusableError, match="14 samples of the current are missing where it begins to rise"):
-        prepare(started(*hole, channel="current"))
-    prepare(started(201, channel="current"))

@@ -1,5 +1,7 @@
 """Motors judged by their sisters, from files to the table, and a motor between its sisters and its own records."""
 
+from __future__ import annotations
+
 import json
 import os
 from collections.abc import Callable
@@ -8,23 +10,33 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from browser import opened
-from scipy.stats import f as fisher, t as student_t
+from present import present
+from recording_csv import write_recording
+from scipy.stats import t as student_t
 
-from motor_env import PAPER_MOTOR, Diagnosis, Fault, FaultKind, diagnose, load_motor, simulate_states
+from motor_env import (
+    PAPER_MOTOR,
+    Diagnosis,
+    Fault,
+    FaultKind,
+    Recording,
+    diagnose,
+    load_motor,
+    simulate_states,
+)
 from motor_env.cli import main
 from motor_env.common.errors import InputError
 from motor_env.diagnosis.fleet.fits import FitCache, InitialFit, Reading, fit_fleet, processes
 from motor_env.diagnosis.fleet.judging import FleetDiagnosis, common_cause, diagnose_fleet
-from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet
+from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet, unit_ids
+from motor_env.diagnosis.fleet.population import Motors, floor_covariance, learn_population
 from motor_env.diagnosis.verdict.hypotheses import Difference, FittedWindow
-from motor_env.diagnosis.verdict.judgement import NOTHING_ELSE, Verdict
 from motor_env.envs import MonitorEnv
-from motor_env.motor.data_sheet import Motor, save_motor
 
 # Reaches in: fits, and how far a motor lies off, are made by hand.
+from motor_env.motor.data_sheet import Motor
 from motor_env.motor.identifiable import matrix
 from motor_env.motor.parameters import FloatArray
 
@@ -37,25 +49,18 @@ SICK = "3_left"
 def record(path: Path, seed: list[int], voltage_v: FloatArray, faults: tuple[Fault, ...] = ()) -> None:
     """A log of one motor of a fleet; the first number of the seed tells the motor."""
     r, k, j, b = np.exp(np.random.default_rng(seed[:2]).normal(0.0, [0.06, 0.025, 0.06, 0.1])).tolist()
-    p = PAPER_MOTOR
-    motor = replace(
-        p,
-        resistance_ohm=r * p.resistance_ohm,
-        back_emf_constant_v_s_per_rad=k * p.back_emf_constant_v_s_per_rad,
-        torque_constant_n_m_per_a=k * p.torque_constant_n_m_per_a,
-        inertia_kg_m2=j * p.inertia_kg_m2,
-        viscous_friction_n_m_s_per_rad=b * p.viscous_friction_n_m_s_per_rad,
+    motor = PAPER_MOTOR.scaled(
+        resistance_ohm=r,
+        back_emf_constant_v_s_per_rad=k,
+        torque_constant_n_m_per_a=k,
+        inertia_kg_m2=j,
+        viscous_friction_n_m_s_per_rad=b,
     )
-    rng = np.random.default_rng([*seed, 9])
-    current_a, speed_rad_s = simulate_states(motor, voltage_v, 1e-3, faults=faults).T
-    columns = {
-        "time_s": 1e-3 * np.arange(len(voltage_v)),
-        "voltage_v": voltage_v,
-        "current_a": current_a + rng.normal(0.0, 0.02, len(voltage_v)),
-        "speed_rad_s": speed_rad_s + rng.normal(0.0, 1.0, len(voltage_v)),
-    }
+    states = simulate_states(motor, voltage_v, 1e-3, faults=faults)
+    noisy = states + np.random.default_rng([*seed, 9]).normal(0.0, [0.02, 1.0], states.shape)
+    time_s = 1e-3 * np.arange(float(len(voltage_v)))
     path.parent.mkdir(parents=True, exist_ok=True)
-    pd.DataFrame(columns).round(5).to_csv(path, index=False)
+    write_recording(path, Recording(path, time_s, noisy[:, 0], voltage_v, noisy[:, 1]))
 
 
 def fleet(folder: Path, voltage_v: FloatArray, machines: int = 4) -> list[Path]:
@@ -132,28 +137,6 @@ def test_the_page_in_a_browser(found: FleetDiagnosis, tmp_path: Path) -> None:
         assert all(height > 0.0 for height in browser.value(heights))
 
 
-def test_other_changes_beside_the_fault_are_not_denied(found: FleetDiagnosis) -> None:
-    worst = found.units[0]
-    names = worst.quantities
-    off = np.zeros(len(names))
-    off[names.index("B")] = 9.0
-    alone = replace(worst, difference=Difference(off, np.eye(len(names)), matrix(names), 9.0))
-    assert alone.odd.startswith("B +")
-    assert alone.why == FaultKind.BEARING.finding.replace(":", f"{NOTHING_ELSE}:")
-    off[names.index("R")] = 3.0
-    both = replace(worst, difference=Difference(off, np.eye(len(names)), matrix(names), 9.0))
-    assert "R +" in both.odd
-    assert both.why == "mostly, friction is up: look at the bearings, the lubricant and the load"
-
-
-def test_how_far_a_motor_is_off_by_hand(found: FleetDiagnosis) -> None:
-    names = ("R", "K")
-    difference = Difference(np.array([0.2, -0.6]), np.diag([0.04, 0.09]), matrix(names), 9.0)
-    one = replace(found.units[0], quantities=names, difference=difference)
-    assert one.deviations == pytest.approx({"R": 1.0, "K": -2.0})
-    assert one.p_value == pytest.approx(fisher(2, 9).sf(2.5))
-
-
 def test_the_records_of_a_motor_share_its_rate(
     starts: list[Path], learned: LearnedFleet, found: FleetDiagnosis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -170,28 +153,11 @@ def test_the_records_of_a_motor_share_its_rate(
     assert rates == {path.stem: 0.02 for path in starts} | {"1_left": 0.01, "1_left_b": 0.01}
 
 
-def test_a_motor_is_told_by_the_surest_of_its_faults(found: FleetDiagnosis) -> None:
-    healthy, worst = found.units[-1].decisive, found.units[0].decisive
-
-    def record(verdict: Verdict, confidence: float) -> Diagnosis:
-        return replace(worst, pieces=(replace(worst.decisive, verdict=verdict, confidence=confidence),))
-
-    faults = [record(Verdict.WINDING, 0.6), record(Verdict.BEARING, 0.9), record(Verdict.WINDING, 0.7)]
-    records = {Path(str(n)): one for n, one in enumerate([healthy, *faults])}
-    assert replace(found.units[0], records=records).verdict is Verdict.BEARING
-
-
-def test_a_fleet_says_once_how_it_was_read(learned: LearnedFleet) -> None:
-    (read,) = (line for line in learned.text(0.01).splitlines() if "read: " in line)
-    assert read.startswith("  read: time is column 1 (time_s); ")
-
-
 def test_motors_of_one_machine_do_not_count_for_each_other(learned: LearnedFleet) -> None:
     """Both motors of a machine off alike are both odd, however many motors it has."""
     core = learned.population_without("3")
     assert len(core.probability) == 6
-    without = learned.motor("others", core, "left").healthy
-    assert without is not None
+    without = present(learned.motor("others", core, "left").healthy)
     assert without.fleet is not None
     assert without.fleet.motors == 6
 
@@ -199,59 +165,42 @@ def test_motors_of_one_machine_do_not_count_for_each_other(learned: LearnedFleet
 def test_logs_at_work_make_a_motor_file_that_judges_another_sister(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    files, toml = fleet(tmp_path / "fleet", STEPS_V, machines=3), tmp_path / "fleet.toml"
+    """With an own record the healthy values come closer to the motor's own, and the spread falls."""
+    files, toml, kept = (
+        fleet(tmp_path / "fleet", STEPS_V, machines=3),
+        tmp_path / "fleet.toml",
+        tmp_path / "own.toml",
+    )
     assert main(["commission", "--fleet", *map(str, files), "--group", GROUP, "-o", str(toml)]) == 0
-    motor = load_motor(toml)
-    assert motor.healthy is not None
-    assert motor.healthy.fleet is not None
-    assert motor.healthy.fleet.motors == 6
+    motor, own = load_motor(toml), tmp_path / "own.csv"
     assert MonitorEnv(motor=str(toml)).reset(seed=0)[0].shape
-    record(tmp_path / "new.csv", [50, 0], STEPS_V)
+    record(own, [50, 0], STEPS_V)
     record(tmp_path / "worn.csv", [50, 0], STEPS_V, (Fault(FaultKind.WINDING_CONTACT, 0.8),))
-    assert diagnose(tmp_path / "new.csv", motor).verdict == "healthy"
+    assert diagnose(own, motor).verdict == "healthy"
     worn = diagnose(tmp_path / "worn.csv", motor)
-    assert worn.verdict == "winding"
+    assert (worn.verdict, worn.reasons[1]) == ("winding", "compared with 6 sisters of commissioned motor")
     assert worn.severity == pytest.approx(0.8, abs=0.25)
-    assert worn.reasons[1] == "compared with 6 sisters of commissioned motor"
 
-    # With each own record the healthy values come closer to the motor's own, and the spread falls.
-    own = []
-    for repeat in range(3):
-        own.append(tmp_path / f"own_{repeat}.csv")
-        record(own[-1], [50, 0, repeat], STEPS_V)
-    healthy = [motor.healthy]
-    for count in (1, 3):
-        given, kept = [str(path) for path in own[:count]], tmp_path / f"own_{count}.toml"
-        assert main(["commission", *given, "--motor", str(toml), "-o", str(kept)]) == 0
-        learned = load_motor(kept).healthy
-        assert learned is not None
-        assert learned.pieces == count
-        assert learned.degrees_of_freedom == pytest.approx(motor.healthy.degrees_of_freedom + count)
-        healthy.append(learned)
-    sd = np.sqrt(np.diagonal([one.log_covariance for one in healthy], axis1=1, axis2=2))
-    assert (sd[1] < 0.8 * sd[0])[[0, 2]].all()
-    assert (sd[1] < sd[0]).all()
-    assert (sd[2] < sd[1]).all()
-    resistance_ohm = np.exp(drawn(50)) * PAPER_MOTOR.resistance_ohm
-    assert healthy[-1].values[0] == pytest.approx(resistance_ohm, rel=0.03)
-
+    assert main(["commission", str(own), "--motor", str(toml), "-o", str(kept)]) == 0
+    sisters, learned = motor.healthy, load_motor(kept).healthy
+    assert sisters is not None
+    assert learned is not None
+    assert learned.pieces == 1
+    assert learned.degrees_of_freedom == pytest.approx(sisters.degrees_of_freedom + 1)
+    before, after = (np.sqrt(np.diag(one.log_covariance)) for one in (sisters, learned))
+    assert (after < [0.8, 1.0, 0.8, 1.0] * before).all()
     capsys.readouterr()
-    assert main(["identify", str(own[0]), "--motor", str(toml), "--json"]) == 0
-    (one,) = json.loads(capsys.readouterr().out)
-    low, high = one["parameters"]["R"]["interval"]
+    assert main(["identify", str(own), "--motor", str(toml), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)[0]["parameters"]["R"]
+    resistance_ohm = np.exp(np.random.default_rng([50, 0]).normal(0.0, 0.06)) * PAPER_MOTOR.resistance_ohm
+    low, high = told["interval"]
     assert low < resistance_ohm < high
-    assert high / low < np.exp(4.0 * sd[0, 0])
-    known = healthy[1].fleet
-    assert known is not None
-    own_sd = np.sqrt((healthy[1].log_covariance - known.log_within)[0, 0])
-    half = student_t(healthy[1].degrees_of_freedom).ppf(0.975) * own_sd
-    assert np.log(high / low) == pytest.approx(2.0 * half)
-    assert one["parameters"]["R"]["value"] == pytest.approx(healthy[1].values[0])
-
-
-def drawn(machine: int) -> float:
-    """Logarithm of the factor on R of a motor of `record`."""
-    return float(np.random.default_rng([machine, 0]).normal(0.0, 0.06))
+    assert learned.fleet is not None
+    own_sd = np.sqrt((learned.log_covariance - learned.fleet.log_within)[0, 0])
+    assert np.log(high / low) == pytest.approx(
+        2.0 * student_t(learned.degrees_of_freedom).ppf(0.975) * own_sd
+    )
+    assert told["value"] == pytest.approx(learned.values[0])
 
 
 @pytest.mark.parametrize(
@@ -274,13 +223,16 @@ def test_what_makes_no_fleet_is_refused(
     [
         (["diagnose", "x.csv", "--group", "(?P<machine>x)"], "--group goes with --fleet"),
         (["diagnose", "x.csv", "--fleet", "--motor", "m.toml"], "--motor does not go with --fleet"),
-        (["diagnose", "x.csv", "--fleet", "--start", "2"], "--start does not go with a fleet"),
         (["commission", "x.csv", "--group", "(?P<machine>x)", "-o", "m.toml"], "--group goes with --fleet"),
         (
             ["identify", "x.csv", "--motor", "m.toml", "--torque-constant", "1"],
             "--torque-constant does not go",
         ),
         (["commission", "x.csv", "--fleet", "--steady", "-o", "m.toml"], "--steady does not go with --fleet"),
+        (
+            ["commission", "x.csv", "--motor", "paper", "-o", "m.toml"],
+            "`motor-env commission --fleet` has written",
+        ),
     ],
 )
 def test_options_that_do_not_go_together(
@@ -288,26 +240,6 @@ def test_options_that_do_not_go_together(
 ) -> None:
     assert main(arguments) == 2
     assert words in capsys.readouterr().err
-
-
-def test_one_own_record_is_one_recording(
-    starts: list[Path], learned: LearnedFleet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    units = tmp_path / "sisters.toml"
-    save_motor(learned.motor("sisters"), units)
-    own = str(starts[0])
-    assert main(["identify", own, "--motor", str(units)]) == 0
-    assert main(["commission", own, "--motor", str(units), "-o", str(tmp_path / "own.toml")]) == 0
-    said = capsys.readouterr().out
-    assert "1 recording beside the sisters" in said
-    assert "1 own recording beside the sisters" in said
-    assert said.count("  read: time is column 1 (time_s); ") == 1
-
-
-def test_own_records_need_the_file_of_a_fleet(starts: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["commission", str(starts[0]), "--motor", "paper", "-o", "never.toml"]) == 2
-    assert "`motor-env commission --fleet` has written" in capsys.readouterr().err
-    assert not Path("never.toml").exists()
 
 
 def test_a_fleet_that_was_stopped_goes_on_where_it_was(starts: list[Path], tmp_path: Path) -> None:
@@ -374,28 +306,21 @@ def test_one_log_among_starts_makes_all_of_them_logs() -> None:
     assert jobs[1].args[0].regime == "operation"
 
 
-def test_kept_fits_of_others_are_refused(starts: list[Path], tmp_path: Path) -> None:
+def test_kept_fits_of_others_are_refused_and_stay(starts: list[Path], tmp_path: Path) -> None:
     kept = tmp_path / "fits.jsonl"
     learn_fleet(starts, kept=kept)
-    with pytest.raises(InputError, match="holds no fits of records that were read like these"):
-        learn_fleet(starts, kept=kept, reading=Reading(voltage_v=9.0))
     lines = kept.read_text().splitlines()
-    kept.write_text("\n".join([lines[0], '{"record": 3}', *lines[2:], ""]))
-    with pytest.raises(InputError, match="line 2 is no kept fit"):
-        learn_fleet(starts, kept=kept)
-
-
-@pytest.mark.parametrize(
-    "content", ["notes without an end of line", "# a title\nand text\n", "[" * 9999 + "\n"]
-)
-def test_a_file_of_another_kind_is_refused_and_stays(
-    starts: list[Path], tmp_path: Path, content: str
-) -> None:
-    kept = tmp_path / "notes.md"
-    kept.write_text(content)
-    with pytest.raises(InputError, match="holds no fits of records"):
-        learn_fleet(starts, kept=kept)
-    assert kept.read_text() == content
+    torn = "\n".join([lines[0], '{"record": 3}', *lines[2:], ""])
+    for content, reading, words in (
+        (kept.read_text(), Reading(voltage_v=9.0), "holds no fits of records that were read like these"),
+        (torn, Reading(), "line 2 is no kept fit"),
+        ("# a title\nand text\n", Reading(), "holds no fits of records"),
+        ("[" * 9999 + "\n", Reading(), "holds no fits of records"),
+    ):
+        kept.write_text(content)
+        with pytest.raises(InputError, match=words):
+            learn_fleet(starts, kept=kept, reading=reading)
+        assert kept.read_text() == content
 
 
 @pytest.mark.long
@@ -420,3 +345,121 @@ def test_motors_of_a_machine_off_alike_are_told_together() -> None:
     assert common_cause(mild, names, 0.02) == ""
     other = Difference(-low_k, np.diag(sd**2), matrix(names), 60.0)
     assert common_cause([both[0], other], names, 0.01) == ""
+
+
+BETWEEN = np.diag(np.square([0.065, 0.025, 0.065, 0.25]))
+WITHIN = np.diag(np.square([0.02, 0.01, 0.02, 0.05]))
+ERROR = np.diag(np.square([0.01, 0.005, 0.01, 0.03]))
+CENTRE = np.log([4.0, 0.09, 8e-5, 3e-4])
+BELIEF = np.diag(np.square([0.075, 0.03, 0.075, 0.35]))
+
+
+def motors(logs: FloatArray, *, repeats: int = 1, positions: int = 1) -> Motors:
+    """Motors with so many records each, in so many places of their machines."""
+    count = len(logs) // repeats
+    return Motors(
+        logs,
+        np.tile(ERROR, (len(logs), 1, 1)),
+        np.repeat(np.arange(count), repeats),
+        np.arange(count) % positions,
+        BELIEF,
+        np.eye(4) * 0.02**2,
+    )
+
+
+def healthy(rng: np.random.Generator, count: int) -> FloatArray:
+    return CENTRE + rng.multivariate_normal(np.zeros(4), BETWEEN + WITHIN + ERROR, count)
+
+
+def test_the_core_is_that_of_the_healthy_ones_with_a_fifth_sick() -> None:
+    rng = np.random.default_rng(3)
+    logs = healthy(rng, 100)
+    logs[:20, 3] += np.log(8.0)
+    core = learn_population(motors(logs))
+    assert np.abs(core.centres[0] - CENTRE) == pytest.approx(0.0, abs=0.06)
+    ratio = np.sqrt(np.diag(core.between + core.within) / np.diag(BETWEEN + WITHIN))
+    assert ratio == pytest.approx(1.0, abs=0.25)
+    assert (core.probability[:20] < 0.1).all()
+    assert np.mean(core.probability[20:] > 0.5) > 0.95
+
+
+def test_left_and_right_have_centres_of_their_own() -> None:
+    logs = healthy(np.random.default_rng(2), 60)
+    logs[1::2, 0] += 0.3
+    core = learn_population(motors(logs, positions=2))
+    assert core.centres[1, 0] - core.centres[0, 0] == pytest.approx(0.3, abs=0.06)
+    assert np.sqrt(core.between[0, 0]) < 0.1
+
+
+def test_pairs_of_records_tell_how_far_records_scatter() -> None:
+    """By the median deviation from their mean, beside a belief that is worth four records."""
+    half = np.array([0.1, 0.2, 0.1, 0.3])
+    everyone = motors(np.tile([half, -half], (10, 1)), repeats=2)
+    variance = 2.0 * (1.4826 * half) ** 2 - np.diag(ERROR)
+    expected = (10.0 * np.diag(variance) + 4.0 * everyone.within) / 14.0
+    np.testing.assert_allclose(everyone.within_covariance(), expected, rtol=1e-3)
+
+
+def test_a_covariance_is_raised_in_the_directions_that_it_lacks_alone() -> None:
+    raised = floor_covariance(np.diag([4.0, -1.0]), np.eye(2))
+    assert raised == pytest.approx(np.diag([4.0, 1.0]))
+
+
+NAMED = r"(?P<machine>\d+)(_(?P<repeat>[a-z]+))?_(?P<motor>left|right)"
+
+
+@pytest.mark.parametrize(
+    ("name", "group", "unit"),
+    [
+        ("a/one.csv", None, UnitId("one")),  # each file is a machine
+        ("robot_07_left.csv", NAMED, UnitId("07", "left")),
+        ("robot_86_dagmar_right.csv", NAMED, UnitId("86", "right")),  # a repeat is the same motor
+        ("pump_3_b.csv", r"_(?P<motor>\d)_(?P<repeat>[a-z])", UnitId("3")),
+    ],
+)
+def test_machine_and_motor_stand_in_a_files_name(name: str, group: str | None, unit: UnitId) -> None:
+    assert unit_ids([Path(name)], group) == [unit]
+    assert unit.name == f"{unit.machine} {unit.motor}".strip()
+
+
+@pytest.mark.parametrize(
+    ("group", "words"),
+    [
+        ("(", "must be a regular expression, got '\\('"),
+        ("(?P<side>left)", "must have named groups of machine, motor, repeat, got \\['side'\\]"),
+        ("(?P<repeat>left)", "a repeat alone names no motor"),
+        ("(?P<machine>[0-9]{3})", "robot_07_left.csv: --group .* does not match its name"),
+    ],
+)
+def test_a_group_that_tells_no_motor_is_refused(group: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        unit_ids([Path("robot_07_left.csv")], group)
+
+
+recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")
+DEAD = ("13 left", "13 right", "17 left")
+"""Whose current reads nothing while they turn."""
+HEAVY = ("19 left", "55 right", "11 left")
+"""They draw clearly more current than their sisters."""
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(
+    recordings_path is None, reason="MOTOR_ENV_RECORDINGS does not point to the recordings of real motors"
+)
+def test_the_motors_that_draw_too_much_lead_and_no_dead_sensor_is_a_fault_of_a_motor() -> None:
+    files = sorted((Path(recordings_path or "") / "regbot").glob("*.csv"))
+    assert len(files) == 78
+    with processes(2) as each:
+        found = {one.unit_id.name: one for one in diagnose_fleet(files, group=NAMED, each=each).units}
+    for name in (*DEAD, "11 right"):
+        assert found[name].verdict not in ("healthy", "winding", "bearing", "magnet"), name
+    told = [
+        name for name, one in found.items() if one.p_value is not None and name not in (*DEAD, "11 right")
+    ]
+    assert set(sorted(told, key=lambda name: found[name].p_value or 0.0)[:3]) == set(HEAVY)
+    assert all(found[name].verdict.is_fault for name in HEAVY)
+    assert found["19 left"].ratios["B"] > 3.0
+    healthy = sum(one.verdict == "healthy" for one in found.values())
+    assert healthy > 50

@@ -1,58 +1,180 @@
-"""Foreign files: what a refusal suggests is followed to the letter, and never reads another channel."""
+"""Files of instruments and programs, whole and mangled: right, or refused; what a refusal suggests reads them right."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_files import CURRENT, MAKERS, PWM, RATE_HZ, RPM, SECOND, SPEED, TIME, VOLTAGE, ForeignFile
+from foreign_files import CURRENT, INSTRUMENTS, OTHERS, PWM, RATE_HZ, RPM, SPEED, TIME, VOLTAGE, ForeignFile
 from hostile import refused, refused_or_same
 from recording_csv import write_csv
-from suggested_options import fits, has_blanks, options_of
 
 from motor_env import ColumnChoice, Recording, cli, read_recording
-from motor_env.diagnosis.readers.columns import evenly_rounded
-from motor_env.diagnosis.readers.headers import follows
 from motor_env.diagnosis.readers.text_block import legend_of
-from motor_env.motor.parameters import FloatArray
 
-_DEEPEST = 5  # options one after another
+Random = np.random.Generator
+_OPTION = re.compile(r'--column (?:"([^"]+)"|([^\s,;]+))')
+_NUMBER = r"[-+]?[\d.]+"
+_BLANKS = {"UNIT": r"\w+", "SCALE": _NUMBER, r"\+OFFSET": _NUMBER}
+
+
+def options_of(sentence: str) -> list[str]:
+    """What stands behind each `--column`, blanks in capitals among it; with the columns for COLUMN put in."""
+    found = [quoted or plain for quoted, plain in _OPTION.findall(sentence)]
+    several = re.search(r"where COLUMN is one of (.+?), and ", sentence)
+    columns = several[1].split(", ") if several else []
+    return [
+        option.replace("COLUMN", column)
+        for option in found
+        for column in (columns if "COLUMN" in option else [""])
+    ]
+
+
+def fits(option: str, named: str) -> bool:
+    """Whether an option with its blanks filled is the one that was named."""
+    pattern = re.escape(re.sub(r" ?\(mV\)", "", option))
+    for blank, form in _BLANKS.items():
+        pattern = pattern.replace(blank, form)
+    return re.fullmatch(pattern, named.replace(" (mV)", "")) is not None
+
+
+def chosen(path: Path, *options: str, rate_hz: float | None = None) -> Recording:
+    sampled = [] if rate_hz is None else [ColumnChoice.sampled(rate_hz)]
+    return read_recording(path, [*map(ColumnChoice.parse, options), *sampled])
+
+
+def check(recording: Recording, file: ForeignFile) -> None:
+    """One of the currents, at its rate; of instruments the voltage, too."""
+    offs = [float(np.max(np.abs(recording.current_a - current))) for current in file.currents_a]
+    assert min(offs, default=np.inf) < file.tolerance_a, recording.columns
+    assert recording.dt_s == pytest.approx(1.0 / RATE_HZ, rel=1e-3), recording.columns
+
+
+@pytest.mark.parametrize("name", INSTRUMENTS)
+def test_an_instrument_is_read_right(name: str, tmp_path: Path) -> None:
+    file, path = INSTRUMENTS[name](), tmp_path / "a.csv"
+    path.write_text(file.text)
+    recording = chosen(path, *file.named, rate_hz=file.rate_hz)
+    check(recording, file)
+    assert (recording.voltage_v is None) == (name.startswith(("LeCroy", "Hantek")))
+    if recording.voltage_v is not None:
+        np.testing.assert_allclose(recording.voltage_v, VOLTAGE[: len(recording.time_s)], atol=0.015)
 
 
 def outcomes(path: Path, file: ForeignFile, options: tuple[str, ...] = ()) -> list[str]:
     """How each way of following the sentences ends: read, or with the last sentence. A wrong current fails."""
-
-    def right(recording: Recording) -> None:
-        offs = [float(np.max(np.abs(recording.current_a - current))) for current in file.currents_a]
-        assert min(offs, default=np.inf) < file.tolerance_a, (options, recording.columns)
-        assert recording.dt_s == pytest.approx(1.0 / RATE_HZ, rel=1e-3), recording.columns
-
-    sentence = refused_or_same(
-        lambda: read_recording(path, [ColumnChoice.parse(option) for option in options]), path, right
-    )
+    sentence = refused_or_same(lambda: chosen(path, *options), path, lambda recording: check(recording, file))
     if not sentence:
         return ["read"]
     found = []
     for option in options_of(sentence):
-        named = [named for named in file.named if fits(option, named)] if has_blanks(option) else [option]
-        found += [
-            end for one in named if len(options) < _DEEPEST for end in outcomes(path, file, (*options, one))
-        ]
+        has_blanks = any(blank in option for blank in ("UNIT", "SCALE", "COLUMN"))
+        named = [named for named in file.named if fits(option, named)] if has_blanks else [option]
+        found += [end for one in named if len(options) < 5 for end in outcomes(path, file, (*options, one))]
     return found or [sentence]
 
 
-@pytest.mark.parametrize("kind", list(MAKERS))
-def test_what_a_refusal_suggests_reads_no_wrong_channel(kind: str, tmp_path: Path) -> None:
-    file, path = MAKERS[kind](), tmp_path / "a.csv"
+@pytest.mark.parametrize("name", INSTRUMENTS | OTHERS)
+def test_what_a_refusal_suggests_reads_no_wrong_channel(name: str, tmp_path: Path) -> None:
+    file, path = (INSTRUMENTS | OTHERS)[name](), tmp_path / "a.csv"
     path.write_text(file.text)
     found = outcomes(path, file)
-    assert ("read" in found) == bool(file.currents_a), found
+    if file.rate_hz is None and "Arduino" not in name:  # where the options for two columns go together
+        assert ("read" in found) == bool(file.currents_a), found
 
 
-def chosen(path: Path, *options: str) -> Recording:
-    return read_recording(path, [ColumnChoice.parse(option) for option in options])
+def mark_of(line: str) -> str:
+    return ";" if ";" in line else "\t" if "\t" in line else ","
+
+
+def one_row(change: Callable[[str], list[str]]) -> Callable[[str, Random], str]:
+    """A change of one of the last two thirds of a file's lines."""
+
+    def changed(text: str, rng: Random) -> str:
+        lines = text.splitlines()
+        place = int(rng.integers(len(lines) // 3, len(lines) - 1))
+        return "\n".join([*lines[:place], *change(lines[place]), *lines[place + 1 :]]) + "\n"
+
+    return changed
+
+
+def last_cell(cell: str) -> Callable[[str, Random], str]:
+    """Another last cell of one row."""
+    return one_row(lambda row: [re.sub(r"[^,;\t]+([,;]?)$", rf"{cell}\1", row)])
+
+
+def delimited(mark: str, decimal: str = ".") -> Callable[[str, Random], str]:
+    def changed(text: str, _: Random) -> str:
+        if mark_of(text) != ",":
+            return text
+        return text.replace(",", "\0").replace(".", decimal).replace("\0", mark)
+
+    return changed
+
+
+MANGLINGS: dict[str, Callable[[str, Random], str]] = {
+    "line ends of Windows": lambda text, _: text.replace("\n", "\r\n"),
+    "mark of UTF-8": lambda text, _: "\ufeff" + text,
+    "semicolons and decimal commas": delimited(";", ","),
+    "tabs": delimited("\t"),
+    "decimal commas between commas": delimited(",", ","),
+    "blank lines": one_row(lambda row: [row, "", "  "]),
+    "cut off": lambda text, rng: text[: int(rng.integers(len(text) // 2, len(text)))],
+    "cell empty": last_cell(""),
+    "cell that is no number": last_cell("1.#INF"),
+    "cell with a letter": last_cell("1.5x"),
+    "digits in groups": last_cell("1 234.5"),
+    "cell in excess": one_row(lambda row: [row.rstrip(",;") + ",1.5"]),
+    "row short": one_row(lambda row: [re.split("[,;\t]", row)[0]]),
+    "row doubled": one_row(lambda row: [row, row]),
+    "row missing": one_row(lambda _: []),
+    "row split": one_row(lambda row: [row[: len(row) // 2], row[len(row) // 2 :]]),
+    "header between": lambda text, _: text + text,
+    "quotes": lambda text, _: re.sub(rf"[^{mark_of(text)}\n]+", r'"\g<0>"', text),
+    "blanks": lambda text, _: text.replace(mark_of(text), f" {mark_of(text)} "),
+    "no header": lambda text, _: "\n".join(text.splitlines()[-500:]),
+    "another minus": lambda text, _: text.replace("-", "\u2212"),
+    "bytes of nothing": lambda text, rng: text[: int(rng.integers(len(text)))] + "\0" * 9 + text[9:],
+}
+_OF_ROWS = ("row missing", "row doubled", "cut off", "header between", "row split", "no header")
+
+
+def check_mangled(file: ForeignFile, begin_s: float, name: str, path: Path, rng: Random) -> str:
+    """What became of a mangled file: right, said or refused."""
+    path.write_text(MANGLINGS[name](file.text, rng), encoding="utf-8", newline="")
+    became = "right"
+
+    def same(recording: Recording) -> None:
+        nonlocal became
+        time_s = recording.time_s - begin_s
+        off = np.abs(recording.current_a - np.interp(time_s, TIME, CURRENT)) > 2.0 * file.tolerance_a + 1e-3
+        if recording.voltage_v is not None:
+            off |= np.abs(recording.voltage_v - np.interp(time_s, TIME, VOLTAGE)) > 0.05
+        wrong = int(off.sum()) + int((time_s > TIME[-1] + 1e-6).sum())
+        told = "; ".join(recording.columns)
+        if wrong > 2 and any(words in told for words in ("taken as", "cut off", "begins anew")):
+            became = "said"
+        else:  # a row that is missing is interpolated
+            assert wrong <= 2, (name, wrong, recording.columns)
+
+    sentence = refused_or_same(lambda: chosen(path, *file.named, rate_hz=file.rate_hz), path, same)
+    return "refused" if sentence else became
+
+
+@pytest.mark.parametrize("name", [*INSTRUMENTS][::2])
+def test_mangled_files_are_right_or_refused(name: str, tmp_path: Path) -> None:
+    file, path = INSTRUMENTS[name](), tmp_path / "a.csv"
+    path.write_text(file.text)
+    begin_s = float(chosen(path, *file.named, rate_hz=file.rate_hz).time_s[0])
+    rng, timeless = np.random.default_rng(20), file.rate_hz is not None
+    names = [one for one in MANGLINGS if not (timeless and one in _OF_ROWS)]
+    seen = [check_mangled(file, begin_s, one, path, rng) for one in names]
+    assert seen.count("right") >= 4
+    assert seen.count("refused") >= 4
+    assert seen.count("said") <= 2
 
 
 @pytest.mark.parametrize(
@@ -71,101 +193,8 @@ def test_a_current_that_none_is_is_refused(option: str, sentence: str, tmp_path:
     assert sentence in refused(lambda: cli.main(["identify", str(path), "--column", option]), path)
 
 
-def test_what_a_user_names_against_its_name_or_size_is_warned_of(tmp_path: Path) -> None:
-    path = write_csv(tmp_path / "a.csv", {"time_s": TIME, "Velo": SPEED, "IA": 20.0 * CURRENT}, form=".6f")
-    largest = np.max(np.abs(np.round(SPEED, 6)))
-    (warning,) = chosen(path, "current=Velo:A").warnings
-    assert warning.startswith("by its name, column Velo is no current; ")
-    assert f"column Velo gives a current of {largest:.4g} A: are its unit and its scale right?" in warning
-    assert chosen(path, "current=IA:A").warnings == ()
-    assert chosen(path, "current=IA:A", "speed=Velo:rpm").warnings == ()
-
-
-def test_a_stamp_is_no_current(tmp_path: Path) -> None:
-    path = write_csv(tmp_path / "a.csv", {"stamp": TIME, "clamp (mA)": 1e3 * CURRENT}, form=".6f")
-    assert "name it: --column time=stamp:UNIT" in refused(lambda: read_recording(path), path)
-    assert chosen(path, "time=stamp:s").warnings == ()
-
-
-def test_whole_numbers_may_be_milliampere(tmp_path: Path) -> None:
-    path = write_csv(tmp_path / "a.csv", {"time_s": TIME, "clamp": np.rint(1e3 * CURRENT)}, form=".6g")
-    sentence = refused(lambda: read_recording(path), path)
-    assert "--column current=clamp:UNIT (UNIT is A or mA; " in sentence
-    assert '--column "current=clamp*SCALE+OFFSET"' in sentence
-    check = np.rint(1e3 * CURRENT) / 1e3
-    np.testing.assert_allclose(chosen(path, "current=clamp:mA").current_a, check, atol=1e-9)
-
-
-def test_numbers_are_no_names(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    rows = "\n".join(f"{1e3 * t:.6g},{i:.6g}" for t, i in zip(TIME, CURRENT, strict=True))
-    path.write_text(f"x-axis,1\n{rows}\n", encoding="utf-8")
-    sentence = refused(lambda: chosen(path, "time=x-axis:ms"), path)
-    assert "numbers are none: use the column's number, such as --column time=1" in sentence
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_a_current_follows_others_only_without_noise(noise: float) -> None:
-    rng = np.random.default_rng(3)
-    computed = 0.02 * SPEED - 1.0 + noise * rng.standard_normal(len(SPEED))
-    assert follows(computed, SPEED, "voltage") is (noise == 0.0)
-    assert follows(np.round(computed, 2), np.round(SPEED, 1), "voltage") is (noise == 0.0)
-    # An ideal motor's falls as its speed rises; a tachometer that is wired the other way round does not.
-    assert not follows(5.0 - 0.02 * np.abs(SPEED), np.abs(SPEED), "speed")
-    assert follows(-0.02 * SPEED, SPEED, "speed")
-    assert not follows(np.zeros(9), np.arange(9.0), "time")
-    assert not follows(np.repeat([0.0, 1.0], 50), np.arange(100.0), "time")
-
-
-@pytest.mark.parametrize("rate_hz", [1234.5, 2000.0, 5000.0])
-@pytest.mark.parametrize("rounded", [np.round, np.floor])
-def test_times_that_repeat_by_rounding_tell_their_rate(
-    rate_hz: float, rounded: Callable[[FloatArray], FloatArray]
-) -> None:
-    time_s: FloatArray = np.arange(3000) / rate_hz
-    spread = evenly_rounded(rounded(1e3 * time_s) / 1e3 + 1.7e6)
-    assert spread is not None
-    assert spread[1:] == pytest.approx((rate_hz, 1e-3), rel=1e-5)
-    np.testing.assert_allclose(np.diff(spread[0]), 1.0 / rate_hz, rtol=1e-3)
-    assert abs(np.mean(spread[0]) - 1.7e6 - np.mean(time_s)) < 0.6e-3
-
-
-@pytest.mark.parametrize(
-    ("names", "alike"),
-    [
-        (("left (A)", "right (A)"), "left (A) and right (A) both"),
-        (("red (A)", "blue (A)", "green (A)"), "red (A), blue (A) and green (A) all"),
-    ],
-)
-def test_columns_that_look_alike_are_offered_one_by_one(
-    names: tuple[str, ...], alike: str, tmp_path: Path
-) -> None:
-    path = write_csv(tmp_path / "a.csv", {"time_s": TIME} | dict.fromkeys(names, CURRENT))
-    options = " or ".join(f'--column "current={name}"' for name in names)
-    sentence = refused(lambda: read_recording(path), path)
-    assert sentence == f"{path}: the columns {alike} look like the current; say which: {options}"
-
-
-@pytest.mark.parametrize(("interval", "spreads"), [(0.895, True), (0.905, False)])
-def test_times_that_repeat_seldom_are_not_spread(interval: float, spreads: bool) -> None:
-    """From nine tenths of the rounding on."""
-    found = evenly_rounded(np.round(interval * np.arange(3000.0)) * 1e-3)
-    assert (found is not None) is spreads
-
-
-def test_times_that_repeat_otherwise_are_not_spread() -> None:
-    even: FloatArray = np.arange(300.0) / 1e3
-    fast = even / 5.0
-    stood = np.insert(fast, 150, np.full(20, 0.03))
-    with_gap = np.concatenate([fast[:150], fast[:150] + 0.1])
-    for time_s in (even, np.insert(even, 100, even[100]), stood.round(3), with_gap.round(3), 0.0 * even):
-        assert evenly_rounded(time_s) is None
-    assert evenly_rounded(fast.round(3)) is not None
-
-
 def test_a_legend_names_columns_and_units() -> None:
     lines = [
-        "% 1    time 0.000 sec",
         "%  7  8 Motor current left, right [A]: 0.1 0.2",
         "% 9 10 11 Pose x,y,tilt [m,m,rad]: 0 0 0",
         "% 16 .. 18 Line sensor: left 0.0 0",
@@ -175,30 +204,13 @@ def test_a_legend_names_columns_and_units() -> None:
         "// 3 = gear",
         "a remark, 5 of them",
     ]
-    found = legend_of(lines, 20)
-    assert {k + 1: told for k, told in found.items()} == {
-        1: ("time", "sec"),
-        2: ("supply", "mV"),
-        3: ("gear", ""),
-        7: ("Motor current left", "A"),
-        8: ("Motor current right", "A"),
-        9: ("Pose x", "m"),
-        10: ("Pose y", "m"),
-        11: ("Pose tilt", "rad"),
-        16: ("Line sensor 1", ""),
-        17: ("Line sensor 2", ""),
-        18: ("Battery voltage", "V"),
-    }
+    found = {k + 1: told for k, told in legend_of(lines, 20).items()}
+    assert found == {
+        2: ("supply", "mV"), 3: ("gear", ""), 7: ("Motor current left", "A"), 8: ("Motor current right", "A"),
+        9: ("Pose x", "m"), 10: ("Pose y", "m"), 11: ("Pose tilt", "rad"), 16: ("Line sensor 1", ""),
+        17: ("Line sensor 2", ""), 18: ("Battery voltage", "V"),
+    }  # fmt: skip
     assert legend_of(["# 3 motors [A] were measured"], 20) == {}
-
-
-def test_of_two_motors_the_columns_of_the_one_that_was_named_are_suggested(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    path.write_text(MAKERS["legend"]().text)
-    sentence = refused(lambda: chosen(path, "voltage=Motor voltage right"), path)
-    assert options_of(sentence) == ["current=Motor current right"]
-    read = chosen(path, "current=Motor current right", "voltage=Motor voltage right")
-    np.testing.assert_allclose(read.current_a, SECOND, atol=1e-4)
 
 
 TEXT = "time_s,voltage_v,current_a\n" + "".join(f"{k / 1000},12.5,{k % 7}.25\n" for k in range(60))
@@ -221,7 +233,6 @@ def counted(begin: int, top: int, low: int = 0) -> str:
     [
         (TEXT + "\0", "1 NUL byte is skipped"),
         (TEXT[:500] + "\0\0\0" + TEXT[500:], "3 NUL bytes are skipped"),
-        (TEXT + "\0" * 4096, "4096 NUL bytes are skipped"),
         (QUOTED, "decimal comma"),
         (counted(2**32 - 20_500, 2**32), "whose counter begins anew after 4294.967296 s"),
         (counted(2**31 - 20_500, 2**31, -(2**31)), "whose counter begins anew after 4294.967296 s"),
@@ -271,10 +282,8 @@ def test_a_time_that_may_be_in_ms_is_asked_for_its_unit(unit: str, tmp_path: Pat
     [
         ("a.xls", b"PK\x03\x04", "a workbook must be named .xlsx"),
         ("a.xls", b"\xd0\xcf\x11\xe0", "save it as .xlsx or CSV"),
-        ("a.xlsx", b"\xd0\xcf\x11\xe0", "save it as .xlsx or CSV"),
         ("a.dat", b"\x89HDF\r\n", "must be named .mat, .h5 or .hdf5"),
         ("a.bin", b"TDSm", "must be named .tdms"),
-        ("a.tdms", b"TDSm", "holds no column of numbers"),
     ],
 )
 def test_a_file_that_another_program_must_convert_says_how(

@@ -4,12 +4,10 @@ import os
 import socket
 import subprocess
 import time
-import tracemalloc
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import hostile
 import pytest
@@ -17,15 +15,7 @@ from real_parts import installed
 
 from motor_env import InputError
 from motor_env.diagnosis.streaming import sources
-from motor_env.diagnosis.streaming.sources import (
-    LONGEST_LINE,
-    SILENCE,
-    Notice,
-    Piece,
-    identity,
-    lines,
-    source,
-)
+from motor_env.diagnosis.streaming.sources import SILENCE, Notice, Piece, identity, lines, source
 
 WAIT_S = 20.0
 
@@ -49,39 +39,25 @@ def told(heard: Iterator[Piece], kind: str, words: str = "") -> None:
     assert words in notice.text
 
 
-def test_a_file_that_grows_and_one_that_begins_anew(tmp_path: Path) -> None:
-    log = tmp_path / "log.csv"
+def test_a_log_that_is_rotated_is_read_to_its_end_and_then_the_new_one(tmp_path: Path) -> None:
+    log, old = tmp_path / "log.csv", tmp_path / "log.1"
     log.write_bytes(b"one\ntwo\n")
     heard = opened(str(log), follow=True)
     assert [next(heard), next(heard)] == [b"one\n", b"two\n"]
-    with log.open("ab") as file:
+    log.rename(old)
+    with old.open("ab") as file:
         file.write(b"three\n")
     assert next(heard) == b"three\n"
-    log.write_bytes(b"new\n")
-    told(heard, "new_file")
-    assert next(heard) == b"new\n"
-
-
-def test_a_log_that_is_rotated_is_read_to_its_end_and_then_the_new_one(tmp_path: Path) -> None:
-    log = tmp_path / "log.csv"
-    log.write_bytes(b"one\n")
-    heard = opened(str(log), follow=True)
-    assert next(heard) == b"one\n"
-    log.rename(tmp_path / "log.1")
-    with (tmp_path / "log.1").open("ab") as file:
-        file.write(b"two\n")
-    assert next(heard) == b"two\n"
     log.touch()  # as logrotate makes it, before the logger is told
-    with (tmp_path / "log.1").open("ab") as file:
-        file.write(b"three\n")
-    assert next(heard) == b"three\n"
+    with old.open("ab") as file:
+        file.write(b"four\n")
+    assert next(heard) == b"four\n"
     log.write_bytes(b"new\n")
     told(heard, "new_file", "is another file now")
     assert next(heard) == b"new\n"
-    log.unlink()
-    log.write_bytes(b"last\n")
-    told(heard, "new_file", "is another file now")
-    assert next(heard) == b"last\n"
+    log.write_bytes(b"a\n")
+    told(heard, "new_file")
+    assert next(heard) == b"a\n"
     heard.close()  # type: ignore[attr-defined]  # a generator
 
 
@@ -95,30 +71,6 @@ def test_a_log_written_anew_in_its_place_is_new_however_long_it_is(tmp_path: Pat
     told(heard, "new_file", "is not the same file as before")
     assert next(heard) == b"new\n"
     assert next(heard) == old[: old.index(b"\n") + 1]
-
-
-def test_the_old_log_may_grow_until_something_is_in_the_new_one(tmp_path: Path) -> None:
-    log, old = tmp_path / "log.csv", tmp_path / "log.1"
-    log.write_bytes(b"one\n")
-    heard = source(str(log), follow=True, baud=0)
-    assert next(heard) == b"one\n"
-    log.rename(old)
-    log.touch()
-    assert [next(heard), next(heard)] == [b"", b""]
-    with old.open("ab") as file:
-        file.write(b"two\n")
-    assert next(heard) == b"two\n"
-
-
-def test_a_long_log_is_read_in_little_memory(tmp_path: Path) -> None:
-    log = tmp_path / "log.csv"
-    log.write_bytes(b"12345678\n" * 400_000)
-    tracemalloc.start()
-    read = sum(len(piece) for piece in source(str(log), follow=False, baud=0) if isinstance(piece, bytes))
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert read == 3_600_000
-    assert peak < 1_000_000
 
 
 def test_a_log_that_is_gone_on_with_must_be_the_one_that_was_read(tmp_path: Path) -> None:
@@ -150,19 +102,6 @@ def test_a_standard_input_that_cannot_be_read_ends_the_watch(
             opened(None)
 
 
-def test_a_line_without_end_takes_no_more_time_and_memory_than_short_ones() -> None:
-    """Each byte is looked at a few times: pieces of one letter, as slow ports give them."""
-    endless = [b"x"] * 150_000
-    tracemalloc.start()
-    sizes = [len(part) for part in lines(iter([*endless, b"\n1,2\n"])) if isinstance(part, bytes)]
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert sizes[:2] == 2 * [LONGEST_LINE + 1]
-    assert sum(sizes[:3]) == 150_001
-    assert sizes[3:] == [4]
-    assert peak < 4_000_000
-
-
 def test_silence_is_said_where_bytes_come_but_no_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "SILENCE_S", -1.0)
     assert list(lines(iter([b"x", b"x"]), rest=False)) == [SILENCE]
@@ -192,12 +131,8 @@ def test_what_comes_faster_than_it_is_judged_is_told(monkeypatch: pytest.MonkeyP
     [
         "mqtt://me:SECRET@127.0.0.1:1/topic",
         "mqtt://me:SECRET@127.0.0.1",
-        "mqtt://me:SEC/SECRET@host/topic",
-        "mqtt://me:SECRET#@host/topic",
         "mqtt://me:SECRET\u2100@host/topic",
         "mqtt://me:SECRET@[host/topic",
-        "mqtts://me:SECRET@host/topic",
-        "MQTT://me:SECRET@host/topic",
     ],
 )
 def test_no_password_is_said(url: str) -> None:
@@ -213,27 +148,6 @@ def test_what_is_watched_has_a_name_without_password(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     assert identity("log.csv") == identity(str(tmp_path / "log.csv")) == str(tmp_path / "log.csv")
     assert (identity("serial:/dev/tty"), identity(None)) == ("serial:/dev/tty", "standard input")
-
-
-def test_each_message_of_a_broker_ends_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whether it ends with one itself or not."""
-    client = pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed")
-
-    class Broker:
-        """In the place of the library's client: two messages come."""
-
-        def __init__(self, *_: object) -> None:
-            self.on_message: Callable[..., None] = print
-
-        def connect(self, *_: object) -> None: ...
-
-        def loop_start(self) -> None:
-            for payload in (b"1,2,3,4", b"5,6,7,8\r\n9,10,11,12\r\n"):
-                self.on_message(self, None, SimpleNamespace(payload=payload))
-
-    monkeypatch.setattr(client, "Client", Broker)
-    heard = opened("mqtt://host/topic")
-    assert [next(heard) for _ in range(3)] == [b"1,2,3,4\n", b"5,6,7,8\r\n", b"9,10,11,12\n"]
 
 
 def test_a_serial_port_and_its_cable() -> None:

@@ -2,29 +2,18 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
-from judged_by_hand import CURRENT, EXPONENTS, RATE, SCATTER, SHEET, fits, fitted, judged, spread
+from judged_by_hand import CURRENT, EXPONENTS, RATE, SCATTER, SHEET, fits, fitted, spread
+from present import present
 from scipy import stats
 
-from motor_env import (
-    InputError,
-    Motor,
-)
-from motor_env.diagnosis import commission, file_verdicts
+from motor_env import InputError
+from motor_env.diagnosis import commission
 from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 from motor_env.diagnosis.readers.noise import difference_noise
-from motor_env.diagnosis.readers.start import Circuit, prepare
-from motor_env.diagnosis.verdict import (
-    healthy_motor,
-    healthy_spread,
-    report_page,
-    report_text,
-)
+from motor_env.diagnosis.verdict import healthy_motor, healthy_spread
 from motor_env.diagnosis.verdict.decision import alarm_limits
 from motor_env.diagnosis.verdict.healthy_motor import (
     ReferenceShift,
@@ -35,7 +24,6 @@ from motor_env.diagnosis.verdict.healthy_motor import (
 from motor_env.diagnosis.verdict.healthy_spread import (
     explain_disagreement,
     explain_outlier,
-    fit_healthy,
     learn_starts,
     predictive_t,
 )
@@ -68,40 +56,12 @@ def test_the_next_of_several_healthy_ones() -> None:
     assert one[2] == 4.0
 
 
-def test_an_error_counts_as_far_as_it_is_beyond_the_healthy_spread() -> None:
-    healthy = np.diag([1.0, 4.0])
-    np.testing.assert_allclose(
-        excess_covariance(healthy, np.diag([3.0, 2.0])), np.diag([2.0, 0.0]), atol=1e-12
-    )
-    turn = np.array([[0.6, -0.8], [0.8, 0.6]]) @ np.array([[2.0, 0.3], [0.0, 0.7]])
-    found = excess_covariance(turn @ healthy @ turn.T, turn @ np.diag([3.0, 2.0]) @ turn.T)
-    np.testing.assert_allclose(found, turn @ np.diag([2.0, 0.0]) @ turn.T, atol=1e-12)
-
-
-def test_a_known_temperature_spread_counts_in_the_ratio_of_the_quantiles() -> None:
-    covariance, warmth = spread(3), np.array([0.06, 0.0, -0.015])
-    ratio = stats.norm.isf(0.002) / stats.t.isf(0.002, 6.0)
-    expected = covariance + ratio**2 * np.outer(warmth, warmth)
-    np.testing.assert_allclose(
-        add_normal_spread(covariance, np.outer(warmth, warmth), 0.002, 6.0), expected, rtol=1e-9
-    )
-
-
 def test_the_data_sheet_as_a_reference() -> None:
     """Tolerances of R, L, K, J and B through the powers of each quantity; the supply acts like all per volt."""
-    tolerance = replace(
-        SHEET.tolerance,
-        **dict(
-            zip(
-                ("resistance", "inductance", "constants", "inertia", "friction", "supply"),
-                (np.arange(1, 7) / 100).tolist(),
-                strict=True,
-            )
-        ),
-        temperature_k=10.0,
-    )
-    found = reference_of(replace(SHEET, tolerance=tolerance), CURRENT)
-    assert found is not None
+    names_of = ("resistance", "inductance", "constants", "inertia", "friction", "supply")
+    sizes = {name: (n + 1) / 100.0 for n, name in enumerate(names_of)}
+    tolerance = replace(SHEET.tolerance, **sizes, temperature_k=10.0)
+    found = present(reference_of(replace(SHEET, tolerance=tolerance), CURRENT))
     heat = 10.0 * np.array([0.00393, 0.0, -0.001, 0.0, 0.0, 0.0])
     motor = np.diag((np.arange(1, 7) / 100.0) ** 2) + np.outer(heat, heat)
     per_volt = np.array([-1.0, -1.0, -1.0, 0.0])  # of R/V, L/V, K^2/(J V) and B/J
@@ -109,25 +69,23 @@ def test_the_data_sheet_as_a_reference() -> None:
     np.testing.assert_allclose(found.log_covariance, expected, rtol=1e-9)
     p = SHEET.parameters
     k2 = p.back_emf_constant_v_s_per_rad * p.torque_constant_n_m_per_a
-    values = [
-        p.resistance_ohm,
-        p.inductance_h,
-        k2 / p.inertia_kg_m2,
-        p.viscous_friction_n_m_s_per_rad / p.inertia_kg_m2,
-    ]
+    drag = p.viscous_friction_n_m_s_per_rad / p.inertia_kg_m2
+    values = [p.resistance_ohm, p.inductance_h, k2 / p.inertia_kg_m2, drag]
     assert list(found.values.values()) == pytest.approx(values)
     constant_s = p.resistance_ohm * p.inertia_kg_m2 / k2
     assert found.time_constant_s == pytest.approx(constant_s)
     assert replace(found, names=found.names[:2]).time_constant_s == math.inf  # R and L
     assert (found.temperature_k, found.warmer_k, found.own_friction) == (0.0, 0.0, 1.0)
-    noisy = reference_of(replace(SHEET, current_noise_a=0.05), names(has_voltage=True, has_speed=True))
-    assert noisy is not None
+    noisy = present(
+        reference_of(replace(SHEET, current_noise_a=0.05), names(has_voltage=True, has_speed=True))
+    )
     assert noisy.log_noise == pytest.approx(math.log(0.05))
     assert noisy.log_noise_sd == 0.10
     assert reference_of(SHEET, names(has_voltage=False, has_speed=False)) is None
     # Brushes that leave 0.8 of the voltage; a drag that is half as much again over the speed, to within 20 %.
-    moved = reference_of(replace(SHEET, tolerance=tolerance), CURRENT, shift=ReferenceShift(0.8, 1.5, 0.2))
-    assert moved is not None
+    moved = present(
+        reference_of(replace(SHEET, tolerance=tolerance), CURRENT, shift=ReferenceShift(0.8, 1.5, 0.2))
+    )
     np.testing.assert_allclose(np.exp(moved.log_values - found.log_values), [1.25, 1.25, 1.25, 1.5])
     more = moved.log_covariance - found.log_covariance
     np.testing.assert_allclose(more, np.diag([0.0, 0.0, 0.0, 0.2**2]), atol=1e-12)
@@ -135,8 +93,7 @@ def test_the_data_sheet_as_a_reference() -> None:
         np.exp(ReferenceShift(0.5, 3.0).logs), [2.0, 2.0, 2.0, 2.0, 6.0, 1.0]
     )  # the voltage stays
     # Of a drag that is half over the speed, only B is half.
-    other = reference_of(SHEET, ("R", "B"), shift=ReferenceShift(friction=0.5))
-    assert other is not None
+    other = present(reference_of(SHEET, ("R", "B"), shift=ReferenceShift(friction=0.5)))
     assert other.values == pytest.approx({"R": p.resistance_ohm, "B": 0.5 * p.viscous_friction_n_m_s_per_rad})
 
 
@@ -148,8 +105,7 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert learned.values == pytest.approx(np.exp(centre))
     np.testing.assert_allclose(learned.log_covariance, covariance)
     assert (learned.pieces, learned.degrees_of_freedom, learned.quantities) == (3, freedom, CURRENT)
-    starts = learned.starts
-    assert starts is not None
+    starts = present(learned.starts)
     # Equal noises: only the prior of 10 % is left, worth four starts.
     assert starts.log_noise == pytest.approx(math.log(given[0].noise_a))
     assert starts.log_noise_sd == pytest.approx(math.sqrt(4.0 * 0.1**2 / 6.0 * 4.0 / 3.0))
@@ -159,8 +115,7 @@ def test_healthy_starts_teach_the_next_one() -> None:
     assert starts.quiet_s == pytest.approx(0.03, abs=1e-3)
     onset_s = start.alignment.onset_s + 0.05 - given[2].onset_s
     later = replace(start, alignment=replace(start.alignment, onset_s=onset_s))
-    late = learn_starts([*given[:2], replace(given[2], start=later)]).starts
-    assert late is not None
+    late = present(learn_starts([*given[:2], replace(given[2], start=later)]).starts)
     assert late.duration_s == pytest.approx((starts.duration_s or 0.0) - 0.05, abs=1e-3)
     assert late.quiet_s == starts.quiet_s
     assert (starts.ripple_hz, starts.ripple_log_sd, learned.temperature_k) == (None, None, 15.0)
@@ -169,45 +124,13 @@ def test_healthy_starts_teach_the_next_one() -> None:
     np.testing.assert_allclose(error, given[0].series_covariance * min(white**2 / left, 1.0))
     extended = [replace(fit, model=("coulomb",), fitted_extension={"coulomb": (size, 0.1)}) for fit, size in
                 zip(given, (2.0, 1.0, 3.0), strict=True)]  # fmt: skip
-    kept = learn_starts(extended).starts
-    assert kept is not None
+    kept = present(learn_starts(extended).starts)
     assert (kept.model, kept.model_low, kept.model_high) == (("coulomb",), (1.0,), (3.0,))
-
-
-@pytest.mark.parametrize(("signs", "direction"), [((1.0, 1.0), 1), ((-1.0, -1.0), -1), ((-1.0, 1.0), 0)])
-def test_healthy_starts_in_both_directions_teach_none(signs: tuple[float, ...], direction: int) -> None:
-    _, fit, _ = fitted()
-    alignments = [replace(fit.start.alignment, sign=sign) for sign in signs]
-    starts = learn_starts(
-        [replace(fit, start=replace(fit.start, alignment=one)) for one in alignments]
-    ).starts
-    assert starts is not None
-    assert starts.direction == direction
-
-
-def test_healthy_recordings_are_learned_with_what_is_known_of_those_that_are_judged(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The same supply, the same shunt in series, the same regime."""
-    given: dict[str, Any] = {}
-
-    def learn(*_: object, **options: Any) -> SimpleNamespace:
-        given.update(options)
-        return SimpleNamespace(motor=SHEET)
-
-    monkeypatch.setattr(file_verdicts, "commission", learn)
-    monkeypatch.setattr(file_verdicts, "read_recording", lambda *_: judged().recording)
-    monkeypatch.setattr(file_verdicts, "diagnose", lambda *_, **__: judged())
-    known: dict[str, Any] = {"voltage_v": 24.0, "circuit": Circuit(shunt_ohm=0.5), "regime": "start"}
-    (outcome,) = file_verdicts.diagnose_files([Path("start.csv")], healthy=[Path("healthy.csv")], **known)
-    assert outcome.diagnosis is judged()
-    assert known.items() <= given.items()
 
 
 def test_a_reference_speaks_of_what_follows_from_its_quantities() -> None:
     learned = replace(learn_starts(fits(*SCATTER)), temperature_c=20.0)
-    same = reference_of_pieces(learned, CURRENT, "m", temperature_c=45.0)
-    assert same is not None
+    same = present(reference_of_pieces(learned, CURRENT, "m", temperature_c=45.0))
     assert (same.temperature_k, same.warmer_k) == (4.0, 25.0)
     assert same.source == "3 healthy starts of m"
     for measured, known in ((None, 20.0), (45.0, None)):
@@ -216,18 +139,17 @@ def test_a_reference_speaks_of_what_follows_from_its_quantities() -> None:
         )
         assert other is not None
         assert (other.temperature_k, other.warmer_k) == (15.0, 0.0)
-    narrow = reference_of_pieces(replace(learned, temperature_k=2.0), CURRENT, "m", temperature_c=45.0)
-    assert narrow is not None
+    narrow = present(
+        reference_of_pieces(replace(learned, temperature_k=2.0), CURRENT, "m", temperature_c=45.0)
+    )
     assert narrow.temperature_k == 2.0
-    ratio = reference_of_pieces(learned, ("R/L", "L"), "m")
-    assert ratio is not None
+    ratio = present(reference_of_pieces(learned, ("R/L", "L"), "m"))
     powers = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
     np.testing.assert_allclose(ratio.log_values, powers @ np.log(learned.values))
     np.testing.assert_allclose(ratio.log_covariance, powers @ learned.log_covariance @ powers.T, atol=1e-12)
     assert reference_of_pieces(learned, ("K",), "m") is None
     # Between its own starts only the fits' white errors differ; between sisters all of a fit's error does.
-    sisters = reference_of_pieces(replace(learned, fleet=Fleet(7, np.eye(4))), CURRENT, "m")
-    assert sisters is not None
+    sisters = present(reference_of_pieces(replace(learned, fleet=Fleet(7, np.eye(4))), CURRENT, "m"))
     assert sisters.source == "7 sisters of m"
     assert (same.includes_fit_error, sisters.includes_fit_error) == (True, False)
 
@@ -293,59 +215,7 @@ def test_a_start_is_compared_with_what_is_as_warm() -> None:
         severity_unit("bearing", 0.3),
         severity_unit("bearing", None),
         severity_unit("winding_contact", 0.3),
-    ) == (
-        0.3,
-        1.0,
-        1.0,
-    )
-
-
-def test_the_temperature_of_healthy_starts_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it is known too, a later start is compared at its own."""
-    monkeypatch.setattr(commission, "fit_starts", lambda *_, **__: fits(*SCATTER))
-    for celsius in (None, 21.0):
-        found = commission.commission([judged().recording], temperature_c=celsius)
-        assert found.healthy.temperature_c == celsius
-
-
-@pytest.mark.parametrize(
-    ("preferred", "model"),
-    [
-        (["ramp", "ramp lag", ""], ("supply_ramp",)),
-        (["ramp", "", ""], ()),
-        (["ramp", ""], ()),
-        (["lag", "lag", "ramp", "ramp"], ("sensor_lag",)),  # the first three are asked
-    ],
-)
-def test_healthy_starts_are_fitted_with_what_most_of_them_prefer(
-    preferred: list[str], model: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    names_of, asked = {"ramp": "supply_ramp", "lag": "sensor_lag"}, iter(preferred)
-    fitted_with: list[tuple[str, ...]] = []
-
-    def best(*_: object, **__: object) -> SimpleNamespace:
-        return SimpleNamespace(model=tuple(names_of[word] for word in next(asked).split()))
-
-    def fit(_: object, with_model: tuple[str, ...], **__: object) -> Any:
-        fitted_with.append(with_model)
-        return fits([0.0] * 4)[0]
-
-    monkeypatch.setattr(healthy_spread, "identify_best", best)
-    monkeypatch.setattr(healthy_spread, "identify", fit)
-    assert len(fit_healthy([prepare(judged().recording)] * len(preferred))) == len(preferred)
-    assert fitted_with == [model] * 2 * len(preferred)
-
-
-def test_a_shunt_is_in_series_with_the_healthy_motor() -> None:
-    """The current that it would have drawn is that of a motor with so much more resistance."""
-    found, fit, reference = fitted()
-    behind = replace(fit, start=replace(fit.start, circuit=Circuit(shunt_ohm=0.5)))
-    logs = reference.log_values.copy()
-    logs[0] = math.log(math.exp(logs[0]) + 0.5)
-    larger = report_page.reference_current(replace(found, reference=replace(reference, log_values=logs)))
-    assert larger is not None
-    ours = report_page.reference_current(replace(found, fit=behind))
-    np.testing.assert_allclose(np.asarray(ours), larger, rtol=1e-9, atol=1e-12)
+    ) == (0.3, 1.0, 1.0)
 
 
 def test_an_identified_motor_is_the_geometric_mean_of_its_fits() -> None:
@@ -397,8 +267,7 @@ def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> N
     motor = healthy_motor.to_motor(given, "m", healthy=learn_starts(given))
     smallest, undecided = healthy_spread.detectable_changes(motor, given, None, RATE)
     assert undecided == ({"B/J": expected} if odd else {})
-    reference = reference_of(motor, CURRENT)
-    assert reference is not None
+    reference = present(reference_of(motor, CURRENT))
     views = form_hypotheses(given[0], reference, RATE)
     assert smallest == smallest_detectable(views, None, alarm_limits(views, RATE, tests_noise=True).z)
     assert (
@@ -406,29 +275,10 @@ def test_a_commissioning_counts_what_its_pieces_leave_undecided(odd: float) -> N
     )  # nothing is left to judge one by
 
 
-def test_words_of_a_commissioning() -> None:
-    """The interval of the next healthy start, at the rate on both sides together."""
-    given = fits(*SCATTER)
-    learned = learn_starts(given)
-    motor = healthy_motor.to_motor(given, "m", healthy=learned)
-    known = commission.Commissioned(motor, tuple(given), {"bearing": 0.25}, {"B/J": 2})
-    text = repr(replace(known, false_alarm_rate=0.05))
-    half = stats.t.isf(0.025, 6.0) * np.sqrt(np.diag(learned.log_covariance))
-    assert "(95%, Student t, 6 degrees)" in text
-    for name, value, h in zip(learned.quantities, learned.values, half, strict=True):
-        words = f"{value:.4g} {report_text.UNITS[name]:<12} {math.expm1(-h):+.1%} to {math.expm1(h):+.1%}"
-        assert " ".join(words.split()) in " ".join(text.split()), name
-        told = replace(known, false_alarm_rate=0.05).parameters[name]
-        assert (told["value"], told["unit"]) == (value, report_text.UNITS[name])
-        assert told["interval"] == pytest.approx([value * math.exp(-h), value * math.exp(h)])
-    assert "found in 95 of 100 cases: bearing 25.0%" in text
-    assert "\n  B/J is left undecided by 2 of these 3 starts: a doubling would not show\n" in text
-    assert "by 15 K (1 sd)" in text
-
-
-def test_a_motor_file_of_another_kind_is_named() -> None:
-    given = Motor("mine", "identified", SHEET.parameters)
-    found = reference_of(given, names(has_voltage=True, has_speed=True))
-    assert found is not None
-    assert found.source == "identified motor mine"
-    assert (found.log_noise, fitted()[2].source) == (None, f"data sheet {SHEET.name}")
+def test_a_known_temperature_spread_counts_in_the_ratio_of_the_quantiles() -> None:
+    covariance, warmth = spread(3), np.array([0.06, 0.0, -0.015])
+    ratio = stats.norm.isf(0.002) / stats.t.isf(0.002, 6.0)
+    expected = covariance + ratio**2 * np.outer(warmth, warmth)
+    np.testing.assert_allclose(
+        add_normal_spread(covariance, np.outer(warmth, warmth), 0.002, 6.0), expected, rtol=1e-9
+    )

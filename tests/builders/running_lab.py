@@ -7,6 +7,7 @@ from pathlib import Path
 
 from recording_csv import write_csv
 
+# Reaches in: the lab is served from a thread of the tests.
 from motor_env.apps import lab
 from motor_env.apps.lab_server import address, make_server
 
