@@ -4,6 +4,8 @@ A row is one argument of one public name, with a good value of it. From the good
 numbers in another dress (read-only, big-endian, a list), which must give the same to the bit; and what is no such value
 (NaN, masked, text, the wrong shape), which must be refused: a ValueError or a TypeError, one sentence of our own.
 
+    ROWS = rows("smooth", kalman=TWO, result=Good(RESULT, also=(None,)))
+
     @pytest.mark.parametrize("row", ROWS, ids=str)
     def test_hostile(row):
         assert row.defects() == []
@@ -14,18 +16,15 @@ from __future__ import annotations
 import ast
 import dataclasses
 import math
-import signal
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-SECONDS = 10.0
-"""A cell that takes longer does not end."""
+import motor_env
 
 PACKAGES = ("motor_env", "motor_datasets", "motor_classifiers")
 
@@ -44,25 +43,24 @@ SAME, REFUSED, MISSING, EITHER = "same", "refused", "missing", "either"
 Cell = tuple[str, Any, str]
 
 
+class Good:
+    """A good value of an argument, cells that may give something as well as be refused, and further hostile values.
+
+    Cells are allowed by name, "missing" for all ways in which a reading is said to be missing.
+    """
+
+    def __init__(self, value: Any, *allows: str, also: Iterable[Any] = ()) -> None:
+        self.value, self.allows, self.also = value, allows, tuple(also)
+
+
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One argument of a public name.
-
-    Attributes:
-        name: the public name.
-        argument: what is hostile.
-        call: the name's call, with everything else good.
-        good: a good value: an array, a float, an int, or anything else.
-        allows: cells that may give something, as well as be refused (such as "empty", or "nan" of what may be missing).
-        also: further hostile values, to be refused.
-    """
+    """One argument of a public name: its call with everything else good, and what is good."""
 
     name: str
     argument: str
     call: Callable[[Any], Any]
-    good: Any
-    allows: frozenset[str] = frozenset()
-    also: tuple[Any, ...] = ()
+    good: Good
 
     @classmethod
     def of(
@@ -74,58 +72,63 @@ class Row:
         *allows: str,
         also: Iterable[Any] = (),
     ) -> Self:
-        """A row; `allows` by name, "missing" for all ways in which a reading is said to be missing."""
-        return cls(name, argument, call, good, frozenset(allows), tuple(also))
+        """A row of its own."""
+        return cls(name, argument, call, Good(good, *allows, also=also))
 
     def __str__(self) -> str:
         return f"{self.name}-{self.argument}"
 
     def cells(self) -> Iterator[Cell]:
         """Label, value and what must come of it."""
-        if isinstance(self.good, np.ndarray):
-            yield from _arrays(self.good)
-        elif isinstance(self.good, bool):
-            yield from _no_numbers()
-        elif isinstance(self.good, int):
-            yield from _wholes(self.good)
-        elif isinstance(self.good, float):
-            yield from _numbers(self.good)
-        else:
-            yield from _objects(self.good)
-        for n, value in enumerate(self.also):
+        good = self.good.value
+        makers: dict[type, Callable[[Any], Iterator[Cell]]]
+        makers = {np.ndarray: _arrays, bool: lambda _: _no_numbers(), int: _wholes, float: _numbers}
+        make = next((make for kind, make in makers.items() if isinstance(good, kind)), _objects)
+        yield from make(good)
+        for n, value in enumerate(self.good.also):
             yield f"own {n}", value, REFUSED
 
     def defects(self) -> list[str]:
         """What is wrong with the cells, one line each; none for a good row."""
-        expected = values_of(self.call(self.good))
-        at_missing: list[Any] | None = None
-        found = []
+        expected, at_missing, found = values_of(self.call(self.good.value)), None, []
         for label, value, must in self.cells():
-            if label in self.allows:
+            if label in self.good.allows:
                 must = EITHER
-            elif must == MISSING and "missing" not in self.allows:
+            elif must == MISSING and "missing" not in self.good.allows:
                 must = REFUSED
-            result, refusal = outcome(self.call, value)
+            result, wrong = outcome(self.call, value)
+            values = values_of(result)
             if result is None:
-                wrong = refusal if must != SAME else refusal or "is refused"
+                wrong = wrong or "is refused" * (must == SAME)
             elif must == REFUSED:
                 wrong = f"is taken, and gives {result!r:.80}"
             elif must == SAME:
-                wrong = "" if equal(values_of(result), expected) else "gives something else"
+                wrong = "" if equal(values, expected) else "gives something else"
             elif must == MISSING:
-                at_missing = values_of(result) if at_missing is None else at_missing
-                wrong = "" if equal(values_of(result), at_missing) else "gives something else than NaN does"
-            else:
-                wrong = "gives NaN" if any(_has_nan(each) for each in values_of(result)) else ""
+                at_missing = at_missing or values
+                wrong = "" if equal(values, at_missing) else "gives something else than NaN does"
+            elif any(_has_nan(each) for each in values):
+                wrong = "gives NaN"
             found += [f"{self}, {label}: {wrong}"] * (wrong != "")
         return found
 
 
-def outcome(call: Callable[[Any], Any], value: Any, seconds: float = SECONDS) -> tuple[Any, str]:
+def rows(name: str, call: Callable[..., Any] | None = None, /, **arguments: Any) -> list[Row]:
+    """A row for each argument of a call, all others good; unless told otherwise, that of the name in `motor_env`."""
+    made = call or getattr(motor_env, name)
+    told = {key: given if isinstance(given, Good) else Good(given) for key, given in arguments.items()}
+    values = {key: good.value for key, good in told.items()}
+
+    def alone(key: str) -> Callable[[Any], Any]:
+        return lambda value: made(**values | {key: value})
+
+    return [Row(name, key, alone(key), good) for key, good in told.items()]
+
+
+def outcome(call: Callable[[Any], Any], value: Any) -> tuple[Any, str]:
     """The result, and no complaint; or None, and what is wrong with the refusal: nothing for one good sentence."""
     try:
-        with ending(seconds):
-            return (call(value),), ""
+        return (call(value),), ""
     except Exception as error:  # noqa: BLE001  # whatever comes is judged
         return None, complaint(error)
 
@@ -153,22 +156,6 @@ def complaint(error: BaseException) -> str:
 def _statement(frame: traceback.FrameSummary) -> str:
     lines = Path(frame.filename).read_text(encoding="utf-8").splitlines()
     return " ".join(lines[max((frame.lineno or 1) - 3, 0) : frame.lineno])
-
-
-@contextmanager
-def ending(seconds: float) -> Iterator[None]:
-    """Raise `TimeoutError` in what does not end."""
-
-    def stop(*_: object) -> None:
-        raise TimeoutError(f"did not end in {seconds:g} s")
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def values_of(result: Any) -> list[Any]:
@@ -249,14 +236,26 @@ def _arrays(good: np.ndarray[Any, Any]) -> Iterator[Cell]:
     yield "more axes", good[None, None, None], REFUSED
     if good.ndim > 1 and good.shape[-1] != good.shape[-2]:
         yield "swapped axes", np.swapaxes(good, -1, -2), REFUSED
-    yield "ragged", [[1.0, 2.0], [3.0]], REFUSED
-    yield "bools", good > 0, REFUSED
-    yield "complex", good + 1j, REFUSED
-    yield "dates", np.zeros(good.shape, dtype="datetime64[s]"), REFUSED
-    yield "durations", np.zeros(good.shape, dtype="timedelta64[s]"), REFUSED
-    yield "strings", good.astype(str), REFUSED
-    yield "objects that are none", np.full(good.shape, object()), REFUSED
-    yield "beyond floats", _at(good, 10**400, object), REFUSED
+    endless: list[Any] = []
+    endless.append(endless)
+    hostile: dict[str, Any] = {
+        "ragged": [[1.0, 2.0], [3.0]],
+        "bools": good > 0,
+        "complex": good + 1j,
+        "strings": good.astype(str),
+        "dates": np.zeros(good.shape, dtype="datetime64[s]"),
+        "durations": np.zeros(good.shape, dtype="timedelta64[s]"),
+        "objects that are none": np.full(good.shape, object()),
+        "beyond floats": _at(good, 10**400, object),
+        "list with a bool": _at(good, True, object).tolist(),
+        "endless": endless,
+        "text": "abc",
+        "dictionary": {"a": 1},
+        "set": {1.0},
+        "function": len,
+    }
+    for label, value in hostile.items():
+        yield label, value, REFUSED
     for entry in (
         np.True_,
         np.complex128(1 + 2j),
@@ -265,38 +264,34 @@ def _arrays(good: np.ndarray[Any, Any]) -> Iterator[Cell]:
         bytearray(b"1"),
     ):
         yield f"objects with a {type(entry).__name__}", _at(good, entry, object), REFUSED
-    yield "list with a bool", _at(good, True, object).tolist(), REFUSED
-    endless: list[Any] = []
-    endless.append(endless)
-    yield "endless", endless, REFUSED
-    yield "text", "abc", REFUSED
-    yield "dictionary", {"a": 1}, REFUSED
-    yield "set", {1.0}, REFUSED
-    yield "function", len, REFUSED
 
 
 def _no_numbers() -> Iterator[Cell]:
-    yield "nan", math.nan, MISSING
-    yield "inf", math.inf, REFUSED
-    yield "-inf", -math.inf, REFUSED
-    yield "None", None, MISSING
-    yield "text", "abc", REFUSED
-    yield "digits", "1", REFUSED
-    yield "bytes", b"1", REFUSED
-    yield "complex", 1 + 2j, REFUSED
-    yield "date", np.datetime64(1, "s"), REFUSED
-    yield "duration", np.timedelta64(1, "s"), REFUSED
-    yield "masked", np.ma.masked, MISSING
+    missing: dict[str, Any] = {"nan": math.nan, "None": None, "masked": np.ma.masked}
+    for label, value in missing.items():
+        yield label, value, MISSING
     yield "masked 0-d", np.ma.array(1, mask=True), MISSING
-    yield "empty", np.zeros(0), REFUSED
-    yield "empty list", [], REFUSED
-    yield "several", np.ones(3), REFUSED
-    yield "beyond floats", 10**400, REFUSED
-    yield "-beyond floats", -(10**400), REFUSED
-    yield "of too many digits to write", 10**5000, REFUSED
-    yield "dictionary", {"a": 1}, REFUSED
-    yield "object", object(), REFUSED
-    yield "function", len, REFUSED
+    hostile: dict[str, Any] = {
+        "inf": math.inf,
+        "-inf": -math.inf,
+        "text": "abc",
+        "digits": "1",
+        "bytes": b"1",
+        "complex": 1 + 2j,
+        "date": np.datetime64(1, "s"),
+        "duration": np.timedelta64(1, "s"),
+        "several": np.ones(3),
+        "empty": np.zeros(0),
+        "empty list": [],
+        "dictionary": {"a": 1},
+        "object": object(),
+        "function": len,
+        "beyond floats": 10**400,
+        "-beyond floats": -(10**400),
+        "of too many digits to write": 10**5000,
+    }
+    for label, value in hostile.items():
+        yield label, value, REFUSED
 
 
 def _numbers(good: float) -> Iterator[Cell]:

@@ -62,13 +62,6 @@ def test_what_is_made_in_a_folder_appears_there_at_the_end(tmp_path: Path) -> No
     assert [path for path in folder.iterdir() if path.name.startswith(".")] == []
 
 
-def test_a_file_that_is_too_large_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "a"
-    path.write_bytes(b"abc")
-    monkeypatch.setattr(Path, "open", None)
-    assert "is larger than" in refused(partial(read_file, path, 2), path)
-
-
 def test_json_is_refused_in_a_sentence(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     for text, reason in ((deep(), "nested too deep"), ("", "Expecting value"), ("9" * 5000, "digits")):

@@ -19,24 +19,15 @@ def test_places_on_plain_logarithmic_and_reversed_axes() -> None:
     assert (plain.number(20.0), log.number(0.002), log.number(0.5)) == ("20", "0.2 %", "50 %")
 
 
-def test_ticks_are_round_and_inside() -> None:
-    assert round_ticks(0.03, 0.97, 5) == pytest.approx([0.2, 0.4, 0.6, 0.8])
-    assert round_ticks(-1.0, 1.0, 4) == [-1.0, -0.5, 0.0, 0.5, 1.0]
-    assert round_ticks(7.0, 7.0) == [7.0]
-
-
 @pytest.mark.parametrize(
     ("low", "high", "most", "ticks"),
     [
         (0.0, 5.0, 5, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),  # a range of just `most` steps of each size
         (0.0, 10.0, 5, [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]),
-        (0.0, 25.0, 5, [0.0, 5.0, 10.0, 15.0, 20.0, 25.0]),
         (0.0, 5.03, 5, [0.0, 2.0, 4.0]),
         (0.0, 10.06, 5, [0.0, 5.0, 10.0]),
-        (0.0, 25.2, 5, [0.0, 10.0, 20.0]),
-        (0.0, 9.0, 2, [0.0, 5.0]),
+        (0.03, 0.97, 5, [0.2, 0.4, 0.6, 0.8]),
         (-30.0, -10.0, 2, [-30.0, -20.0, -10.0]),
-        (0.0, 0.6, 4, [0.0, 0.2, 0.4, 0.6]),
         (1.1, 1.5, 5, [1.1, 1.2, 1.3, 1.4, 1.5]),
         (1.1e3, 2.9e3, 4, [1500.0, 2000.0, 2500.0]),
     ],
@@ -48,24 +39,13 @@ def test_steps_are_one_two_or_five(low: float, high: float, most: int, ticks: li
     assert "-0.0" not in map(str, round_ticks(-high, -low, most))
 
 
-def test_text_is_escaped_and_up_is_up() -> None:
-    chart = Chart(
-        Axis("x", 0.0, 1.0), Axis("y", 0.0, 1.0), size=(100, 50), margins=(10, 20, 5, 15), label="a < b"
-    )
-    assert (chart.x(0.0), chart.x(1.0), chart.y(0.0), chart.y(1.0)) == (10, 80, 35, 5)
-    chart.text((1.0, 2.0), "<script>")
-    assert "<script" not in chart.svg()
-    assert 'aria-label="a &lt; b"' in chart.svg()
-
-
 def test_shapes_stand_where_their_values_are() -> None:
-    """A plot area from (10, 5) to (80, 35) for x from 2 to 12 and y from -1 to 2."""
     chart = Chart(
         Axis("x", 2.0, 12.0, [2.0, 7.0]),
         Axis("y", -1.0, 2.0, [0.5], percent),
         size=(100, 50),
         margins=(10, 20, 5, 15),
-        label="",
+        label="a < b",
     )
     chart.curve("a", [2.0, 7.0, 12.0], [-1.0, 0.0, 2.0])
     chart.across("b", 0.0)
@@ -78,7 +58,7 @@ def test_shapes_stand_where_their_values_are() -> None:
     chart.x_numbers(grid=True)
     chart.y_numbers()
     assert chart.svg() == (
-        '<svg viewBox="0 0 100 50" role="img" aria-label="">'
+        '<svg viewBox="0 0 100 50" role="img" aria-label="a &lt; b">'
         '<polyline class="a" points="10.0,35.0 45.0,25.0 80.0,5.0"></polyline>'
         '<line class="b" x1="10.0" y1="25.0" x2="80.0" y2="25.0"></line>'
         '<line class="c" x1="24.0" y1="5.0" x2="24.0" y2="35.0"></line>'

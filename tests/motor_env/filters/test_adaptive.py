@@ -1,6 +1,4 @@
-"""The adaptive filter finds the noise that is there, and is sample by sample the filter with the noise so far."""
-
-from dataclasses import replace
+"""The adaptive and the joint filters, sample by sample against the same written out anew."""
 
 import numpy as np
 import pytest
@@ -10,31 +8,15 @@ from motor_env import (
     PAPER_MOTOR,
     Channel,
     KalmanFilter,
-    Scenario,
     SensorParameters,
-    Timing,
     adaptive_filter,
-    simulate,
+    discretize,
+    joint_filter,
 )
-from motor_env.filters.adaptive import MEMORY, adapted_noise
+from motor_env.filters.adaptive import FREE, JointKind, parameter_test_threshold
+from motor_env.motor.parameters import QUANTITY_FIELDS, FloatArray
 
 BOTH = SensorParameters((Channel.CURRENT, Channel.SPEED), speed_noise_rad_s=2.0)
-
-
-def test_the_measurement_noise_is_found() -> None:
-    scenario = Scenario(
-        PAPER_MOTOR, sensor=BOTH, timing=Timing(duration_s=0.2), process_noise_std=(1e-5, 1e-3)
-    )
-    start = simulate(scenario, seed=2, cases=range(30))
-    right = KalmanFilter.from_parameters(PAPER_MOTOR, BOTH, 1e-4)
-    belief = replace(right, measurement_covariance=4.0 * right.measurement_covariance)
-    result = adaptive_filter(belief, start.measurements, start.voltage_v[0])
-    found, sigma = result.measurement_covariance[:, 1000:], BOTH.noise_std
-    np.testing.assert_allclose(found.mean(axis=(0, 1)) / np.outer(sigma, sigma), np.eye(2), atol=0.05)
-    assert result.nis[:, 1000:].mean() == pytest.approx(2.0, rel=0.05)
-    # From so many samples a variance is known to sqrt(2 / memory).
-    spread = found[..., 0, 0].std() / sigma[0] ** 2
-    assert 0.6 < spread / np.sqrt(2.0 / MEMORY) < 1.4
 
 
 def test_sample_by_sample_it_is_the_filter_with_the_noise_so_far() -> None:
@@ -71,23 +53,57 @@ def test_sample_by_sample_it_is_the_filter_with_the_noise_so_far() -> None:
     assert (result.process_variance.max(axis=(0, 1)) > 0.0).all()
 
 
-def test_noise_moves_by_its_share() -> None:
-    assert MEMORY == 200.0
-    moved = adapted_noise(np.array([[[4.0]]]), np.array([[3.0]]), np.array([[[1.0]]]), memory=3.0)
-    assert moved.item() == pytest.approx(4.0 + 0.5 * (9.0 + 1.0 - 4.0))
+def ahead(x: FloatArray, voltage: float) -> FloatArray:
+    """One sample of current, speed, the logarithms of all factors and the dry friction: the equations anew."""
+    factors = dict(zip(FREE, np.exp(x[2:]), strict=True))
+    own = {field: factors[name] for name, fields in QUANTITY_FIELDS.items() for field in fields}
+    model = discretize(PAPER_MOTOR.scaled(**own), 1e-4)
+    torque = x[-1] * 12e-7 * 12.0 / 0.02352  # of the viscous torque at the speed of the highest voltage
+    state = model.transition @ x[:2] + model.gain @ [voltage, torque * x[1] / np.sqrt(1.0 + x[1] ** 2)]
+    return np.concatenate([state, x[2:]])
 
 
-def test_bad_input_is_refused() -> None:
-    belief = KalmanFilter.from_parameters(PAPER_MOTOR, SensorParameters(), 1e-4)
-    with pytest.raises(ValueError, match="measurements must have shape"):
-        adaptive_filter(belief, np.zeros((1, 5)), np.zeros(5))
-    with pytest.raises(ValueError, match="measurements must be finite"):
-        adaptive_filter(belief, np.full((1, 1, 5), np.nan), np.zeros(5))
-    adaptive_filter(belief, np.zeros((1, 1, 5)), np.zeros(5), memory=1.0)
-    with pytest.raises(ValueError, match=r"memory must be >= 1, got 0\.5"):
-        adaptive_filter(belief, np.zeros((1, 1, 5)), np.zeros(5), memory=0.5)
-    batch = KalmanFilter.from_parameters(
-        PAPER_MOTOR.scaled(inertia_kg_m2=np.ones(3)), SensorParameters(), 1e-4
-    )
-    with pytest.raises(ValueError, match="filter of one motor"):
-        adaptive_filter(batch, np.zeros((3, 1, 5)), np.zeros(5))
+@pytest.mark.parametrize("memory", [None, 5.0])
+@pytest.mark.parametrize("kind", list(JointKind))
+def test_each_filter_does_what_its_name_says(kind: JointKind, memory: float | None) -> None:
+    sensor = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 1.0)
+    voltage, rng = np.array([12.0, 11.0, -3.0, 5.0, 8.0, 2.0]), np.random.default_rng(3)
+    measured = rng.standard_normal((1, 2, 6)) * np.array([[0.5], [2.0]])
+    given = (PAPER_MOTOR, sensor, 1e-4, measured, voltage)
+    got = joint_filter(*given, names=FREE, prior_std=0.2, kind=kind, memory=memory)
+    size = 2 + len(FREE)
+    x, p = np.zeros(size), np.diag([1e-12, 1e-8, *[0.04] * len(FREE)])
+    q, r, c = np.diag([1e-10, 1e-6, *[0.0] * len(FREE)]), np.diag([4e-4, 1.0]), np.eye(2, size)
+    for k in range(6):
+        if kind is JointKind.EXTENDED:
+            steps = 1e-5 * np.eye(size)
+            slope = [(ahead(x + s, voltage[k]) - ahead(x - s, voltage[k])) / 2e-5 for s in steps]
+            x, p = ahead(x, voltage[k]), np.transpose(slope) @ p @ slope
+        else:
+            root = np.linalg.cholesky(size * p).T
+            points = [ahead(x + sign * row, voltage[k]) for sign in (1.0, -1.0) for row in root]
+            x, p = np.mean(points, axis=0), np.cov(np.transpose(points), bias=True)
+        s = c @ (p + q) @ c.T + r
+        gain = (p + q) @ c.T @ np.linalg.inv(s)
+        error = measured[0, :, k] - x[:2]
+        np.testing.assert_allclose(got.innovation[0, k], error, rtol=1e-5, atol=1e-9)
+        assert got.nis[0, k] == pytest.approx(error @ np.linalg.inv(s) @ error, rel=1e-5)
+        x, p = x + gain @ error, p + q - gain @ s @ gain.T
+        if memory is not None:  # towards what is left over after the update, a third of the way
+            left = measured[0, :, k] - x[:2]
+            r = r + (np.outer(left, left) + c @ p @ c.T - r) / 3.0
+        np.testing.assert_allclose(got.theta[0, k], x[2:], rtol=1e-5, atol=5e-6)
+        np.testing.assert_allclose(got.covariance[0, k], p[2:, 2:], rtol=1e-5, atol=1e-6)
+    expected = x[2:] @ np.linalg.inv(p[2:, 2:]) @ x[2:]
+    assert got.statistic[0, -1] == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_threshold_at_one_sample_is_chi_square() -> None:
+    exponential = -2.0 * np.log(0.1)  # the law of two degrees
+    assert parameter_test_threshold(2, 0.1) == pytest.approx(exponential)
+
+
+def test_a_sample_that_takes_the_estimate_away_is_named() -> None:
+    wild = np.full((1, 1, 5), 1e99)
+    with pytest.raises(ValueError, match=r"at sample \d+: the largest measurements there are"):
+        joint_filter(PAPER_MOTOR, SensorParameters(), 1e-4, wild, np.zeros(5))

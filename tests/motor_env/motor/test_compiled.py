@@ -1,16 +1,11 @@
 """A numba cache that is damaged or cannot be written: a command runs without it and says so once."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-
-from motor_env.motor import compiled
 
 NO_FOLDER = "import numba.core.caching as c; c.CacheImpl._locator_classes = []\n"
 NOTICE = "numba's cache cannot be read or written: compiling without it\n"
@@ -39,47 +34,14 @@ def test_a_cache_without_a_folder_is_done_without(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_damaged_cache_is_made_anew(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+def test_a_damaged_cache_is_made_anew(kind: str, tmp_path: Path) -> None:
     whole = run(PROGRAM, tmp_path)
-    assert whole.stderr == ""
-    for kind in ("nbi", "nbc"):
-        files = list(tmp_path.rglob(f"*.{kind}"))
-        assert files
-        for file in files:
-            file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-        damaged = run(PROGRAM, tmp_path)
-        assert (damaged.stdout, damaged.stderr) == (whole.stdout, NOTICE)
-    again = run(PROGRAM, tmp_path)
-    assert (again.stdout, again.stderr) == (whole.stdout, "")
-
-
-@pytest.mark.parametrize("can_link_only", [False, True])
-def test_parts_give_the_same_whether_they_are_only_linked_or_made_machine_code(
-    can_link_only: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if can_link_only and not compiled._CAN_LINK_ONLY:
-        pytest.skip("numba's inner parts have changed: parts are compiled as numba does")
-    monkeypatch.setattr(compiled, "_CAN_LINK_ONLY", can_link_only)
-
-    @compiled.njit(is_part=True)
-    def inner(value: float) -> float:
-        return float(np.exp(value) + 1.0)
-
-    @compiled.njit(is_part=True, forceinline=True)
-    def part(value: float) -> float:
-        return float(inner(value) / 3.0)
-
-    @compiled.njit()
-    def total(values: np.ndarray) -> float:
-        sum_ = 0.0
-        for value in values:
-            sum_ += part(value)
-        return sum_
-
-    values = np.linspace(-1.0, 1.0, 7)
-    assert total(values) == sum(((np.exp(values) + 1.0) / 3.0).tolist())
-    (made,) = part.overloads.values()
-    assert bool(made.library.get_pointer_to_function(made.fndesc.llvm_func_name)) is not can_link_only
+    for file in tmp_path.rglob(f"*.{kind}"):
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    damaged, again = run(PROGRAM, tmp_path), run(PROGRAM, tmp_path)
+    assert [each.stdout for each in (damaged, again)] == [whole.stdout] * 2
+    assert [each.stderr for each in (whole, damaged, again)] == ["", NOTICE, ""]
 
 
 SOURCES = {
@@ -149,3 +111,26 @@ def test_an_edit_is_compiled_and_nothing_else(tmp_path: Path) -> None:
             os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
             asked.stdin.write("\n")
             assert asked.stdout.readline() == f"{expected}\n", name
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1200)
+def test_compiled_code_stays_within_its_arrays(tmp_path: Path) -> None:
+    """Hostile arguments, filters, rules and simulation, each read of an array checked; compiled anew: minutes."""
+    tests = Path(__file__).parents[1]
+    files = (
+        "test_hostile_arguments",
+        "filters/test_kalman",
+        "detection/test_rules",
+        "simulation/test_fast_path",
+    )
+    found = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-m", "not long"]
+        + [str(tests / f"{name}.py") for name in files],
+        env=os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tests.parents[1],
+    )
+    assert found.returncode == 0, found.stdout[-3000:]

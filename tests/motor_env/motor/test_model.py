@@ -1,13 +1,23 @@
-"""The equations and their discretisation, against scipy's expm, a stiff solver, and the balance of power."""
+"""Parameters, the equations and their discretisation, against scipy's expm and by hand."""
 
-from itertools import pairwise
+import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from scipy.linalg import expm
 
-from motor_env import PAPER_MOTOR, MotorParameters, discretize, simulate_states
+from motor_env import (
+    PAPER_MOTOR,
+    Channel,
+    MotorParameters,
+    SensorParameters,
+    SupplyParameters,
+    discretize,
+    simulate_states,
+)
 from motor_env.motor.compiled import njit
 from motor_env.motor.exponentials import ROOM, exponentials_and_phis
 from motor_env.motor.model import (
@@ -18,7 +28,17 @@ from motor_env.motor.model import (
     exponential_and_phis,
     steady_state,
 )
-from motor_env.motor.parameters import FloatArray
+from motor_env.motor.parameters import (
+    CATALOGUE,
+    COPPER_PER_KELVIN,
+    FRICTION_PER_KELVIN,
+    MAGNET_PER_KELVIN,
+    PAPER_MATRICES_DT_S,
+    PAPER_MATRICES_MOTOR,
+    RAD_S_PER_RPM,
+    FloatArray,
+    require_plausible,
+)
 
 
 def motors() -> st.SearchStrategy[MotorParameters]:
@@ -77,10 +97,7 @@ def all_three(a: float, b: float, c: float, d: float) -> tuple[tuple[float, ...]
     "unit", [[[-1.0, 0.0], [0.7, -0.2]], [[-1.0, 0.6], [0.0, -0.3]], [[0.4, 5.0], [-0.01, 0.1]]]
 )
 def test_exponential_and_phi_of_any_matrix(unit: list[list[float]], size: float) -> None:
-    """Matrices that no motor has, so that each entry counts.
-
-    The expm of [[X, 1, 0], [0, 0, 1], [0, 0, 0]] holds all three (Van Loan 1978).
-    """
+    """Of matrices that no motor has: the expm of [[X, 1, 0], [0, 0, 1], [0, 0, 0]] holds all three (Van Loan 1978)."""
     matrix = np.eye(6, k=2)
     matrix[:2, :2] = size * np.array(unit)
     entries = matrix[:2, :2].ravel().tolist()
@@ -89,10 +106,6 @@ def test_exponential_and_phi_of_any_matrix(unit: list[list[float]], size: float)
     for n, block in enumerate(np.hsplit(expected, 3)):
         np.testing.assert_allclose(np.reshape(found[n], (2, 2)), block, rtol=1e-12, atol=1e-15)
     assert exponential_and_phi(*entries) == found[:2]
-
-
-def test_exponential_of_what_is_infinite_comes_to_an_end() -> None:
-    assert not np.isfinite(all_three(-np.inf, 0.0, 0.0, -1.0)).all()
 
 
 def test_signs_of_the_equations() -> None:
@@ -112,38 +125,19 @@ def test_steady_state_is_where_the_simulation_ends() -> None:
 def test_a_batch_is_its_motors() -> None:
     factors = np.linspace(0.5, 2.0, 7)
     batch = PAPER_MOTOR.scaled(resistance_ohm=factors, inertia_kg_m2=factors[::-1])
-    whole = discretize(batch, 1e-4)
-    for index in range(7):
-        alone = discretize(batch.motor(index), 1e-4)
-        assert np.array_equal(whole.transition[index], alone.transition)
-        np.testing.assert_allclose(whole.gain[index], alone.gain, rtol=1e-15)
-    # One voltage serves all motors, one motor all voltages, and a noise is each case's own.
     rng = np.random.default_rng(1)
     volts, noise = rng.standard_normal((7, 20)), rng.standard_normal((7, 20, 2))
-    shared = simulate_states(batch, volts[0], 1e-4, process_noise=noise)
-    single = simulate_states(
-        PAPER_MOTOR, volts, 1e-4, load_torque_n_m=1e-3 * volts, initial_state=noise[:, 0]
-    )
+    whole, shared = discretize(batch, 1e-4), simulate_states(batch, volts[0], 1e-4, process_noise=noise)
+    begin: dict[str, Any] = {"load_torque_n_m": 1e-3 * volts, "initial_state": noise[:, 0]}
+    single = simulate_states(PAPER_MOTOR, volts, 1e-4, **begin)
     for n in range(7):
-        alone_states = simulate_states(batch.motor(n), volts[0], 1e-4, process_noise=noise[n])
-        np.testing.assert_allclose(shared[n], alone_states, rtol=1e-13)
-        other = simulate_states(
-            PAPER_MOTOR, volts[n], 1e-4, load_torque_n_m=1e-3 * volts[n], initial_state=noise[n, 0]
-        )
-        np.testing.assert_allclose(single[n], other, rtol=1e-13)
-
-
-def test_step_of_any_size_stays_finite() -> None:
-    ends = [discretize(PAPER_MOTOR, dt_s).gain[:, Input.VOLTAGE] * 12.0 for dt_s in (1.0, 1e3, 1e6)]
-    for first, second in pairwise(ends):
-        np.testing.assert_allclose(first, second, rtol=1e-9)
-    np.testing.assert_allclose(ends[0], steady_state(PAPER_MOTOR, 12.0), rtol=1e-9)
-
-
-@pytest.mark.parametrize("dt_s", [0.0, -1e-4, float("nan")])
-def test_bad_sampling_interval(dt_s: float) -> None:
-    with pytest.raises(ValueError, match="dt_s must be finite and > 0"):
-        discretize(PAPER_MOTOR, dt_s)
+        alone = discretize(batch.motor(n), 1e-4)
+        assert np.array_equal(whole.transition[n], alone.transition)
+        np.testing.assert_allclose(whole.gain[n], alone.gain, rtol=1e-15)
+        states = simulate_states(batch.motor(n), volts[0], 1e-4, process_noise=noise[n])
+        np.testing.assert_allclose(shared[n], states, rtol=1e-13)
+        states = simulate_states(PAPER_MOTOR, volts[n], 1e-4, **{name: row[n] for name, row in begin.items()})
+        np.testing.assert_allclose(single[n], states, rtol=1e-13)
 
 
 @njit(error_model="numpy", _nrt=False)
@@ -161,3 +155,66 @@ def test_many_exponentials_are_to_the_bit_those_of_one() -> None:
     for n, matrix in enumerate(entries.T):
         whole, phi = exponential_and_phi(*matrix)
         assert (tuple(room[4:8, n]), tuple(room[8:12, n])) == (whole, phi)
+
+
+FIELDS = (
+    "resistance_ohm",
+    "inductance_h",
+    "back_emf_constant_v_s_per_rad",
+    "torque_constant_n_m_per_a",
+    "inertia_kg_m2",
+    "viscous_friction_n_m_s_per_rad",
+)
+
+
+def test_only_friction_may_be_zero_and_each_entry_of_a_batch_counts() -> None:
+    assert PAPER_MOTOR.scaled(viscous_friction_n_m_s_per_rad=0.0).viscous_friction_n_m_s_per_rad == 0.0
+    for field in FIELDS[:-1]:
+        with pytest.raises(ValueError, match=f"{field} must be finite and > 0, got 0"):
+            PAPER_MOTOR.scaled(**{field: np.array([1.0, 0.0])})
+
+
+def test_scaled_changes_the_named_fields_alone() -> None:
+    scaled = PAPER_MOTOR.scaled(inertia_kg_m2=2.0)
+    assert scaled == replace(PAPER_MOTOR, inertia_kg_m2=2.0 * PAPER_MOTOR.inertia_kg_m2)
+
+
+def test_time_constants_of_the_paper_motor() -> None:
+    # 2.18 ohm and 0.238 mH; J R / (Kt Kb + R B) by hand.
+    assert PAPER_MOTOR.electrical_time_constant_s == pytest.approx(0.238e-3 / 2.18)
+    assert PAPER_MOTOR.mechanical_time_constant_s == pytest.approx(
+        1.07e-6 * 2.18 / (0.0235 * 0.02352 + 2.18 * 1.2e-6)
+    )
+
+
+def test_sensor_rows_follow_the_channels() -> None:
+    sensor = SensorParameters((Channel.SPEED, Channel.CURRENT), current_noise_a=0.02, speed_noise_rad_s=3.0)
+    assert sensor.observation.tolist() == [[0.0, 1.0], [1.0, 0.0]]
+    assert sensor.noise_std.tolist() == [3.0, 0.02]
+    assert SensorParameters().observation.tolist() == [[1.0, 0.0]]
+
+
+def test_the_papers_motor_and_the_constants_of_physics_stand_as_printed() -> None:
+    """The paper's table (part 2B), what its printed matrices come from, IEC 60028, and round numbers for the rest."""
+    assert CATALOGUE == {"paper": PAPER_MOTOR, "paper-matrices": PAPER_MATRICES_MOTOR}
+    printed = (2.18, 0.238e-3, 0.02352, 0.0235, 1.07e-6, 12e-7)
+    assert MotorParameters(*printed) == PAPER_MOTOR
+    assert PAPER_MATRICES_MOTOR.resistance_ohm == pytest.approx(2.06, rel=1e-12)
+    assert PAPER_MATRICES_MOTOR.inductance_h == pytest.approx(2.38e-3, rel=1e-12)
+    assert replace(PAPER_MATRICES_MOTOR, resistance_ohm=2.18, inductance_h=0.238e-3) == PAPER_MOTOR
+    assert PAPER_MATRICES_DT_S == 0.01
+    assert (COPPER_PER_KELVIN, MAGNET_PER_KELVIN, FRICTION_PER_KELVIN) == (0.00393, -0.001, -0.003)
+    assert pytest.approx(math.tau) == 60.0 * RAD_S_PER_RPM
+    sensor = SensorParameters()
+    assert (sensor.current_noise_a, sensor.speed_noise_rad_s) == (0.02, 1.0)
+    assert SupplyParameters().voltage_v == 12.0
+    assert sensor.with_noise(3.0) == SensorParameters(current_noise_a=0.06, speed_noise_rad_s=3.0)
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_numbers_beyond_every_motor_are_refused(field: str) -> None:
+    for value in (1e-15, 1e12):
+        require_plausible(replace(PAPER_MOTOR, **{field: value}), "motor")
+    for value in (0.999e-15, 1.001e12):
+        with pytest.raises(ValueError, match=rf"^motor\.{field} must be in 1e-15 .. 1e\+12, got "):
+            require_plausible(replace(PAPER_MOTOR, **{field: value}), "motor")

@@ -1,58 +1,67 @@
-"""Recipes: class frequencies, spreads, independence of the batch, refusals."""
+"""Recipes, named and of a motor: frozen numbers, the stream of each number, spreads, refusals."""
 
 import hashlib
 import json
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import astuple, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from motor_env import PAPER_MOTOR, FaultKind, Recipe, SensorParameters, Timing, draw
-from motor_env.motor.faults import apply_faults
+from motor_env import (
+    PAPER_MOTOR,
+    FaultKind,
+    InputError,
+    Motor,
+    Recipe,
+    SensorParameters,
+    Timing,
+    draw,
+    load_motor,
+)
+from motor_env.motor.data_sheet import Tolerance
+from motor_env.motor.healthy import Healthy, Starts, Windows
 from motor_env.motor.model import discretize
 from motor_env.simulation import recipes
 from motor_env.simulation.disturbances import PER_MOTOR, PRIORS, Field
 from motor_env.simulation.named_recipes import (
     RECIPES,
     changed_recipe,
+    motor_recipe,
     named_recipe,
     recipe_from_dict,
     recipe_to_dict,
+    settling_timing,
 )
 from motor_env.simulation.random_streams import Stream, normals, uniforms
-from motor_env.simulation.recipes import FACTORS, FaultClass, Recovery, Shift, Spread
-from motor_env.simulation.sampling import apply_factors, measure_draw
-from motor_env.simulation.simulate import MOST_SAMPLES
+from motor_env.simulation.recipes import FaultClass, Recovery, Shift, Spread
+from motor_env.simulation.sampling import measure_draw
 
 
-def test_a_case_does_not_depend_on_its_batch() -> None:
-    whole = draw(RECIPES["bench"], 4, np.arange(100))
-    part = draw(RECIPES["bench"], 4, [42, 7])
-    assert np.array_equal(part.class_index, whole.class_index[[42, 7]])
-    assert np.array_equal(part.factors, whole.factors[[42, 7]])
-    assert not np.array_equal(draw(RECIPES["bench"], 5, np.arange(100)).class_index, whole.class_index)
+@pytest.mark.parametrize("name", sorted(RECIPES))
+def test_a_recipe_survives_its_dictionary_and_a_case_its_batch(name: str) -> None:
+    recipe = RECIPES[name]
+    assert recipe_from_dict(recipe_to_dict(recipe)) == recipe
+    whole, part = (draw(recipe, 4, cases) for cases in (np.arange(20), [13, 7]))
+    assert np.array_equal(part.class_index, whole.class_index[[13, 7]])
+    assert np.array_equal(part.factors, whole.factors[[13, 7]])
+    assert np.array_equal(measure_draw(part, recipe, 4), measure_draw(whole, recipe, 4)[[13, 7]])
+    assert not np.array_equal(draw(recipe, 5, np.arange(20)).factors, whole.factors) or not any(
+        astuple(recipe.spread)
+    )
 
 
-def test_each_case_has_its_class_and_its_factors_in_the_parameters() -> None:
-    recipe = RECIPES["bench"]
-    drawn = draw(recipe, 6, np.arange(50))
-    faulty = apply_faults(drawn.scenario.parameters, drawn.scenario.faults)
-    for n in range(50):
-        fault_class = recipe.classes[drawn.class_index[n]]
-        supply, resistance, constants, inertia, friction = drawn.factors[n]
-        expected = apply_faults(PAPER_MOTOR, fault_class.faults).scaled(
-            resistance_ohm=resistance,
-            back_emf_constant_v_s_per_rad=constants,
-            torque_constant_n_m_per_a=constants,
-            inertia_kg_m2=inertia,
-            viscous_friction_n_m_s_per_rad=friction,
-        )
-        motor = faulty.motor(n)
-        for field in PAPER_MOTOR.__slots__:
-            assert getattr(motor, field) == pytest.approx(getattr(expected, field), rel=1e-14)
-        assert np.asarray(drawn.scenario.supply.voltage_v)[n] == pytest.approx(12.0 * supply, rel=1e-15)
+def test_the_factors_of_a_case_are_in_its_motor_and_its_supply() -> None:
+    scenario, factors = (drawn := draw(RECIPES["bench"], 6, np.arange(50))).scenario, drawn.factors.T
+    constants = dict.fromkeys(("back_emf_constant_v_s_per_rad", "torque_constant_n_m_per_a"), factors[2])
+    names = {"resistance_ohm": 1, "inertia_kg_m2": 3, "viscous_friction_n_m_s_per_rad": 4}
+    motors = PAPER_MOTOR.scaled(**constants, **{name: factors[row] for name, row in names.items()})
+    for name in PAPER_MOTOR.__slots__:
+        np.testing.assert_allclose(getattr(scenario.parameters, name), getattr(motors, name), rtol=1e-14)
+    np.testing.assert_allclose(scenario.supply.voltage_v, 12.0 * factors[0], rtol=1e-15)
 
 
 FROZEN = {
@@ -115,15 +124,10 @@ def test_every_number_of_a_case_comes_from_a_stream_of_its_own() -> None:
         for stream, numbers in ((Stream.FIELD_MOTOR, motor), (Stream.FIELD_START, cases))
     )
     assert PRIORS[:6] == PER_MOTOR
-    assert PRIORS[6:] == (
-        "sensor_offset_a",
-        "temperature_rise_k",
-        "load_ratio",
-        "ramp_s",
-        "ripple_v",
-        "trigger_jitter",
-        "bearing_ripple_ratio",
+    by_start_alone = (
+        "sensor_offset_a temperature_rise_k load_ratio ramp_s ripple_v trigger_jitter bearing_ripple_ratio"
     )
+    assert PRIORS[6:] == tuple(by_start_alone.split())
     u = np.concatenate([by_motor[:, :6], by_start[:, 6:]], axis=1)
     effects, chain = drawn.effects, drawn.chain
     assert effects is not None
@@ -165,44 +169,38 @@ def test_loads_of_motors_at_work() -> None:
     np.testing.assert_allclose(drawn.driving.limit_v, 12.0 * drawn.factors[:, 0], rtol=1e-12)
 
 
-def test_supply_factor_leaves_the_motor() -> None:
-    factors = np.ones((1, 5))
-    factors[0, FACTORS.index("supply")] = 2.0
-    assert apply_factors(PAPER_MOTOR, factors).motor(0) == PAPER_MOTOR
-
-
-def test_refusals() -> None:
-    with pytest.raises(ValueError, match=r"recipe must be one of bench, .*, got 'benchh'"):
-        named_recipe("benchh")
-    with pytest.raises(ValueError, match=r"severity of healthy must be 0, got 0\.1"):
-        FaultClass(None, 0.1)
-    with pytest.raises(ValueError, match=r"severity of bearing must be a share .* got 15"):
-        FaultClass(FaultKind.BEARING, 15.0)
-    with pytest.raises(ValueError, match="severity of bearing must be finite and > 0, got 0"):
-        FaultClass(FaultKind.BEARING)
-    FaultClass(FaultKind.BEARING, 10.0)
-    with pytest.raises(ValueError, match=r"severity of bearing must be a share .* got 10\.01"):
-        FaultClass(FaultKind.BEARING, 0.0, severity_to=10.01)
-    with pytest.raises(ValueError, match=r"severity_to of bearing must be > severity \(0\.2\), got 0\.2"):
-        FaultClass(FaultKind.BEARING, 0.2, severity_to=0.2)
-    with pytest.raises(ValueError, match="joint faults must be of different kinds"):
-        FaultClass(FaultKind.BEARING, 0.2, also=(FaultClass(FaultKind.BEARING, 0.1),))
-    with pytest.raises(TypeError, match="also must be of type FaultClass, got 3"):
-        FaultClass(FaultKind.BEARING, 0.2, also=3)  # type: ignore[arg-type]  # what is refused
-    Spread(friction=0.14)
-    with pytest.raises(ValueError, match=r"spread of friction must be <= 0\.14, got 0\.2"):
-        Spread(friction=0.2)
-    with pytest.raises(ValueError, match="classes of recipe none must not be empty"):
-        Recipe("none", classes=())
-    with pytest.raises(ValueError, match="motor of recipe many must be one motor, got a batch"):
-        Recipe("many", motor=PAPER_MOTOR.scaled(resistance_ohm=np.ones(2)))
+def of_bearings(severity: float = 0.2, **more: Any) -> FaultClass:
+    return FaultClass(FaultKind.BEARING, severity, **more)
 
 
 def test_a_joint_fault_that_is_as_severe_is_named_by_its_kind() -> None:
-    also: Any = "winding_contact"
-    named = FaultClass(FaultKind.BEARING, 0.1, severity_to=0.3, also=also)
-    assert named.also == (FaultClass(FaultKind.WINDING_CONTACT, 0.1, severity_to=0.3),)
-    assert named == FaultClass(FaultKind.BEARING, 0.1, severity_to=0.3, also=(also,))
+    joint = (FaultClass(FaultKind.WINDING_CONTACT, 0.2, severity_to=0.3),)
+    for also in ("winding_contact", ("winding_contact",), joint):
+        assert of_bearings(severity_to=0.3, also=also).also == joint
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: of_bearings(10.01), r"severity of bearing must be a share .* got 10\.01"),
+        (lambda: of_bearings(severity_to=0.2), "severity_to of bearing must be > severity"),
+        (lambda: of_bearings(also=(of_bearings(),)), "joint faults must be of different kinds"),
+        (lambda: Spread(friction=0.2), r"spread of friction must be <= 0\.14, got 0\.2"),
+        (lambda: changed(motor=PAPER_MOTOR.scaled(resistance_ohm=np.ones(2))), "must be one motor"),
+        (lambda: changed(starts_per_motor=3, healthy_starts=4), "healthy_starts must be in"),
+        (lambda: changed(classes=(FaultClass(weight=0.0),)), "weights of recipe bench must not all be 0"),
+        (lambda: changed(classes=(of_bearings(),), starts_per_motor=2, healthy_starts=1), "a healthy class"),
+        (lambda: changed(classes=(FaultClass(), FaultClass())), "classes of recipe bench must differ"),
+        (lambda: Field(temperature_rise_k=(-250.1, 0.0)), "field.temperature_rise_k must be in -250 .. 900"),
+    ],
+)
+def test_what_cannot_be_is_refused(make: Callable[[], object], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        make()
+
+
+def changed(**changes: Any) -> Recipe:
+    return replace(RECIPES["bench"], **changes)
 
 
 def test_no_factor_can_reach_zero_at_the_largest_spread() -> None:
@@ -210,95 +208,13 @@ def test_no_factor_can_reach_zero_at_the_largest_spread() -> None:
     assert 1.0 - recipes.LARGEST_SPREAD * np.sqrt(-2.0 * np.log(2.0**-33)) > 0.0
 
 
-@pytest.mark.parametrize(
-    ("good", "bad", "sentence"),
-    [
-        (
-            {"starts_per_motor": 1},
-            {"starts_per_motor": 0},
-            "starts_per_motor must be a whole number in 1 .. 1000000000, got 0",
-        ),
-        (
-            {"starts_per_motor": 10**9},
-            {"starts_per_motor": 10**9 + 1},
-            "starts_per_motor must be a whole number in 1 .. 1000000000",
-        ),
-        (
-            {"starts_per_motor": 3, "healthy_starts": 3},
-            {"starts_per_motor": 3, "healthy_starts": 4},
-            "healthy_starts must be in 0 .. starts_per_motor",
-        ),
-        (
-            {"classes": (FaultClass(weight=0.0), FaultClass(FaultKind.BEARING, 0.1))},
-            {"classes": (FaultClass(weight=0.0),)},
-            "weights of recipe bench must not all be 0",
-        ),
-        (
-            {"classes": (FaultClass(FaultKind.BEARING, 0.1),)},
-            {"classes": (FaultClass(FaultKind.BEARING, 0.1),), "starts_per_motor": 2, "healthy_starts": 1},
-            "healthy_starts need a healthy class",
-        ),
-        ({}, {"classes": (FaultClass(), FaultClass())}, "classes of recipe bench must differ"),
-        ({}, {"name": "two\nlines"}, "name must be one line"),
-    ],
-)
-def test_bounds_of_a_recipe(good: dict[str, Any], bad: dict[str, Any], sentence: str) -> None:
-    replace(RECIPES["bench"], **good)
-    with pytest.raises(ValueError, match=sentence):
-        replace(RECIPES["bench"], **bad)
-
-
-@pytest.mark.parametrize(
-    ("good", "bad", "sentence"),
-    [
-        (
-            {"trigger_jitter": (0.0, 0.999)},
-            {"trigger_jitter": (0.0, 1.0)},
-            "field.trigger_jitter must be < 1, got 1",
-        ),
-        ({"sensor_gain": (1e-3, 1.0)}, {"sensor_gain": (0.0, 1.0)}, "field.sensor_gain must be > 0, got 0"),
-        (
-            {"temperature_rise_k": (-250.0, 900.0)},
-            {"temperature_rise_k": (-250.1, 0.0)},
-            "field.temperature_rise_k must be in -250 .. 900, got",
-        ),
-        ({}, {"temperature_rise_k": (0.0, 900.1)}, "field.temperature_rise_k must be in -250 .. 900, got"),
-        (
-            {"sensor_offset_a": (-1.0, -1.0)},
-            {"load_ratio": (-0.1, 1.0)},
-            "field.load_ratio must be >= 0, got -0.1",
-        ),
-    ],
-)
-def test_bounds_of_a_field(good: dict[str, Any], bad: dict[str, Any], sentence: str) -> None:
-    Field(**good)
-    with pytest.raises(ValueError, match=sentence):
-        Field(**bad)
-
-
-def test_a_transient_has_a_longest_length() -> None:
-    assert MOST_SAMPLES == 10_000_000
-    assert Timing(1e4, 999.0, 1.0).n_samples == MOST_SAMPLES
-    with pytest.raises(
-        ValueError, match=r"must hold at most 10000000 samples at 10000 Hz, got 1\.00001e\+07"
-    ):
-        Timing(1e4, 999.0, 1.01)
-
-
 def test_what_is_named_changes_and_nothing_else() -> None:
     bench = named_recipe("bench")
-    changed = changed_recipe(
-        bench,
-        voltage_v=6.0,
-        sampling_rate_hz=500.0,
-        duration_s=0.3,
-        quiet_s=0.1,
-        current_noise_a=0.5,
-        channels=("speed",),
-    )
-    assert (changed.supply.voltage_v, changed.timing) == (6.0, Timing(500.0, 0.3, 0.1))
-    assert (changed.sensor.current_noise_a, changed.sensor.channels) == (0.5, ("speed",))
-    back = replace(changed, supply=bench.supply, timing=bench.timing, sensor=bench.sensor)
+    timing = {"sampling_rate_hz": 500.0, "duration_s": 0.3, "quiet_s": 0.1}
+    found = changed_recipe(bench, voltage_v=6.0, current_noise_a=0.5, channels=("speed",), **timing)
+    assert (found.supply.voltage_v, found.timing) == (6.0, Timing(500.0, 0.3, 0.1))
+    assert (found.sensor.current_noise_a, found.sensor.channels) == (0.5, ("speed",))
+    back = replace(found, supply=bench.supply, timing=bench.timing, sensor=bench.sensor)
     assert back == bench == changed_recipe(bench)
 
 
@@ -335,26 +251,112 @@ def test_a_loose_contact_comes_and_goes() -> None:
         FaultClass(FaultKind.WINDING_CONTACT, 0.25, recovery=LOOSE),
         FaultClass(FaultKind("current_dead"), 1.0, recovery=LOOSE),
     )
-    recipe = replace(RECIPES["bench"], classes=classes, sensor=SensorParameters(current_noise_a=0.0))
+    recipe = changed(classes=classes, sensor=SensorParameters(current_noise_a=0.0))
     assert recipe.class_names[2] == "winding_contact_25_recovers"
     assert recipe_from_dict(recipe_to_dict(recipe)) == recipe
-    drawn = draw(recipe, 6, np.arange(30))
-    found = measure_draw(drawn, recipe, 6)[:, 0]
+    drawn = draw(recipe, 6, np.arange(12))
     share: list[bool] = []
-    for n, which in enumerate(drawn.class_index.tolist()):
-        motor, volts = (
-            drawn.scenario.parameters.motor(n),
-            float(np.asarray(drawn.scenario.supply.voltage_v)[n]),
-        )
-        worse = discretize(motor.scaled(resistance_ohm=1.25), 1e-4)
+    assert set(drawn.class_index.tolist()) == {0, 1, 2, 3}
+    volts = np.asarray(drawn.scenario.supply.voltage_v)
+    for n, (which, found) in enumerate(
+        zip(drawn.class_index, measure_draw(drawn, recipe, 6)[:, 0], strict=True)
+    ):
+        motor = drawn.scenario.parameters.motor(n)
+        models = [discretize(motor.scaled(resistance_ohm=ohm), 1e-4) for ohm in (1.0, 1.25)]
         acts, state = acts_by_hand(6, n, 1000) if which > 1 else [which == 1] * 1000, np.zeros(2)
-        for k, reading in enumerate(found[n]):
-            model = worse if acts[k] and which in (1, 2) else discretize(motor, 1e-4)
-            state = model.transition @ state + model.gain[:, 0] * volts
-            assert reading == pytest.approx(0.0 if acts[k] and which == 3 else state[0], rel=2e-5, abs=1e-5)
+        for now, reading in zip(acts, found.tolist(), strict=True):
+            model = models[int(now and which in (1, 2))]
+            state = model.transition @ state + model.gain[:, 0] * volts[n]
+            wanted = 0.0 if now and which == 3 else state[0]
+            assert abs(reading - wanted) < 2e-5 * abs(wanted) + 1e-5
         share += acts if which > 1 else []
-    assert np.mean(share) == pytest.approx(2.0 / 3.0, abs=0.03)
+    assert np.mean(share) == pytest.approx(2.0 / 3.0, abs=0.05)
     with pytest.raises(ValueError, match="a fault of the motor cannot have a recovery beside a table field"):
         replace(RECIPES["field"], classes=classes[:3])
     with pytest.raises(ValueError, match="faults that stay for this, got winding_contact_25_recovers"):
         replace(recipe, classes=classes[:3]).require_motor_faults()
+
+
+SHEET = load_motor(Path(__file__).parents[3] / "examples" / "motor.toml")
+TAUGHT = Starts(
+    log_noise=-4.0,
+    log_noise_sd=0.1,
+    model=("supply_ramp", "sensor_lag"),
+    model_low=(0.001, 0.0002),
+    model_high=(0.002, 0.0002),
+    sampling_rate_hz=6_000.0,
+    duration_s=0.08,
+    quiet_s=0.02,
+)
+HEALTHY = Healthy(
+    pieces=5,
+    degrees_of_freedom=8.0,
+    quantities=("R", "L", "K^2/J", "B/J"),
+    values=np.array([2.2, 2.4e-4, 520.0, 1.1]),
+    log_covariance=np.diag(np.square([0.02, 0.05, 0.04, 0.03])),
+    starts=TAUGHT,
+)
+PLAIN = replace(HEALTHY, starts=replace(TAUGHT, model=(), model_low=(), model_high=()))
+COMMISSIONED = Motor("m", "commissioned", PAPER_MOTOR, 12.0, healthy=HEALTHY)
+
+
+def test_a_data_sheet_gives_its_tolerances() -> None:
+    recipe = motor_recipe(SHEET)
+    assert (recipe.motor, recipe.spread.friction, recipe.field) == (SHEET.parameters, 0.03, None)
+    assert recipe.spread.resistance == pytest.approx(np.hypot(0.02, 0.0393))
+    assert recipe.sensor.current_noise_a == 0.02
+
+
+@pytest.mark.parametrize(("degrees", "wider"), [(8.0, np.sqrt(8.0 / 6.0)), (2.0, np.sqrt(3.0))])
+def test_a_commissioned_motor_gives_the_spread_of_its_starts(degrees: float, wider: float) -> None:
+    """Of a Student t; one of two or fewer degrees has no variance, and counts as one of three."""
+    recipe = motor_recipe(replace(COMMISSIONED, healthy=replace(HEALTHY, degrees_of_freedom=degrees)))
+    # K^2/J scatters by 0.04, of which K bears half.
+    assert recipe.spread.std / wider == pytest.approx([0.01 / wider, 0.02, 0.02, 0.0, 0.03])
+    assert recipe.sensor.current_noise_a == pytest.approx(np.exp(-4.0))
+    assert recipe.timing == Timing(6_000.0, 0.08, 0.02)
+    assert recipe.field is not None
+    assert recipe.field.ramp_s == (0.001, 0.002)
+    assert recipe.field.sensor_lag_s == pytest.approx(0.0002)
+    assert np.isfinite(measure_draw(draw(recipe, 1, [0, 1]), recipe, 1)).all()
+
+
+def test_dry_friction_brushes_and_a_lag_become_a_field() -> None:
+    """Dry friction relative to the viscous torque at no-load speed, the lag in the geometric middle of its range."""
+    healthy = replace(HEALTHY, starts=replace(TAUGHT, model_low=(0.001, 0.0001), model_high=(0.002, 0.0004)))
+    motor = replace(COMMISSIONED, healthy=healthy, coulomb_friction_n_m=1e-4, brush_drop_v=0.3)
+    field = motor_recipe(motor).field
+    assert field is not None
+    ratio = 1e-4 / (12e-7 * 12.0 / 0.02352)
+    assert field.coulomb_ratio == pytest.approx((ratio, ratio))
+    assert field.brush_drop_v == (0.3, 0.3)
+    assert field.ramp_s == (0.001, 0.002)
+    assert field.trigger_jitter == (0.0, 0.99)
+    assert field.sensor_lag_s == pytest.approx(2e-4)
+
+
+def test_what_cannot_be_drawn_of_a_motor_is_refused() -> None:
+    loose = Motor("loose", "data_sheet", PAPER_MOTOR, 12.0, Tolerance(friction=0.2))
+    with pytest.raises(InputError, match=r"a tolerance of 0\.2 on friction"):
+        motor_recipe(loose)
+    with pytest.raises(InputError, match=r"gives no nominal_voltage_v; say --voltage"):
+        motor_recipe(replace(loose, nominal_voltage_v=None))
+
+
+def test_ratios_per_volt_hold_the_scatter_of_the_supply() -> None:
+    scatter = np.array([0.003, 0.1, 0.001, 0.004, 0.02])
+    names = ("R/V", "L/V", "K/V", "J/V", "B/V")
+    healthy = replace(PLAIN, quantities=names, values=np.ones(5), log_covariance=np.diag(scatter**2))
+    spread = motor_recipe(replace(COMMISSIONED, healthy=healthy)).spread
+    assert spread.std / np.sqrt(8.0 / 6.0) == pytest.approx([0.0, 0.003, 0.001, 0.004, 0.02])
+
+
+def test_windows_teach_the_spread_and_nothing_of_starts() -> None:
+    windows = Windows(1.0, (), np.ones(1), "held", 1e-3, 300.0)
+    names, scatter = ("R", "K", "J", "B"), np.array([0.03, 0.01, 0.02, 0.05])
+    taught = Healthy(9, 8.0, names, np.ones(4), np.diag(scatter**2), windows=windows)
+    motor = replace(COMMISSIONED, healthy=taught)
+    recipe, sheet = motor_recipe(motor), replace(COMMISSIONED, healthy=None)
+    assert recipe.spread.std / np.sqrt(8.0 / 6.0) == pytest.approx([0.01 / np.sqrt(8.0 / 6.0), *scatter])
+    assert recipe.timing == settling_timing(motor)
+    assert (recipe.sensor, recipe.field) == (motor_recipe(sheet).sensor, None)
