@@ -94,8 +94,9 @@ peers-anew: $(READY) $(AEON_READY) ## let them judge the benchmark's starts agai
 bench: $(BENCH_READY) ## speed against peers, in an environment of its own; writes out/bench.json
 	.venv-bench/bin/python benchmarks/run.py --out out/bench.json $(BENCH_ARGS)
 
-docs: $(DOCS_READY) ## build the documentation into docs/_build/html; warnings are errors
+docs: $(DOCS_READY) ## build the documentation into docs/_build/html and run its long pages; warnings are errors
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	$(BIN)/python -m pytest -q -n $(JOBS) --dist worksteal -m long tests/test_docs.py
 
 pictures: $(READY) ## draw the screens and films of the documentation anew
 	$(BIN)/python docs/make_pictures.py

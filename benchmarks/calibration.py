@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from cyclopts import run
 from networks import network_of
-from ranks import class_ranks, confidence_ranks, rank_check, severity_ranks, severity_shares
+from ranks import check, class_ranks, confidence_ranks, rank_check, severity_ranks, severity_shares
 from tables import keep_table
 
 from motor_classifiers.estimators.networks.posterior_network import PosteriorNetwork
@@ -105,11 +105,12 @@ def of_severities(n_cases: int) -> Iterator[Posterior]:
 
 def main(*, networks: tuple[str, ...] = NETWORKS, cases: int = 2_000) -> None:
     """Check the severities of the shipped network, and the classes of `shipped` or of tasks."""
+    check()
     posteriors = [*of_severities(cases), *(one for name in networks for one in of_classes(name, cases))]
     rows = []
     for one in posteriors:
-        check = rank_check(one.ranks, ERROR / len(posteriors))
-        rows.append((one.name, str(len(one.ranks)), f"{check.largest:.4f}", "yes" if check.inside else "no"))
+        band = rank_check(one.ranks, ERROR / len(posteriors))
+        rows.append((one.name, str(len(one.ranks)), f"{band.largest:.4f}", "yes" if band.inside else "no"))
     header = ("posterior", "starts", "largest distance", "within its band")
     keep_table("calibrated-probabilities", "ranks", header, rows)
     covered = (

@@ -130,3 +130,15 @@ def severity_ranks(shares: FloatArray, position: FloatArray) -> FloatArray:
     grid = np.linspace(0.0, 1.0, shares.shape[1])
     cumulated = np.cumsum(shares, axis=1) - 0.5 * shares  # half of a point's share lies on either side of it
     return np.array([np.interp(at, grid, below) for at, below in zip(position, cumulated, strict=True)])
+
+
+def check() -> None:
+    """Assert on small cases what the figures rest on: ranks by hand, and how often uniform ones leave the band."""
+    probabilities = np.array([[0.25, 0.5, 0.25], [0.125, 0.375, 0.5]])
+    assert np.allclose(class_ranks(probabilities, np.array([1, 2]), np.array([0.5, 0.0])), [0.5, 0.5])
+    assert np.allclose(confidence_ranks(probabilities, np.array([1, 0]), np.array([0.5, 1.0])), [0.25, 1.0])
+    assert np.isclose(severity_ranks(probabilities[:1], np.array([0.25]))[0], 0.5 * (0.125 + 0.5))
+    generator = np.random.default_rng(3)
+    left = [not rank_check(generator.uniform(size=200), 0.2).inside for _ in range(1_000)]
+    assert abs(np.mean(left) - 0.2) < 4.0 * np.sqrt(0.2 * 0.8 / 1_000)
+    assert not rank_check(generator.uniform(size=200) ** 1.4, 0.001).inside

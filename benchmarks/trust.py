@@ -21,6 +21,7 @@ from trust_figures import (
     DISTANCE,
     FALSE_ALARM_RATES,
     Figures,
+    check,
     network_for,
     set_figures,
     shift_scores,
@@ -313,6 +314,7 @@ OF_POWERS = ("recipe", "conditions", "refused", "said to be off")
 
 def main(*part: Literal["sets", "figures", "shifts", "powers", "charts"], cases: int = 20_000) -> None:
     """Make the parts asked for; all by default. The largest tables rest on so many cases."""
+    check()
     if "sets" in part or not part:
         keep_figures(with_sets=True)
     if "figures" in part or not part:

@@ -548,3 +548,22 @@ def _limit(
         model = reference(recipe)
         names, probabilities = tuple(map(str, model.classes_)), np.asarray(model.predict_proba(X))
     return _kind_scores(probabilities, np.array([kind_of[name] for name in names]), truth)[0]
+
+
+def check() -> None:
+    """Assert on made probabilities what the tables of sets and severities rest on."""
+    rng = np.random.default_rng(1)
+    motors, truth = np.repeat(np.arange(300), 2), np.repeat(rng.integers(3, size=300), 2)
+    probabilities = rng.dirichlet(np.ones(3), size=600) + 1.5 * np.eye(3)[truth] * rng.random((600, 1))
+    probabilities /= probabilities.sum(axis=1, keepdims=True)
+    held = np.zeros(600, dtype=np.bool_)
+    for known, label in product((motors % 2 == 0, motors % 2 == 1), range(3)):
+        # The rank of split conformal prediction: the ceil(0.9 (n + 1))-th strangest of a class is still in.
+        strange = np.sort(1.0 - probabilities[known & (truth == label), label])
+        largest = strange[int(np.ceil(COVERAGE * (len(strange) + 1))) - 1]
+        mine = ~known & (truth == label)
+        held[mine] = 1.0 - probabilities[mine, label] <= largest + 1e-12
+    assert np.isclose(halves_coverage(probabilities, truth, motors).overall, held.mean())
+    interval = np.array([[0.0, 0.2], [0.1, 0.2], [0.1, 0.2], [0.0, 0.1]])
+    got = scored_severities(np.array([0.1, 0.2, 0.3, 0.0]), interval, np.array([0.2, 0.2, 0.1, 0.2]))
+    assert np.allclose([got["rmse"], got["coverage"]], [np.sqrt((0.01 + 0.04 + 0.04) / 4), 0.75])

@@ -144,3 +144,22 @@ def counted(
         for cell, verdict in row["said"]:
             counts.cells.setdefault(tuple(cell), Counter())[verdict] += 1
     return counts
+
+
+def _parity(number: int) -> Said:
+    return [(("of three", str(number % 3)), "odd" if number % 2 else "even")]
+
+
+def check() -> None:
+    """Assert that a count goes on from its file, whatever the number of workers, and from no other's."""
+    with tempfile.TemporaryDirectory() as folder:
+        rows = Path(folder) / "rows.jsonl"
+        whole, first = counted(_parity, 20), counted(_parity, 7, How(rows=rows), of={"seed": 1})
+        assert sum(verdicts.total() for verdicts in first.cells.values()) == 7
+        more = counted(_parity, 20, How(workers=2, rows=rows), of={"seed": 1})
+        assert more.cells == whole.cells
+        assert more.by(0) == {("of three",): {"even": 10, "odd": 10}}
+
+
+if __name__ == "__main__":
+    check()

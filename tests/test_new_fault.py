@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import gymnasium as gym
 import pytest
 from recording_csv import write_csv
 
@@ -16,18 +15,15 @@ from motor_env import (
     Channel,
     Fault,
     FaultKind,
-    Recipe,
     Scenario,
     SensorParameters,
     Timing,
     simulate,
 )
-from motor_env.simulation.recipes import FaultClass
 
 PAGE = Path(__file__).parents[1] / "docs" / "howto" / "own-fault.md"
 BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 (MODULE,) = [block for block in BLOCKS if block.startswith("# my_faults.py")]
-
 RECIPE = """
 base = "bench"
 [sensor]
@@ -40,12 +36,10 @@ severity = 0.2
 kind = "bearing"
 severity = 0.2
 """
-
 WORKERS = """
-import pickle, sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from motor_env import FaultKind, load_recipe
+from motor_env import load_recipe
 from motor_env.inference.posterior import SeverityPrior, severity_posterior
 from motor_datasets import generate_arrays
 import numpy as np
@@ -65,15 +59,9 @@ if __name__ == "__main__":
 
 def run(*arguments: str, cwd: Path, status: int = 0) -> str:
     """Standard output of a Python process that has the folder on its path."""
-    path = os.pathsep.join([str(cwd), *sys.path])
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(cwd), *sys.path])}
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == status, done.stdout + done.stderr
     return done.stdout
 
@@ -82,13 +70,14 @@ def run(*arguments: str, cwd: Path, status: int = 0) -> str:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a package with a fault kind of its own would install: a module, and its entry point."""
     folder = tmp_path_factory.mktemp("outside")
-    (folder / "my_faults.py").write_text(MODULE, encoding="utf-8")
     info = folder / "my_faults-0.1.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-faults\nVersion: 0.1\n", encoding="utf-8")
-    (info / "entry_points.txt").write_text(
-        "[motor_env.fault_kinds]\nmy_faults = my_faults\n", encoding="utf-8"
-    )
+    for path, text in (
+        (folder / "my_faults.py", MODULE),
+        (info / "METADATA", "Metadata-Version: 2.1\nName: my-faults\nVersion: 0.1\n"),
+        (info / "entry_points.txt", "[motor_env.fault_kinds]\nmy_faults = my_faults\n"),
+    ):
+        path.write_text(text, encoding="utf-8")
     return folder
 
 
@@ -104,62 +93,38 @@ def test_a_kind_in_a_worker_process(folder: Path) -> None:
     run("workers.py", cwd=folder)
 
 
+def start(folder: Path, kind: str, severity: float) -> str:
+    """A start of a motor that has the fault, current and speed; the name of its file."""
+    faults = (Fault(FaultKind.MAGNET, severity),) if kind == "magnet" else ()
+    inertia = {} if kind == "magnet" else {"inertia_kg_m2": 1.0 + severity}
+    sensor = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 1.0)
+    motor, timing = PAPER_MOTOR.scaled(**inertia), Timing(10_000.0, 0.2, 0.02)
+    made = simulate(Scenario(motor, faults, sensor=sensor, timing=timing), 3, [0])
+    readings = dict(zip(("current_a", "speed_rad_s"), made.measurements[0], strict=True))
+    columns = {"time_s": made.time_s, "voltage_v": made.voltage_v[0]} | readings
+    return write_csv(folder / f"{kind}.csv", columns).name
+
+
 @pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", ["magnet", "fouling"])
 def test_a_kind_in_every_command(kind: str, folder: Path) -> None:
     (folder / "recipe.toml").write_text(RECIPE.format(kind=kind), encoding="utf-8")
     data, model = f"{kind}-data", f"{kind}.model"
-    described = run("-m", "motor_datasets", "describe", "recipe.toml", cwd=folder)
-    assert kind in described
+    assert kind in run("-m", "motor_datasets", "describe", "recipe.toml", cwd=folder)
     generate = ("generate", "recipe.toml", "--cases", "200", "--seed", "1", "--out", data)
     run("-m", "motor_datasets", *generate, cwd=folder)
     run("-m", "motor_classifiers", "train", data, "--out", model, cwd=folder)
     scores = json.loads(run("-m", "motor_classifiers", "evaluate", model, data, "--json", cwd=folder))
     assert scores["accuracy"] > 0.9, scores
-    judged = ("predict", "start.csv", "--model", model, "--json")
-    assert f'"{kind}"' in run("-m", "motor_classifiers", *judged, cwd=_start(folder, kind, 0.2), status=1)
-
-
-def test_an_environment_lets_an_agent_declare_a_weak_magnet() -> None:
-    classes = (FaultClass(), FaultClass(FaultKind.MAGNET, 0.2))
-    recipe = Recipe("weak", classes=classes, sensor=SensorParameters(current_noise_a=0.005))
-    env = gym.make("motor_env/Probe-v0", recipe=recipe)
-    assert env.unwrapped.setup.kinds == ("magnet",)  # type: ignore[attr-defined]  # of our environments
-    names = env.unwrapped.setup.observed  # type: ignore[attr-defined]
-    for seed in range(6):
-        env.reset(seed=seed)
-        over, evidence = False, 0.0
-        while not over:
-            observation, _, over, _, info = env.step(1)
-            evidence = max(evidence, float(observation[names.index("evidence_magnet")]))
-        assert (evidence > 1.0) == (info["label"] == "magnet"), (seed, evidence, info)
-
-
-def _start(folder: Path, kind: str, severity: float) -> Path:
-    """The folder with a start of a motor that has the fault, current and speed, in start.csv."""
-    faults = (Fault(FaultKind.MAGNET, severity),) if kind == "magnet" else ()
-    inertia = {} if kind == "magnet" else {"inertia_kg_m2": 1.0 + severity}
-    sensor = SensorParameters((Channel.CURRENT, Channel.SPEED), 0.02, 1.0)
-    scenario = Scenario(
-        PAPER_MOTOR.scaled(**inertia), faults, sensor=sensor, timing=Timing(10_000.0, 0.2, 0.02)
-    )
-    start = simulate(scenario, 3, [0])
-    current, speed = start.measurements[0]
-    columns = {
-        "time_s": start.time_s,
-        "voltage_v": start.voltage_v[0],
-        "current_a": current,
-        "speed_rad_s": speed,
-    }
-    write_csv(folder / "start.csv", columns)
-    return folder
+    judged = ("predict", start(folder, kind, 0.2), "--model", model, "--json")
+    assert f'"{kind}"' in run("-m", "motor_classifiers", *judged, cwd=folder, status=1)
 
 
 def test_diagnose_names_it_where_the_speed_is_recorded(folder: Path) -> None:
     """In one process, which knows both kinds."""
     kinds = ("magnet", "fouling")
-    starts = [(_start(folder, kind, 0.1) / "start.csv").rename(folder / f"{kind}.csv").name for kind in kinds]
+    starts = [start(folder, kind, 0.1) for kind in kinds]
     answer = run("-m", "motor_env", "diagnose", *starts, "--motor", "paper", "--json", cwd=folder, status=1)
     for kind, found in zip(kinds, json.loads(answer), strict=True):
         assert (found["verdict"], found["kind"]) == (kind, kind)

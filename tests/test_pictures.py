@@ -1,4 +1,7 @@
-"""Pictures of the documentation show what the code draws today; `make pictures` draws them anew."""
+"""Pictures and tables of the documentation are those of the code and of the kept results.
+
+`make pictures`, `python benchmarks/result_tables.py` and `python benchmarks/leaderboard.py page` make them anew.
+"""
 
 import json
 import re
@@ -6,12 +9,16 @@ from importlib import import_module
 from pathlib import Path
 
 import film
+import leaderboard
 import numpy as np
+import pytest
 import residual_worth
+import result_tables
 import rules
 import trust
 from PIL import Image
 
+from motor_classifiers import load_task
 from motor_env import Cusum, MOfN
 
 ROOT = Path(__file__).parents[1]
@@ -43,16 +50,13 @@ def test_the_verdict_of_the_first_page_is_that_of_today() -> None:
     np.testing.assert_allclose(now, was, atol=0.3)
 
 
-def test_the_picture_of_the_fleet_is_that_of_today() -> None:
-    drawn = import_module("make_pictures").fleet()
-    assert (IMAGES / "fleet.svg").read_text(encoding="utf-8") == drawn
-
-
-def test_the_picture_of_the_rooms_is_that_of_today(tmp_path: Path) -> None:
+def test_drawings_are_those_of_today_or_of_the_kept_results(tmp_path: Path) -> None:
     import_module("make_pages").draw_rooms(tmp_path / "rooms.svg")
-    assert (tmp_path / "rooms.svg").read_text(encoding="utf-8") == (IMAGES / "rooms.svg").read_text(
-        encoding="utf-8"
-    )
+    residual_worth.draw(tmp_path / "residual-worth.svg")
+    drawn = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
+    drawn |= {"fleet.svg": import_module("make_pictures").fleet()} | dict(trust.kept_charts())
+    assert len(drawn) == 5
+    assert {name: (IMAGES / name).read_text(encoding="utf-8") for name in drawn} == drawn
 
 
 def test_the_delays_of_the_rules_are_those_of_today(tmp_path: Path) -> None:
@@ -65,28 +69,13 @@ def test_the_delays_of_the_rules_are_those_of_today(tmp_path: Path) -> None:
         assert abs(rule.average_run_length(threshold, rules.DRAWN) - kept[name][1]) < 0.01
 
 
-def test_the_charts_of_the_trust_page_are_those_of_the_kept_figures() -> None:
-    """`python benchmarks/trust.py charts` writes them."""
-    charts = dict(trust.kept_charts())
-    assert len(charts) == 2
-    assert {name: (IMAGES / name).read_text(encoding="utf-8") for name in charts} == charts
-
-
-def test_the_learning_curves_are_those_of_the_kept_trainings(tmp_path: Path) -> None:
-    residual_worth.draw(tmp_path / "curves.svg")
-    drawn = (tmp_path / "curves.svg").read_text(encoding="utf-8")
-    assert drawn == residual_worth.PICTURE.read_text(encoding="utf-8")
-
-
 def test_the_pages_of_the_environments_are_those_of_today(tmp_path: Path) -> None:
-    """`make pages` writes them anew: specification, options, scores, screens, learning curves."""
+    """`make pages` writes them anew."""
     import_module("environment_pages").write_pages(tmp_path)
     pages = ROOT / "docs" / "environments"
     assert {path.name for path in pages.iterdir()} == {path.name for path in tmp_path.iterdir()}
     for drawn in tmp_path.glob("*.md"):
-        assert (pages / drawn.name).read_text(encoding="utf-8") == drawn.read_text(encoding="utf-8"), (
-            "make pages"
-        )
+        assert (pages / drawn.name).read_text("utf-8") == drawn.read_text("utf-8"), "make pages"
     for path in tmp_path.glob("*.png"):
         with Image.open(pages / path.name) as kept, Image.open(path) as drawn:
             assert far_off(kept, drawn) < 0.001, f"make pages: {path.name}"
@@ -109,3 +98,25 @@ def test_the_picture_of_the_readme_is_that_of_today(tmp_path: Path) -> None:
     import_module("make_hero").main(tmp_path / "hero.png")
     with Image.open(IMAGES / "hero.png") as kept, Image.open(tmp_path / "hero.png") as drawn:
         assert far_off(kept, drawn) < 0.001
+
+
+def test_tables_come_from_their_files() -> None:
+    for path, text in (result_tables.pages() | {leaderboard.PAGE: leaderboard.whole_page()}).items():
+        assert path.read_text(encoding="utf-8") == text, path.name
+    behind = leaderboard.kept_scores()["bench/rules"]["above_limit"]
+    assert f"On 5,000 other motors it is {behind:.2f} points behind" in result_tables.README.read_text(
+        "utf-8"
+    )
+
+
+@pytest.mark.parametrize("name", ["field", "operation"])
+def test_brackets_of_the_tasks_are_those_that_were_measured(name: str) -> None:
+    low, high = json.loads((result_tables.FOLDER / "results" / f"{name}_limit.json").read_bytes())["bracket"]
+    assert load_task(name).bracket == pytest.approx((100.0 * (1.0 - high), 100.0 * (1.0 - low)), abs=0.006)
+
+
+def test_no_kept_score_rises_above_its_limit() -> None:
+    """By chance it may, by less than its interval; on average it cannot."""
+    for name, row in leaderboard.kept_scores().items():
+        assert row.get("above_limit_high", 1.0) > 0.0, name
+        assert row["high"] > row.get("bracket", [0.0])[0], name

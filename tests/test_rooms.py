@@ -11,11 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = [
-    ROOT / "motor_env",
-    ROOT / "datasets" / "motor_datasets",
-    ROOT / "classifiers" / "motor_classifiers",
-]
+PACKAGES = [ROOT / name for name in ("motor_env", "datasets/motor_datasets", "classifiers/motor_classifiers")]
 MODULES = sorted(file for package in PACKAGES for file in package.rglob("*.py"))
 FRONTS = ("motor_env", "motor_env.envs", "motor_datasets", "motor_classifiers")
 """Whose `__init__.pyi` lists what is public."""
@@ -94,24 +90,21 @@ def test_no_eight_lines_stand_twice() -> None:
     """No eight lines in a row; imports, docstrings and the argument lists of compiled kernels do not count."""
     places = defaultdict(list)
     for file in MODULES:
-        tree = ast.parse(file.read_text(encoding="utf-8"))
-        ignored = {
-            line
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Import | ast.ImportFrom)
-            or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
-            for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
-        }
-        for node in ast.walk(tree):
+        text, ignored = file.read_text(encoding="utf-8"), set[int]()
+        for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef) and is_compiled(node):
                 ignored.update(range(node.lineno, node.body[0].lineno))
+            elif isinstance(node, ast.Import | ast.ImportFrom) or (
+                isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+            ):
+                ignored.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
         lines = [
             (number, line.strip())
-            for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1)
+            for number, line in enumerate(text.splitlines(), 1)
             if line.strip() and not line.strip().startswith("#") and number not in ignored
         ]
         for first in range(len(lines) - 7):
-            run = tuple(text for _, text in lines[first : first + 8])
+            run = tuple(line for _, line in lines[first : first + 8])
             places[run].append(f"{file.relative_to(ROOT)}:{lines[first][0]}")
     assert [where for where in places.values() if len(where) > 1] == []
 
@@ -168,46 +161,17 @@ def reaches(text: str, folder: tuple[str, ...]) -> set[str]:
     return found
 
 
-def says_why(text: str) -> bool:
-    return any(line.strip().startswith(REACHES_IN) for line in text.splitlines())
-
-
 def test_a_test_that_reaches_into_another_room_says_why() -> None:
     """And one that says so reaches in."""
     tests, wrong = ROOT / "tests", {}
     for file in sorted(tests.rglob("*.py")):
-        folder = file.relative_to(tests).parts[:-1]
-        if file == Path(__file__):
-            continue
         text = file.read_text(encoding="utf-8")
-        inner = reaches(text, folder)
-        if bool(inner) != says_why(text):
+        inner = reaches(text, file.relative_to(tests).parts[:-1])
+        says_why = any(line.strip().startswith(REACHES_IN) for line in text.splitlines())
+        if file != Path(__file__) and bool(inner) != says_why:
             wrong[str(file.relative_to(ROOT))] = sorted(inner)
     assert wrong == {}
 
 
-@pytest.mark.parametrize(
-    ("line", "inner"),
-    [
-        ("from motor_env import KalmanFilter", None),
-        ("from motor_env.envs import MonitorEnv", None),
-        ("from motor_env.cli import main", None),
-        ("from motor_env.filters.kernels import covariance_step", None),
-        ("from motor_env.filters import kernels", None),
-        ("from motor_env.simulation.sampling import measure_draw", "motor_env.simulation.sampling"),
-        ("from motor_env.simulation import sampling", "motor_env.simulation.sampling"),
-        ("import motor_env.simulation.sampling", "motor_env.simulation.sampling"),
-        ("def late():\n    from motor_env.envs import kernel", "motor_env.envs.kernel"),
-        ("from motor_env.envs.drive.kernel import step", "motor_env.envs.drive.kernel"),
-        ("from motor_env.common import files", "motor_env.common.files"),
-        ("from motor_datasets.generate import make_plan", "motor_datasets.generate"),
-    ],
-)
-def test_what_reaches_into_another_room_is_found(line: str, inner: str | None) -> None:
-    assert reaches(line, ("motor_env", "filters")) == ({inner} if inner else set())
-
-
 def test_what_is_shared_is_there() -> None:
-    assert [
-        module for module in SHARED if not is_module(module) and not is_module(f"{module}.__init__")
-    ] == []
+    assert [name for name in SHARED if not is_module(name) and not is_module(f"{name}.__init__")] == []

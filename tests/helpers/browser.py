@@ -39,12 +39,12 @@ class Browser:
             "--disable-dev-shm-usage",
             "--disable-extensions",
         ]
-        options += ["--remote-debugging-pipe", f"--user-data-dir={folder}", "--no-first-run", "about:blank"]
         options += [
-            "--window-size=1280,1000",
             "--disable-background-networking",
             "--disable-component-update",
+            "--window-size=1280,1000",
         ]
+        options += ["--remote-debugging-pipe", f"--user-data-dir={folder}", "--no-first-run", "about:blank"]
         self.process = subprocess.Popen(
             ["/bin/bash", "-c", command, program, *options],
             pass_fds=(read_there, write_there),

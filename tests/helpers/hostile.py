@@ -33,29 +33,19 @@ LONGEST_SENTENCE = 1500
 MOST_KB = 2_000_000  # of memory, whatever is read
 
 
-def _moved(data: bytearray, at: int, size: int, rng: Random) -> None:
-    begin = int(rng.integers(len(data)))
-    data[begin : begin + size] = data[at : at + size]
-
-
-def _swapped(data: bytearray, at: int, size: int, _: Random) -> None:
-    data[at : at + size], data[:size] = data[:size], data[at : at + size]
-
-
 def _set(data: bytearray, at: int, size: int, content: bytes | bytearray) -> None:
     data[at : at + size] = content
 
 
 DAMAGES: dict[str, Callable[[bytearray, int, int, Random], None]] = {
-    "flipped": lambda data, at, size, rng: _set(data, at, 1, bytes([data[at] ^ 1 << int(rng.integers(8))])),
+    "flipped": lambda data, at, _, rng: _set(data, at, 1, bytes([data[at] ^ 1 << int(rng.integers(8))])),
     "overwritten": lambda data, at, size, rng: _set(data, at, size, rng.bytes(min(size, len(data) - at))),
-    "zeroed": lambda data, at, size, rng: _set(data, at, size, bytes(min(size, len(data) - at))),
-    "cut out": lambda data, at, size, rng: _set(data, at, size, b""),
-    "doubled": lambda data, at, size, rng: _set(data, at, 0, data[at : at + size]),
+    "zeroed": lambda data, at, size, _: _set(data, at, size, bytes(min(size, len(data) - at))),
+    "cut out": lambda data, at, size, _: _set(data, at, size, b""),
+    "doubled": lambda data, at, size, _: _set(data, at, 0, data[at : at + size]),
     "put in": lambda data, at, size, rng: _set(data, at, 0, rng.bytes(size)),
-    "moved": _moved,
-    "swapped": _swapped,
-    "cut off": lambda data, at, size, rng: _set(data, at, len(data), b""),
+    "moved": lambda data, at, size, rng: _set(data, int(rng.integers(len(data))), size, data[at : at + size]),
+    "cut off": lambda data, at, _, __: _set(data, at, len(data), b""),
 }
 
 
@@ -130,7 +120,7 @@ def forged(tree: Any, rng: Random, *, absurd: Sequence[Any] = ABSURD, most: int 
         value = copy.deepcopy(like[int(rng.integers(len(like)))])
         if kind is float and rng.random() < 0.4 and abs(node[key]) < 1e300:
             value = type(node[key])(node[key] * 10.0 ** rng.uniform(-2.0, 2.0))
-        if _is_json(node[key]):
+        if kind is str and node[key][:1] in ("{", "["):
             value = json_of(value)
         match int(rng.integers(20)):
             case 0 | 1:
@@ -144,13 +134,6 @@ def forged(tree: Any, rng: Random, *, absurd: Sequence[Any] = ABSURD, most: int 
 
 def _kind(value: Any) -> type:
     return float if isinstance(value, int | float) and not isinstance(value, bool) else type(value)
-
-
-def _is_json(value: Any) -> bool:
-    try:
-        return isinstance(value, str) and json.loads(value) is not ...
-    except ValueError:
-        return False
 
 
 def json_of(tree: Any) -> str:
@@ -240,12 +223,9 @@ def _beside(path: Path) -> dict[str, int]:
 
 
 def refused(call: Callable[[], object], path: Path, *, named: bool | str = True) -> str:
-    """The one sentence with which a file is refused; beside it nothing was written.
+    """The one sentence with which a file is refused by `InputError` or status 2; beside it nothing was written.
 
-    Args:
-        call: function that raises `InputError`, or the `main` of a program that ends with status 2.
-        path: of the file.
-        named: whether the sentence must name it, or what it must name instead.
+    The sentence names the file, or what `named` says instead.
     """
     before, out, err = _beside(path), io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
@@ -307,12 +287,9 @@ for number, line in enumerate(sys.stdin):
 
 
 class Child:
-    """A process of its own that reads files, since damage may crash compiled code or hang it.
+    """A process of its own that reads files with `read(path)`, since damage may crash compiled code or hang it.
 
-    Args:
-        read: Python code that defines the function `read(path)`; what it returns is told as text.
-        seconds: of a processor that a file may take.
-        memory: bytes of data that the process may have once it can read; -1 for any.
+    A file may take so many seconds of a processor, and the process so many bytes of data once it can read.
     """
 
     def __init__(self, read: str, seconds: int = 60, memory: int = -1) -> None:

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import tomllib
+from typing import Any
 
 import hostile
 import numpy as np
 from hostile import forged, toml_of
+
+from motor_env import load_recipe
+
+# Reaches in: recipes as files hold them.
+from motor_env.simulation.named_recipes import recipe_to_dict
 
 PARAMETERS = """
 [motor]
@@ -18,53 +24,15 @@ inertia_kg_m2 = 1.07e-6
 viscous_friction_n_m_s_per_rad = 1.2e-6
 """
 
-RECIPE = """
-base = "bench"
-name = "mine"
-starts_per_motor = 3
-healthy_starts = 1
-[supply]
-voltage_v = 12.0
-[timing]
-sampling_rate_hz = 2000
-duration_s = 0.05
-quiet_s = 0.02
-[sensor]
-channels = ["current", "speed"]
-current_noise_a = 0.02
-[field]
-temperature_rise_k = [0.0, 30.0]
-coulomb_ratio = [0.1, 0.2]
-stribeck_ratio = [0.0, 0.1]
-brush_drop_v = [0.0, 0.1]
-supply_resistance_ohm = [0.02, 0.06]
-commutation_ripple = [0.0, 0.02]
-sensor_gain = [0.995, 1.005]
-sensor_offset_a = [-0.0025, 0.0025]
-load_ratio = [0.0, 0.05]
-ramp_s = [0.0, 0.0005]
-ripple_v = [0.0, 0.05]
-trigger_jitter = [0.0, 0.99]
-bearing_ripple_ratio = [0.0, 0.5]
-ripple_hz = 100.0
-sensor_lag_s = 1e-4
-sensor_range_a = 8.0
-adc_bits = 12
-missing_fraction = 0.01
-[[classes]]
-[[classes]]
-kind = "bearing"
-severity = 0.05
-severity_to = 0.3
-weight = 2.0
-[[classes]]
-kind = "noise"
-severity = 0.5
-[[shifts]]
-name = "hot"
-field = { temperature_rise_k = [40.0, 60.0] }
-"""
-RECIPES = (RECIPE + PARAMETERS, RECIPE.replace("\nname", '\nmotor = "paper"\nname', 1))
+
+def _given(value: Any) -> Any:
+    """A tree as TOML has it: lists, and nothing that is None."""
+    if isinstance(value, dict):
+        return {key: _given(each) for key, each in value.items() if each is not None}
+    return [_given(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+RECIPES = [toml_of(_given(recipe_to_dict(load_recipe(name)))) for name in ("field", "bench-full")]
 MOTOR = """
 name = "RE 25"
 notes = ["a note"]

@@ -27,9 +27,8 @@ class Stopped(Exception):  # noqa: N818  # it is no error, it stops the writing
 
 def files_of(folder: Path) -> dict[str, bytes]:
     """Content of every file by its path in the folder."""
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
-    }
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def assert_same(one: Dataset, other: Dataset) -> None:
@@ -57,10 +56,9 @@ def assert_goes_on(place: Any, cases: int, content: Callable[[Any], object], who
     """What was interrupted is no data set; the same order alone makes the same bytes of it, and changes none again."""
     with pytest.raises(InputError, match="no data set"):
         load(place)
-    with pytest.raises(InputError, match="--resume"):
-        generate_dataset(SHORT, cases, 1, place)
-    with pytest.raises(InputError, match="something other"):
-        generate_dataset(SHORT, cases, 2, place, resume=True)
+    for seed, resume, words in ((1, False, "--resume"), (2, True, "something other")):
+        with pytest.raises(InputError, match=words):
+            generate_dataset(SHORT, cases, seed, place, resume=resume)
     for _ in range(2):  # the second time it is finished already: nothing happens
         generate_dataset(SHORT, cases, 1, place, resume=True)
         assert content(place) == files_of(whole)

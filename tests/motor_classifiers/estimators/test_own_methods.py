@@ -1,13 +1,18 @@
 """Methods of one's own: how they are found, fed, judged and saved, and what is said of those that cannot be."""
 
+import ast
+import importlib
 import json
+import subprocess
+import sys
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from sklearn.base import BaseEstimator, ClassifierMixin
+from hostile import odd_places, refused
+from sklearn.base import BaseEstimator
 from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.linear_model import LogisticRegression, RidgeClassifier
@@ -26,11 +31,12 @@ from motor_classifiers.estimators.methods import find_method, model_input, model
 from motor_classifiers.model_files.persistence import check_saveable
 from motor_classifiers.scoring.judging import answer_key, judge, judge_in_subprocess
 from motor_classifiers.scoring.task import class_task
-from motor_datasets import generate_arrays
+from motor_datasets import generate_arrays, generate_dataset
 from motor_env import InputError, Timing, load_recipe
 
 RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
 TRAIN = generate_arrays(RECIPE, 1, range(150))
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "own_method.py"
 SOURCE = '''
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.ensemble import ExtraTreesClassifier
@@ -58,27 +64,9 @@ def own(tmp_path: Path) -> Path:
     return path
 
 
-class ThreeAxes(ClassifierMixin, BaseEstimator):  # type: ignore[misc]  # scikit-learn carries no types
-    """Says that it wants channels apart, and remembers what it got; it only decides."""
-
-    def __sklearn_tags__(self) -> Any:
-        tags = super().__sklearn_tags__()
-        tags.input_tags.three_d_array = True
-        return tags
-
-    def fit(self, X: Any, y: Any) -> "ThreeAxes":
-        self.classes_, self.shape_ = np.unique(y), X.shape
-        return self
-
-    def predict(self, X: Any) -> Any:
-        assert X.ndim == 3
-        return np.repeat(self.classes_[1], len(X))
-
-
 def test_a_function_of_a_file_is_a_method_with_its_own_answers(own: Path) -> None:
-    name = f"{own}:trees"
+    name, cell = f"{own}:trees", class_task(RECIPE, 150, 100)
     assert find_method(name).title == "Fifty random trees on raw samples."
-    cell = class_task(RECIPE, 150, 100)
     answer = judge(name, cell)
     assert answer.is_graded
     assert (answer.decided == cell.starts().class_index).mean() > 0.5
@@ -88,29 +76,13 @@ def test_a_function_of_a_file_is_a_method_with_its_own_answers(own: Path) -> Non
 
 
 def test_the_benchmark_takes_it_beside_others(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plan = [
-        "benchmark",
-        "--methods",
-        "rules",
-        "--with",
-        f"{own}:trees",
-        "--with",
-        f"{own}:broken",
-        "--dry-run",
-    ]
+    added = ["--with", f"{own}:trees", "--with", f"{own}:broken"]
+    plan = ["benchmark", "--methods", "rules", *added, "--dry-run"]
     assert main([*plan, "--json"]) == 0
     names = [unit["method"] for unit in json.loads(capsys.readouterr().out)]
     assert names == ["limit", "rules", f"{own}:trees", f"{own}:broken"]
     assert main([*plan, "--with", f"{own}:trees"]) == 2
     assert "methods must differ" in capsys.readouterr().err
-
-
-def test_an_entry_point_is_a_method(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    point = EntryPoint("stranger", "sklearn.naive_bayes:GaussianNB", methods.GROUP)
-    monkeypatch.setattr(methods, "entry_points", lambda group: [point])
-    assert find_method("stranger").family == "own"
-    with pytest.raises(InputError, match=r"FILE.py:NAME or one of threshold, .*, stranger, got 'nobody'"):
-        find_method("nobody")
 
 
 @pytest.mark.parametrize(
@@ -119,29 +91,30 @@ def test_an_entry_point_is_a_method(own: Path, monkeypatch: pytest.MonkeyPatch) 
         ("missing.py:make", "missing.py: no such file; a method of your own is FILE.py:NAME"),
         ("{own}:nothing", "has no function 'nothing' of a recipe and a seed"),
         ("{bad}:make", r"cannot be run \(ModuleNotFoundError: No module named 'no_such_module'\)"),
+        ("nobody", r"FILE.py:NAME or one of threshold, .*, stranger, got 'nobody'"),
     ],
 )
-def test_what_is_no_method_is_a_sentence(own: Path, name: str, sentence: str) -> None:
+def test_what_is_no_method_is_a_sentence(
+    own: Path, name: str, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    point = EntryPoint("stranger", "sklearn.naive_bayes:GaussianNB", methods.GROUP)
+    monkeypatch.setattr(methods, "entry_points", lambda group: [point])
+    assert find_method("stranger").family == "own"
     bad = own.with_name("bad.py")
     bad.write_text("import no_such_module\n", encoding="utf-8")
     with pytest.raises(InputError, match=sentence):
         find_method(name.format(own=own, bad=bad))
 
 
+def test_only_regular_files_of_methods_are_read(tmp_path: Path) -> None:
+    for path in odd_places(tmp_path / "own.py"):
+        if path.suffix == ".py":
+            assert "is no regular file" in refused(partial(find_method, f"{path}:make"), path)
+
+
 def test_a_method_that_fails_is_named_with_its_line(own: Path) -> None:
     with pytest.raises(InputError, match=r"ZeroDivisionError: division by zero \(.*own.py, line 17\)"):
         judge_in_subprocess(f"{own}:broken", class_task(RECIPE, 150, 100))
-
-
-def test_flat_unless_the_estimator_says_otherwise() -> None:
-    X = TRAIN.X
-    assert model_input(make_pipeline(StandardScaler(), RidgeClassifier()), X).shape == (150, 100)
-    assert model_input(make_pipeline(ThreeAxes()), X).shape == X.shape
-    model = ThreeAxes().fit(X, TRAIN.class_name)
-    shares = model_probabilities(model, X)
-    assert shares.shape == (150, 5)
-    assert (shares[:, 1] == 1.0).all()
-    assert shares.sum() == 150.0
 
 
 def _module(n_channels: int, n_samples: int, n_classes: int) -> nn.Module:
@@ -156,6 +129,10 @@ def test_a_torch_module_learns_the_same_from_the_same_seed() -> None:
     assert np.abs(first - other).max() > 1e-3
     assert models[0].score(TRAIN.X, TRAIN.class_name) > 0.5
     assert model_input(models[0], TRAIN.X).ndim == 3
+    decides = make_pipeline(StandardScaler(), RidgeClassifier()).fit(TRAIN.X[:, 0], TRAIN.class_name)
+    assert model_input(decides, TRAIN.X).shape == (150, 100)
+    shares = model_probabilities(decides, TRAIN.X)
+    np.testing.assert_array_equal(shares, decides.predict(TRAIN.X[:, 0])[:, None] == decides.classes_)
 
 
 @pytest.mark.parametrize(
@@ -183,10 +160,7 @@ def test_an_untrusted_step_is_refused_before_the_training(
     own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data, model = tmp_path / "data", tmp_path / "own.model"
-    from motor_datasets.cli import main as datasets
-
-    command = ["generate", "bench", "--cases", "200", "--seed", "1", "--sampling-rate-hz", "1000"]
-    assert datasets([*command, "--out", str(data)]) == 0
+    generate_dataset(RECIPE, 200, 1, data)
     assert main(["train", str(data), "--method", f"{own}:neighbours", "--out", str(model)]) == 2
     error = capsys.readouterr().err
     assert "a model with a KNeighborsClassifier cannot be saved: a file may hold FeatureUnion," in error
@@ -197,3 +171,21 @@ def test_an_untrusted_step_is_refused_before_the_training(
     assert main(["predict", str(data), "--split", "test", "--model", str(model)]) == 1
     with pytest.raises(ValueError, match="n_jobs=None"):
         check_saveable(FeatureUnion([("components", PCA(2))], n_jobs=2))
+
+
+def test_the_example_takes_public_names_alone() -> None:
+    nodes = ast.walk(ast.parse(EXAMPLE.read_text(encoding="utf-8")))
+    ours = [n for n in nodes if isinstance(n, ast.ImportFrom) and (n.module or "").startswith("motor_")]
+    assert {node.module for node in ours} == {"motor_classifiers", "motor_env"}
+    for node in ours:
+        public = importlib.import_module(str(node.module)).__all__
+        assert {alias.name for alias in node.names} <= set(public)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_the_example_runs_from_the_method_to_the_score(tmp_path: Path) -> None:
+    command = [sys.executable, str(EXAMPLE), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=580)
+    assert "own_method.py:small_network" in done.stdout
+    assert "points more than the best possible" in done.stdout

@@ -10,10 +10,9 @@ import pytest
 
 CODE = """
 import hashlib, sys, torch
-from motor_env import load_recipe
+from motor_env import Timing, load_recipe
 from motor_classifiers.scoring.judging import judge
 from motor_classifiers.scoring.task import class_task
-from motor_env.simulation.simulate import Timing
 torch.set_num_threads(int(sys.argv[1]))
 cell = class_task(load_recipe("bench", timing=Timing(1_000.0, 0.1)), 120, 60)
 def digest(values):
@@ -24,16 +23,10 @@ for name in sys.argv[2:]:
     print(name, digest(answer.decided), digest(answer.probabilities))
 """
 QUICK = (
-    "threshold",
-    "rules",
-    "physical-logistic",
-    "physical-boosting",
-    "physical-forest",
-    "raw-logistic",
-    "network",
-)
+    "threshold", "rules", "physical-logistic", "physical-boosting", "physical-forest", "raw-logistic", "network",
+)  # fmt: skip
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-BEFORE_AVX = {
+BEFORE_AVX = {  # has the libraries compute as on a processor of 2005
     "ATEN_CPU_CAPABILITY": "default",
     "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR"
     " X86_V3 X86_V4",  # what one version of NumPy does not know, it ignores
@@ -41,19 +34,13 @@ BEFORE_AVX = {
     "NUMBA_CPU_NAME": "generic",
     "OPENBLAS_CORETYPE": "Prescott",
 }
-"""Has the libraries compute as on a processor of 2005."""
 
 
 def answers(threads: int, methods: tuple[str, ...], processor: Mapping[str, str] = {}) -> list[list[str]]:
     """Digests: of the starts of training and test, then of each method's decisions and probabilities."""
-    done = subprocess.run(
-        [sys.executable, "-c", CODE, str(threads), *methods],
-        env={**os.environ, **dict.fromkeys(THREADS, str(threads)), **processor},
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=280,
-    )
+    command = [sys.executable, "-c", CODE, str(threads), *methods]
+    environment = {**os.environ, **dict.fromkeys(THREADS, str(threads)), **processor}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=280)
     lines = [line.split() for line in done.stdout.splitlines()]
     assert [line[0] for line in lines] == ["starts", *methods]
     return lines
