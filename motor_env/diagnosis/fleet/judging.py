@@ -140,8 +140,7 @@ class FleetUnit:
         if kind is None or not far:
             return reason
         moved = identifiable.visible_direction(kind, identifiable.matrix(tuple(far)))
-        alone = _ALONE.sub("", reason)
-        return f"mostly, {alone}" if alone != reason and not moved.all() else reason
+        return reason if moved.all() else f"mostly, {_ALONE.sub('', reason)}"
 
     @property
     def shown(self) -> str:
