@@ -11,8 +11,6 @@ numbers in another dress (read-only, big-endian, a list), which must give the sa
         assert row.defects() == []
 """
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import math

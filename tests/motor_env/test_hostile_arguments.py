@@ -263,6 +263,7 @@ OF_RULES = [
         lambda **v: shown(motor_env.plot_rules(rules=RULES, **v)),
         time_s=START.time_s,
         whitened=Good(WHITE, "missing", "one short"),
+        onset_s=Good(0.02, "None"),
     ),
     *rows(
         "plot_bank",
