@@ -102,7 +102,7 @@ def test_the_picture_of_the_readme_is_that_of_today(tmp_path: Path) -> None:
 
 def test_tables_come_from_their_files() -> None:
     for path, text in (result_tables.pages() | {leaderboard.PAGE: leaderboard.whole_page()}).items():
-        assert path.read_text(encoding="utf-8") == text, path.name
+        assert path.read_text(encoding="utf-8") == text, f"`python benchmarks/result_tables.py`: {path.name}"
     behind = leaderboard.kept_scores()["bench/rules"]["above_limit"]
     assert f"On 5,000 other motors it is {behind:.2f} points behind" in result_tables.README.read_text(
         "utf-8"

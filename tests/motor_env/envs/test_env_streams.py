@@ -1,8 +1,7 @@
 """What every registered environment gives must never move by a bit, nor what textbook policies gain in some of them.
 
-The policies' scores stand in tables, and their thresholds were tuned to them.
-`PYTHONPATH=benchmarks python tests/motor_env/envs/test_env_streams.py` writes the file anew after a change that is
-wanted. That what does not move is right hold the reference step and the tests of each family.
+The policies' scores stand in tables, and their thresholds were tuned to them. `WRITTEN_BY` writes the file after a
+change that is wanted. That what does not move is right hold the reference step and the tests of each family.
 """
 
 import hashlib
@@ -38,6 +37,7 @@ from motor_env.envs import (
 )
 from motor_env.envs.policies.posterior_policies import Bursts, OpenLoop
 
+WRITTEN_BY = "PYTHONPATH=benchmarks python tests/motor_env/envs/test_env_streams.py"
 KEPT = Path(__file__).with_name("env_streams.json")
 TABLE: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8"))
 IDS = tuple(name for name in gym.registry if name.startswith("motor_env/"))
@@ -100,14 +100,14 @@ POLICIES: dict[str, Callable[[], tuple[Any, Any]]] = {
 
 
 def test_every_registered_id_is_kept() -> None:
-    assert TABLE.keys() == {*IDS, "policies"}
+    assert TABLE.keys() == {*IDS, "policies"}, f"`{WRITTEN_BY}` writes {KEPT.name}"
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="other processors round otherwise")
 @pytest.mark.parametrize("name", IDS)
 def test_a_version_is_the_same_to_the_bit(name: str) -> None:
     """What changes this needs a new version of the id: see docs/environments.md."""
-    assert digest(name) == TABLE[name]
+    assert digest(name) == TABLE.get(name, f"`{WRITTEN_BY}` writes it")
 
 
 @pytest.mark.parametrize("name", POLICIES)
@@ -115,22 +115,19 @@ def test_policies_gain_what_was_kept(name: str) -> None:
     np.testing.assert_allclose(parts_of(*POLICIES[name](), 4), TABLE["policies"][name], rtol=1e-4, atol=1e-4)
 
 
-if __name__ == "__main__":
-    table: dict[str, Any] = {name: digest(name) for name in IDS}
-    table["policies"] = {name: np.round(parts_of(*made(), 4), 6).tolist() for name, made in POLICIES.items()}
-    KEPT.write_text("{\n" + ",\n".join(f'"{key}": {json.dumps(one)}' for key, one in table.items()) + "\n}\n")
-
-
 NAMES = [name.removeprefix("motor_env/") for name in gym.registry if name.startswith("motor_env/")]
 
 
 def test_every_id_has_policies_of_its_own() -> None:
-    assert sorted(REFERENCES) == sorted(NAMES)
+    assert sorted(REFERENCES) == sorted(NAMES), (
+        "benchmarks/reference_policies.py names the policies of each id"
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_thresholds_are_the_best_policys_mean_less_its_error(name: str) -> None:
     found = reference_scores.kept(name)
+    assert "best" in found, f"`python benchmarks/reference_scores.py --only {name}` measures it"
     best, threshold = found["best"], gym.spec(f"motor_env/{name}").reward_threshold
     assert threshold == reference_scores.threshold(best)
     assert (
@@ -139,3 +136,9 @@ def test_thresholds_are_the_best_policys_mean_less_its_error(name: str) -> None:
     assert found["trivial"]["return"] < found["textbook"]["return"] < best["return"] + 0.02
     if "bound" in found:
         assert best["return"] < found["bound"]["return"] + 2.0 * best["standard_error"]
+
+
+if __name__ == "__main__":
+    table: dict[str, Any] = {name: digest(name) for name in IDS}
+    table["policies"] = {name: np.round(parts_of(*made(), 4), 6).tolist() for name, made in POLICIES.items()}
+    KEPT.write_text("{\n" + ",\n".join(f'"{key}": {json.dumps(one)}' for key, one in table.items()) + "\n}\n")
