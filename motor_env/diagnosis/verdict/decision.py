@@ -400,9 +400,12 @@ def _check_noise(healthy: Judgement, fit: Fitted, reference: Reference, limit: f
     if reference.log_noise is None or not isinstance(fit, StartFit):
         return healthy
     # Coarse steps, a rectifier and a dead zone change the measured noise. Healthy starts were recorded with the
-    # same sensor, so they remain comparable.
-    is_coarse = fit.start.alignment.quantum_a > math.exp(reference.log_noise)
-    if (is_coarse or fit.is_hidden) and not reference.includes_fit_error:
+    # same sensor, so they remain comparable, but perhaps in a finer range: steps alone add up to a quarter of their
+    # square to the variance, where the last bit toggles.
+    quantum, usual = fit.start.alignment.quantum_a, math.exp(reference.log_noise)
+    if (quantum > usual or fit.is_hidden) and not reference.includes_fit_error:
+        return healthy
+    if fit.noise_a**2 - usual**2 <= 0.25 * quantum**2:
         return healthy
     z = (math.log(max(fit.noise_a, 1e-12)) - reference.log_noise) / reference.log_noise_sd
     if z <= limit:

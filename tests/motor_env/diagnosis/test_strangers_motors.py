@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from captures import started
 from judged_by_hand import SHEET, moved, start
 from scipy.signal import lfilter
 
@@ -47,6 +48,17 @@ def test_a_few_outliers_in_a_row_are_no_readings(run: int, are_outliers: bool) -
     recording = start()
     recording.current_a[320 : 320 + run] *= 10.0
     assert (diagnose(recording, SHEET).verdict is Verdict.HEALTHY) is are_outliers
+
+
+def in_steps(recording: Recording, step_a: float) -> Recording:
+    return replace(recording, current_a=step_a * np.round(recording.current_a / step_a))
+
+
+def test_coarser_steps_than_those_of_the_healthy_starts_are_no_noise_fault() -> None:
+    learned = commission([in_steps(started(np.random.default_rng(seed)), 0.01) for seed in range(5)]).motor
+    for step_a in (0.1, 0.3):
+        found = diagnose(in_steps(started(np.random.default_rng(9)), step_a), learned)
+        assert found.verdict in (Verdict.HEALTHY, Verdict.UNUSABLE)
 
 
 def log(seconds: float = 4.0, tau_s: float = math.inf) -> Recording:
