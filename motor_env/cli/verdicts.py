@@ -46,7 +46,7 @@ def watch(
     judged, or there was none.
 
     Args:
-        motor: Motor file that `commission` wrote from logs, or that --learn writes.
+        motor: Motor file: for a log one that `commission` wrote from logs, or that --learn writes; for a folder any.
         source: A file, a folder of recordings, serial:/dev/ttyACM0, mqtt://host/topic; standard input without it.
         false_alarms_per_year: How many false alarms a year you accept of a healthy motor that always runs.
         state: File for the state of the watch, so that a new start continues after the last judged window.
