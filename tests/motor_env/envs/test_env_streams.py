@@ -106,7 +106,7 @@ def test_every_registered_id_is_kept() -> None:
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="other processors round otherwise")
 @pytest.mark.parametrize("name", IDS)
 def test_a_version_is_the_same_to_the_bit(name: str) -> None:
-    """What changes this needs a new version of the id: see docs/environments.md."""
+    """What changes this needs a new version of the id: see docs/citing.md."""
     assert digest(name) == TABLE.get(name, f"`{WRITTEN_BY}` writes it")
 
 
@@ -129,7 +129,7 @@ def test_thresholds_are_the_best_policys_mean_less_its_error(name: str) -> None:
     found = reference_scores.kept(name)
     assert "best" in found, f"`python benchmarks/reference_scores.py --only {name}` measures it"
     best, threshold = found["best"], gym.spec(f"motor_env/{name}").reward_threshold
-    assert threshold == reference_scores.threshold(best)
+    assert threshold == reference_scores.threshold(best), "reward_threshold in motor_env/__init__.py"
     assert (
         best["return"] - best["standard_error"] - 0.001 < threshold <= best["return"] - best["standard_error"]
     )
