@@ -123,7 +123,7 @@ def test_lengths_of_what_is_seen() -> None:
 def test_the_first_samples_are_those_of_each_channel() -> None:
     both = replace(BENCH, sensor=replace(BENCH.sensor, channels=(Channel.CURRENT, Channel.SPEED)))
     train = generate_arrays(both, 0, 200)
-    pipeline = make_pipeline(ResidualProjection(both, 4), LogisticRegression())
+    pipeline = make_pipeline(ResidualProjection(both, 4), QuadraticDiscriminantAnalysis())
     model = EarlyClassifier(pipeline, samples=(30, 100)).fit(train.X, train.class_name)
     blind, late = (np.where(np.arange(100) < end, train.X, 0.0) for end in (30, 29))
     seen = [model.probabilities_by_samples(X)[0] for X in (train.X, blind, late)]
