@@ -10,13 +10,10 @@ import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import fsspec
-import joblib
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -25,7 +22,7 @@ from fsspec.registry import known_implementations
 from small_sets import SHARD_BYTES, SHORT, SMALL_SHARDS, Stopped, assert_goes_on, files_of, interrupted
 from upath import UPath
 
-from motor_datasets import folder, generate, generate_dataset, load
+from motor_datasets import generate, generate_dataset, load
 from motor_datasets.cli import main
 from motor_env import InputError
 
@@ -128,25 +125,6 @@ def test_workers_end_with_their_parent(tmp_path: Path, number: signal.Signals) -
         assert list((tmp_path / "set").rglob(".*.partial")) == []
 
 
-@pytest.mark.parametrize(("asked", "used"), [([], 5), (["--workers", "3"], 3)])
-def test_all_of_a_cluster_write_unless_a_number_is_asked_for(
-    asked: list[str], used: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    counts = []
-
-    def generated(*_: Any, workers: int, **__: Any) -> SimpleNamespace:
-        counts.append(workers)
-        return SimpleNamespace(bytes=0)
-
-    cluster = SimpleNamespace(nthreads=lambda: {"one": 4, "other": 1})
-    monkeypatch.setattr(distributed, "Client", lambda address: nullcontext(cluster))
-    monkeypatch.setattr(joblib, "parallel_config", lambda **_: nullcontext())
-    monkeypatch.setattr(folder, "generate_dataset", generated)
-    assert main([*OPTIONS, "--out", str(tmp_path / "set"), "--scheduler", "tcp://a:1", *asked]) == 0
-    assert counts == [used]
-
-
 def objects_of(url: str) -> dict[str, bytes]:
     memory, root = fsspec.core.url_to_fs(url)
     return {path.removeprefix(f"{root}/"): memory.cat_file(path) for path in memory.find(root)}
@@ -215,10 +193,8 @@ def test_every_command_takes_a_url(tmp_path: Path, url: str, capsys: pytest.Capt
     assert main(["export", url, str(tmp_path / "a.npz")]) == 0
     with np.load(tmp_path / "a.npz", allow_pickle=False) as archive:
         assert np.array_equal(archive["X"], load(here).X)
-    for place in (there.as_uri(), url):
-        capsys.readouterr()
-        assert main([*OPTIONS, "--out", place]) == 2
-        assert "not overwritten" in capsys.readouterr().err
+    assert main([*OPTIONS, "--out", url]) == 2
+    assert "not overwritten" in capsys.readouterr().err
     assert objects_of(url) == before
 
 
@@ -244,20 +220,29 @@ def deny(*_: Any) -> bool:
     raise Stopped("no credentials")
 
 
+HERE = "--seed 1 --out {here}"
+
+
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ([*OPTIONS, "--out", "nowhere://a/b"], "nowhere"),
-        ([*OPTIONS, "--out", "nodriver://a/b"], "Install no_such_package"),
-        ([*OPTIONS, "--out", "{url}", "--workers", "2"], "workers must be 1"),
-        (["verify", "{url}"], "is no data set"),
-        ([*OPTIONS, "--out", "{url}"], "cannot be reached: no credentials"),
+        (f"generate nope --cases 3 {HERE}", "recipe must be one of"),
+        (f"generate bench --cases 0 {HERE}", "cases must be >= 1"),
+        (f"generate bench --cases 3 --channels current,torque {HERE}", "torque"),
+        (f"generate bench --cases 3 --sampling-rate-hz -1 {HERE}", "sampling_rate_hz must be"),
+        (f"generate bench --cases 3 --motor none.toml {HERE}", "none.toml"),
+        ("generate bench --cases 3 --seed 1 --out nowhere://a/b", "nowhere"),
+        ("generate bench --cases 3 --seed 1 --out nodriver://a/b", "Install no_such_package"),
+        ("generate bench --cases 3 --seed 1 --out {url} --workers 2", "workers must be 1"),
+        ("verify {url}", "is no data set"),
+        ("generate bench --cases 3 --seed 1 --out {url}", "cannot be reached: no credentials"),
     ],
 )
-def test_a_url_that_cannot_be_used_is_one_sentence(
-    command: list[str],
+def test_wrong_use_is_one_sentence_and_leaves_nothing(
+    command: str,
     words: str,
     url: str,
+    tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -265,10 +250,11 @@ def test_a_url_that_cannot_be_used_is_one_sentence(
     monkeypatch.setitem(known_implementations, "nodriver", driver)
     if "credentials" in words:
         monkeypatch.setattr(type(fsspec.filesystem("memory")), "exists", deny)
-    assert main([word.format(url=url) for word in command]) == 2
+    assert main(command.format(url=url, here=tmp_path / "set").split()) == 2
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_local_folders_need_no_fsspec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

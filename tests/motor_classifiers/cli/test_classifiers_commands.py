@@ -1,4 +1,4 @@
-"""What the commands print and pass on: signs, percentages, exit statuses, and which methods are run."""
+"""What the commands print, pass on and refuse: signs, percentages, exit statuses, and which methods are run."""
 
 import json
 from pathlib import Path
@@ -6,10 +6,11 @@ from typing import Any
 
 import pytest
 from made_results import RECIPE, TASK, answer, decisions, made_results
+from saved_models import content
 
 from motor_classifiers import METHODS, Prediction
 from motor_classifiers.cli.main import main
-from motor_classifiers.cli.sweep import numbers, plan_lines, require_writable, table_lines, whole_numbers
+from motor_classifiers.cli.sweep import numbers, plan_lines, table_lines, whole_numbers
 from motor_classifiers.cli.training import noise_factors
 from motor_classifiers.estimators.methods import AT_WORK
 from motor_classifiers.prediction import prediction_lines
@@ -52,11 +53,8 @@ def test_the_table_tells_how_far_below_the_limit() -> None:
     assert [row[:14].strip() for row in rows] == ["Bayes limit", "network", "threshold"]
     limit, best, worst = (row[len("Bayes limit") :].replace("..", " ").split() for row in rows)
     assert (limit[0], limit[3], limit[-2:]) == ("0.8333", "0.0000", ["100.0", "30"])
-    assert (best[0], best[3], best[-1]) == (
-        "0.9333",
-        "-0.1000",
-        "50.0",
-    )  # above it: below by less than nothing
+    # Above it: below by less than nothing.
+    assert (best[0], best[3], best[-1]) == ("0.9333", "-0.1000", "50.0")
     assert (worst[0], worst[3]) == ("0.7333", "0.1000")
     of = result.methods[0].scores
     expected = (of.accuracy.low, of.accuracy.high, of.winding.value, of.bearing.value, of.level.value)
@@ -119,40 +117,6 @@ def test_opinions_on_a_data_set_are_counted() -> None:
     assert prediction_lines(Path("set"), many, None) == ["set: 5 cases: 3 healthy, 2 bearing"]
 
 
-SCORED = {
-    "task": "bench", "version": "2.0", "n_test": 80, "metric": "error rate, %", "value": 12.345, "low": 10.0,
-    "high": 15.0,
-}  # fmt: skip
-ABOVE = {"above_limit": 7.345, "above_limit_low": -1.25, "above_limit_high": 9.5}
-
-
-@pytest.mark.parametrize(
-    ("more", "lines"),
-    [
-        (
-            {"limit": 5.0} | ABOVE,
-            ["  the best possible on the same cases: 5.00", "  above it by 7.34 (-1.25 to 9.50, paired)"],
-        ),
-        ({"bracket": [16.29, 16.97]}, ["  the best possible on average: between 16.29 and 16.97"]),
-        ({}, ["  the best possible is not known"]),
-    ],
-)
-def test_a_score_in_words(
-    more: dict[str, Any],
-    lines: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    tasks = "motor_classifiers.scoring.frozen_tasks"
-    monkeypatch.setattr(f"{tasks}.read_answers", lambda path, task: None)
-    monkeypatch.setattr(f"{tasks}.score_answers", lambda task, said: SCORED | more)
-    assert main(["score", "bench", "answers.csv"]) == 0
-    head = ["task bench 2.0, 80 cases", f"  error rate, %: {12.345:.2f} (10.00 to 15.00)"]
-    assert capsys.readouterr().out.splitlines() == [*head, *lines]
-    assert main(["score", "bench", "answers.csv", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == SCORED | more
-
-
 def test_options_with_several_numbers() -> None:
     assert [numbers("x", text) for text in (None, "1,2.5")] == [(), (1.0, 2.5)]
     assert whole_numbers("x", "3,1e3") == [3, 1000]
@@ -167,9 +131,42 @@ def test_options_with_several_numbers() -> None:
         noise_factors("1,2,3", for_motor=True)
 
 
-def test_a_folder_must_be_writable(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="is a file, not a folder"):
-        require_writable(tmp_path / "file")
-    require_writable(tmp_path / "new")
-    assert list(tmp_path.rglob(".*")) == []
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("benchmark --methods none", "none"),
+        ("benchmark --recipe none", "none"),
+        ("benchmark --n-train 3", "must be >= 50, got 3"),
+        ("benchmark --n-train 300,300", "must not name a value twice"),
+        ("benchmark --sampling-rate-hz fast", "fast"),
+        ("benchmark --peers none.npz", "none.npz"),
+        ("predict none.csv --model none", "none"),
+        ("train none --out x", "none"),
+        ("train --out x", "give one of a data set, --motor and --recipe"),
+        ("train --motor paper --out x", "gives no nominal_voltage_v; say --voltage"),
+        ("train --motor none.toml --out x", "no such motor file"),
+        ("train --recipe bench --noise-range 2,1 --out x", "noise_range must be 0 < low < high"),
+        ("train --recipe bench-full --noise-range 1,2 --out x", "they look the same"),
+        ("train --recipe bench --method residual-qda --out x", "learns from a data set"),
+        ("train --recipe bench --current-noise-a -1 --out x", "current_noise_a must be"),
+        ("export qda.model -o a.onnx", "only a posterior-network becomes an ONNX graph"),
+        ("export none.model -o a.onnx", "no such file"),
+        ("export -o there.onnx", "exists already"),
+    ],
+)
+def test_wrong_use_is_one_sentence(
+    command: str,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "qda.model").write_bytes(content("residual-qda"))
+    (tmp_path / "there.onnx").touch()
+    capsys.readouterr()  # that something was compiled
+    assert main(command.split()) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} == {"qda.model", "there.onnx"}

@@ -8,7 +8,6 @@ import onnx
 import onnxruntime
 import pytest
 import torch
-from saved_models import content
 
 from motor_classifiers import PosteriorNetwork, load_model, save_model
 from motor_classifiers.cli.main import main
@@ -55,28 +54,6 @@ def test_training_for_a_motor_is_one_command_and_repeats_itself(
     assert model.classes_.tolist() == ["bearing", "healthy", "winding_contact", "winding_short"]
     assert model.noise_range == (0.15, 5.0)
     assert recipe.timing.duration_s == 0.01
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ("", "give one of a data set, --motor and --recipe"),
-        ("--motor paper", "gives no nominal_voltage_v; say --voltage"),
-        ("--motor none.toml", "no such motor file"),
-        ("--recipe bench --noise-range 2,1", "noise_range must be 0 < low < high"),
-        ("--recipe bench-full --noise-range 1,2", "they look the same"),
-        ("--recipe bench --method residual-qda", "learns from a data set"),
-        ("--recipe bench --current-noise-a -1", "current_noise_a must be"),
-    ],
-)
-def test_wrong_training_is_one_sentence(
-    arguments: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["train", *arguments.split(), "--out", str(tmp_path / "model")]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
 
 
 def test_recipe_of_a_data_sheet() -> None:
@@ -136,25 +113,3 @@ def test_a_network_that_looks_at_the_noise(tmp_path: Path) -> None:
     )
     np.testing.assert_allclose(probabilities, model.predict_proba(X), rtol=0.0, atol=1e-5)
     np.testing.assert_allclose(severity[:, 3], model.predict_severity(X, "noise").mean, rtol=0.0, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("model", "words"),
-    [
-        ("qda.model", "only a posterior-network becomes an ONNX graph"),
-        ("none.model", "no such file"),
-        ("", "exists already"),
-    ],
-)
-def test_what_cannot_be_exported_is_one_sentence(
-    model: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "qda.model").write_bytes(content("residual-qda"))
-    (tmp_path / "there.onnx").touch()
-    capsys.readouterr()  # that something was compiled
-    out = ["-o", str(tmp_path / ("a.onnx" if model else "there.onnx"))]
-    assert main(["export", *([str(tmp_path / model)] if model else []), *out]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
-    assert {path.name for path in tmp_path.iterdir()} == {"qda.model", "there.onnx"}

@@ -220,44 +220,6 @@ def test_a_terminated_run_does_not_wait_for_its_method(tmp_path: Path, after_s: 
     assert "Traceback" not in said
 
 
-def test_the_limit_of_the_field_is_called_an_estimate(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The estimate itself is made elsewhere; here a quick method stands for it."""
-    monkeypatch.setattr(benchmark_module, "judge_in_subprocess", lambda _, cell: judge("residual-qda", cell))
-    field = class_task(load_recipe("field", timing=Timing(1_000.0, 0.1, 0.02)), 200, 100)
-    plan = Plan((field,), ("residual-qda",))
-    results = run_plan(plan)
-    rows = result_rows(results)
-    assert rows[0]["method"] == "Bayes estimate"
-    assert all(row["bayes_is_estimate"] for row in rows)
-    page = write_results(plan, results, tmp_path).read_text()
-    assert "estimate of the limit" in page
-    assert "Bayes limit on these motors" not in page
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["benchmark", "--methods", "none"],
-        ["benchmark", "--recipe", "none"],
-        ["benchmark", "--n-train", "3"],
-        ["benchmark", "--n-train", "300,300"],
-        ["benchmark", "--sampling-rate-hz", "fast"],
-        ["benchmark", "--peers", "none.npz"],
-        ["train", "none", "--out", "x"],
-        ["predict", "none.csv", "--model", "none"],
-    ],
-)
-def test_wrong_use_is_one_sentence(
-    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
-    assert len(capsys.readouterr().err.strip().splitlines()) == 1
-    assert not list(tmp_path.iterdir())
-
-
 SMALL = class_task(load_recipe("bench", timing=Timing(1_000.0, 0.1)), 100, 60)
 KEPT = Path(__file__).resolve().parents[3] / "benchmarks" / "results" / "peers.npz"
 
@@ -278,18 +240,12 @@ def written(folder: Path) -> Path:
     return folder / "peers.npz"
 
 
-def test_answers_are_scaled_to_probabilities(tmp_path: Path) -> None:
-    got = read_peers(written(tmp_path), SMALL)["quant"]
+def test_peers_are_scaled_to_probabilities_and_stand_in_the_table(tmp_path: Path) -> None:
+    (result,) = run_plan(Plan((SMALL,), (), written(tmp_path)))
+    got, expected = result.methods[0].answer, np.where(np.arange(60) % 2 == 0, 0, 1)
     assert got.probabilities[:2].tolist() == [[0.5, 0.125, 0.125, 0.125, 0.125], [0.0, 1.0, 0.0, 0.0, 0.0]]
     assert got.train == Cost(1.5, None)
     assert list(got.inference) == pytest.approx([0.012, 3.0])
-    assert got.origin == "2026-11-21, one, aeon 1.6.0, test"
-
-
-def test_peers_stand_in_the_table_and_are_no_leak(tmp_path: Path) -> None:
-    (result,) = run_plan(Plan((SMALL,), (), written(tmp_path)))
-    expected = np.where(np.arange(60) % 2 == 0, 0, 1)
-    np.testing.assert_array_equal(result.methods[0].answer.decided, expected)
     assert table_lines(result)[-1] == "quant: kept answers, 2026-11-21, one, aeon 1.6.0, test"
     row = result_rows([result])[1]
     assert (row["method"], row["family"], row["train_memory_mb"]) == ("quant", "peer", None)
