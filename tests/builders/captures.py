@@ -108,13 +108,11 @@ def loaded(load: str, seed: int, motor: MotorParameters = SHEET.parameters) -> R
     return Recording(Path(f"start-{seed}"), time_s, states[:, 0] + 0.01 * rng.standard_normal(len(time_s)))
 
 
-def high_pass(recording: Recording, tau_s: float) -> Recording:
-    """Behind a probe that is coupled by a capacitor, charged before."""
+def high_pass(recording: Recording, tau_s: float, charged_a: float = 0.0) -> Recording:
+    """Behind a probe that is coupled by a capacitor, which this current had charged."""
     kept = tau_s / (tau_s + recording.dt_s)
-    begin = [-kept * recording.current_a[0]]
-    return replace(
-        recording, current_a=lfilter([kept, -kept], [1.0, -kept], recording.current_a, zi=begin)[0]
-    )
+    shown = lfilter([kept, -kept], [1.0, -kept], recording.current_a, zi=[-kept * charged_a])[0]
+    return replace(recording, current_a=shown)
 
 
 def start_behind(friction: float, tau_s: float, seconds: float, seed: int = 3) -> Recording:

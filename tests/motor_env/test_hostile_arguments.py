@@ -302,7 +302,7 @@ SIMULATION = [
         noise_source=Good("process", also=("bogus",)),
     ),
     *rows("Fault", partial(Fault, FaultKind.NOISE, 0.1), growth_s=Good(0.0, also=(1.0,))),
-    *rows("Fault", partial(Fault, "current_dead"), severity=Good(1.0, *SEVERAL, also=(1.1,))),
+    *rows("Fault", partial(Fault, FaultKind("current_dead")), severity=Good(1.0, *SEVERAL, also=(1.1,))),
     Row.of("FaultKind", "name", FaultKind, "bearing", also=("bogus", "")),
     *rows(
         "register_fault_kind",

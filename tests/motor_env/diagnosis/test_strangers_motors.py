@@ -48,9 +48,8 @@ def test_a_few_outliers_in_a_row_are_no_readings(run: int, are_outliers: bool) -
 def test_a_log_tells_a_slow_coupling(tau_s: float) -> None:
     log = at_work(np.random.default_rng(1))
     assert explain_coupling(log) is None
-    assert "the current is AC-coupled: a high pass of about" in (
-        explain_coupling(high_pass(log, tau_s)) or ""
-    )
+    settled = high_pass(log, tau_s, float(log.current_a[0]))
+    assert "the current is AC-coupled: a high pass of about" in (explain_coupling(settled) or "")
 
 
 def test_a_watch_says_that_a_probe_may_be_coupled_where_drag_is_gone() -> None:
