@@ -27,7 +27,7 @@ from motor_env import (
 )
 from motor_env.cli import main
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.fleet.fits import FitCache, InitialFit, Reading, fit_fleet, processes
+from motor_env.diagnosis.fleet.fits import FitCache, InitialFit, Reading, fit_fleet
 from motor_env.diagnosis.fleet.judging import FleetDiagnosis, common_cause, diagnose_fleet
 from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet, unit_ids
 from motor_env.diagnosis.fleet.population import Motors, floor_covariance, learn_population
@@ -309,14 +309,6 @@ def test_kept_fits_of_others_are_refused_and_stay(starts: list[Path], tmp_path: 
         with pytest.raises(InputError, match=words):
             learn_fleet(starts, kept=kept, reading=reading)
         assert kept.read_text() == content
-
-
-@pytest.mark.long
-def test_a_cluster_finds_the_same(starts: list[Path], found: FleetDiagnosis) -> None:
-    distributed = pytest.importorskip("distributed")
-    cluster = distributed.LocalCluster(n_workers=1, dashboard_address=None)
-    with cluster, processes(1, cluster.scheduler_address) as each:
-        assert diagnose_fleet(starts, group=GROUP, each=each).to_json() == found.to_json()
 
 
 def test_motors_of_a_machine_off_alike_are_told_together() -> None:

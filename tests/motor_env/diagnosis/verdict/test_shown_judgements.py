@@ -11,7 +11,7 @@ import pytest
 from judged_by_hand import CURRENT, EXAMPLES, SHEET, fitted, judged, of_one, start
 from present import present
 
-from motor_env import Diagnosis, Fault, FaultKind, Verdict, diagnose, identify
+from motor_env import Diagnosis, Fault, FaultKind, Verdict, commission, diagnose, identify, read_recording
 from motor_env.diagnosis.verdict import report_page, report_text
 from motor_env.diagnosis.verdict.hypotheses import Change
 
@@ -124,6 +124,14 @@ def test_fits_are_shown_with_what_goes_together() -> None:
     correlation = fit.log_covariance / np.outer(sd, sd)
     np.testing.assert_allclose(found.to_json()[0]["correlations"], correlation, rtol=1e-9)
     assert f"L with R {correlation[1, 0]:+.2f}" in repr(found)
+
+
+def test_a_page_of_a_commissioning_has_a_dot_for_each_piece() -> None:
+    example = read_recording(EXAMPLES / "startup_capture.csv")
+    starts = [replace(example, path=Path(f"{n}.csv"), current_a=n * example.current_a) for n in (1.0, 1.1)]
+    html = commission(starts, fewest=2).page()
+    (spread,) = re.findall(r'aria-label="Deviation of each quantity.*?</svg>', html, re.DOTALL)
+    assert (spread.count('class="interval"'), spread.count('class="dot"')) == (4, 8)
 
 
 Answers = tuple[str, str, str]
