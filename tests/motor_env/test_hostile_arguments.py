@@ -42,6 +42,7 @@ from motor_env import (
 
 # Reaches in: a threshold is written by hand.
 from motor_env.detection.rules import Threshold
+from motor_env.motor.faults import BUILT_IN_KINDS
 from motor_env.simulation.recipes import Spread
 
 N = 40
@@ -94,7 +95,9 @@ def statistic(rule: Callable[..., Any]) -> Callable[..., Any]:
 
 OF_WHITE = ("missing", "swapped axes", "one short", "more axes")
 SEVERAL = ("several", "empty", "empty list")
+NO_FAULTS = {*motor_env.Verdict} - {kind.verdict for kind in BUILT_IN_KINDS}
 NO_FILE: tuple[Any, ...] = ([], [1], ["no_such"])
+NO_WORDS = ("", "Fouling", "f-1", "1f", "two words", "fouling\n", "b\u0435aring", "x" * 41, 7, *NO_FAULTS)
 SEED = Good(1, also=(1.5, -1, 2**64))
 DIAGNOSED = {
     "start": Good(1, "None"),
@@ -291,7 +294,7 @@ SIMULATION = [
         kind=Good(FaultKind.MAGNET, also=("bogus",)),
         severity=Good(0.1, *SEVERAL, also=(1.0, -0.1, [0.1, 2.0])),
         onset_s=Good(0.01, "inf", "-inf", "huge"),
-        growth_s=0.01,
+        growth_s=Good(0.01, also=(-1.0,)),
     ),
     *rows(
         "Fault",
@@ -299,15 +302,26 @@ SIMULATION = [
         changes_s=Good(np.array([0.1, 0.2]), "one short", "inf", "huge", *SEVERAL, also=([0.2, 0.1],)),
         noise_source=Good("process", also=("bogus",)),
     ),
+    *rows("Fault", partial(Fault, FaultKind.NOISE, 0.1), growth_s=Good(0.0, also=(1.0,))),
+    *rows("Fault", partial(Fault, FaultKind("current_dead")), severity=Good(1.0, *SEVERAL, also=(1.1,))),
     Row.of("FaultKind", "name", FaultKind, "bearing", also=("bogus", "")),
     *rows(
         "register_fault_kind",
         partial(motor_env.register_fault_kind, finding=BEARING.finding),
-        name=Good("bearing", also=("Upper", "healthy", "")),
-        powers=Good({"friction": 1.0}, also=({}, {"x": 1.0}, {"friction": True}, {"friction": 2.0})),
-        verdict=Good("bearing", "None"),
+        name=Good("bearing", also=NO_WORDS),
+        powers=Good(
+            {"friction": 1.0},
+            also=({}, {"x": 1.0}, *({"friction": power} for power in (True, 2.0, "1.0", np.nan, 0.0, 1j))),
+        ),
+        verdict=Good("bearing", "None", also=NO_WORDS),
     ),
-    *rows("Timing", lambda **v: Timing(**v).n_samples, sampling_rate_hz=1e4, duration_s=0.1, quiet_s=0.1),
+    *rows(
+        "Timing",
+        lambda **v: Timing(**v).n_samples,
+        sampling_rate_hz=Good(1e4, also=(0.0,)),
+        duration_s=Good(0.1, also=(1e-6, 1001.0)),
+        quiet_s=Good(0.1, also=(-0.1,)),
+    ),
     *rows(
         "Scenario",
         parameters=PAPER_MOTOR,

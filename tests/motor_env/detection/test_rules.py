@@ -293,8 +293,6 @@ def test_long_run_lengths_are_exact(rule: Cusum | ShiryaevRoberts | Sprt) -> Non
 
 WANTED = 0.01
 SEED = 2  # of the motors that are tested: not that of the calibration
-LONG = (pytest.mark.long, pytest.mark.timeout(3600))
-"""The tables of docs/rules.md: `pytest -m long -s`."""
 
 
 def assert_likely(p_values: dict[str, float]) -> None:
@@ -302,34 +300,20 @@ def assert_likely(p_values: dict[str, float]) -> None:
     assert min(p_values.values()) > 0.01 / len(p_values), p_values
 
 
-@pytest.mark.parametrize(
-    ("recipe_name", "timing", "tested"),
-    [
-        ("bench", Timing(1_000.0, 0.1), 2_000),
-        *(pytest.param(name, Timing(), 20_000, marks=LONG) for name in ("paper", "bench")),
-    ],
-)
-def test_thresholds_keep_one_per_cent_of_healthy_motors(
-    recipe_name: str, timing: Timing, tested: int
-) -> None:
-    recipe = load_recipe(recipe_name, timing=timing)
-    thresholds = recipe_thresholds(list(RATED.values()), recipe, WANTED, runs=10 * tested)
-    tolerant, counts = TolerantFilter.from_recipe(recipe), dict.fromkeys(RATED, 0)
-    for cases in np.array_split(np.arange(tested), max(1, tested // 500)):
-        white = tolerant.white(healthy_measurements(recipe, SEED, cases))
-        for (name, rule), threshold in zip(RATED.items(), thresholds, strict=True):
-            counts[name] += int((rule.alarm_index(white, threshold) >= 0).sum())
-    print(recipe_name, counts)  # noqa: T201
-    assert_likely({name: binomtest(count, tested, WANTED).pvalue for name, count in counts.items()})
-
-
-@pytest.mark.parametrize(
-    ("arl0", "tested"),
-    [(200.0, 1_000), *(pytest.param(arl0, 20_000, marks=LONG) for arl0 in (1_000.0, 10_000.0))],
-)
-def test_average_run_lengths_are_kept(arl0: float, tested: int) -> None:
-    """The mean run length is as wanted; where theory gives the law, so is the share of alarms within ARL0 samples."""
+def test_thresholds_keep_one_per_cent_of_healthy_motors() -> None:
+    recipe = load_recipe("bench", timing=Timing(1_000.0, 0.1))
+    thresholds = recipe_thresholds(list(RATED.values()), recipe, WANTED, runs=20_000)
+    white = TolerantFilter.from_recipe(recipe).white(healthy_measurements(recipe, SEED, np.arange(2_000)))
     p_values = {}
+    for (name, rule), threshold in zip(RATED.items(), thresholds, strict=True):
+        count = int((rule.alarm_index(white, threshold) >= 0).sum())
+        p_values[name] = binomtest(count, 2_000, WANTED).pvalue
+    assert_likely(p_values)
+
+
+def test_average_run_lengths_are_kept() -> None:
+    """The mean run length is as wanted; where theory gives the law, so is the share of alarms within ARL0 samples."""
+    p_values, arl0, tested = {}, 200.0, 1_000
     for name, rule in RATED.items():
         if name == "SPRT 0.13":
             continue  # it ends once and for all in "healthy" and has no run length
@@ -337,7 +321,6 @@ def test_average_run_lengths_are_kept(arl0: float, tested: int) -> None:
         lengths = run_lengths(rule, threshold, tested, seed=SEED)[:, 0]
         error = lengths.std() / np.sqrt(tested)
         p_values[name] = 2.0 * float(norm.sf(abs(lengths.mean() - arl0) / error))
-        print(f"{name}: {lengths.mean():.1f} +- {error:.1f}")  # noqa: T201
         if name in EXACT:
             expected = EXACT[name].alarm_probability(threshold, int(arl0))
             count = int((lengths <= arl0).sum())

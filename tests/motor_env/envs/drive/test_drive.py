@@ -40,10 +40,6 @@ def drives(count: int, **options: Any) -> DriveVectorEnv:
     return DriveVectorEnv(count, **{**VOLTAGES, **options})
 
 
-def drive_options(**options: Any) -> DriveOptions:
-    return DriveOptions(**{**VOLTAGES, **options})
-
-
 def only(kind: int) -> dict[str, Any]:
     """Episodes of that kind, from the earliest onset on."""
     return {"weights": tuple(float(k == kind) for k in range(3)), "mean_onset_s": 0.0}
@@ -333,8 +329,7 @@ def test_an_error_of_the_speed_costs_so_much_at_most() -> None:
     assert errors[0].max() > 0.03 > errors[1].max()
 
 
-def test_a_picture_changes_nothing_and_a_decision_is_drawn_as_long_as_it_lasts() -> None:
-    """After 80 of 800 periods the curves have filled a tenth of the screen."""
+def test_a_picture_changes_nothing_in_a_drive() -> None:
     options: dict[str, Any] = {"control": "decision", "steps_per_decision": 10}
     shown, plain = (drive(**options, render_mode=mode) for mode in ("rgb_array", None))
     shown.reset(seed=4)
@@ -342,7 +337,4 @@ def test_a_picture_changes_nothing_and_a_decision_is_drawn_as_long_as_it_lasts()
     first = np.asarray(shown.render())
     for _ in range(8):
         np.testing.assert_array_equal(shown.step(0)[0], plain.step(0)[0])
-    drawn = (np.asarray(shown.render()) != first)[40:420].any(
-        axis=(0, 2)
-    )  # without the head, which says the time
-    assert 92 + 43 < np.flatnonzero(drawn).max() < 92 + 63
+    assert not np.array_equal(np.asarray(shown.render())[40:], first[40:])  # the head says the time

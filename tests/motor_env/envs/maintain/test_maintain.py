@@ -16,11 +16,9 @@ from motor_env.envs import (
     MaintainVectorEnv,
     PlannedUpkeep,
     ThresholdReplacement,
-    rendering,
     returns_of,
 )
 from motor_env.envs.maintain import kernel
-from motor_env.envs.maintain.maintain_env import Logbook
 from motor_env.envs.maintain.options import LEVELS, LOWEST_ESTIMATE, make_tables
 from motor_env.envs.maintain.replacement import _STDS as STDS  # the grid of the plan, filled by hand
 
@@ -156,17 +154,3 @@ def test_a_plan_is_looked_up_between_its_points() -> None:
             assert chosen(worth, value + 1e-4, left, **{name: value}) == kernel.REPLACE
     assert chosen(by_rate, pace[-1] - 1e-4, rate=9.0) == kernel.RUN  # beyond the ends the ends hold
     assert chosen(by_rate, pace[0] + 1e-4, rate=0.0) == kernel.REPLACE
-
-
-def test_the_logbook_stands_where_its_values_are() -> None:
-    book = Logbook(MaintainOptions(days=10))
-    row = np.array([0.6, 0.9, 0.05, 0.04, 1.0, 0.0, 1.0], dtype=np.float32)
-    for day, deed in enumerate((kernel.RUN, kernel.RUN, kernel.INSPECT, kernel.REPLACE, kernel.REPLACE)):
-        book.add(row, deed, severity=0.1, failed=day == 4)
-    severity, until = book.draw()[46:250, 92:620], 528 * 5 // 11  # five of eleven columns of days are filled
-    for name, value in (("bearing", 0.2), ("current", 0.6), ("estimate", 0.9)):
-        line = (severity == rendering.COLOURS[name]).all(axis=2)
-        at = round((1.25 - value) / 1.5 * 203)
-        assert line[at, 30:until].mean() > 0.9
-        assert not line[at, until + 1 :].any()
-        assert not line[[at - 1, at + 1]].any()
