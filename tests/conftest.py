@@ -6,6 +6,7 @@ Whole runs on several processes begin with compiling, each process its share: ot
 import gc
 import hashlib
 import os
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -34,6 +35,29 @@ MANY_TESTS = 500
 
 KEPT = "motor_env/compiled"
 """Place in pytest's cache of what is compiled."""
+
+
+COMPILING: list[float] = []
+"""Seconds, of this process and of the workers that have told it theirs."""
+
+
+def listen() -> None:
+    """From now on add up what compiling takes; a function compiled on the way to another counts once."""
+    from numba.core import event
+
+    class Listener(event.Listener):  # type: ignore[misc]  # numba carries no types
+        def __init__(self) -> None:
+            self.begins: list[float] = []
+
+        def on_start(self, event: event.Event) -> None:
+            self.begins.append(time.perf_counter())
+
+        def on_end(self, event: event.Event) -> None:
+            begin = self.begins.pop()
+            if not self.begins:
+                COMPILING.append(time.perf_counter() - begin)
+
+    event.register("numba:compile", Listener())
 
 
 @pytest.hookimpl(wrapper=True)
@@ -78,6 +102,7 @@ def version() -> dict[str, Any]:
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist waits until each process has told it its tests
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Compile before the first test, where that has not been done in an earlier run."""
+    listen()
     if not hasattr(session.config, "workerinput") or len(session.items) < MANY_TESTS:
         return
     kept, now = session.config.cache.get(KEPT, {}), version()
@@ -86,8 +111,20 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
-    """A worker writes down that all is compiled, unless something ended it before."""
-    is_whole = exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
-    is_worker = hasattr(session.config, "workeroutput")
-    if is_worker and is_whole and len(session.items) >= MANY_TESTS and (now := version())["files"]:
-        session.config.cache.set(KEPT, now)
+    """A worker tells what it has spent, and writes down that all is compiled, unless something ended it before."""
+    if (output := getattr(session.config, "workeroutput", None)) is not None:
+        output["compiling_s"] = sum(COMPILING)
+        is_whole = exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
+        if is_whole and len(session.items) >= MANY_TESTS and (now := version())["files"]:
+            session.config.cache.set(KEPT, now)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """A worker of pytest-xdist has ended."""
+    COMPILING.append(getattr(node, "workeroutput", {}).get("compiling_s", 0.0))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """How long the processes have compiled, those aside that tests started."""
+    terminalreporter.write_line(f"compiling took {sum(COMPILING):.1f} s, the processes of the tests together")

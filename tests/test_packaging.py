@@ -5,6 +5,7 @@ import email.message
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -12,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from motor_env import InputError, cli
+from motor_datasets import generate_arrays, to_torch, to_torch_iterable
+from motor_env import InputError, cli, load_recipe
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("motor_env", "motor_datasets", "motor_classifiers")
@@ -41,14 +43,26 @@ def run_python(code: str, *arguments: str, cwd: Path, path: str = "") -> str:
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder, target = tmp_path_factory.mktemp("wheel"), tmp_path_factory.mktemp("installed")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
     subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
     (built,) = folder.glob("*.whl")
-    with zipfile.ZipFile(built) as archive:
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("installed")
+    with zipfile.ZipFile(wheel) as archive:
         archive.extractall(target)
     return target
+
+
+@pytest.fixture(scope="module")
+def metadata(installed: Path) -> email.message.Message:
+    (path,) = installed.glob("*.dist-info/METADATA")
+    return email.message_from_bytes(path.read_bytes())
 
 
 def test_wheel_holds_the_three_packages_and_nothing_beside_them(installed: Path) -> None:
@@ -65,6 +79,14 @@ def test_wheel_holds_the_three_packages_and_nothing_beside_them(installed: Path)
     assert "motor-classifiers = motor_classifiers.cli.main:main" in scripts
 
 
+def test_description_for_the_package_index_has_no_link_into_the_repository(
+    metadata: email.message.Message,
+) -> None:
+    description = str(metadata.get_payload())
+    assert "Is this DC motor failing" in description
+    assert re.findall(r"\]\((?!https?:)[^)]*\)", description) == []
+
+
 def test_packages_import_from_the_wheel_beside_hugging_face_datasets(installed: Path, tmp_path: Path) -> None:
     answer = json.loads(run_python(BESIDE_HUGGING_FACE, *PACKAGES, cwd=tmp_path, path=str(installed)))
     assert [Path(file).parent for file in answer["files"]] == [installed / package for package in PACKAGES]
@@ -72,9 +94,16 @@ def test_packages_import_from_the_wheel_beside_hugging_face_datasets(installed: 
     assert answer["is_theirs"]
 
 
-def test_core_asks_for_no_learning_library(installed: Path) -> None:
-    (path,) = installed.glob("*.dist-info/METADATA")
-    requirements: list[str] = email.message_from_bytes(path.read_bytes()).get_all("Requires-Dist", [])
+def test_folders_around_the_packages_are_no_packages(tmp_path: Path) -> None:
+    """Our folder `datasets` hides theirs from nobody who works in the root of the repository."""
+    for folder in ("datasets", "classifiers", "tests"):
+        assert not (ROOT / folder / "__init__.py").exists()
+    code = "import os, sys; os.chdir(sys.argv[1]); import datasets; print(hasattr(datasets, 'load_dataset'))"
+    assert run_python(code, str(ROOT), cwd=tmp_path, path=str(ROOT)).strip() == "True"
+
+
+def test_core_asks_for_no_learning_library(metadata: email.message.Message) -> None:
+    requirements: list[str] = metadata.get_all("Requires-Dist", [])
     core = [requirement.lower() for requirement in requirements if "extra ==" not in requirement]
     assert core
     assert not [requirement for requirement in core if requirement.startswith(("torch", "scikit-learn"))]
@@ -103,6 +132,16 @@ def test_missing_extra_is_named(
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(InputError, match=rf"^this needs {library}, .* pip install 'motor-env\[{extra}\]'$"):
         getattr(module, name)
+
+
+def test_missing_torch_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = load_recipe("bench")
+    starts = generate_arrays(recipe, 1, range(2))
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(InputError, match="pip install"):
+        to_torch(starts)
+    with pytest.raises(InputError, match="pip install"):
+        to_torch_iterable(recipe, 1)
 
 
 def test_examples_are_copied_and_nothing_is_overwritten(

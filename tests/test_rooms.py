@@ -34,9 +34,56 @@ SHARED = {
     "motor_env.simulation.recipes": "what a Recipe is made of",
 }
 """Inner modules that tests of every room may import, and why."""
+IN_EVERY_FAMILY = {"kernel", "kernels", "options"}
+"""Names that several modules of `motor_env` may have: each family has one."""
 REACHES_IN = "# Reaches in: "
 PAGES = importlib.import_module("api_pages")
 COMPILED = ("njit", "vectorize", "compiled", "inlined")
+
+
+def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """Where each function stands, and its syntax."""
+    for file in MODULES:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield f"{file.relative_to(ROOT)}:{node.lineno} {node.name}", node
+
+
+def is_compiled(node: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    """Whether Numba compiles it: its arguments are arrays and numbers, not objects that could carry them."""
+    return any(word in ast.unparse(mark) for mark in node.decorator_list for word in COMPILED)
+
+
+def test_no_folder_is_crowded() -> None:
+    count: dict[Path, int] = defaultdict(int)
+    for file in MODULES:
+        count[file.parent] += not file.stem.startswith("__")
+    assert {str(folder): n for folder, n in count.items() if n > 15} == {}
+    top = [path.name for path in (ROOT / "motor_env").iterdir() if path.is_file()]
+    assert len([name for name in top if name not in ("py.typed", "__init__.pyi")]) <= 8
+
+
+def test_no_module_name_occurs_twice() -> None:
+    places: dict[str, list[str]] = defaultdict(list)
+    for file in MODULES:
+        if file.is_relative_to(PACKAGES[0]) and not file.stem.startswith("__"):
+            places[file.stem].append(str(file.relative_to(ROOT)))
+    twice = {name: files for name, files in places.items() if len(files) > 1}
+    assert {name: files for name, files in twice.items() if name not in IN_EVERY_FAMILY} == {}
+    assert set(twice) == IN_EVERY_FAMILY
+
+
+def test_no_function_takes_more_than_five_positional_arguments() -> None:
+    """Compiled kernels are exempt; the arguments of a constructor are named beyond the first two."""
+    crowded = []
+    for where, node in functions():
+        if is_compiled(node):
+            continue
+        names = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
+        own = [name for name in names if name not in ("self", "cls")]
+        if len(own) > (2 if node.name == "__init__" else 5):
+            crowded.append(where)
+    assert crowded == []
 
 
 def test_no_eight_lines_stand_twice() -> None:
@@ -45,8 +92,7 @@ def test_no_eight_lines_stand_twice() -> None:
     for file in MODULES:
         text, ignored = file.read_text(encoding="utf-8"), set[int]()
         for node in ast.walk(ast.parse(text)):
-            marks = " ".join(map(ast.unparse, getattr(node, "decorator_list", ())))
-            if isinstance(node, ast.FunctionDef) and any(word in marks for word in COMPILED):
+            if isinstance(node, ast.FunctionDef) and is_compiled(node):
                 ignored.update(range(node.lineno, node.body[0].lineno))
             elif isinstance(node, ast.Import | ast.ImportFrom) or (
                 isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
@@ -125,3 +171,7 @@ def test_a_test_that_reaches_into_another_room_says_why() -> None:
         if file != Path(__file__) and bool(inner) != says_why:
             wrong[str(file.relative_to(ROOT))] = sorted(inner)
     assert wrong == {}
+
+
+def test_what_is_shared_is_there() -> None:
+    assert [name for name in SHARED if not is_module(name) and not is_module(f"{name}.__init__")] == []

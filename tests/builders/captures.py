@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 from simulated_captures import DEFECTS, captures
 from started_motor import step_start
 
@@ -80,14 +79,6 @@ def current_alone(
     return Recording(Path(f"start-{seed}"), made.time_s, made.measurements[0, 0])
 
 
-def noisy(n: int = 1000, *, noise: float = 0.02, offset: float = 0.1, sign: float = 1.0) -> Recording:
-    """A start at sample 200, of the current alone."""
-    since = np.maximum(np.arange(n) - 199.0, 0.0)
-    current = 5.0 * (np.exp(-since / 300.0) - np.exp(-since / 3.0)) + 0.05 * (since > 0.0)
-    shown = sign * current + offset + noise * np.random.default_rng(1).standard_normal(n)
-    return Recording(Path("start"), 1e-4 * np.arange(float(n)) - 0.01, shown)
-
-
 def weak(magnet: float) -> MotorParameters:
     return SHEET.parameters.scaled(back_emf_constant_v_s_per_rad=magnet, torque_constant_n_m_per_a=magnet)
 
@@ -106,24 +97,6 @@ def loaded(load: str, seed: int, motor: MotorParameters = SHEET.parameters) -> R
     beyond = {"COULOMB": torque} if load == "constant" else {"SQUARE": torque / speed**2}
     states = step_start(motor, time_s, 3e-5, 12.0 * (1.0 + 0.003 * rng.standard_normal()), **beyond)
     return Recording(Path(f"start-{seed}"), time_s, states[:, 0] + 0.01 * rng.standard_normal(len(time_s)))
-
-
-def high_pass(recording: Recording, tau_s: float, charged_a: float = 0.0) -> Recording:
-    """Behind a probe that is coupled by a capacitor, which this current had charged."""
-    kept = tau_s / (tau_s + recording.dt_s)
-    shown = lfilter([kept, -kept], [1.0, -kept], recording.current_a, zi=[-kept * charged_a])[0]
-    return replace(recording, current_a=shown)
-
-
-def start_behind(friction: float, tau_s: float, seconds: float, seed: int = 3) -> Recording:
-    """A start with a share of the usual friction, seen through such a probe."""
-    motor, dt_s = replace(PAPER_MOTOR, viscous_friction_n_m_s_per_rad=friction * 1.2e-6), 4e-4
-    time_s: FloatArray = dt_s * np.arange(round(seconds / dt_s), dtype=float)
-    voltage_v = np.where(time_s >= 0.02, 12.0, 0.0)
-    shown = Recording(Path(f"start{seed}"), time_s, simulate_states(motor, voltage_v, dt_s)[:, 0], voltage_v)
-    shown = shown if tau_s == math.inf else high_pass(shown, tau_s)
-    noise = 0.01 * np.random.default_rng(seed).standard_normal(len(time_s))
-    return replace(shown, current_a=shown.current_a + noise)
 
 
 def in_a_row(*starts: Recording) -> Recording:

@@ -152,6 +152,7 @@ INSTRUMENTS: dict[str, Callable[[], ForeignFile]] = {
 """After their makers' documented formats."""
 
 OTHERS: dict[str, Callable[[], ForeignFile]] = {
+    "speed last, no unit": lambda: _table({"Time": TIME, "MotorCurrent": CURRENT, "Velo": SPEED}, CURRENT),
     "no current, command and speed": lambda: _table({"t [s]": TIME, "Commanded_PWM": PWM, "Velo": SPEED}),
     "command last, mA": lambda: _table({"t [s]": TIME, "I_motor": 1e3 * CURRENT, "Commanded_PWM": PWM}, CURRENT),
     "decimal commas": lambda: _table(
@@ -161,6 +162,9 @@ OTHERS: dict[str, Callable[[], ForeignFile]] = {
         {"Zeit [s]": TIME, "Strom Soll [A]": np.rint(CURRENT), "Strom Ist [A]": CURRENT}, CURRENT, mark="\t"
     ),
     "voltage twice": lambda: _table({"time_s": TIME, "U [V]": VOLTAGE, "X": 2.0 * VOLTAGE + 1.0}),
+    "one channel": lambda: _table(
+        {"Time [s]": TIME, "Channel 0": VOLTAGE, "Channel 1": CLAMP}, CURRENT, named=("current=Channel 1*10",)
+    ),
     "probe in mV": lambda: _table(
         {"Time [s]": TIME, "U (V)": VOLTAGE, "CH2 (mV)": 1e3 * CLAMP}, CURRENT, named=("current=CH2 (mV)*10",)
     ),
@@ -172,6 +176,11 @@ OTHERS: dict[str, Callable[[], ForeignFile]] = {
         {"t": TIME, "I1 [A]": CURRENT, "U1 [V]": VOLTAGE, "I2 [A]": SECOND, "U2 [V]": SECOND_VOLTAGE},
         CURRENT, SECOND,
     ),
+    "three motors in mA": lambda: _table(
+        {"Time (ms)": 1e3 * TIME, "M1 current (mA)": 1e3 * CURRENT, "M2 current (mA)": 1e3 * SECOND,
+         "M3 current (mA)": 1e3 * CURRENT[::-1], "M1 speed (rpm)": RPM, "M2 speed (rpm)": SECOND_SPEED * 9.549},
+        CURRENT, SECOND, CURRENT[::-1], mark="\t", decimal=",",
+    ),
     "legend": lambda: _lines(
         _REGBOT, "{:.4f} " * 11, TIME, *_STATES, VOLTAGE, SECOND_VOLTAGE, CURRENT, SECOND, SPEED, SECOND_SPEED,
         VOLTS - 0.02 * CURRENT, currents_a=(CURRENT, SECOND),
@@ -179,6 +188,10 @@ OTHERS: dict[str, Callable[[], ForeignFile]] = {
     "legend without a current": lambda: _lines(
         [*_REGBOT[:3], "%  5  6 Wheel velocity [rad/s] left, right: 0 0", "%  7  8  9 Gyro x,y,z [deg/s]: 0 0 0"],
         "{:.4f} " * 9, TIME, *_STATES, SPEED, SECOND_SPEED, CLAMP, 2.0 * CLAMP, TEMPERATURE, currents_a=(),
+    ),
+    "times rounded, decimal commas": lambda: _table(
+        {"Zeit (ms)": np.floor(1e3 * TIME + 1e-6), "Strom (mA)": 1e3 * CURRENT, "Winkel": ANGLE},
+        CURRENT, mark=";", decimal=",",
     ),
     "current clock": lambda: _table(
         {"Current_Time": TIME, "Iq": CURRENT, "Id": 0.1 * SECOND}, CURRENT,

@@ -32,11 +32,19 @@ class Browser:
         read_here, write_there = high_pipe()
         read_there, write_here = high_pipe()
         command = f'exec "$0" "$@" 3<&{read_there} 4>&{write_there}'
-        switches = (
-            "--headless --no-sandbox --disable-gpu --disable-dev-shm-usage --disable-extensions --no-first-run"
-            " --disable-background-networking --disable-component-update --window-size=1280,1000"
-        )
-        options = [*switches.split(), "--remote-debugging-pipe", f"--user-data-dir={folder}", "about:blank"]
+        options = [
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-dev-shm-usage",
+            "--disable-extensions",
+        ]
+        options += [
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--window-size=1280,1000",
+        ]
+        options += ["--remote-debugging-pipe", f"--user-data-dir={folder}", "--no-first-run", "about:blank"]
         self.process = subprocess.Popen(
             ["/bin/bash", "-c", command, program, *options],
             pass_fds=(read_there, write_there),

@@ -49,7 +49,14 @@ DAMAGES: dict[str, Callable[[bytearray, int, int, Random], None]] = {
 }
 
 
-def damaged(content: bytes, rng: Random, *, most: int = 1, focus: range | None = None) -> bytes:
+def damaged(
+    content: bytes,
+    rng: Random,
+    *,
+    most: int = 1,
+    kinds: Sequence[str] = tuple(DAMAGES),
+    focus: range | None = None,
+) -> bytes:
     """The content after one to `most` damages; half of them begin in the focus, if there is one."""
     data = bytearray(content)
     for _ in range(int(rng.integers(1, most + 1))):
@@ -57,7 +64,7 @@ def damaged(content: bytes, rng: Random, *, most: int = 1, focus: range | None =
             break
         places = focus if focus is not None and rng.random() < 0.5 else range(len(data))
         at = min(int(rng.integers(places.start, places.stop)), len(data) - 1)
-        list(DAMAGES.values())[int(rng.integers(len(DAMAGES)))](data, at, int(rng.integers(1, 64)), rng)
+        DAMAGES[kinds[int(rng.integers(len(kinds)))]](data, at, int(rng.integers(1, 64)), rng)
     return bytes(data)
 
 

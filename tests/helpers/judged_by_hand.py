@@ -68,8 +68,13 @@ def of_one(**changed: Any) -> Diagnosis:
 def moved(*off: float, noise: float = 0.0, **changed: Any) -> Judgement:
     """The decision on this fit, if the healthy motor lay so far from it, in logarithms."""
     _, fit, reference = fitted()
-    given = {"includes_fit_error": True, "own_friction": 1.0, "is_bare": False}
-    given |= {"log_values": fit.log_values - np.array(off), "log_noise": math.log(fit.noise_a) - noise}
+    given = {
+        "log_values": fit.log_values - np.array(off),
+        "includes_fit_error": True,
+        "own_friction": 1.0,
+        "is_bare": False,
+    }
+    given |= {"log_noise": math.log(fit.noise_a) - noise}
     return decide(fit, replace(reference, **given | changed), RATE)
 
 

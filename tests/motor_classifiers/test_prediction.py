@@ -181,6 +181,31 @@ def test_the_step_may_fall_between_samples(position: float, with_voltage: bool, 
     )
 
 
+@pytest.mark.parametrize(("quiet", "length", "fits"), [(21, 119, True), (22, 119, False), (21, 120, False)])
+def test_at_equal_rates_the_residual_is_put_on_the_fitted_start(
+    quiet: int, length: int, fits: bool, started: Started, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The fit's onset is nearest to sample 20 of 140; the model's first sample after the step is sample 21."""
+    fit = SimpleNamespace(
+        start=SimpleNamespace(time_s=np.arange(140) * 1e-3, level_v=11.5, speed_rad_s=None), onset_s=0.0203,
+        parameters=RECIPE.motor, residual_a=np.arange(140.0),
+    )  # fmt: skip
+    monkeypatch.setattr(prediction, "prepare", lambda given, level_v: level_v)
+    monkeypatch.setattr(prediction, "replace", lambda level_v, voltage_v: (level_v, voltage_v))
+    # A measured voltage would pin the onset to its samples.
+    monkeypatch.setattr(prediction, "identify", {(12.0, None): fit}.__getitem__)
+    monkeypatch.setattr(prediction, "_check_comparable", lambda *_: None)
+    recipe = replace(RECIPE, timing=Timing(1_000.0, 1e-3 * length, 1e-3 * quiet + 1e-9))
+    started(20, best=0)
+    if fits:
+        voltage = np.where(np.arange(length + quiet) < quiet, 0.0, 11.5)
+        expected = simulate_states(RECIPE.motor, voltage, 1e-3)[:, 0] + np.arange(21 - quiet, 21 + length)
+        np.testing.assert_allclose(aligned_case(recording(1_000.0, 140), recipe)[0, 0], expected)
+        return
+    with pytest.raises(UnusableError, match=f"{recipe.timing.quiet_s:g} s before the start and"):
+        aligned_case(recording(1_000.0, 140), recipe)
+
+
 class Told(BaseEstimator):  # type: ignore[misc]  # scikit-learn has no types
     """Gives the probabilities that stand in its cases."""
 

@@ -99,6 +99,12 @@ def test_a_residual_network_keeps_the_level_and_sees_two_channels() -> None:
     assert model.predict_proba(cases.X).shape == (100, 5)
 
 
+def test_a_method_with_a_stream_does_not_look_at_the_given_starts() -> None:
+    few = PosteriorNetwork(RECIPE, steps=5, batch_size=64, random_state=1)
+    found = [clone(few).fit(cases.X, cases.class_name).predict_proba(TEST.X) for cases in (TRAIN, TEST)]
+    np.testing.assert_array_equal(*found)
+
+
 def test_statistics_are_the_rules_own() -> None:
     features = RuleStatistics(RECIPE).fit(TEST.X)
     names = list(features.get_feature_names_out())
@@ -117,6 +123,8 @@ def test_statistics_are_the_rules_own() -> None:
 def test_a_data_set_of_motors_at_work_is_learned_from_and_judged(tmp_path: Path) -> None:
     folder = tmp_path / "set"
     generate_dataset(OPERATION, 400, 3, folder)
+    card = (folder / "README.md").read_text("utf-8")
+    assert "where measured, `speed_rad_s`, and `applied_voltage_v`" in card
     train, test = (load(str(folder), split) for split in ("train", "test"))
     np.testing.assert_array_equal(test.X, generate_arrays(OPERATION, 3, test.case_id).X)
     assert test.X.shape[1:] == (2, 500)

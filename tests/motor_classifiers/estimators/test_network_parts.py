@@ -10,10 +10,10 @@ import pytest
 import torch
 from scipy.stats import truncnorm
 
-from motor_classifiers import PosteriorNetwork, ResidualProjection
+from motor_classifiers import PerceptronClassifier, PosteriorNetwork, ResidualProjection
 from motor_classifiers.estimators.features import affine_map, signal_family, whitened_residual
 from motor_classifiers.estimators.networks import severity_density
-from motor_classifiers.estimators.networks.posterior import batch_schedule, total_cases
+from motor_classifiers.estimators.networks.posterior import Posterior, batch_schedule, total_cases
 from motor_classifiers.estimators.networks.severity_density import severity_priors, severity_recipe
 from motor_classifiers.estimators.networks.signal_space import SignalSpace, fresh_cases, with_more_noise
 from motor_datasets import generate_arrays
@@ -21,6 +21,7 @@ from motor_env import FaultKind, Timing, load_recipe
 from motor_env.simulation.recipes import FaultClass
 
 RECIPE = load_recipe("bench", timing=Timing(1_000.0, 0.1))
+FIELD = load_recipe("field", timing=Timing(1_000.0, 0.05, quiet_s=0.01))
 
 
 def doubles(*values: Any) -> torch.Tensor:
@@ -73,9 +74,12 @@ def test_given_cases_span_their_own_directions() -> None:
     np.testing.assert_allclose(coefficients, got.coordinates(torch.from_numpy(flat))[0])
     np.testing.assert_allclose(got.center, coefficients.mean(axis=0), atol=1e-9)
     np.testing.assert_allclose(got.variance, coefficients.var(axis=0))
+    on_a_line = np.tile(flat[:1], (5, 1)) + np.arange(5.0)[:, None]
     wanted = ((RECIPE, None), (load_recipe("field", timing=Timing(1_000.0, 0.05, 0.01)), None), (RECIPE, 3))
     seen = [SignalSpace.from_recipe(recipe, n, sees_noise=False).n_coordinates for recipe, n in wanted]
     assert seen == [10, 16, 3]  # more nuisances are seen along more directions
+    exact = SignalSpace.from_cases(on_a_line, 1)  # nothing is left outside: a millionth of the scatter
+    np.testing.assert_allclose(exact.noise, 1e-6 * np.sqrt(2.0), rtol=1e-6)
 
 
 class Stubborn(np.random.Generator):
@@ -136,6 +140,39 @@ def test_the_last_batches_of_a_training_are_larger() -> None:
     assert total_cases(8, 10) == 8 * 7 + 32 * 3
 
 
+def test_the_rate_warms_up_and_falls_and_weights_are_averaged() -> None:
+    """AdamW's first step is the rate itself for each weight with a gradient: steps tell the schedule."""
+    made = Posterior(SignalSpace(2, 2, sees_noise=False), n_hidden=1, n_layers=0, n_out=1)
+    seen: list[float] = []
+
+    def batches(part: int, size: int) -> Any:
+        while True:
+            yield torch.ones(1, 2, dtype=torch.float64), torch.zeros(1)
+
+    def loss(outputs: torch.Tensor, _: torch.Tensor) -> torch.Tensor:
+        seen.append(float(outputs.detach().sum()))
+        return -outputs.sum()  # a gradient of one everywhere: each step moves by the rate
+
+    steps = 300
+    made.learn(batches, loss, torch.Generator().manual_seed(0), steps=steps, batch_size=1, learning_rate=0.01)
+    rates = [0.01 * min(1.0, n / 100) * 0.5 * (1.0 + math.cos(math.pi * n / steps)) for n in range(steps)]
+    weights = np.concatenate([[0.0], np.cumsum(rates)])  # two weights and an offset, all alike
+    np.testing.assert_allclose(seen, 3.0 * weights[:-1], rtol=1e-6, atol=1e-12)
+    average = weights[1]
+    for done, weight in enumerate(weights[2:], start=1):
+        kept = min(0.999, done / (done + 20))
+        average = kept * average + (1.0 - kept) * weight
+    assert float(next(made.network.parameters()).detach()[0, 0]) == pytest.approx(average, rel=1e-6)
+
+
+def test_inputs_are_standardised_by_the_training_cases() -> None:
+    X = np.random.default_rng(2).normal(size=(30, 8)) * np.arange(1.0, 9.0)
+    model = PerceptronClassifier(n_components=3, epochs=1, random_state=0).fit(X, np.repeat([0, 1], 15))
+    assert model.projection_ is not None
+    inputs = model._inputs(model.projection_.transform(X))
+    np.testing.assert_allclose([inputs.mean(axis=0), inputs.std(axis=0)], [[0.0] * 3, [1.0] * 3], atol=1e-9)
+
+
 @pytest.mark.parametrize(("place", "width"), [(0.4, 0.1), (-0.2, 0.3), (0.98, 0.05), (0.5, 3.0)])
 def test_density_is_the_cut_normal(place: float, width: float) -> None:
     parameters = doubles([place - 0.5, np.log(width) + 1.0])
@@ -147,6 +184,17 @@ def test_density_is_the_cut_normal(place: float, width: float) -> None:
         assert found == pytest.approx(exact.ppf(probability), abs=2e-3)
     loss = severity_density.negative_log_likelihood(parameters, doubles(0.3)).item()
     assert loss == pytest.approx(-exact.logpdf(0.3), abs=0.02)
+
+
+def test_quantiles_of_the_severity_lie_between_the_points_of_the_grid() -> None:
+    """Half of a point's weight lies on either side: the first has 1/8 below it, the second 5/8."""
+    two = torch.zeros(1, 201, dtype=torch.float64)
+    two[0, 100], two[0, 101] = 0.25, 0.75
+    assert severity_density.quantile(two, 0.375).item() == pytest.approx((100 + 0.25 / 0.5) / 200)
+    outputs = doubles([9.0, 9.0, 0.25, 0.5], [0.25, 0.5, 9.0, 9.0])
+    own = severity_density.negative_log_likelihood(outputs[1:, :2], doubles(0.3))
+    loss = severity_density.severity_loss(outputs, doubles([1.0, 0.3], [0.0, 0.3]))
+    assert loss.item() == pytest.approx(own.item())
 
 
 def test_ranges_are_a_fifth_beyond_the_classes() -> None:

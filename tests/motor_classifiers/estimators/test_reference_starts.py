@@ -6,8 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from sklearn.base import clone
+from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
+from sklearn.pipeline import make_pipeline
 
-from motor_classifiers import PosteriorNetwork
+from motor_classifiers import PosteriorNetwork, ResidualProjection
 from motor_classifiers.estimators.reference_starts import (
     RecentredStarts,
     referenced_probabilities,
@@ -15,15 +18,17 @@ from motor_classifiers.estimators.reference_starts import (
     split_starts,
 )
 from motor_datasets import generate_arrays
-from motor_env import Recipe, Timing, load_recipe, simulate_states
+from motor_env import Recipe, Timing, class_probabilities, load_recipe, simulate_states
 
-# Reaches in: the joint fit of all starts draws each of them itself.
+# Reaches in: pins the prior that healthy starts leave, which no public name shows.
+from motor_env.inference.posterior import prior_from_starts
 from motor_env.motor.faults import apply_faults
 from motor_env.motor.parameters import FloatArray
 from motor_env.simulation.recipes import FaultClass, Spread
 from motor_env.simulation.sampling import apply_factors
 
 BENCH = load_recipe("bench", timing=Timing(1_000.0, 0.1))
+FASTER = load_recipe("bench", timing=Timing(2_000.0, 0.1))
 
 
 def log_evidence(recipe: Recipe, starts: FloatArray, fault_class: FaultClass) -> float:
@@ -67,6 +72,41 @@ def test_references_are_the_starts_before_the_judged_one() -> None:
     assert split_starts(drawn.X, BENCH).shape == (2, 3, 1, 100)
     with pytest.raises(ValueError, match="must be starts of 1 x 100 values each, got 150 values"):
         split_starts(np.zeros((2, 150)), BENCH)
+
+
+def test_without_references_nothing_changes() -> None:
+    drawn, plain = referenced_starts(BENCH, 4, np.arange(20), 0), generate_arrays(BENCH, 4, 20)
+    np.testing.assert_array_equal(drawn.X, plain.X)
+    np.testing.assert_array_equal(drawn.class_name, plain.class_name)
+    expected = class_probabilities(BENCH, plain.X)
+    np.testing.assert_allclose(referenced_probabilities(BENCH, drawn.X), expected, atol=1e-9)
+
+
+def test_the_prior_that_references_leave_is_as_sure_as_it_says() -> None:
+    recipe, n = replace(BENCH, sensor=replace(BENCH.sensor, current_noise_a=0.005)), 200
+    drawn = referenced_starts(recipe, 4, np.arange(n), 2)
+    prior = prior_from_starts(recipe, split_starts(drawn.X, recipe)[:, 1:])
+    truth = generate_arrays(replace(recipe, starts_per_motor=3, healthy_starts=2), 4, np.arange(n) * 3 + 2)
+    resistance = truth.parameters["resistance_ohm"] / recipe.motor.resistance_ohm
+    error = prior.mean[:, 1] * recipe.spread.resistance + 1.0 - resistance
+    std = recipe.spread.resistance * np.sqrt(np.linalg.inv(prior.precision)[:, 1, 1])
+    assert std.max() < 0.9 * recipe.spread.resistance
+    assert np.square(error / std).mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / n))
+    # The supply of the next start is another one.
+    np.testing.assert_allclose(prior.mean[:, 0], 0.0)
+    np.testing.assert_allclose(prior.precision[:, 0], np.tile(np.eye(5)[0], (n, 1)), atol=1e-9)
+
+
+def test_a_plain_classifier_uses_references_by_recentred_starts() -> None:
+    train, test = (referenced_starts(FASTER, 6, np.arange(1500) + first, 3) for first in (0, 10_000))
+    alone = make_pipeline(ResidualProjection(FASTER, 6), QuadraticDiscriminantAnalysis())
+    given = make_pipeline(RecentredStarts(FASTER), clone(alone))
+    one = given.fit(train.X, train.class_name).predict(test.X) == test.class_name
+    other = alone.fit(train.X[:, :1], train.class_name).score(test.X[:, :1], test.class_name)
+    assert one.mean() > other + 0.005
+    best = referenced_probabilities(FASTER, test.X).argmax(axis=1) == test.class_index
+    difference = one.astype(np.float64) - best
+    assert abs(difference.mean()) < 0.005 + 3.0 * difference.std() / np.sqrt(len(best))
 
 
 def test_recentred_starts_are_those_of_the_nominal_motor() -> None:

@@ -187,6 +187,26 @@ def test_the_factor_of_a_rate_is_an_order_statistic_of_cases_not_seen(rate: floa
         tuned(height, [True] * 18 + [False], 0.091)
 
 
+def test_scales_are_root_mean_squares_under_the_own_class() -> None:
+    white = np.zeros((2, 4, 1, 1))
+    white[0, :, 0, 0] = [1.0, 3.0, 50.0, 60.0]
+    white[1, :, 0, 0] = [7.0, 9.0, 2.0, 4.0]
+    got = ThresholdRule.tune(white, np.array([0, 0, 1, 1]), 0)
+    assert (got.healthy_center[0, 0], got.healthy_scale[0, 0]) == (2.0, 1.0)
+    assert got.own_scale[0, 0] == pytest.approx(np.sqrt((1.0 + 9.0 + 4.0 + 16.0) / 4))
+
+
+def test_decision_and_largest_probability_are_swapped_where_they_disagree(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    X = np.random.default_rng(0).normal(size=(40, 3)) + np.repeat([[0.0], [4.0]], 20, axis=0)
+    model = ThresholdConfirmationClassifier().fit(X, np.repeat(["healthy", "worn"], 20))
+    graded = np.array([[0.7, 0.3], [0.2, 0.8], [0.4, 0.6]])
+    decided = model.decide(X[:3])._replace(probabilities=graded, class_index=np.array([1, 1, 0]))
+    monkeypatch.setattr(ThresholdConfirmationClassifier, "decide", lambda self, X: decided)
+    np.testing.assert_allclose(model.predict_proba(X[:3]), [[0.3, 0.7], [0.2, 0.8], [0.6, 0.4]])
+
+
 def test_healthy_motors_alarm_at_the_wanted_rate_and_windings_are_told() -> None:
     recipe = load_recipe("bench", timing=Timing(sampling_rate_hz=10_000.0))
     train, test = generate_arrays(recipe, 1, 1000), generate_arrays(recipe, 3, 600)
@@ -204,14 +224,17 @@ def test_healthy_motors_alarm_at_the_wanted_rate_and_windings_are_told() -> None
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("rate", "change", "sentence"),
     [
-        (lambda X, y: (X, np.where(y == "healthy", y, "odd")), "class must be one of healthy"),
-        (lambda X, y: (X[y != "healthy"], y[y != "healthy"]), "must hold healthy ones"),
+        (0.01, lambda *given: given, "false_alarm_rate 0.01 needs at least 198 healthy training cases"),
+        (None, lambda X, y: (X, np.where(y == "healthy", y, "odd")), "class must be one of healthy"),
+        (None, lambda X, y: (X[y != "healthy"], y[y != "healthy"]), "must hold healthy ones"),
     ],
 )
-def test_bad_training_cases_are_refused(change: Callable[..., Training], sentence: str) -> None:
+def test_bad_training_cases_are_refused(
+    rate: float | None, change: Callable[..., Training], sentence: str
+) -> None:
     recipe = load_recipe("bench")
     given = generate_arrays(recipe, 1, 60)
     with pytest.raises(ValueError, match=sentence):
-        ThresholdConfirmationClassifier(recipe).fit(*change(given.X, given.class_name))
+        ThresholdConfirmationClassifier(recipe, false_alarm_rate=rate).fit(*change(given.X, given.class_name))

@@ -29,6 +29,7 @@ from motor_classifiers.cli.main import main
 # Reaches in: the step that centres starts on a motor's own has no public name, but stands in files.
 from motor_classifiers.estimators.reference_starts import RecentredStarts, referenced_starts
 from motor_classifiers.model_files import containers
+from motor_classifiers.model_files.persistence import check_saveable
 from motor_datasets import generate_arrays, generate_dataset, load
 from motor_env import InputError, Recipe
 
@@ -57,6 +58,12 @@ def test_models_of_two_classes_come_back(name: str, tmp_path: Path) -> None:
     """Their parts are of other types than those of more classes."""
     train, model = generate_arrays(TWO, 1, 100), make_method(name, TWO, 0).set_params(**QUICK.get(name, {}))
     assert_comes_back(model.fit(train.X, train.class_name), TEST.X, tmp_path / "model", TWO)
+
+
+@pytest.mark.parametrize("name", UNSAVED)
+def test_methods_of_compiled_steps_are_refused_before_the_training(name: str) -> None:
+    with pytest.raises(InputError, match="cannot be saved: a file may hold FeatureUnion, GaussianNB"):
+        check_saveable(make_method(name, RECIPE, 0))
 
 
 def test_models_with_reference_starts_come_back(tmp_path: Path) -> None:

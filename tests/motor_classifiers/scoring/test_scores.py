@@ -3,6 +3,7 @@
 import csv
 import io
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from made_results import RECIPE, TASK, answer, decisions, made_results
 from scipy.stats import binom
 from sklearn.metrics import brier_score_loss, confusion_matrix, log_loss
 
+from motor_classifiers.scoring import judging
 from motor_classifiers.scoring.benchmark import Plan, make_tasks
-from motor_classifiers.scoring.judging import expected_severity, in_recipe_order
+from motor_classifiers.scoring.judging import Cost, expected_severity, in_recipe_order, with_cost
 from motor_classifiers.scoring.metrics import (
     BIN_EDGES,
     calibration_scores,
@@ -24,9 +26,13 @@ from motor_classifiers.scoring.metrics import (
     root_mean_square,
     scores,
 )
-from motor_classifiers.scoring.results import as_csv, result_rows
+from motor_classifiers.scoring.results import as_csv, evaluation_lines, result_rows
 from motor_classifiers.scoring.task import class_task, judged_cases
-from motor_env import FaultKind
+
+# Reaches in: a score is compared with the posterior below it.
+from motor_datasets import generate_arrays
+from motor_env import FaultKind, load_recipe
+from motor_env.inference.work_features import work_probabilities
 from motor_env.simulation.recipes import FaultClass
 
 
@@ -155,6 +161,10 @@ def test_a_leak_is_one_in_a_hundred_shared_among_the_comparisons(
 
 def test_settings_say_what_they_are() -> None:
     assert TASK.title == "bench, 1 kHz, 20 mA, 100 training starts"
+    assert TASK.setting() == {
+        "recipe": "bench", "sampling_rate_hz": 1000.0, "duration_s": 0.1, "noise_a": 0.02, "channels": ["current"],
+        "n_train": 100, "n_test": 60, "seed": 0,
+    }  # fmt: skip
     assert class_task(RECIPE, 50, 50).n_test == 50
     for numbers in ((49, 50), (50, 49)):
         with pytest.raises(ValueError, match="must be >= 50, got 49"):
@@ -204,3 +214,47 @@ def test_the_reference_of_a_plan_is_nearest_to_the_usual_setting() -> None:
     sweep: dict[str, Any] = {"rates_hz": (1e3, 1e4), "noises_a": (0.1, 0.02), "n_test": 60, "seed": 0}
     plan = Plan(make_tasks([RECIPE], train_sizes=[200], **sweep), ("threshold", "posterior-network"))
     assert (plan.reference, plan.n_comparisons) == (3, 8)  # 10 kHz and 20 mA
+
+
+def test_costs_are_those_of_the_process(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Peaks from /proc in units of 1,024 bytes, told in millions of bytes."""
+    monkeypatch.setattr(judging, "_PROCESS", tmp_path)
+    clock = iter([2.0, 5.5, 2.0, 2.5])
+    monkeypatch.setattr("time.process_time", lambda: next(clock))
+
+    def work(kilobytes: int = 4000) -> str:
+        (tmp_path / "status").write_text(f"Name:\tx\nVmHWM:\t{kilobytes} kB\nVmRSS:\t1 kB\n")
+        return "done"
+
+    work(1000)
+    done, cost = with_cost(work)
+    assert done == "done"
+    assert list(cost) == pytest.approx([3.5, 3.072])
+    assert (tmp_path / "clear_refs").read_text() == "5"
+    monkeypatch.setattr(judging, "_PROCESS", tmp_path / "none")
+    assert with_cost(lambda: 1) == (1, Cost(0.5, None))
+
+
+def test_lines_of_an_evaluation() -> None:
+    """The limit's accuracy minus the model's, in points; shares with four digits."""
+    _, result = made_results(answer(decisions(slice(0, 10))), threshold=answer(decisions(slice(5, 21))))
+    row = result_rows([result])[1] | {"winding": None, "below_bayes": 0.0325, "below_bayes_low": -0.00004}
+    lines = evaluation_lines(RECIPE, row | {"accuracy_low": 0.25, "accuracy_high": 0.75})
+    assert lines[0] == "  accuracy                0.7333   0.2500 to 0.7500"
+    assert not any(line.startswith("  winding ") for line in lines)
+    assert "  Bayes limit accuracy    0.8333   on the same cases" in lines
+    (below,) = [line for line in lines if "below it by 3.25 percentage points (0.00 to " in line]
+    assert "only the model is right on 5 cases, only the limit on 11; one-sided p 0.962" in below
+    assert lines[-6].split() == ["1", "2", "3", "4", "5"]
+    assert [line.split() for line in lines[-5:]] == [
+        [str(n + 1), name, *map(str, counts)]
+        for n, (name, counts) in enumerate(zip(RECIPE.class_names, row["confusion"], strict=True))
+    ]
+    assert "its estimate accuracy" in str(evaluation_lines(RECIPE, row | {"bayes_is_estimate": True}))
+
+
+def test_motors_at_work_have_the_posterior_around_their_fit() -> None:
+    recipe = load_recipe("operation")
+    X = generate_arrays(recipe, 1, 3).X
+    expected = work_probabilities(recipe, X.astype(np.float64))
+    np.testing.assert_array_equal(class_task(recipe).best(X), expected)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from motor_classifiers.wrappers.conformal import measured_coverage
 from motor_classifiers.wrappers.early import (
     Stopped,
     limit_by_samples,
+    shortened,
     stop_when_sure,
     stopping_score,
 )
@@ -50,6 +52,9 @@ def test_p_values_of_three_calibration_cases() -> None:
     each = ConformalSets.calibrate(KNOWN, [0, 0, 1], label_conditional=True)
     expected = np.array([[1.0, 0.5], [1.0, 0.5], [2 / 3, 0.5], [1 / 3, 0.5], [1 / 3, 1.0]])
     np.testing.assert_array_equal(each.p_values(new), expected)
+    for coverage in (0.0, 1.0):
+        with pytest.raises(ValueError, match="coverage must be > 0 and < 1"):
+            sets.sets(new, coverage)
 
 
 def test_coverage_is_counted() -> None:
@@ -118,17 +123,35 @@ def test_lengths_of_what_is_seen() -> None:
     first = EarlyClassifier(samples=(1, 50)).fit(X, y).probabilities_by_samples(X)[0]
     alone = LogisticRegression(max_iter=1000).fit(X[:, :1], y).predict_proba(X[:, :1])
     np.testing.assert_allclose(first, alone)
+    for wrong in ((0, 50), (1, 51)):
+        with pytest.raises(ValueError, match="samples must be from 1 to 50"):
+            EarlyClassifier(samples=wrong).fit(X, y)
+
+
+def test_a_recipe_is_cut_after_its_quiet_part() -> None:
+    recipe = replace(BENCH, timing=Timing(1_000.0, 0.1, quiet_s=0.02))
+    whole = make_pipeline(OutsideDetector(recipe))  # wherever in it the recipe is
+    cut = shortened(whole, 50)[0].recipe.timing
+    assert whole[0].recipe.timing.n_samples == 120
+    assert (cut.n_samples, cut.n_quiet, cut.duration_s) == (50, 20, pytest.approx(0.03))
+
+
+class _Remembering(LogisticRegression):  # type: ignore[misc]  # scikit-learn has no types
+    def __init__(self, recipe: Any = None) -> None:
+        super().__init__()
+        self.recipe = recipe
+
+    def fit(self, X: Any, y: Any) -> "_Remembering":
+        self.given_ = X.copy()
+        super().fit(X, y)
+        return self
 
 
 def test_the_first_samples_are_those_of_each_channel() -> None:
     both = replace(BENCH, sensor=replace(BENCH.sensor, channels=(Channel.CURRENT, Channel.SPEED)))
-    train = generate_arrays(both, 0, 200)
-    pipeline = make_pipeline(ResidualProjection(both, 4), QuadraticDiscriminantAnalysis())
-    model = EarlyClassifier(pipeline, samples=(30, 100)).fit(train.X, train.class_name)
-    blind, late = (np.where(np.arange(100) < end, train.X, 0.0) for end in (30, 29))
-    seen = [model.probabilities_by_samples(X)[0] for X in (train.X, blind, late)]
-    np.testing.assert_array_equal(seen[0], seen[1])
-    assert not np.array_equal(seen[0], seen[2])
+    X = np.arange(4 * 2 * 100, dtype=np.float64).reshape(4, 2, 100)
+    model = EarlyClassifier(_Remembering(both), samples=(3, 100)).fit(X, [0, 1, 0, 1])
+    np.testing.assert_array_equal(model.estimators_[0].given_, X[:, :, :3].reshape(4, 6))
 
 
 @pytest.fixture(scope="module")
@@ -240,5 +263,7 @@ def test_the_threshold_is_a_quantile_of_starts_given_or_drawn() -> None:
     few, X = OutsideDetector(BENCH), generate_arrays(BENCH, 8, 500).X
     assert OutsideDetector(BENCH, false_alarm_rate=0.2).fit().offset_ > few.fit().offset_
     assert few.fit(X).offset_ == pytest.approx(np.quantile(few.score_samples(X), 0.01))
+    with pytest.raises(ValueError, match="false_alarm_rate must be > 0 and < 1, got 1"):
+        OutsideDetector(BENCH, 1.0).fit()
     with pytest.raises(ValueError, match="fit needs starts or a recipe"):
         OutsideDetector().fit()

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from motor_env import InputError
-from motor_env.apps.folder import recordings_in, trend_of
+from motor_env.apps.folder import appearing, recordings_in, trend_of
 from motor_env.cli import main
 
 # Reaches in: a file that is gone since it was seen is refused there.
@@ -58,6 +58,21 @@ def test_a_start_that_is_gone_does_not_take_the_trend_of_the_others_along(folder
     assert trend_of(outcomes) is not None
     starts[1].unlink()
     assert trend_of(outcomes) is None
+
+
+def test_a_recording_is_judged_once_it_grows_no_more(folder: Path) -> None:
+    grown = folder / "4.csv"
+
+    def sleep(_: float) -> None:
+        if grown.exists() and len(grown.read_text()) < 6:
+            grown.write_text(grown.read_text() + "1\n")
+        elif not grown.exists():
+            grown.write_text("")
+
+    found = appearing(folder, follow=True, sleep=sleep)
+    assert [next(found).name for _ in range(4)] == ["1.csv", "2.csv", "3.csv", "4.csv"]
+    assert grown.read_text() == "1\n1\n1\n"
+    assert [path.name for path in appearing(folder, follow=False)] == ["1.csv", "2.csv", "3.csv", "4.csv"]
 
 
 def test_a_folder_without_recordings_is_one_sentence(tmp_path: Path) -> None:

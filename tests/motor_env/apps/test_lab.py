@@ -368,6 +368,12 @@ def test_a_port_that_cannot_be_opened_is_one_sentence(
             make_server(wrong)
 
 
+OVERLAPS = """[...document.querySelectorAll('#results svg')].flatMap((svg) => {
+  const boxes = [...svg.querySelectorAll("text[text-anchor='middle']")].map((text) => text.getBoundingClientRect());
+  return boxes.slice(1).filter((box, k) => box.left < boxes[k].right);
+}).length"""  # numbers along the time axes that run into each other
+
+
 def test_page_in_a_browser(server: str, tmp_path: Path) -> None:
     with opened(server, "document.body && document.body.dataset.shown !== undefined") as browser:
         curve = "document.querySelector('#current path.measured').getAttribute('d')"
@@ -377,15 +383,36 @@ def test_page_in_a_browser(server: str, tmp_path: Path) -> None:
         assert browser.value("document.getElementById('alarm').textContent").startswith("alarm after")
         assert browser.value("document.querySelectorAll('#roc path.roc, #roc circle').length") == 2
 
+        browser.call(
+            "Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True
+        )
+        browser.wait("document.getElementById('current').clientWidth < 390")
+        browser.wait("document.body.dataset.judged === document.body.dataset.shown")
+        assert browser.value(OVERLAPS) == 0
+        browser.call("Emulation.clearDeviceMetricsOverride")
+        browser.value(
+            "document.getElementById('kind').value = 'healthy';"
+            "document.getElementById('kind').dispatchEvent(new Event('change'))"
+        )
+        browser.wait("document.getElementById('verdict').textContent.startsWith('healthy')")
+        assert browser.value("document.getElementById('alarm').textContent") == "no alarm"
+
         browser.value(
             "document.getElementById('kind').value = 'winding_contact';"
             "document.getElementById('kind').dispatchEvent(new Event('change'))"
         )
-        browser.wait("document.getElementById('verdict').textContent.startsWith('winding')")
-        before, shown = browser.value(curve), browser.value("document.body.dataset.shown")
+        browser.wait("document.getElementById('alarm').textContent.startsWith('alarm after')")
+        before, severity = (
+            browser.value(curve),
+            browser.value("document.getElementById('severity_percent').value"),
+        )
+        shown = browser.value("document.body.dataset.shown")
         browser.click("#severity_percent", 0.9)
         browser.wait(f"Number(document.body.dataset.shown) > {shown}")
+        assert float(browser.value("document.getElementById('severity_percent').value")) > float(severity)
         assert browser.value(curve) != before
+        browser.wait("document.body.dataset.judged === document.body.dataset.shown")
+        assert browser.value("document.getElementById('verdict').textContent").startswith("winding")
 
         browser.value(
             "document.getElementById('kind').add(new Option('no such', 'no_such'));"

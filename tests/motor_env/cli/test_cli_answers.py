@@ -217,7 +217,13 @@ COMMISSION = ["commission", "a.csv", "-o", "m.toml"]
             ["identify", CAPTURE, "--ripple-periods-per-turn", "nan"],
             "ripple-periods-per-turn must be > 0, got",
         ),
+        (["diagnose", CAPTURE, "--ripple-periods-per-turn", "0"], "ripple-periods-per-turn must be > 0"),
+        (
+            ["diagnose", CAPTURE, "--false-alarm-rate", "0"],
+            "false-alarm-rate must lie between 0 and 0.5, got 0",
+        ),
         ([*COMMISSION, "--false-alarm-rate", "0.5"], "false-alarm-rate must lie between 0 and 0.5, got 0.5"),
+        ([*COMMISSION, "--torque-constant", "0"], "torque-constant must be > 0, got 0"),
         ([*COMMISSION, "--no-load-current", "-1"], "no-load-current must be > 0, got -1"),
         ([*COMMISSION, "--window", "inf"], "window must be > 0, got inf"),
         (["watch", "m.toml", "--learn", "soon"], "must be a time such as 20s or 10min, got 'soon'"),

@@ -11,13 +11,11 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from captures import at_work
 from output_schema import follows
-from recording_csv import write_recording
 
 from motor_classifiers.cli.main import main as classifiers
 from motor_datasets.cli import main as datasets
-from motor_env import Fault, FaultKind
+from motor_env import PAPER_MOTOR, Fault, FaultKind, simulate_states
 from motor_env.cli import main
 
 ROOT = Path(__file__).parents[3]
@@ -38,11 +36,16 @@ def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A motor at work whose friction doubles half-way."""
-    half_way = Fault(FaultKind.BEARING, 1.0, onset_s=2.0)
-    recording = at_work(np.random.default_rng(5), half_way, seconds=4.0)
-    return write_recording(tmp_path_factory.mktemp("log") / "log.csv", recording)
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A motor at work whose friction doubles half-way: 4 s, another voltage every 50 ms."""
+    path, rng = tmp_path_factory.mktemp("log") / "log.csv", np.random.default_rng(5)
+    volts = np.repeat(rng.uniform(-10.0, 10.0, 80), 25)
+    states = simulate_states(PAPER_MOTOR, volts, 2e-3, faults=(Fault(FaultKind.BEARING, 1.0, onset_s=2.0),))
+    states = states + rng.normal(size=states.shape) * [0.02, 1.0]
+    rows = np.column_stack([2e-3 * np.arange(len(volts)), volts, states])
+    head = "time_s,voltage_v,current_a,speed_rad_s"
+    np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt="%.6g")
+    return path
 
 
 def test_definitions_refuse_what_does_not_follow_them() -> None:
@@ -57,22 +60,22 @@ def test_definitions_refuse_what_does_not_follow_them() -> None:
         follows("motor-datasets verify", "[NaN]")
 
 
-def test_diagnose(printed: Printed, log: str, tmp_path: Path) -> None:
+def test_diagnose(printed: Printed, log: Path, tmp_path: Path) -> None:
     torn = tmp_path / "torn.csv"
     torn.write_text("time_s,current_a\n0,x\n")
-    start, running, unread = printed(["diagnose", CAPTURE, log, str(torn), "--motor", MOTOR], 2)
+    start, running, unread = printed(["diagnose", CAPTURE, str(log), str(torn), "--motor", MOTOR], 2)
     assert (start["taken_for"]["regime"], start["verdict"], len(start["pieces"])) == ("start", "bearing", 1)
     assert (running["taken_for"]["regime"], running["verdict"]) == ("operation", "bearing")
     verdicts = [piece["verdict"] for piece in running["pieces"]]
     assert verdicts[0] == "healthy"
     assert verdicts[-1] == "bearing"
     assert unread["error"].startswith(str(torn))
-    alone = printed(["diagnose", CAPTURE, log], 3)
+    alone = printed(["diagnose", CAPTURE, str(log)], 3)
     assert [one["verdict"] for one in alone] == ["no_reference", "no_reference"]
 
 
-def test_identify(printed: Printed, log: str) -> None:
-    start, running = printed(["identify", CAPTURE, log], 0)
+def test_identify(printed: Printed, log: Path) -> None:
+    start, running = printed(["identify", CAPTURE, str(log)], 0)
     assert running["parameters"]["R"]["determined"]
     for one in (start["parameters"]["R"], running["parameters"]["R"]):
         low, high = one["interval"]
@@ -94,9 +97,9 @@ def test_trend(printed: Printed, tmp_path: Path) -> None:
     assert any(limit["remaining_life"] for limit in found["limits"])
 
 
-def test_lines_of_watch(log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_of_watch(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     motor = tmp_path / "m.toml"
-    lines = Path(log).read_text().splitlines()
+    lines = log.read_text().splitlines()
     lines.insert(1800, "torn")
     stream = tmp_path / "stream.csv"
     stream.write_text("\n".join(lines) + "\n")

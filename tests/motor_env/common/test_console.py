@@ -204,3 +204,9 @@ def test_a_sentence_is_one_line_and_has_an_end() -> None:
 @pytest.mark.parametrize(("size", "text"), [(3, "[0.0, 0.0, 0.0]"), (4, "an array of shape (4,)")])
 def test_a_short_array_is_shown(size: int, text: str) -> None:
     assert shown(np.zeros(size)) == text
+
+
+def test_an_unwritable_folder_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("")
+    assert cli.main(["reproduce", "--out", str(tmp_path / "file" / "out")]) == ExitStatus.BAD_INPUT
+    assert capsys.readouterr().err.count("\n") == 1

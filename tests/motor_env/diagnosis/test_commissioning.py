@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import high_pass, in_a_row, loaded, started, with_defect, without
+from captures import loaded, started, with_defect, without
 from present import present
 from recording_csv import write_recording
+from scipy.signal import lfilter
 from simulated_captures import DEFECTS, captures
 
 from motor_env import (
@@ -27,6 +28,7 @@ from motor_env import (
 from motor_env.cli import main
 from motor_env.envs import MonitorOptions
 
+DT_S = 1e-4
 WITH_SPEED = SensorParameters(("current", "speed"), 0.02, 0.2)  # type: ignore[arg-type]  # names become channels
 
 
@@ -36,25 +38,63 @@ def healthy(tmp_path: Path) -> list[str]:
     return [write_recording(tmp_path / f"healthy_{n}.csv", start) for n, start in enumerate(starts)]
 
 
+@pytest.fixture
+def log(tmp_path: Path) -> str:
+    time_s = DT_S * np.arange(4000.0)
+    voltage = np.where(time_s % 0.02 < 0.01, 12.0, 0.0)
+    current = 0.1 * voltage + 1e-3 * np.sin(1e4 * time_s)
+    return write_recording(tmp_path / "pwm.csv", Recording(Path("x"), time_s, current, voltage))
+
+
+def in_one(first: Recording, second: Recording) -> Recording:
+    """Two starts in one recording, whose voltage is on throughout each."""
+    assert first.voltage_v is not None
+    assert second.voltage_v is not None
+    current = np.append(first.current_a, second.current_a)
+    time_s = DT_S * np.arange(float(len(current)))
+    return Recording(Path("x"), time_s, current, np.append(first.voltage_v, second.voltage_v))
+
+
+def test_a_log_is_no_healthy_start_and_without_a_speed_it_is_undecided(
+    healthy: list[str], log: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    toml = tmp_path / "motor.toml"
+    assert main(["commission", *healthy, log, "-o", str(toml)]) == 2
+    assert "some are starts, and some logs of a motor at work" in capsys.readouterr().err
+    assert not toml.exists()
+    assert main(["diagnose", log, "--healthy", *healthy]) == 3
+    said = capsys.readouterr().out
+    assert "unusable\n  windows of a running motor are judged only if voltage, current and speed" in said
+    assert "\n  taken for a motor at work (" in said
+
+
+def coupled(start: Recording) -> Recording:
+    """Behind a high pass of 0.05 s."""
+    kept = 0.05 / (0.05 + DT_S)
+    return replace(start, current_a=lfilter([kept, -kept], [1.0, -kept], start.current_a))
+
+
 def sawtooth(start: Recording) -> Recording:
-    return replace(start, current_a=start.current_a + (start.time_s > 0.0) * (start.time_s % 0.05) * 200.0)
+    return replace(
+        start, current_a=start.current_a + np.where(start.time_s > 0.0, start.time_s % 0.05 * 200.0, 0.0)
+    )
 
 
 def begun(start: Recording) -> Recording:
     return replace(start, voltage_v=np.full(len(start.time_s), 12.0), current_a=2.0 + 0.01 * start.current_a)
 
 
+def other_motor(_: Recording) -> Recording:
+    return captures(DEFECTS["none"], (), replace(PAPER_MOTOR, resistance_ohm=4.0), 6, 1)[0]
+
+
 @pytest.mark.parametrize(
     ("change", "count", "said"),
     [
-        (
-            lambda one: high_pass(one, 0.05),
-            3,
-            "the current is AC-coupled",
-        ),  # all alike, so that none is an outlier
+        (coupled, 3, "the current is AC-coupled"),  # all alike, so that none is an outlier
         (sawtooth, 1, "no motor model explains the current"),
         (begun, 1, "odd0.csv: a healthy start cannot be used: "),
-        (lambda one: replace(one, current_a=0.5 * one.current_a), 1, "times that of the others"),
+        (other_motor, 1, "times that of the others"),
     ],
 )
 def test_a_start_that_cannot_be_a_healthy_one_is_named(
@@ -75,7 +115,7 @@ def test_a_start_that_cannot_be_a_healthy_one_is_named(
 
 def test_one_start_of_each_file_is_commissioned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     starts = captures(DEFECTS["none"], (), PAPER_MOTOR, 7, 4)
-    both = [in_a_row(*two) for two in pairwise(starts)]
+    both = [in_one(*two) for two in pairwise(starts)]
     files = [write_recording(tmp_path / f"two_{n}.csv", one) for n, one in enumerate(both)]
     toml = str(tmp_path / "motor.toml")
     assert main(["commission", *files, "--start", "2", "-o", toml]) == 0
@@ -93,11 +133,15 @@ def commissioned(folder: Path, *options: str, missing: tuple[str, ...] = ("speed
     return folder / "m.toml"
 
 
+@pytest.fixture(scope="module")
+def current_only(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return commissioned(tmp_path_factory.mktemp("current"))
+
+
 def test_a_guessed_constant_is_marked_warned_of_and_refused_where_speeds_are_seen(
-    tmp_path: Path,
+    current_only: Path, tmp_path: Path
 ) -> None:
-    current_only, recipe = commissioned(tmp_path), load_recipe("bench")
-    motor = load_motor(current_only)
+    motor, recipe = load_motor(current_only), load_recipe("bench")
     assert "a guess, 1/100 of the voltage" in motor.assumed["torque_constant_n_m_per_a"]
     assert motor.parameters.torque_constant_n_m_per_a == pytest.approx(0.12, rel=1e-2)
     with pytest.warns(

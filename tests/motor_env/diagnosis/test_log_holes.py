@@ -98,6 +98,14 @@ def test_holes_are_no_fault_and_hide_none(tmp_path: Path, pattern: str, kind: st
     assert set(found) == {kind}
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("how", ["lines", "all", "voltage_v", "current_a", "speed_rad_s"])
+def test_no_pattern_of_holes_is_a_fault_or_hides_one(tmp_path: Path, how: str, kind: str) -> None:
+    for which in ("at steps", "before steps", "in bursts", "anywhere", "of every 20th"):
+        assert set(verdicts(tmp_path / "log.csv", holed(log(kind), f"{how} {which}"))) == {kind}
+
+
 @pytest.mark.parametrize("every", [5, 28])
 def test_a_log_that_changes_its_rate_is_judged_where_it_has_its_own(tmp_path: Path, every: int) -> None:
     """To 400 and 71 Hz and back, after which the samples fall between the places of the first ones."""

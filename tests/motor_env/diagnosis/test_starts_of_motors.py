@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import subprocess
@@ -18,12 +19,14 @@ from simulated_captures import Defect, captures
 from motor_env import (
     PAPER_MOTOR,
     Channel,
+    Diagnosis,
     InputError,
     Recording,
     Scenario,
     SensorParameters,
     Timing,
     Verdict,
+    cli,
     commission,
     diagnose,
     identify,
@@ -32,13 +35,14 @@ from motor_env import (
 )
 from motor_env.diagnosis.file_verdicts import diagnose_files
 from motor_env.diagnosis.readers.start import Circuit, chosen_starts
+from motor_env.motor.parameters import FloatArray
 
 # Reaches in: the supply comes on between two samples, which `simulate` cannot do.
 from motor_env.simulation.fast_path import measure
 from motor_env.simulation.nonlinear import Effects
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
-CAPTURE = EXAMPLES / "startup_capture.csv"
+CAPTURE, MOTOR = str(EXAMPLES / "startup_capture.csv"), str(EXAMPLES / "motor.toml")
 
 
 @pytest.mark.parametrize(("hertz", "size_a", "begin_s"), [(59.9, 0.02, 0.0), (100.2, 0.1, 0.1)])
@@ -57,6 +61,14 @@ def test_hum_hides_no_friction(hertz: float, size_a: float, begin_s: float) -> N
     assert fit.start.is_hum_of_supply is (begin_s > 0.0)
 
 
+def assert_friction_is_undecided(found: Diagnosis) -> None:
+    """A healthy resistance, and nothing of the friction: each is told."""
+    assert found.verdict is Verdict.HEALTHY
+    assert found.reasons[1].startswith("the friction is undecided: the recording is too coarse")
+    said = {change.name: change.verdict for change in found.changes}
+    assert (said["R"], said["B/J"]) == ("healthy", "undecided")
+
+
 def test_a_sensor_that_hides_small_currents_is_told_by_the_evidence() -> None:
     (plain,) = captures(Defect(noise_a=0.005), (), SHEET.parameters, 8, 1)
     hiding = replace(plain, current_a=np.where(plain.current_a > 0.3, plain.current_a, 0.0))
@@ -65,10 +77,7 @@ def test_a_sensor_that_hides_small_currents_is_told_by_the_evidence() -> None:
     assert fit.fitted_extension["dead_zone"][0] == pytest.approx(0.3, abs=0.03)
     assert any(defect.startswith("dead zone: ") for defect in fit.defects)
     assert fit.log_values[0] == pytest.approx(true.log_values[0], abs=0.01)
-    found = diagnose(hiding, SHEET)
-    said = {change.name: change.verdict for change in found.changes}
-    assert (found.verdict, said["R"], said["B/J"]) == (Verdict.HEALTHY, "healthy", "undecided")
-    assert found.reasons[1].startswith("the friction is undecided: the recording is too coarse")
+    assert_friction_is_undecided(diagnose(hiding, SHEET))
 
 
 def test_a_known_lag_and_a_known_shunt_are_taken_off() -> None:
@@ -138,14 +147,19 @@ def test_a_recording_that_the_model_does_not_explain_is_said_to_be_inconsistent(
     assert "correlated in time" in diagnose(wavy, SHEET).decisive.warning
 
 
+def delayed(timing: Timing, share: float, noise_a: float) -> tuple[FloatArray, FloatArray]:
+    """Times, and the current of a motor that is switched on so far into an interval."""
+    scenario = Scenario(SHEET.parameters, sensor=SensorParameters(current_noise_a=noise_a), timing=timing)
+    effects = Effects(delay_s=share * timing.dt_s) if share else None
+    shown = measure(scenario, 3, np.arange(1), effects=effects, nominal=SHEET.parameters)
+    return timing.time_s, shown[0, 0].astype(float)
+
+
 @pytest.mark.parametrize(("delay", "skew"), [(0.0, -1), (0.0, 1), (0.4, 0), (0.9, -1), (0.9, 1)])
 def test_inductance_is_told_wherever_a_measured_voltage_changes(delay: float, skew: int) -> None:
     """L/R is as long as an interval: a step taken half an interval late would look like half the inductance."""
     timing = Timing(10_000.0, 0.2, 0.05)
-    scenario = Scenario(SHEET.parameters, sensor=SensorParameters(current_noise_a=0.005), timing=timing)
-    effects = Effects(delay_s=delay * timing.dt_s) if delay else None
-    shown = measure(scenario, 3, np.arange(1), effects=effects, nominal=SHEET.parameters)
-    time_s, current_a = timing.time_s, shown[0, 0].astype(float)
+    time_s, current_a = delayed(timing, delay, 0.005)
     switched = np.where(time_s > (skew + 1e-3) * timing.dt_s, 12.0, 0.0)
     voltage = switched + np.random.default_rng(1).normal(0.0, 0.01, len(time_s))
     (fit,) = identify(Recording(Path("start"), time_s, current_a, voltage)).usable
@@ -204,11 +218,24 @@ def test_noise_is_no_start_and_never_healthy() -> None:
     assert "the current never rises above its noise" in found.reasons[0]
 
 
+def test_exit_status_and_json_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["diagnose", CAPTURE, "--motor", MOTOR, "--json", "--out", str(tmp_path)]) == 1
+    (answer,) = json.loads(capsys.readouterr().out)
+    assert answer["verdict"] == "bearing"
+    assert answer["severity_interval"][0] < 0.30 < answer["severity_interval"][1]
+    assert [p.suffix for p in tmp_path.iterdir()] == [".html"]
+    assert cli.main(["diagnose", CAPTURE]) == 3
+    assert cli.main(["diagnose", CAPTURE, "nosuch.csv", "--motor", MOTOR]) == 2
+    printed = capsys.readouterr()
+    assert "bearing" in printed.out
+    assert "nosuch.csv: no such file" in printed.err
+
+
 def test_the_example_is_what_its_script_writes(tmp_path: Path) -> None:
     for name in ("make_startup_capture.py", "motor.toml"):
         (tmp_path / name).write_bytes((EXAMPLES / name).read_bytes())
     subprocess.run([sys.executable, str(tmp_path / "make_startup_capture.py")], check=True)
-    assert (tmp_path / "startup_capture.csv").read_bytes() == CAPTURE.read_bytes()
+    assert (tmp_path / "startup_capture.csv").read_bytes() == Path(CAPTURE).read_bytes()
 
 
 recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")

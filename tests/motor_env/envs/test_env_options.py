@@ -89,10 +89,7 @@ def some_of(make: Any) -> st.SearchStrategy[tuple[Any, dict[str, Any]]]:
     return st.tuples(st.just(make), options)
 
 
-@settings(max_examples=150)
-@given(st.sampled_from([MonitorEnv, ProbeEnv, ProbeContinuousEnv]).flatmap(some_of))
-def test_any_options_run_or_are_refused(made: tuple[Any, dict[str, Any]]) -> None:
-    make, options = made
+def runs_or_refuses(make: Any, options: dict[str, Any]) -> None:
     try:
         env = make(**options)
     except ValueError as refusal:
@@ -108,6 +105,12 @@ def test_any_options_run_or_are_refused(made: tuple[Any, dict[str, Any]]) -> Non
         assert np.isfinite(reward)
         assert over == (step == env.options.n_steps - 1)
     assert env.observation_space.contains(observation)
+
+
+@settings(max_examples=150)
+@given(st.sampled_from([MonitorEnv, ProbeEnv, ProbeContinuousEnv]).flatmap(some_of))
+def test_any_options_run_or_are_refused(made: tuple[Any, dict[str, Any]]) -> None:
+    runs_or_refuses(*made)
 
 
 OWN = """name = "own"
@@ -213,6 +216,9 @@ def test_a_seed_has_64_bits(make: Any) -> None:
         env.reset(options=5)
     with pytest.raises(ValueError, match=r"^options must be [A-Z][a-z]+Options, got {}"):
         make(options={})
+
+
+SHORTEST_LOOP_S = 2.0 * (1e-4 + 0.238e-3 / 2.18)
 
 
 FAMILIES = ("Monitor", "Probe", "ProbeContinuous", "Drive", "Maintain")

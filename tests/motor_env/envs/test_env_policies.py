@@ -321,6 +321,11 @@ OPTIONS |= gym.spec("motor_env/ProbeInstant-v0").kwargs
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
+def example(name: str) -> Any:
+    """The module of an example."""
+    return SimpleNamespace(**runpy.run_path(str(EXAMPLES / f"{name}.py")))
+
+
 def test_a_posterior_view_pays_the_true_reward_on_average() -> None:
     count = 1000
     envs = ProbeVectorEnv(count, autoreset_mode="SameStep", **{**OPTIONS, "confirm_steps": 2})
@@ -371,9 +376,19 @@ def test_a_policy_of_summaries_sees_what_the_view_shows() -> None:
 
 @pytest.mark.parametrize("name", [path.stem for path in (EXAMPLES / "agents").glob("*.npz")])
 def test_the_agent_that_is_kept_is_better_than_one_action_always(name: str, tmp_path: Path) -> None:
-    ppo = SimpleNamespace(**runpy.run_path(str(EXAMPLES / "ppo.py")))
+    ppo = example("ppo")
     agent = ppo.Agent(dict(np.load(EXAMPLES / "agents" / f"{name}.npz")))
     told = ppo.play(name, agent, tmp_path / "screen.png")
     assert (tmp_path / "screen.png").stat().st_size > 1000
     found = float(re.findall(r"mean return (\S+)", told)[0])
     assert found > reference_scores.kept(name)["trivial"]["return"] + 0.5
+
+
+@pytest.mark.long
+def test_an_agent_with_a_memory_is_trained_scored_and_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["recurrent_ppo.py", "--steps", "1", "--tensorboard", str(tmp_path)])
+    example("recurrent_ppo").main()
+    assert re.fullmatch(r"mean return [+-]\d\.\d{3} ± 0\.\d{3} of 500 episodes\n", capsys.readouterr().out)
+    assert len(list(tmp_path.rglob("events.out.tfevents.*"))) == 1

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import reference_scores
 from best_policies import RatioTest
+from reference_policies import REFERENCES
 
 import motor_env  # noqa: F401  # registers the environments
 from motor_env import Cusum
@@ -115,6 +116,12 @@ def test_policies_gain_what_was_kept(name: str) -> None:
 
 
 NAMES = [name.removeprefix("motor_env/") for name in gym.registry if name.startswith("motor_env/")]
+
+
+def test_every_id_has_policies_of_its_own() -> None:
+    assert sorted(REFERENCES) == sorted(NAMES), (
+        "benchmarks/reference_policies.py names the policies of each id"
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -9,9 +9,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecMonitor
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 import motor_env  # noqa: F401  # registers the environments
 from motor_env import PAPER_MOTOR, load_recipe
@@ -33,12 +35,26 @@ def short(name: str) -> dict[str, Any]:
     return SHORT if "Monitor" in name or "Probe" in name else {}
 
 
+def test_a_window_shows_the_screen_and_closes(monkeypatch: pytest.MonkeyPatch) -> None:
+    pygame = pytest.importorskip("pygame", reason="the window is pygame's")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = gym.make(IDS[1], render_mode="human", horizon_s=0.01, samples_per_step=10)
+    env.reset(seed=0)
+    for _ in range(9):
+        env.step(1)
+    assert env.render() is None
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    screen = env.unwrapped._screen.draw()  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(shown, screen)
+    env.close()
+    assert not pygame.display.get_init()
+    env.close()
+
+
 def test_the_adapter_tells_how_each_episode_ended_and_forgets_it_at_a_reset() -> None:
     options: dict[str, Any] = SHORT | {"samples_per_step": 5, "confirm_steps": 1, "max_episode_steps": 7}
     envs = StableBaselinesVecEnv(ProbeVectorEnv(2, autoreset_mode="SameStep", **options))
     time = envs.envs.setup.observed.index("time")
-    assert envs.env_is_wrapped(Monitor) == [True] * 2
-    assert envs.env_is_wrapped(VecMonitor, indices=[1]) == [False]
     for waited in (4, 1):
         envs.seed(3)
         envs.reset()
@@ -58,16 +74,47 @@ def test_the_adapter_tells_how_each_episode_ended_and_forgets_it_at_a_reset() ->
     assert all(one["TimeLimit.truncated"] for one in cut)
 
 
-def test_a_picture_changes_nothing() -> None:
+def test_a_picture_shows_what_is_seen_and_changes_nothing() -> None:
+    """A column shows the step that begins it, in SI: currents, speed, voltage, innovation."""
     shown, plain = (
         gym.make(IDS[0], render_mode=mode, recipe="easy").unwrapped for mode in ("rgb_array", None)
     )
     shown.reset(seed=5)
-    plain.reset(seed=5)
-    first = np.asarray(shown.render())
+    seen = [plain.reset(seed=5)[0]]
     for _ in range(1100):
-        assert np.array_equal(shown.step(0)[0], plain.step(0)[0])
-    assert not np.array_equal(np.asarray(shown.render()), first)
+        seen.append(plain.step(0)[0])
+        assert np.array_equal(shown.step(0)[0], seen[-1])
+    scope: Any = shown._screen  # type: ignore[attr-defined]
+    ampere, rad_s = 12.0 / 2.18, 12.0 / 0.02352
+    units = np.array([ampere, ampere, rad_s, 12.0, 1.0])
+    names = ("measured_current", "estimated_current", "estimated_speed", "voltage", "innovation_current")
+    places = [plain.observed.index(name) for name in names]  # type: ignore[attr-defined]
+    wanted = np.array(seen)[np.arange(scope._filled) * 2000 // 528][:, places] * units
+    found = np.clip(
+        scope._columns[:5, : scope._filled].T, [-np.inf] * 4 + [-10.0], np.inf
+    )  # as it is observed
+    np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("label", "wait", "action", "verdict"),
+    [
+        ("healthy", 19, 0, ("rightly silent", True)),
+        ("bearing", 0, 3, ("bearing: false alarm", False)),
+        ("bearing", 3, 3, ("bearing: right", True)),
+        ("bearing", 3, 4, ("winding: wrong kind", False)),
+    ],
+)
+def test_the_screen_says_how_an_episode_ended(
+    label: str, wait: int, action: int, verdict: tuple[str, bool]
+) -> None:
+    options: dict[str, Any] = {"earliest_onset_s": 0.0, "mean_onset_s": 1e-4, "horizon_s": 0.04}
+    env: Any = gym.make("motor_env/ProbeInstant-v0", render_mode="rgb_array", **options).unwrapped
+    env.reset(seed=next(seed for seed in range(40) if env.reset(seed=seed)[1]["label"] == label))
+    for _ in range(wait):
+        env.step(1)
+    assert env.step(action)[2]
+    assert (env._screen.verdict, env._screen.good) == verdict
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -107,6 +154,28 @@ def test_a_spec_comes_back_from_json(name: str, given: dict[str, Any]) -> None:
     assert envs.spec is not None
     again = gym.make_vec(gym.envs.registration.EnvSpec.from_json(envs.spec.to_json()))
     np.testing.assert_array_equal(again.reset(seed=1)[0], envs.reset(seed=1)[0])
+
+
+def test_an_evaluation_through_the_adapter_reports_true_rewards_and_cut_episodes() -> None:
+
+    def vector() -> Any:
+        options: dict[str, Any] = {"samples_per_step": 5, "confirm_steps": 1, "horizon_s": 0.02}
+        return StableBaselinesVecEnv(
+            ProbeVectorEnv(4, autoreset_mode="SameStep", max_episode_steps=30, **options)
+        )
+
+    assert vector().env_is_wrapped(Monitor) == [True] * 4
+    assert vector().env_is_wrapped(VecMonitor, indices=[0, 2]) == [False] * 2
+    model = PPO("MlpPolicy", vector(), n_steps=8, batch_size=32, seed=0, device="cpu")
+    normal: Any = VecNormalize(vector(), training=False, norm_obs=False)
+    normal.ret_rms.var = np.array(100.0)  # its rewards are a tenth of the true ones
+    found = []
+    for envs in (normal, vector()):
+        envs.seed(5)
+        found.append(evaluate_policy(model, envs, n_eval_episodes=8, return_episode_rewards=True))
+    assert found[0] == found[1]
+    assert min(found[0][0]) < -0.1
+    assert max(found[0][1]) <= 30
 
 
 HEADINGS = (

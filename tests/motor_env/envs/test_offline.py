@@ -52,16 +52,27 @@ def test_mixed_episodes_are_of_each_behaviour_in_turn() -> None:
     assert np.bincount(random).min() > 90  # of 120 each
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["Drone-v0"], "task must be one of"),
+        (["Probe-v0", "--seed", "4294967296"], "seed in 0"),
+    ],
+)
+def test_bad_orders_get_one_sentence(
+    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["offline", *options, "--out", str(tmp_path)]) == 2
+    assert words in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_data_set_is_whole_or_not_there_and_is_not_overwritten(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In a folder that is relative and new, below which Minari itself cannot write."""
     monkeypatch.chdir(tmp_path)
     command = ["offline", "Maintain-v0", "--behaviour", "rule", "--episodes", "2", "--out", "new/sets"]
-    assert main(["offline", "Drone-v0", *command[2:]]) == 2
-    assert "task must be one of" in capsys.readouterr().err
-    assert main([*command, "--seed", "4294967296"]) == 2
-    assert "seed in 0" in capsys.readouterr().err
     command += ["--seed", "4294967295"]
 
     def full(*_: object) -> None:

@@ -111,6 +111,10 @@ def monitor(**options: Any) -> MonitorEnv:
     return MonitorEnv(**{**INSTANT, **options})
 
 
+def monitors(count: int, **options: Any) -> MonitorVectorEnv:
+    return MonitorVectorEnv(count, **{**INSTANT, **options})
+
+
 def seed_of(env: MonitorEnv, label: str) -> int:
     """A seed whose first episode is of that class."""
     return next(seed for seed in range(100) if env.reset(seed=seed)[1]["label"] == label)
@@ -195,8 +199,7 @@ def test_sensors_fail_and_faults_recover_as_in_a_data_set(recipe: Any) -> None:
     channels, wait = recipe.sensor.channels, np.full(60, WAIT)
     options: dict[str, Any] = {"start": "standstill", "load_torque_n_m": 0.0, "horizon_s": 0.03}
     options |= {"earliest_onset_s": 0.0, "mean_onset_s": 0.0}
-    observe = tuple(f"measured_{c}" for c in channels)
-    envs = MonitorVectorEnv(60, recipe=recipe, observe=observe, **INSTANT, **options)
+    envs = monitors(60, recipe=recipe, observe=tuple(f"measured_{c}" for c in channels), **options)
     info, drawn = envs.reset(seed=7)[1], draw(recipe, 7, np.arange(60) << 32)
     np.testing.assert_array_equal(info["class_index"], drawn.class_index)
     np.testing.assert_array_equal(info["severity"], drawn.severity)

@@ -207,8 +207,6 @@ def test_a_mechanical_time_constant_must_follow_from_the_others(tmp_path: Path) 
         ("no_load_current_ma", "no_load_current_a", "no_load_current_a = 26.3 looks like no_load_current_ma"),
         ("torque_constant_mnm", "torque_constant_n_m", "23.5 looks like torque_constant_mnm_per_a"),
         ("per_v = 406.0", "per_v = 0.406", "looks like speed_constant_krpm"),
-        ("inductance_mh = 0.238", "inductance_h = 0.238", "no motor has: inductance_h = 0.238 looks like"),
-        ("rotor_inertia_g_cm2", "rotor_inertia_kg_m2", "looks like rotor_inertia_g_cm2"),
         ("[motor]", "[motor]\nstall_current_a = 5.5\nstall_torque_n_m = 1.29", "stall torque over current"),
         # What healthy pieces taught.
         ("values = [2.2, 2.4e-4]", "values = [2.2]", "healthy names 2 quantities; values and log_covariance"),

@@ -219,8 +219,7 @@ def solved(drawn: Draw, n: int, voltage_v: NDArray[np.float32], dt_s: float) -> 
     assert drawn.effects is not None
     assert drawn.driving is not None
     motor = apply_faults(drawn.scenario.parameters, drawn.scenario.faults).motor(n)
-    every = {field.name: getattr(drawn.effects, field.name) for field in fields(drawn.effects)}
-    of_case = {name: np.ravel(each)[n % np.size(each)] for name, each in every.items()}
+    of_case = {name: np.ravel(each)[n % np.size(each)] for name, each in vars_of(drawn.effects).items()}
     rise = drawn.driving.load_rise_n_m[n] / (len(voltage_v) * dt_s)
     given, state, rows = {"rise": rise, "fan": drawn.driving.fan_n_m_s2[n]}, np.zeros(4), []
     for k, volts in enumerate(voltage_v.tolist()):
@@ -228,6 +227,10 @@ def solved(drawn: Draw, n: int, voltage_v: NDArray[np.float32], dt_s: float) -> 
         state = solve_ivp(moving, (k * dt_s, (k + 1) * dt_s), state, "LSODA", rtol=1e-6, atol=1e-8).y[:, -1]
         rows.append(state[:2])
     return np.array(rows).T
+
+
+def vars_of(effects: Effects) -> dict[str, Any]:
+    return {field.name: getattr(effects, field.name) for field in fields(effects)}
 
 
 def test_every_profile_agrees_with_a_stiff_solver() -> None:

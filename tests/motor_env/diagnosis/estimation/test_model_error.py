@@ -24,6 +24,13 @@ from motor_env.diagnosis.estimation.uncertainty import (
 from motor_env.motor.parameters import FloatArray
 
 
+def line(seed: int = 0, n: int = 400) -> Line:
+    rng = np.random.default_rng(seed)
+    design = rng.standard_normal((n, 2)) * [0.05, 1.0]
+    design[: n // 20, 0] = 1.0
+    return Line(design, rng.standard_normal(n), ("R", "K"))
+
+
 def told(of: Line) -> tuple[FloatArray, FloatArray]:
     return normalised(cast("Any", of), least_squares(of), of.design, range(of.design.shape[1]))
 
@@ -35,10 +42,7 @@ def both(of: Line) -> tuple[FloatArray, FloatArray]:
 
 
 def test_scores_of_parts_are_scaled_as_bell_and_mccaffrey_have_it() -> None:
-    rng = np.random.default_rng(0)
-    design = rng.standard_normal((400, 2)) * [0.05, 1.0]
-    design[:20, 0] = 1.0
-    of = Line(design, rng.standard_normal(400), ("R", "K"))
+    of = line()
     of.target[:10] += 6.0
     series, found = both(of)
     design, left = of.design, of.residuals(least_squares(of))

@@ -17,6 +17,7 @@ from motor_env import Recording, load_motor, read_recording
 from motor_env.cli import main
 from motor_env.diagnosis.estimation import model_selection, parameter_index as index
 from motor_env.diagnosis.estimation.operation_fit import (
+    OperationFit,
     _refuse_poor_fit,
     fit_window,
     identify_operation,
@@ -207,13 +208,39 @@ def test_noise_is_unusable_beside_a_start(tmp_path: Path, capsys: pytest.Capture
     assert not (tmp_path / "motor.toml").exists()
 
 
+def recorded(file: str) -> OperationFit:
+    return identify_operation([read_recording(Path(recordings_path or "") / file)])
+
+
 @real
 def test_a_voltage_timed_otherwise_is_no_other_motor() -> None:
     """More likely would be one with a quarter of the inertia, which a torque disturbs so that it explains little."""
-    path = Path(recordings_path or "") / "regbot" / "regbot_85_right.csv"
-    found = identify_operation([read_recording(path)])
+    found = recorded("regbot/regbot_85_right.csv")
     assert found.quantity("J").value > 5e-5
     assert (found.r2_speed or 0.0) > 0.99
+
+
+@real
+@pytest.mark.long
+def test_a_motor_that_was_measured_on_the_bench() -> None:
+    fits = [recorded(f"bench_measured/axem_{name}.csv") for name in ("alone", "gear")]
+    for name, (least, most), (low, high) in (
+        ("R", (0.55, 0.80), (0.60, 0.75)),
+        ("K", (0.027, 0.0325), (0.028, 0.031)),
+    ):
+        found = [fit.quantity(name) for fit in fits]
+        assert all(least < one.value < most and one.low < high and one.high > low for one in found)
+        assert max(one.low for one in found) < min(one.high for one in found)
+    assert all((fit.r2_current or 0.0) >= 0.99 for fit in fits)
+    p = fits[0].solution.values
+    for amps, volts in ((2.34, 2.49), (4.68, 3.99), (9.14, 7.01)):
+        shown = p[index.R] * amps + p[index.DROP] * amps / math.hypot(amps, p[index.KNEE])
+        assert shown == pytest.approx(volts, rel=0.15)
+
+
+def with_hum(recording: Recording, amplitude_a: float, cycles_a_sample: float) -> Recording:
+    phase = 2.0 * math.pi * cycles_a_sample / recording.dt_s * recording.time_s + 1.0
+    return replace(recording, current_a=recording.current_a + amplitude_a * np.sin(phase))
 
 
 @cache
@@ -226,9 +253,7 @@ def test_hum_changes_neither_motor_nor_noise() -> None:
     """Terms that were chosen while the hum was there would stay: the motor is fitted anew without it."""
     clean = work(11, "sine", samples=800)[1]
     hum_a = 0.1 * float(np.abs(clean.current_a).max())
-    hum = hum_a * np.sin(2.0 * math.pi * 0.23 / clean.dt_s * clean.time_s + 1.0)
-    hummed = replace(clean, current_a=clean.current_a + hum)
-    plain, found = (identify_operation([one]) for one in (clean, hummed))
+    plain, found = (identify_operation([one]) for one in (clean, with_hum(clean, hum_a, 0.23)))
     for name in ("R", "K", "J"):
         before, after = plain.quantity(name), found.quantity(name)
         assert abs(math.log(after.value / before.value)) < 0.5 * before.log_sd

@@ -35,6 +35,12 @@ from motor_env.diagnosis.readers.start import Circuit, Start
 from motor_env.motor.parameters import FloatArray
 
 
+def central_jacobian(problem: Problem, unknowns: FloatArray) -> FloatArray:
+    steps = 1e-5 * np.eye(len(unknowns))
+    columns = [(problem.residuals(unknowns + s) - problem.residuals(unknowns - s)) / 2e-5 for s in steps]
+    return np.stack(columns, axis=1)
+
+
 def dense_covariance(problem: Problem, theta: FloatArray, measured: Start) -> tuple[FloatArray, list[float]]:
     """The sandwich of dense matrices: residuals correlated over many samples (Newey & West 1987)."""
     n, p, begin = len(measured.time_s), len(theta), measured.alignment.onset_index
@@ -42,9 +48,7 @@ def dense_covariance(problem: Problem, theta: FloatArray, measured: Start) -> tu
     noises = values[[index.NOISE_I, index.NOISE_W][:channels]]
     left = problem.residuals(theta)
     scale = np.sqrt(left @ left / problem.count)
-    sides = 1e-5 * np.eye(p)
-    slopes = [(problem.residuals(theta + side) - problem.residuals(theta - side)) / 2e-5 for side in sides]
-    jacobian, left = np.stack(slopes, axis=1) / scale, left / scale
+    jacobian, left = central_jacobian(problem, theta) / scale, left / scale
     # Logarithms are known to 3 beforehand, and so are sizes in theirs; the onset to half an interval and half the
     # rise of the current; the offset as far as its quiet part tells.
     rise = values[index.L] / values[index.R] + values[index.RISE] + values[index.LAG_I]

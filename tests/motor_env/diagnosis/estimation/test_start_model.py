@@ -17,7 +17,7 @@ from motor_env.motor.parameters import FloatArray
 DT_S = 2e-4
 TIME_S: FloatArray = np.arange(-20.0, 200.0) * DT_S
 ONSET_S = 0.37 * DT_S
-OHM, HENRY, TORQUE = 2.18, 0.238e-3, 0.0235
+OHM, HENRY, TORQUE, BACK_EMF, INERTIA, DRAG = 2.18, 0.238e-3, 0.0235, 0.02352, 1.07e-6, 12e-7
 
 
 def test_an_onset_at_a_sample_is_one_just_after_it() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import opened
 from present import present
 from recording_csv import write_recording
 from scipy.stats import t as student_t
@@ -27,7 +28,7 @@ from motor_env import (
 )
 from motor_env.cli import main
 from motor_env.common.errors import InputError
-from motor_env.diagnosis.fleet.fits import FitCache, InitialFit, Reading, fit_fleet
+from motor_env.diagnosis.fleet.fits import FitCache, InitialFit, Reading, fit_fleet, processes
 from motor_env.diagnosis.fleet.judging import FleetDiagnosis, common_cause, diagnose_fleet
 from motor_env.diagnosis.fleet.learning import LearnedFleet, UnitId, learn_fleet, unit_ids
 from motor_env.diagnosis.fleet.population import Motors, floor_covariance, learn_population
@@ -123,6 +124,17 @@ def test_table_json_and_page_say_the_same(found: FleetDiagnosis) -> None:
     assert page.count('class="sister"') == 7 * len(found.quantities)
     assert "http" not in page.replace("http://www.w3.org", "")
     assert f"<p>{first}</p>" in page
+
+
+def test_the_page_in_a_browser(found: FleetDiagnosis, tmp_path: Path) -> None:
+    (tmp_path / "fleet.html").write_text(found.page(), encoding="utf-8")
+    with opened((tmp_path / "fleet.html").as_uri()) as browser:
+        assert browser.value("document.querySelectorAll('table tr').length") == 1 + len(found.units)
+        assert browser.value("document.querySelector('td').textContent") == "3 left"
+        heights = (
+            "[...document.querySelectorAll('svg .odd')].map((dot) => dot.getBoundingClientRect().height)"
+        )
+        assert all(height > 0.0 for height in browser.value(heights))
 
 
 def test_the_records_of_a_motor_share_its_rate(
@@ -311,6 +323,14 @@ def test_kept_fits_of_others_are_refused_and_stay(starts: list[Path], tmp_path: 
         assert kept.read_text() == content
 
 
+@pytest.mark.long
+def test_a_cluster_finds_the_same(starts: list[Path], found: FleetDiagnosis) -> None:
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(n_workers=1, dashboard_address=None)
+    with cluster, processes(1, cluster.scheduler_address) as each:
+        assert diagnose_fleet(starts, group=GROUP, each=each).to_json() == found.to_json()
+
+
 def test_motors_of_a_machine_off_alike_are_told_together() -> None:
     """A speed that reads 12 % high in both motors: a gear or an encoder of other pulses, too little for one alone."""
     sd = np.array([0.1, 0.05, 0.1, 0.3])
@@ -414,3 +434,32 @@ def test_machine_and_motor_stand_in_a_files_name(name: str, group: str | None, u
 def test_a_group_that_tells_no_motor_is_refused(group: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         unit_ids([Path("robot_07_left.csv")], group)
+
+
+recordings_path = os.environ.get("MOTOR_ENV_RECORDINGS")
+DEAD = ("13 left", "13 right", "17 left")
+"""Whose current reads nothing while they turn."""
+HEAVY = ("19 left", "55 right", "11 left")
+"""They draw clearly more current than their sisters."""
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(
+    recordings_path is None, reason="MOTOR_ENV_RECORDINGS does not point to the recordings of real motors"
+)
+def test_the_motors_that_draw_too_much_lead_and_no_dead_sensor_is_a_fault_of_a_motor() -> None:
+    files = sorted((Path(recordings_path or "") / "regbot").glob("*.csv"))
+    assert len(files) == 78
+    with processes(2) as each:
+        found = {one.unit_id.name: one for one in diagnose_fleet(files, group=NAMED, each=each).units}
+    for name in (*DEAD, "11 right"):
+        assert found[name].verdict not in ("healthy", "winding", "bearing", "magnet"), name
+    told = [
+        name for name, one in found.items() if one.p_value is not None and name not in (*DEAD, "11 right")
+    ]
+    assert set(sorted(told, key=lambda name: found[name].p_value or 0.0)[:3]) == set(HEAVY)
+    assert all(found[name].verdict.is_fault for name in HEAVY)
+    assert found["19 left"].ratios["B"] > 3.0
+    healthy = sum(one.verdict == "healthy" for one in found.values())
+    assert healthy > 50

@@ -9,7 +9,7 @@ import pytest
 from operation_simulator import Motor as SimulatedMotor, draw_motor, simulate
 from scipy import stats
 
-from motor_env import FaultKind, InputError, Recording, diagnose, load_motor
+from motor_env import FaultKind, InputError, Recording, commission, diagnose, load_motor
 from motor_env.diagnosis.estimation.uncertainty import excess_covariance
 
 # Reaches in: drives and windows are made by hand, and a watch hears them.
@@ -166,6 +166,16 @@ def test_a_window_is_compared_with_those_that_are_driven_alike(
         for one in told:
             wanted = "compared with 3 of 6 healthy windows of this motor under the same operating condition"
             assert one.reasons[-1] == wanted
+
+
+def test_a_commissioning_says_in_how_many_ways_the_motor_was_driven(
+    logs: list[Recording], learned: tuple[Healthy, list[FittedWindow]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("motor_env.diagnosis.commission.learn_windows", lambda *_, **__: learned)
+    assert (
+        "  2 operating conditions: each window is compared with those"
+        in commission(logs, window_s=1.0).text()
+    )
 
 
 def test_a_watch_goes_on_from_one_condition_to_another(

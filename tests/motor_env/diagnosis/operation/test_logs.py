@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from captures import by_sensors
 from operation_simulator import draw_motor, simulate as simulate_log
 
 from motor_env import (
@@ -18,10 +17,14 @@ from motor_env import (
     InputError,
     Motor,
     Recording,
+    Scenario,
+    SensorParameters,
+    Timing,
     Verdict,
     commission,
     diagnose,
     load_motor,
+    simulate,
     simulate_states,
 )
 from motor_env.common.console import worst
@@ -151,6 +154,18 @@ def true_fit(record: Record) -> Any:
     )
 
 
+@cache
+def of_starts() -> Motor:
+    starts = []
+    for seed in (1, 2, 3):
+        sensor = SensorParameters(channels=("current", "speed"))  # type: ignore[arg-type]  # names do as well
+        scenario = Scenario(P, sensor=sensor, timing=Timing(duration_s=0.2, quiet_s=0.02))
+        made = simulate(scenario, seed, [0])
+        current_a, speed_rad_s = made.measurements[0]
+        starts.append(Recording(Path("start"), made.time_s, current_a, made.voltage_v[0], speed_rad_s))
+    return commission(starts, "m").motor
+
+
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log_diagnosis, "identify_record", true_fit)
@@ -161,7 +176,7 @@ def said(recording: Recording, motor: Motor) -> list[str]:
 
 
 @pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize("motor", [lambda: SHEET, by_sensors], ids=["sheet", "starts"])
+@pytest.mark.parametrize("motor", [lambda: SHEET, of_starts], ids=["sheet", "starts"])
 def test_a_log_is_judged_without_a_commissioning_at_work(motor: Any) -> None:
     assert said(log(), motor()) == ["healthy"] * 4
     found = diagnose(log(HALF_WAY), motor())
@@ -215,13 +230,10 @@ def test_the_reference_of_a_log() -> None:
     window_s = judge_for(log(), replace(SHEET, parameters=heavy)).windows.window_s
     assert window_s == pytest.approx(40.0 * float(np.mean(heavy.mechanical_time_constant_s)))
     # Starts hold errors of other fits: the windows' own come on top, and their scatter is that of starts.
-    starts = by_sensors()
+    starts = of_starts()
     assert starts.healthy is not None
     by_starts = judge_for(log(), starts).reference
-    assert (by_starts.source, by_starts.includes_fit_error) == (
-        "3 healthy starts of commissioned motor",
-        False,
-    )
+    assert (by_starts.source, by_starts.includes_fit_error) == ("3 healthy starts of m", False)
     assert (by_starts.log_noise, by_starts.excess, by_starts.temperature_k) == (None, 1.0, 15.0)
     rows = [starts.healthy.quantities.index(name) for name in NAMES]
     own = starts.healthy.log_covariance[np.ix_(rows, rows)]
@@ -244,7 +256,7 @@ def test_stretches_of_a_log_tell_how_it_is_fitted() -> None:
 
 
 def test_what_tells_too_little_of_a_log_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    starts, current_only = by_sensors(), ("R", "L", "K^2/J", "B/J")
+    starts, current_only = of_starts(), ("R", "L", "K^2/J", "B/J")
     assert starts.healthy is not None
     healthy = replace(starts.healthy, quantities=current_only, values=np.ones(4), log_covariance=np.eye(4))
     monkeypatch.setattr(log_diagnosis, "identify_record", true_fit)

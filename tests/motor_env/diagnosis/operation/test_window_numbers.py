@@ -219,11 +219,15 @@ def decided(
     return decide(FittedWindow(ratios, covariance), reference, rate)
 
 
+def limit_of(covariance: FloatArray, freedom: float, rate: float) -> float:
+    return float(stats.t.isf(joint_share(rate, covariance, EXPONENTS, freedom), freedom))
+
+
 def test_a_window_alarms_from_its_joint_limit_on() -> None:
     """Along a fault by Student's t; where no fault explains it, the whole by Fisher's F."""
     rate, freedom, covariance = 0.02, 30.0, 4e-4 * np.eye(4)
     share = joint_share(rate, covariance, EXPONENTS, freedom)
-    friction = 0.02 * float(stats.t.isf(share, freedom))
+    friction = 0.02 * limit_of(covariance, freedom, rate)
     inertia = 0.02 * math.sqrt(4.0 * stats.f.isf(share, 4, freedom))
     for size, bearing, other in ((0.998, "healthy", "healthy"), (1.002, "bearing", "other")):
         found = decided(np.array([0.0, 0.0, 0.0, size * friction]), covariance, rate, freedom)

@@ -41,6 +41,29 @@ def test_first_passage_keeps_its_digits_for_a_small_diffusion() -> None:
     assert np.isfinite(found).all()
 
 
+def write_table(path: Path, *, rows: int = 30, slope: float = 0.01) -> Path:
+    lines = ["date,B,B_se,R,R_se"]
+    lines += [
+        f"2026-03-{day + 1:02d},{1.2e-6 * (1 + slope * day):.9g},1e-8,{2.18 + 0.002 * (-1) ** day:.9g},0.002"
+        for day in range(rows)
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_command_writes_page_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, out = write_table(tmp_path / "estimates.csv"), tmp_path / "page.html"
+    limits = ["--limit", "B=1.5", "--limit", "R=0.9,1.1"]
+    assert main(["trend", str(table), *limits, "--out", str(out), "--json"]) == 1
+    found = {entry["quantity"]: entry for entry in json.loads(capsys.readouterr().out)}
+    life = found["B"]["limits"][0]["remaining_life"]
+    assert life["low"] < 20.5 < life["high"]
+    assert (found["B"]["state"], found["R"]["state"]) == ("trending", "steady")
+    assert all(limit["remaining_life"] is None for limit in found["R"]["limits"])
+    assert out.read_text().count("<svg") == 2
+    assert main(["trend", str(write_table(table, slope=0.0)), "--out", str(out)]) == 0
+
+
 def test_a_folder_of_dated_recordings_becomes_a_trend(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -58,7 +81,6 @@ def test_a_folder_of_dated_recordings_becomes_a_trend(
     assert "notes.csv: its name holds no date" in captured.err
     assert (found["B/J"]["state"], found["R"]["state"]) == ("trending", "steady")
     life = found["B/J"]["limits"][0]["remaining_life"]
-    assert (tmp_path / "out" / "t.html").read_text().count("<svg") == 4
     # reference 1.05, so 1.5 of it is 57.5 % more friction: day 11.5, in 4.5
     assert life["low"] < 4.5 < life["high"]
 
@@ -122,8 +144,7 @@ def test_bad_tables_get_one_sentence(
 
 
 def test_bad_options_get_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "t.csv").write_text("time,B,R\n" + "".join(f"{day},1.2,2.1{day % 2}\n" for day in range(9)))
-    table = str(tmp_path / "t.csv")
+    table = str(write_table(tmp_path / "t.csv"))
     for options, sentence in (
         (["--limit", "B"], "--limit must look like"),
         (["--limit", "X=1.5"], "the quantities are B, R"),

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -25,7 +26,7 @@ from motor_env.diagnosis.prognosis.trend import (
     last_jump,
     reason_withheld,
 )
-from motor_env.diagnosis.prognosis.trend_report import build_series, read_estimates
+from motor_env.diagnosis.prognosis.trend_report import Trends, build_series, read_estimates
 from motor_env.diagnosis.readers.start import Start
 from motor_env.motor.parameters import FloatArray
 
@@ -339,3 +340,11 @@ def test_a_trend_is_said_from_95_percent_on_and_a_limit_is_reached_from_one_half
         assert one.reached is bool(one.life.probability_reached >= 0.5)
         assert one.close is bool(one.wear.probability_beyond(0.8) >= 0.25)
     assert any(0.9 < trend.forecasts[0].wear.probability_trend < 0.95 for trend in found)
+
+
+def test_the_page_draws_errors_at_90_percent_on_the_scale_of_the_limits() -> None:
+    html = Trends((judge(series(2.0 + 0.002 * (-1.0) ** np.arange(9.0), 0.1)),)).page()
+    y = {name: float(at) for at, name in re.findall(r'y="([\d.]+)"[^>]*>limit ([-+]\d+ %)<', html)}
+    ranges = re.findall(r'class="range"[^>]*y1="([\d.]+)"[^>]*y2="([\d.]+)"', html)
+    lengths = [float(low) - float(high) for low, high in ranges]
+    assert lengths == pytest.approx([4.0 * 1.6449 * 0.05 * (y["-25 %"] - y["+25 %"])] * 9, abs=0.3)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import noisy
 from scipy import stats
 
 from motor_env import Recording
@@ -23,6 +22,14 @@ from motor_env.diagnosis.readers.noise import (
     without_outliers,
 )
 from motor_env.diagnosis.readers.start import prepare
+
+
+def noisy(n: int = 1000, *, noise: float = 0.02, offset: float = 0.1, sign: float = 1.0) -> Recording:
+    """A start at sample 200."""
+    since = np.maximum(np.arange(n) - 199.0, 0.0)
+    current = 5.0 * (np.exp(-since / 300.0) - np.exp(-since / 3.0)) + 0.05 * (since > 0.0)
+    shown = sign * current + offset + noise * np.random.default_rng(1).standard_normal(n)
+    return Recording(Path("start"), 1e-4 * np.arange(float(n)) - 0.01, shown)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -211,6 +211,27 @@ def test_odd_names_cost_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture
     assert [entry["verdict"] for entry in json.loads(capsys.readouterr().out)] == ["bearing"]
 
 
+def test_a_bug_on_one_file_costs_no_verdict(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Reaches in: a bug is patched in for the reader that the command calls for each file.
+    from motor_env.diagnosis import file_verdicts
+
+    calls = iter([TypeError("a bug"), None])
+
+    def sometimes(path: Path, columns: Any) -> Recording:
+        if (error := next(calls)) is not None:
+            raise error
+        return read_recording(path, columns)
+
+    monkeypatch.setattr(file_verdicts, "read_recording", sometimes)
+    capture, motor = str(EXAMPLES / "startup_capture.csv"), str(EXAMPLES / "motor.toml")
+    assert cli.main(["diagnose", capture, capture, "--motor", motor]) == 70
+    printed = capsys.readouterr()
+    assert "bearing +" in printed.out
+    assert "Traceback" in printed.err
+
+
 @pytest.mark.parametrize("prefix", ["", "data."])
 def test_structs_of_two_runs_are_not_merged(prefix: str, tmp_path: Path) -> None:
     """Each keeps its whole name where a short one is there twice."""

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import noisy
 from judged_by_hand import SHEET, start
 
 from motor_env import Fault, FaultKind, InputError, Recording, diagnose
@@ -58,6 +57,12 @@ def with_parts(level: float, length: int, count: int = 4) -> FloatArray:
     return volts
 
 
+def spiked(count: int) -> FloatArray:
+    volts = np.tile(np.repeat([12.0, -12.0], 500), 10)
+    volts[100 : 100 + count] = 120.0
+    return volts
+
+
 @pytest.mark.parametrize(
     ("voltage", "said"),
     [
@@ -73,7 +78,7 @@ def with_parts(level: float, length: int, count: int = 4) -> FloatArray:
         (waves(600.0, 0.0, 1.0, n=1900), LEVELS),
         (np.tile(off_on(99, 300), 6), FAST),
         (np.tile(off_on(101, 300), 6), None),
-        (np.append(np.full(8, 120.0), np.tile(np.repeat([12.0, -12.0], 500), 10)[8:]), REVERSES),
+        (spiked(8), REVERSES),
     ],
 )
 def test_what_a_voltage_shows(voltage: FloatArray, said: str | None) -> None:
@@ -269,7 +274,11 @@ def test_a_start_has_the_rest_before_it_and_no_braking(has_speed: bool, has_volt
 
 
 def started(voltage: FloatArray | None) -> Recording:
-    return replace(noisy(offset=0.0), voltage_v=voltage)
+    """A start at sample 200."""
+    since = np.maximum(np.arange(1000) - 199.0, 0.0)
+    current = 5.0 * (np.exp(-since / 300.0) - np.exp(-since / 3.0)) + 0.05 * (since > 0.0)
+    noise = 0.02 * np.random.default_rng(1).standard_normal(1000)
+    return Recording(Path("start"), 1e-4 * np.arange(1000.0), current + noise, voltage)
 
 
 STEP = np.where(np.arange(1000) >= 200, 9.0, 0.0)

@@ -181,8 +181,15 @@ def test_what_is_no_recording_of_a_motor_is_refused(
     assert words in refused(lambda: read_recording(tmp_path / "a.npz"), tmp_path / "a.npz")
 
 
+SPEED = 100.0 * TIME
 SCOPE = csv_text({"X-axis": TIME, "CH1": WAVE}, form=".6f").split("\n", 1)
 TEXTS = {
+    "semicolons, decimal commas and units": csv_text(
+        {"Zeit (ms)": 1e3 * TIME, "Strom (mA)": 1e3 * WAVE, "Drehzahl (rpm)": SPEED / RPM},
+        form=".4f", mark=";", decimal=",",
+    ),
+    "a scope with a preamble and a row of units":
+        f"Model,X1\nDate,today\nTime Base,1 ms\n\n{SCOPE[0]}\ns,A\n{SCOPE[1]}",
     "a scope with its settings beside the data": "\n".join(
         (f"Setting {n},{n}," if n < 15 else ",,") + f"Points,{row}" for n, row in enumerate(SCOPE[1].splitlines())
     ),
@@ -196,6 +203,8 @@ def test_text(name: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_bytes(TEXTS[name].encode("cp1252" if "code pages" in name else "utf-8"))
     found = read_recording(tmp_path / "a.csv")
     np.testing.assert_allclose([found.time_s, found.current_a], [TIME, WAVE], atol=1e-4)
+    if found.speed_rad_s is not None:
+        np.testing.assert_allclose(found.speed_rad_s, SPEED, atol=1e-3)
 
 
 def test_a_pickle_in_a_numpy_file_is_refused(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import opened
 from judged_by_hand import CURRENT, EXAMPLES, SHEET, fitted, judged, of_one, start
 from present import present
 
@@ -114,6 +115,20 @@ def test_the_piece_that_a_verdict_rests_on(said: list[tuple[str, float | None]],
     assert [line.startswith(f"  from {telling} s: {said[telling][0]}") for line in marked] == [True]
 
 
+def test_pieces_stand_at_their_middles_on_one_axis_of_time() -> None:
+    spans = [(0.0, 8.0), (8.0, 10.0), (30.0, 10.0)]
+    change = Change("R", 1.1, 1.0, 1.2, "healthy")
+    pieces = [replace(judged().decisive, begin_s=b, duration_s=d, changes=(change,)) for b, d in spans]
+    html = report_page.pieces_chart([*pieces, replace(pieces[0], changes=())])
+    found = [
+        float(re.findall(r'cx="([-\d.]+)"', dot)[0])
+        for dot in re.findall(r'<circle[^>]*class="dot"[^>]*>', html)
+    ]
+    assert found == pytest.approx(
+        [66.0 + 382.0 * (begin + 0.5 * length) / 40.0 for begin, length in spans], abs=0.1
+    )
+
+
 def test_fits_are_shown_with_what_goes_together() -> None:
     found = identify(EXAMPLES / "startup_capture.csv")
     ((_, fit),) = found.starts
@@ -132,6 +147,7 @@ def test_a_page_of_a_commissioning_has_a_dot_for_each_piece() -> None:
     html = commission(starts, fewest=2).page()
     (spread,) = re.findall(r'aria-label="Deviation of each quantity.*?</svg>', html, re.DOTALL)
     assert (spread.count('class="interval"'), spread.count('class="dot"')) == (4, 8)
+    assert "Healthy start 2" in html
 
 
 Answers = tuple[str, str, str]
@@ -202,3 +218,14 @@ def test_a_page_shows_hostile_names_as_text() -> None:
     assert "<script>" not in html
     assert "<b>read" not in html
     assert "Nothing to compare with" in html
+
+
+def test_the_page_in_a_browser(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(report_page.page(shown("bearing")), encoding="utf-8")
+    with opened((tmp_path / "page.html").as_uri()) as browser:
+        assert browser.value("document.querySelector('h1').innerText").startswith("More friction")
+        is_shown = "document.querySelector('details pre').checkVisibility()"
+        assert not browser.value(is_shown)
+        browser.click("details summary")
+        browser.wait(is_shown)
+        assert browser.value("document.documentElement.scrollWidth <= window.innerWidth")
