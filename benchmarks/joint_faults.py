@@ -19,7 +19,7 @@ from cyclopts import run
 from loaded_starts import COMMISSIONED, Bench
 from random_motors import HEALTHY, starts
 from tables import keep_table
-from verdict_tables import HERE, Counts, How, Said, counted, named, words_of
+from verdict_tables import HERE, Counts, How, Said, counted, verdict_names, words_of
 
 from motor_env.diagnosis.diagnose import diagnose
 from motor_env.diagnosis.readers.start import prepare
@@ -82,10 +82,10 @@ def judge(number: int, seed: int, faults: dict[str, dict[str, float]]) -> Said:
         pairs.append(
             (f"other physics, {channels}", learned, replace(start, path=recordings[0].path.with_name(name)))
         )
-    return [((by, r.path.name), named(diagnose(r, motor))) for by, motor, r in pairs]
+    return [((by, r.path.name), verdict_names(diagnose(r, motor))) for by, motor, r in pairs]
 
 
-def match_of(found: set[str], truth: set[str]) -> str:
+def agreement(found: set[str], truth: set[str]) -> str:
     """How what is named agrees with the truth; empty if nothing of it is named."""
     if found == truth:
         return "right"
@@ -103,7 +103,7 @@ def rows(counts: Counts, faults: dict[str, dict[str, float]]) -> Iterator[list[s
             said = Counter[str]()
             for words, n in one.items():
                 found = set(words.split(" + "))
-                said[match_of(found, truth) or words] += n
+                said[agreement(found, truth) or words] += n
             yield [name, by[0], words_of(said)]
 
 

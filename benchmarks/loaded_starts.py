@@ -18,7 +18,7 @@ import numpy as np
 from cyclopts import run
 from operation_simulator import SWITCHES, Motor, draw_motor, simulate
 from tables import keep_table
-from verdict_tables import HERE, Counts, How, Said, counted, named, words_of
+from verdict_tables import HERE, Counts, How, Said, counted, verdict_names, words_of
 
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
 from motor_env.diagnosis.readers.recording import Recording
@@ -113,7 +113,7 @@ def judge(number: int, seed: int, *, other_physics: bool) -> Said:
         found = diagnose(bench.start(motor, float(bench.rng.uniform(0.0, WARMEST_K))), known)
         shows = "shows" if change != HEALTHY and bench.shows(change, found) else "may not show"
         cell = (bench.load, channels, str(bench.spread), str(bench.told), change, shows)
-        said.append((cell, named(found)))
+        said.append((cell, verdict_names(found)))
     return said
 
 

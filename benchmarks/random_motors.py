@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from cyclopts import run
 from tables import keep_table
-from verdict_tables import HERE, How, Said, counted, named, words_of
+from verdict_tables import HERE, How, Said, counted, verdict_names, words_of
 
 from motor_env.diagnosis.diagnose import Diagnosis, diagnose
 from motor_env.diagnosis.readers.recording import Recording
@@ -127,7 +127,7 @@ def said(found: Diagnosis) -> str:
     """The verdict; where a change of friction was missed also whether the diagnosis had said that it might not show."""
     missed = found.recording.path.name == "friction +50 %" and found.verdict is Verdict.HEALTHY
     stated = missed and found.decisive.smallest_changes["bearing"] > FRICTION - 1.0
-    return f"{found.verdict} (+50 % might not show, it said)" if stated else named(found)
+    return f"{found.verdict} (+50 % might not show, it said)" if stated else verdict_names(found)
 
 
 def judge(number: int, seed: int) -> Said:

@@ -103,7 +103,7 @@ def _rule(rule: Any, threshold: float) -> Make:
     return lambda envs: RulePolicy(envs.setup, rule, threshold=threshold)
 
 
-def _kept(rule: Any, threshold: float) -> Make:
+def _steadfast_rule(rule: Any, threshold: float) -> Make:
     return lambda envs: Steadfast(RulePolicy(envs.setup, rule, threshold=threshold))
 
 
@@ -136,14 +136,14 @@ REFERENCES = {
         {"observe": baseline_features("medium")},
     ),
     "MonitorHard-v0": Reference(
-        ("CUSUM", _kept(Cusum(1.5, two_sided=True), 8.0)),
+        ("CUSUM", _steadfast_rule(Cusum(1.5, two_sided=True), 8.0)),
         ("bank of filters", lambda envs: BankPolicy(envs.setup, 7.5)),
         _at_every_sample,
         {"observe": baseline_features("hard")},
     ),
     "MonitorSpeedLoop-v0": Reference(
-        ("CUSUM", _kept(Cusum(1.2, two_sided=True), 5.0)),
-        ("GLR of a step", _kept(Glr(1, 60, two_sided=True), 18.0)),
+        ("CUSUM", _steadfast_rule(Cusum(1.2, two_sided=True), 5.0)),
+        ("GLR of a step", _steadfast_rule(Glr(1, 60, two_sided=True), 18.0)),
         None,
         {"observe": baseline_features("medium")},
     ),

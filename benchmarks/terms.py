@@ -63,7 +63,7 @@ def truth(motor: Motor, found: OperationFit) -> dict[str, float]:
     return {name: math.log(value) for name, value in true.items()}
 
 
-def determined(found: OperationFit) -> dict[str, list[float]]:
+def log_estimates(found: OperationFit) -> dict[str, list[float]]:
     """Logarithms of value and interval of each quantity that a fit determines."""
     return {
         one.name.split("/")[0]: [math.log(max(x, 1e-300)) for x in (one.value, one.low, one.high)]
@@ -96,7 +96,7 @@ def fit_with_and_without(job: tuple[str, Any]) -> dict[str, Any]:
         motor, log = twin(*of) if kind == "twins" else (None, at_terminals(read_recording(of)))
         record = from_recordings([log])
         found = identify_record(record)
-        row |= {"told": determined(found), "true": {} if motor is None else truth(motor, found)}
+        row |= {"told": log_estimates(found), "true": {} if motor is None else truth(motor, found)}
         for name in (name for name in found.solution.names if name not in ALWAYS):
             try:
                 less = identify_record(record, (name,))
@@ -105,7 +105,7 @@ def fit_with_and_without(job: tuple[str, Any]) -> dict[str, Any]:
                 continue
             row["without"][name] = {
                 "gain": gain(unexplained(less), unexplained(found)),
-                "told": determined(less),
+                "told": log_estimates(less),
             }
     except UnusableError as error:
         row["error"] = str(error)

@@ -59,7 +59,7 @@ Said = list[tuple[Cell, str]]
 """What was said in one case: cells and verdicts."""
 
 
-def named(found: JudgedRecording) -> str:
+def verdict_names(found: JudgedRecording) -> str:
     """The verdict, and the further faults that it names."""
     return " + ".join(sorted([found.verdict, *(fault.verdict for fault in found.also)]))
 

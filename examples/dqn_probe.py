@@ -38,7 +38,7 @@ def main() -> None:
     env = gym.make("motor_env:motor_env/Probe-v0")
     model = DQN("MlpPolicy", env, seed=given.seed, device="cpu").learn(given.steps)
     mean, half = interval(run_episodes(ProbeVectorEnv(1000), Greedy(model), 1).returns)
-    print(f"DQN after {given.steps} steps: {mean:+.3f} ± {half:.3f}")  # noqa: T201
+    print(f"DQN after {given.steps} steps: {mean:+.3f} ± {half:.3f}")
 
 
 if __name__ == "__main__":

@@ -91,13 +91,13 @@ def main() -> None:
     torch.set_num_threads(1)
     data = minari.load_dataset(given.data)
     behaved = np.array([each.rewards.sum() for each in data.iterate_episodes()])
-    print(f"recorded: {behaved.mean():+.3f} ± {1.96 * behaved.std() / len(behaved) ** 0.5:.3f}")  # noqa: T201
+    print(f"recorded: {behaved.mean():+.3f} ± {1.96 * behaved.std() / len(behaved) ** 0.5:.3f}")
     for seed in given.seeds:
         scored = returns_of(learn(data, seed), data.recover_environment(), given.episodes)
         share = float(minari.get_normalized_score(data, scored).mean())
         half = 1.96 * scored.std() / len(scored) ** 0.5
         way = f"{share:.3f} of the way from random to the best"
-        print(f"seed {seed}: {scored.mean():+.3f} ± {half:.3f}, {way}")  # noqa: T201
+        print(f"seed {seed}: {scored.mean():+.3f} ± {half:.3f}, {way}")
 
 
 if __name__ == "__main__":

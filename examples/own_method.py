@@ -36,4 +36,4 @@ if __name__ == "__main__":
     model = small_network(task.recipe, 0).fit(train.X[:, 0], train.class_name)
     answers = model.predict_proba(X[:, 0])[:, [list(model.classes_).index(name) for name in task.columns]]
     scored = score_answers(task, answers)
-    print(f"{scored['value']:.2f} % wrong, {scored['above_limit']:.2f} points more than the best possible")  # noqa: T201
+    print(f"{scored['value']:.2f} % wrong, {scored['above_limit']:.2f} points more than the best possible")

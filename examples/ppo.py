@@ -93,7 +93,7 @@ def main() -> None:
     if given.train:
         weights.parent.mkdir(parents=True, exist_ok=True)
         np.savez(weights, **train(name, given.steps, given.seed, given.tensorboard))
-    print(play(name, Agent(dict(np.load(weights))), out / f"{name}.png"))  # noqa: T201
+    print(play(name, Agent(dict(np.load(weights))), out / f"{name}.png"))
 
 
 if __name__ == "__main__":

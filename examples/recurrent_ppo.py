@@ -56,7 +56,7 @@ def main() -> None:
     model.learn(given.steps)
     found = returns(model, environments(EPISODES))
     error = 1.96 * found.std() / EPISODES**0.5
-    print(f"mean return {found.mean():+.3f} ± {error:.3f} of {EPISODES} episodes")  # noqa: T201
+    print(f"mean return {found.mean():+.3f} ± {error:.3f} of {EPISODES} episodes")
 
 
 if __name__ == "__main__":

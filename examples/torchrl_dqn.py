@@ -70,7 +70,7 @@ def main() -> None:
             target.step()
     steps.shutdown()
     mean, half = interval(run_episodes(ProbeVectorEnv(1000), Greedy(values), 1).returns)
-    print(f"DQN after {given.steps} steps: {mean:+.3f} ± {half:.3f}")  # noqa: T201
+    print(f"DQN after {given.steps} steps: {mean:+.3f} ± {half:.3f}")
 
 
 if __name__ == "__main__":

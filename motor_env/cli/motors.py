@@ -65,7 +65,7 @@ def identify(
         )
     if output is not None and (result.logs or result.usable):
         identified = result.motor(name)
-        _say_kept(output)
+        _report_moved(output)
         save_motor(identified, output)
     if out is not None:
         write_text(out / "identify.html", result.page())
@@ -92,7 +92,7 @@ def _identify_with_fleet(
         result = update_unit(files, load_motor(motor), name, reading=measurement.of_fleet(regime))
     rows = unit_quantities(result)
     if output is not None:
-        _say_kept(output)
+        _report_moved(output)
         save_motor(result, output)
     lines = [
         f"{_recordings(files, '')} beside the sisters of {motor}; 95 % intervals",
@@ -192,7 +192,7 @@ def commission(
                 constant=torque_constant,
                 no_load_current_a=no_load_current,
             )
-        before = _kept(output)
+        before = _move_aside(output)
         save_motor(result.motor, output)
         if out is not None:
             write_text(out / f"{output.stem}.html", result.page())
@@ -229,7 +229,7 @@ def _commission_fleet(
         with sisters.fitted(files, reading) as how:
             fleet = learn_fleet(files, **how)
         learned, text = fleet.motor(name), fleet.text(rate)
-    before = _kept(output)
+    before = _move_aside(output)
     save_motor(learned, output)
     return text, before
 
@@ -245,8 +245,8 @@ def _require_motor_file(output: Path) -> None:
             raise InputError(f"{output}: is there, and is no motor file; give another -o") from None
 
 
-def _kept(output: Path) -> str:
-    """Keep a motor file that is to be replaced, and say where; nothing where there is none."""
+def _move_aside(output: Path) -> str:
+    """Rename a motor file that is to be replaced; return words that say to what, or nothing."""
     if not output.exists():
         return ""
     names = (f"{output.name}.before{number}" for number in ("", *range(2, 1000)))
@@ -255,6 +255,6 @@ def _kept(output: Path) -> str:
     return f"; the motor file that was there is now {kept}"
 
 
-def _say_kept(output: Path) -> None:
-    if before := _kept(output):
+def _report_moved(output: Path) -> None:
+    if before := _move_aside(output):
         print(f"motor-env: {printable(f'{output}{before}')}", file=sys.stderr)

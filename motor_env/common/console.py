@@ -139,7 +139,7 @@ def working(
         Function that takes `advance`, `completed`, `total` or `description`.
     """
     if not sys.stderr.isatty():
-        with _told(_Work(words, total)) as update:
+        with _progress_lines(_Work(words, total)) as update:
             yield update
         return
     from rich.console import Console
@@ -176,7 +176,7 @@ class _Work:
 
 
 @contextmanager
-def _told(work: _Work) -> Iterator[Callable[..., None]]:
+def _progress_lines(work: _Work) -> Iterator[Callable[..., None]]:
     """Tell of work by lines on standard error until it is done."""
     done = threading.Event()
 

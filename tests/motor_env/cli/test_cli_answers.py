@@ -195,7 +195,7 @@ def test_no_other_file_is_written_over_and_each_motor_of_before_is_kept(
     log.write_text("time_s,current_a\n")
     assert main([command, "a.csv", "-o", str(log)]) == 2
     assert "is there, and is no motor file" in capsys.readouterr().err
-    assert motors._kept(motor) == ""
+    assert motors._move_aside(motor) == ""
     for name in ("motor.toml.before", "motor.toml.before2"):
         motor.write_text(text)
         if command == "identify":
@@ -203,7 +203,7 @@ def test_no_other_file_is_written_over_and_each_motor_of_before_is_kept(
             assert f"is now {tmp_path / name}" in capsys.readouterr().err
             assert load_motor(motor).kind == "identified"
         else:
-            assert motors._kept(motor).endswith(f"now {tmp_path / name}")
+            assert motors._move_aside(motor).endswith(f"now {tmp_path / name}")
         assert (tmp_path / name).read_text() == text
 
 

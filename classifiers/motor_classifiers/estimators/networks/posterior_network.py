@@ -116,7 +116,7 @@ class PosteriorNetwork(LogitClassifier):
 
     @classmethod
     def from_recipe(
-        cls, recipe: Recipe, *, on_step: Progress = lambda seen, total: None, **parameters: Any
+        cls, recipe: Recipe, *, on_step: Progress = lambda starts, total: None, **parameters: Any
     ) -> Self:
         """Train a network on the recipe's stream of cases.
 
@@ -171,7 +171,7 @@ class PosteriorNetwork(LogitClassifier):
         self.severity_priors_: tuple[SeverityPrior, ...] = ()
         return self
 
-    def fit_stream(self, on_step: Progress = lambda seen, total: None) -> Self:
+    def fit_stream(self, on_step: Progress = lambda starts, total: None) -> Self:
         """Train on fresh cases of the recipe.
 
         Args:
